@@ -1,0 +1,27 @@
+"""Errors that are meant for the person at the cell: one clear sentence each, and an exit code."""
+
+from __future__ import annotations
+
+
+class CellappError(Exception):
+    """What is wrong, where, what was expected, what to do. ``exit_code`` as in the README."""
+
+    exit_code = 2
+
+
+class InputError(CellappError):
+    """Bad input: a profile, a file, a run folder or an argument."""
+
+    exit_code = 2
+
+
+class CheckFailed(CellappError):
+    """A check did not hold: a verification, or a doctor's finding."""
+
+    exit_code = 1
+
+
+class HardwareError(CellappError):
+    """A device refused or faulted."""
+
+    exit_code = 3

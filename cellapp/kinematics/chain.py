@@ -1,0 +1,339 @@
+"""A serial arm of revolute joints seen by a tracker: SMR positions and their analytic derivatives.
+
+The model is the one of Bai et al., ROBOT 45(3) 2023, 276-286:
+
+    T_M_S = T_M_B A_1 ... A_N trans(t_x, t_y, t_z)
+    T_M_B = R_ref trans(x0, y0, 0) rot_x(alpha0) rot_y(beta0) trans(0, 0, z0) rot_z(theta0)
+    A_i   = rot_z(q_i + theta_i) trans(a_i, 0, d_i) rot_x(alpha_i) rot_y(beta_i)
+
+with ``R_ref`` the identity unless the first axis lies near the tracker's x axis, where rot_x and rot_z would turn about
+the same line; there it is a quarter turn about z, which keeps the six numbers well defined for arms on walls.
+
+A rotation parameter about axis u through point c moves the SMR P by u x (P - c) per radian, a translation along u
+moves it by u per metre: that is the whole Jacobian.
+
+Arrays inside are laid out (3, ..., n), component first and configurations last, so that every operation runs along
+the configurations and every component is contiguous.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.kinematics.transforms import Array, rotation_x, rotation_y, transform
+
+BASE_NAMES = ("x0", "y0", "z0", "alpha0", "beta0", "theta0")
+ROW_NAMES = ("theta", "d", "a", "alpha", "beta")
+TOOL_NAMES = ("tx", "ty", "tz")
+_QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+_PARALLEL = math.sin(math.radians(5.0))
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """All numbers of the chain of one arm.
+
+    Attributes
+    ----------
+    base : array, shape (6,)
+        x0, y0, z0 [m], alpha0, beta0, theta0 [rad] of ``T_M_B``.
+    rows : array, shape (N, 5)
+        theta [rad], d [m], a [m], alpha [rad], beta [rad] of each joint.
+    tool : array, shape (3,)
+        SMR centre in the last joint's frame [m].
+    quarter_turned : bool
+        Whether the base numbers are counted from the tracker frame turned a quarter about z (see the module).
+    """
+
+    base: Array
+    rows: Array
+    tool: Array
+    quarter_turned: bool = False
+
+    @property
+    def joints(self) -> int:
+        """The number of joints N."""
+        return len(self.rows)
+
+    def vector(self) -> Array:
+        """All 6 + 5 N + 3 parameters in the order of ``parameter_names``."""
+        return np.concatenate([self.base, self.rows.ravel(), self.tool])
+
+    def with_vector(self, vector: Array) -> Geometry:
+        """The same arm with other parameters."""
+        return replace(
+            self, base=vector[:6].copy(), rows=vector[6:-3].reshape(-1, 5).copy(), tool=vector[-3:].copy()
+        )
+
+    def reference(self) -> Array:
+        """``R_ref`` (3, 3)."""
+        return _QUARTER_TURN if self.quarter_turned else np.eye(3)
+
+    def T_M_B(self) -> Array:
+        """The base in the tracker frame, shape (4, 4)."""
+        axes = _base_frame(self)
+        return transform(axes[:3].T, axes[3])
+
+    def with_T_M_B(self, T_M_B: Array) -> Geometry:
+        """The same arm standing elsewhere."""
+        axis = T_M_B[:3, 2]
+        quarter_turned = abs(axis[0]) > 0.8
+        geometry = replace(self, quarter_turned=quarter_turned)
+        inverse_reference = geometry.reference().T
+        rotation, position = inverse_reference @ T_M_B[:3, :3], inverse_reference @ T_M_B[:3, 3]
+        alpha0 = math.atan2(-rotation[1, 2], rotation[2, 2])
+        beta0 = math.atan2(rotation[0, 2], math.hypot(rotation[1, 2], rotation[2, 2]))
+        tilt = rotation_x(alpha0) @ rotation_y(beta0)
+        about = tilt.T @ rotation
+        theta0 = math.atan2(about[1, 0], about[0, 0])
+        # z0 runs along the first axis, from where that axis crosses the plane z = 0 of the (turned) tracker frame
+        if abs(tilt[2, 2]) < 1e-6:
+            raise ValueError("the first axis is parallel to the tracker's xy plane: x0, y0, z0 are not defined")
+        z0 = position[2] / tilt[2, 2]
+        x0, y0 = (position - tilt[:, 2] * z0)[:2]
+        return replace(geometry, base=np.array([x0, y0, z0, alpha0, beta0, theta0]))
+
+
+def nominal_geometry(rows: Array, tool: Array, T_M_B: Array | None = None) -> Geometry:
+    """The geometry of D-H rows (N, 4: theta, d, a, alpha) with no Hayati angles, a tool (3,) and a base (4, 4)."""
+    geometry = Geometry(
+        base=np.zeros(6),
+        rows=np.column_stack([rows, np.zeros(len(rows))]),
+        tool=np.asarray(tool, dtype=np.float64),
+    )
+    return geometry if T_M_B is None else geometry.with_T_M_B(T_M_B)
+
+
+@lru_cache(maxsize=32)
+def parameter_names(joints: int) -> tuple[str, ...]:
+    """Names of all 6 + 5 N + 3 parameters: x0 ... theta0, theta1, d1, a1, alpha1, beta1, theta2 ..., tx, ty, tz."""
+    rows = tuple(f"{name}{i}" for i in range(1, joints + 1) for name in ROW_NAMES)
+    return BASE_NAMES + rows + TOOL_NAMES
+
+
+def parameter_unit(name: str) -> str:
+    """``rad`` or ``m``."""
+    return "rad" if name.startswith(("theta", "alpha", "beta")) else "m"
+
+
+def parallel_rows(geometry: Geometry) -> tuple[int, ...]:
+    """Indices of the joints whose next axis is nominally parallel: there Hayati's beta is needed.
+
+    Source: Hayati, Mirmirani, J. Robotic Systems 2 (1985) 397: D-H is singular between parallel axes.
+    """
+    alphas = geometry.rows[:-1, 3]
+    return tuple(int(i) for i in np.flatnonzero(np.abs(np.sin(alphas)) < _PARALLEL))
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Cosines and sines (N, n) of joint positions, taken once for any number of walks over the same configurations."""
+
+    cosines: Array
+    sines: Array
+
+    @classmethod
+    def of(cls, q: Array) -> Turns:
+        """From joint positions ``q`` (n, N) [rad]."""
+        angles = np.ascontiguousarray(q.T)
+        return cls(np.cos(angles), np.sin(angles))
+
+    def part(self, first: int, last: int) -> Turns:
+        """Those of the configurations first ... last - 1."""
+        return Turns(self.cosines[:, first:last], self.sines[:, first:last])
+
+    @property
+    def count(self) -> int:
+        """The number of configurations n."""
+        return int(self.cosines.shape[1])
+
+
+def smr_positions(geometry: Geometry, q: Array) -> Array:
+    """SMR positions in the tracker frame, shape (n, 3) [m], of configurations ``q`` (n, N) [rad]."""
+    return np.ascontiguousarray(smr_positions_of(geometry, Turns.of(q)).T)
+
+
+def smr_positions_of(geometry: Geometry, turns: Turns) -> Array:
+    """SMR positions in the tracker frame, shape (3, n) [m]."""
+    return _smr(geometry, _walk(geometry, turns))
+
+
+def frame_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
+    """All D-H frames, base first: rotations (N + 1, n, 3, 3) and origins (N + 1, n, 3) [m] in the tracker frame."""
+    frames = _walk(geometry, Turns.of(q))[:, :-4].reshape(3, geometry.joints + 1, 4, len(q))
+    rotations = np.ascontiguousarray(frames[:, :, :3].transpose(1, 3, 0, 2))
+    return rotations, np.ascontiguousarray(frames[:, :, 3].transpose(1, 2, 0))
+
+
+def flange_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
+    """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame, of configurations ``q`` (n, N) [rad]."""
+    rotations, origins = frame_poses(geometry, q)
+    return rotations[-1], origins[-1]
+
+
+def jacobian(geometry: Geometry, turns: Turns, columns: tuple[int, ...]) -> tuple[Array, Array]:
+    """SMR positions and their derivatives by the parameters ``columns`` (indices into ``parameter_names``).
+
+    Fastest when the rotations stand before the translations in ``columns``.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    turns : Turns
+        Of n configurations.
+    columns : tuple of int, length k
+
+    Returns
+    -------
+    P : array, shape (3, n)
+        SMR positions in the tracker frame [m].
+    J : array, shape (3, k, n)
+        Derivatives [m/rad or m/m].
+    """
+    order = _order(columns, geometry.joints)
+    frames = _walk(geometry, turns)
+    P = _smr(geometry, frames)
+    r = len(order.axes)
+    J = np.empty((3, len(columns), turns.count))
+    axes, lever = np.take(frames, order.axes, axis=1), np.take(frames, order.centers, axis=1)
+    J[:, r:] = np.take(frames, order.along, axis=1)
+    for joint in np.flatnonzero(geometry.rows[:, 4]).tolist():
+        # a and alpha act before rot_y(beta): take their axis from the frame before it
+        cb, sb = math.cos(geometry.rows[joint, 4]), math.sin(geometry.rows[joint, 4])
+        axis = cb * frames[:, 4 * joint + 4] + sb * frames[:, 4 * joint + 6]
+        a_place, alpha_place = order.slot[6 + 5 * joint + 2], order.slot[6 + 5 * joint + 3]
+        if a_place >= 0:
+            J[:, r + a_place] = axis
+        if alpha_place >= 0:
+            axes[:, alpha_place] = axis
+    np.subtract(P[:, None], lever, out=lever)
+    scratch = np.empty((r, turns.count))
+    for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        component = np.multiply(axes[y], lever[z], out=J[x, :r])
+        component -= np.multiply(axes[z], lever[y], out=scratch)
+    return P, J if order.restore is None else J[:, order.restore]
+
+
+def joint_jacobian(geometry: Geometry, turns: Turns) -> tuple[Array, Array]:
+    """SMR positions (3, n) and their derivatives by the joint angles (3, N, n) [m/rad] in the tracker frame."""
+    return jacobian(geometry, turns, tuple(6 + 5 * i for i in range(geometry.joints)))
+
+
+@dataclass(frozen=True)
+class _Order:
+    """Where each wanted column comes from among the vectors of ``_walk``; rotations first, then translations.
+
+    ``slot`` is a parameter's place among the rotations or among the translations, -1 where it is not wanted.
+    """
+
+    slot: tuple[int, ...]
+    axes: NDArray[np.int64]
+    centers: NDArray[np.int64]
+    along: NDArray[np.int64]
+    restore: NDArray[np.int64] | None
+
+
+@lru_cache(maxsize=64)
+def _order(columns: tuple[int, ...], joints: int) -> _Order:
+    names = parameter_names(joints)
+    slot = [-1] * len(names)
+    rotations = [c for c in columns if parameter_unit(names[c]) == "rad"]
+    translations = [c for c in columns if parameter_unit(names[c]) == "m"]
+    for group in (rotations, translations):
+        for place, column in enumerate(group):
+            slot[column] = place
+    stored = rotations + translations
+    restore = None if tuple(stored) == columns else np.array([stored.index(c) for c in columns], dtype=np.int64)
+    sources = [_source(c, joints) for c in range(len(names))]
+    return _Order(
+        tuple(slot),
+        np.array([sources[c][0] for c in rotations], dtype=np.int64),
+        np.array([sources[c][1] for c in rotations], dtype=np.int64),
+        np.array([sources[c][0] for c in translations], dtype=np.int64),
+        restore,
+    )
+
+
+def _source(column: int, joints: int) -> tuple[int, int]:
+    """Which vectors of ``_walk`` are the axis and the centre of a parameter; a translation has none."""
+    fixed = 4 * (joints + 1)  # R_ref x, R_ref y, y behind rot_x(alpha0), (x0, y0, 0)
+    if column < 6:
+        of_base = ((fixed, 0), (fixed + 1, 0), (2, 0), (fixed, fixed + 3), (fixed + 2, fixed + 3), (2, 3))
+        return of_base[column]
+    if column >= 6 + 5 * joints:
+        return 4 * joints + column - 6 - 5 * joints, 0
+    joint, which = divmod(column - 6, 5)
+    before, behind = 4 * joint, 4 * joint + 4
+    axis = (before + 2, before + 2, behind, behind, behind + 1)[which]  # theta, d, a, alpha, beta
+    return axis, (before if which == 0 else behind) + 3
+
+
+def _base_frame(geometry: Geometry) -> Array:
+    """x, y, z axes and origin of the base, R_ref x, R_ref y, y behind rot_x(alpha0), (x0, y0, 0): shape (8, 3)."""
+    x0, y0, z0, alpha0, beta0, theta0 = geometry.base.tolist()
+    ca, sa, cb, sb = math.cos(alpha0), math.sin(alpha0), math.cos(beta0), math.sin(beta0)
+    ct, st = math.cos(theta0), math.sin(theta0)
+    x, y, z = (cb, sa * sb, -ca * sb), (0.0, ca, sa), (sb, -sa * cb, ca * cb)
+    vectors = np.array(
+        [
+            [ct * u + st * v for u, v in zip(x, y, strict=True)],
+            [ct * v - st * u for u, v in zip(x, y, strict=True)],
+            z,
+            (x0 + z0 * z[0], y0 + z0 * z[1], z0 * z[2]),
+            (1.0, 0.0, 0.0),
+            (0.0, 1.0, 0.0),
+            y,
+            (x0, y0, 0.0),
+        ]
+    )
+    return vectors @ _QUARTER_TURN.T if geometry.quarter_turned else vectors
+
+
+def _smr(geometry: Geometry, frames: Array) -> Array:
+    """SMR positions (3, n) from the vectors of ``_walk``."""
+    last = 4 * geometry.joints
+    tx, ty, tz = geometry.tool.tolist()
+    P: Array = tx * frames[:, last] + frames[:, last + 3]
+    P += ty * frames[:, last + 1]
+    P += tz * frames[:, last + 2]
+    return P
+
+
+def _walk(geometry: Geometry, turns: Turns) -> Array:
+    """x, y, z axes and origin of every D-H frame, base first, then four fixed ones of the base: (3, 4 (N + 1) + 4, n).
+
+    What follows the turn by q_i is one constant 4 x 4 matrix for all configurations, hence one matrix product.
+    """
+    n, joints = turns.count, geometry.joints
+    vectors = np.empty((3, 4 * joints + 8, n))
+    base = _base_frame(geometry).T[:, :, None]
+    vectors[:, :4], vectors[:, -4:] = base[:, :4], base[:, 4:]
+    turned, scratch = np.empty((3, 4, n)), np.empty((3, n))
+    turned_x, turned_y = turned[:, 0], turned[:, 1]
+    rows = _row_matrices(geometry)
+    for i in range(joints):
+        before = vectors[:, 4 * i : 4 * i + 4]
+        c, s = turns.cosines[i], turns.sines[i]
+        np.multiply(before[:, :2], c, out=turned[:, :2])
+        turned_x += np.multiply(before[:, 1], s, out=scratch)
+        turned_y -= np.multiply(before[:, 0], s, out=scratch)
+        turned[:, 2:] = before[:, 2:]
+        np.matmul(rows[i], turned, out=vectors[:, 4 * i + 4 : 4 * i + 8])
+    return vectors
+
+
+def _row_matrices(geometry: Geometry) -> Array:
+    """What takes (x, y, z axes, origin) behind rot_z(q_i) to the same behind A_i, shape (N, 4, 4)."""
+    theta, d, a, alpha, beta = geometry.rows.T
+    ct, st, ca, sa, cb, sb = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+    M = np.zeros((geometry.joints, 4, 4))
+    M[:, 0, 0], M[:, 0, 1], M[:, 0, 2] = cb * ct - sb * sa * st, cb * st + sb * sa * ct, -sb * ca
+    M[:, 1, 0], M[:, 1, 1], M[:, 1, 2] = -ca * st, ca * ct, sa
+    M[:, 2, 0], M[:, 2, 1], M[:, 2, 2] = sb * ct + cb * sa * st, sb * st - cb * sa * ct, cb * ca
+    M[:, 3, 0], M[:, 3, 1], M[:, 3, 2], M[:, 3, 3] = a * ct, a * st, d, 1.0
+    return M
