@@ -193,6 +193,8 @@ class Arm(Section):
     payload: Payload = Payload()
     limits: tuple[tuple[Turn, Turn], ...] | None = None
     """Joint ranges of this cell where they are tighter than the type's."""
+    home: tuple[Turn, ...] | None = None
+    """Where the arm stands before and after a job [rad]; needed to plan."""
     speed_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 0.5
 
     @model_validator(mode="after")
@@ -341,8 +343,13 @@ class Profile(Section):
                 if name not in self.arms:
                     raise ValueError(f"plant.effects.{name}: there is no such arm; arms are {', '.join(self.arms)}")
         for name, arm in self.arms.items():
-            if arm.driver.kind != "none" and (arm.base is None or self.tracker.pose is None):
-                raise ValueError(f"arms.{name}.base and tracker.pose are needed to plan and to point the tracker")
+            if arm.driver.kind != "none":
+                needed = {f"arms.{name}.base": arm.base, f"arms.{name}.home": arm.home, "tracker.pose": self.tracker.pose}
+                for key, value in needed.items():
+                    if value is None:
+                        raise ValueError(f"{key}: missing; arm {name} has a driver, and to plan and to point needs it")
+            if arm.home is not None and len(arm.home) != len(arm.type.joints):
+                raise ValueError(f"arms.{name}.home: {len(arm.home)} positions for {len(arm.type.joints)} joints")
             if self.plan.ranges is not None and len(self.plan.ranges) != len(arm.type.joints):
                 raise ValueError(
                     f"plan.ranges: {len(self.plan.ranges)} ranges for the {len(arm.type.joints)} joints of arm {name}"
@@ -356,6 +363,8 @@ _SHOWN = 5
 _MOST_LEVELS = 50
 _MOST_VALUES = 100_000
 _LARGEST_INT = 2**63
+_SURROGATE = frozenset(map(chr, range(0xD800, 0xE000)))
+_MISSING = ": missing; it must be given"
 _Key = str | int
 _Path = tuple[_Key, ...]
 
@@ -427,9 +436,14 @@ def profile_from_json(text: str) -> Profile:
 
 def _read_arm_type(profile: Path, name: str, place: _Place) -> _Written:
     path = profile.parent / name
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError:  # for one, a name longer than any file's
+        there = False
+    if not there:
         raise InputError(
-            f"{_where(place)}: there is no file {path}; give a path relative to the profile's file, or the keys here"
+            f"{_where(place)}: there is no file {_short(str(path), 200)}; give a path relative to the profile's file,"
+            " or the keys here"
         )
     return _read_yaml(path)
 
@@ -498,7 +512,7 @@ def _plain_data(node: yaml.Node, at: _Path, place: _Place, places: dict[_Path, _
         for key_node, value_node in node.value:
             key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
             if key is None or key_node.tag != "tag:yaml.org,2002:str":
-                text = f"'{key}' is" if key is not None else "this is"
+                text = f"'{_short(key)}' is" if key is not None else "this is"
                 raise InputError(f"{place.file}:{_line(key_node)}: {text} no key; a key is a word, or put it in quotes")
             here = _Place(place.file, _line(key_node), (*place.inside, key))
             if key in result:
@@ -524,11 +538,13 @@ def _scalar(node: yaml.Node, place: _Place, loader: _Loader) -> str | int | floa
         value: str | int | float | bool | None = loader.construct_object(node)
     except (ValueError, KeyError):
         raise InputError(
-            f"{_where(place)}: '{node.value}' is no {kind}; write a number, a text, true or false"
+            f"{_where(place)}: '{_short(node.value)}' is no {kind}; write a number, a text, true or false"
         ) from None
     endless = isinstance(value, float) and not math.isfinite(value)
     if endless and (value != math.inf or place.inside[:2] != ("plant", "effects")):  # there it is a stiff joint
         raise InputError(f"{_where(place)}: expected a finite number, got {node.value}")
+    if isinstance(value, str) and not _SURROGATE.isdisjoint(value):
+        raise InputError(f"{_where(place)}: half a character (an escape such as \\ud800); write the whole character")
     if isinstance(value, int) and abs(value) > _LARGEST_INT:
         raise InputError(f"{_where(place)}: {str(node.value)[:20]}... is too large a number")
     return value
@@ -544,13 +560,13 @@ def _kind(value: object) -> str:
         case yaml.SequenceNode():
             return "a list"
         case yaml.ScalarNode():
-            return f"'{value.value}'"
+            return f"'{_short(value.value)}'"
         case None:
             return "nothing"
         case bool():
             return str(value).lower()
         case str():
-            return f"'{value}'"
+            return f"'{_short(value)}'"
         case dict():
             return "keys with values"
         case list() | tuple():
@@ -559,13 +575,19 @@ def _kind(value: object) -> str:
             return str(value)
 
 
+def _short(text: str, most: int = 60) -> str:
+    """A text of a profile in one line of a message."""
+    text = " ".join(text.split())
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
 def _where(place: _Place) -> str:
     key = _dotted(place.inside)
     return f"{place.file}:{place.line}: {key}" if key else f"{place.file}:{place.line}"
 
 
 def _dotted(path: Sequence[_Key]) -> str:
-    text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path)
+    text = "".join(f"[{key}]" if isinstance(key, int) else f".{_short(key)}" for key in path)
     return text.removeprefix(".")
 
 
@@ -585,26 +607,28 @@ def _validated(written: _Written) -> Profile:
     try:
         return Profile.model_validate(written.data)
     except ValidationError as error:
-        found: dict[tuple[_Path, str], tuple[_Place, list[str]]] = {}
-        for details in error.errors(include_url=False):
+        found: dict[tuple[_Path, str], list[str]] = {}
+        for details in _of_the_meant_branch(error.errors(include_url=False), written.places):
             at, message = _told(details, written)
-            place = written.places[at]
-            missing = message.partition(": ")[0] if details["type"] == "missing" else ""
-            texts = found.setdefault((at, missing), (place, []))[1]
+            missing = message.partition(": ")[0] if message.endswith(_MISSING) else ""
+            texts = found.setdefault((at, missing), [])
             if message not in texts:
                 texts.append(message)
-        _prefer_the_deeper(found)
-        ordered = sorted(found.values(), key=lambda entry: (entry[0].file, entry[0].line))
+        told = [(written.places[at], texts) for (at, _), texts in found.items()]
+        ordered = sorted(told, key=lambda entry: (entry[0].file, entry[0].line))
         lines = [_sentence(place, texts) for place, texts in ordered]
         more = [f"and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else []
         raise InputError("\n".join(lines[:_SHOWN] + more)) from None
 
 
-def _prefer_the_deeper(found: dict[tuple[_Path, str], tuple[_Place, list[str]]]) -> None:
-    """Of a value that may be one of two things, keep what was found inside it, not that it is not the other thing."""
-    for at, missing in list(found):
-        if not missing and any(len(other) > len(at) and other[: len(at)] == at for other, _ in found):
-            del found[at, missing]
+def _of_the_meant_branch(errors: Sequence[ErrorDetails], places: dict[_Path, _Place]) -> Iterator[ErrorDetails]:
+    """Leave out that a list is not the word which might stand in its place where more is said of that list."""
+    paths = [_walk(details["loc"], places)[0] for details in errors]
+    for index, (at, details) in enumerate(zip(paths, errors, strict=True)):
+        others = paths[:index] + paths[index + 1 :]
+        word = details["type"] == "literal_error" and isinstance(details["input"], list | tuple | dict)
+        if not (word and any(other[: len(at)] == at for other in others)):
+            yield details
 
 
 def _sentence(place: _Place, texts: Sequence[str]) -> str:
@@ -612,6 +636,7 @@ def _sentence(place: _Place, texts: Sequence[str]) -> str:
     if rest:  # alternatives of one value: "expected A, got x" and "expected B, got x"
         expected = [text.removeprefix("expected ").partition(", got ")[0] for text in texts]
         first = f"expected {' or '.join(expected)}, got {texts[0].partition(', got ')[2]}"
+    first = _short(first, 300)
     return f"{_where(place)}: {first}" if not first.startswith(".") else f"{_where(place)}{first}"
 
 
@@ -629,9 +654,9 @@ def _told(details: ErrorDetails, written: _Written) -> tuple[_Path, str]:
             return at, f"expected {count} values, got {_kind(_value(written.data, at))}"
         case "missing":
             dot = "." if written.places[at].inside else ""
-            return at, f"{dot}{rest[-1]}: missing; it must be given"
+            return at, f"{dot}{rest[-1]}{_MISSING}"
         case "union_tag_not_found":
-            return at, f".{str(context['discriminator']).strip(chr(39))}: missing; it must be given"
+            return at, f".{str(context['discriminator']).strip(chr(39))}{_MISSING}"
         case "union_tag_invalid":
             kind = str(context["discriminator"]).strip("'")
             below = (*at, kind)
@@ -704,13 +729,16 @@ def _own_message(at: _Path, message: str, places: dict[_Path, _Place]) -> tuple[
     match = re.match(r"([A-Za-z_][\w.\[\]]*): ", message)
     if match:
         keys = tuple(int(key) if key.isdigit() else key for key in re.findall(r"\w+", match.group(1)))
-        if (*at, *keys) in places:
-            return (*at, *keys), message[match.end() :]
+        known = next(count for count in range(len(keys), -1, -1) if (*at, *keys[:count]) in places)
+        here = (*at, *keys[:known])
+        dot = "." if keys[known:] and isinstance(keys[known], str) and places[here].inside else ""
+        rest = f"{dot}{_dotted(keys[known:])}: " if keys[known:] else ""
+        return here, rest + message[match.end() :]
     return at, message
 
 
 def _plain(message: str) -> str:
-    return message.removeprefix("Value error, ")
+    return message.removeprefix("Value error, ").replace("got NoneType", "got nothing")
 
 
 def _si(value: object) -> str:

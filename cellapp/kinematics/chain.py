@@ -82,7 +82,7 @@ class Geometry:
     def with_T_M_B(self, T_M_B: Array) -> Geometry:
         """The same arm standing elsewhere."""
         axis = T_M_B[:3, 2]
-        quarter_turned = abs(axis[0]) > 0.8
+        quarter_turned = bool(abs(axis[0]) > 0.8)
         geometry = replace(self, quarter_turned=quarter_turned)
         inverse_reference = geometry.reference().T
         rotation, position = inverse_reference @ T_M_B[:3, :3], inverse_reference @ T_M_B[:3, 3]

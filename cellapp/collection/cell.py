@@ -1,0 +1,170 @@
+"""Opening the cell that a profile names: the one place where drivers are chosen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.calibration.setup import pose_matrix
+from cellapp.errors import HardwareError, InputError
+from cellapp.profile import Arm as ArmProfile
+from cellapp.profile import Profile
+from drivers.arms.protocol import Arm, ArmError
+from drivers.arms.simulated import SimulatedArm
+from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
+from drivers.trackers.protocol import Tracker, TrackerError
+from drivers.trackers.simulated import SimulatedTracker
+
+ArmOpener = Callable[[str, ArmProfile, Plant | None], Arm]
+TrackerOpener = Callable[[Profile, Plant | None], Tracker]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An open cell: connected arms by name, and the tracker. ``plant`` is there in simulation only."""
+
+    arms: Mapping[str, Arm]
+    tracker: Tracker
+    plant: Plant | None
+
+
+def _simulated_arm(name: str, arm: ArmProfile, plant: Plant | None) -> Arm:
+    if plant is None:
+        raise InputError(f"arm {name}: a simulated driver needs the profile's section 'plant'")
+    return SimulatedArm(plant, name)
+
+
+def _simulated_tracker(profile: Profile, plant: Plant | None) -> Tracker:
+    if plant is None:
+        raise InputError("tracker: a simulated driver needs the profile's section 'plant'")
+    return SimulatedTracker(plant)
+
+
+def _ur_arm(name: str, arm: ArmProfile, plant: Plant | None) -> Arm:
+    raise HardwareError(
+        f"arm {name}: this version can examine a UR controller ('cellapp doctor') but not move it;"
+        " nothing was moved. Use the simulated cell, or import readings measured elsewhere"
+    )
+
+
+def _lmf_tracker(profile: Profile, plant: Plant | None) -> Tracker:
+    raise HardwareError(
+        "tracker: this version has no driver for the AT960's LMF interface;"
+        " use the simulated cell, or import readings measured elsewhere"
+    )
+
+
+def _no_arm(name: str, arm: ArmProfile, plant: Plant | None) -> Arm:
+    raise InputError(f"arm {name}: its driver is 'none': readings of this profile come from 'cellapp import'")
+
+
+def _no_tracker(profile: Profile, plant: Plant | None) -> Tracker:
+    raise InputError("tracker: its driver is 'none': readings of this profile come from 'cellapp import'")
+
+
+ARM_DRIVERS: Mapping[str, ArmOpener] = {"simulated": _simulated_arm, "ur": _ur_arm, "none": _no_arm}
+TRACKER_DRIVERS: Mapping[str, TrackerOpener] = {
+    "simulated": _simulated_tracker,
+    "lmf": _lmf_tracker,
+    "none": _no_tracker,
+}
+
+
+@contextmanager
+def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Cell]:
+    """Connect to all devices of a profile; they are disconnected at the end, whatever happens.
+
+    ``watch_clearance`` lets a simulated cell record how near its arms came to one another, at some cost in time.
+
+    Raises
+    ------
+    HardwareError
+        If a device cannot be reached or is not ready.
+    """
+    plant = None if profile.plant is None else build_plant(profile, watch_clearance=watch_clearance)
+    arms = {name: ARM_DRIVERS[arm.driver.kind](name, arm, plant) for name, arm in profile.arms.items()}
+    tracker = TRACKER_DRIVERS[profile.tracker.driver.kind](profile, plant)
+    with ExitStack() as stack:
+        for name, arm in arms.items():
+            try:
+                arm.connect()
+            except ArmError as error:
+                raise HardwareError(f"arm {name}: {error}") from error
+            stack.callback(arm.disconnect)
+        try:
+            tracker.connect()
+            stack.callback(tracker.disconnect)
+            unmet = tracker.unmet()
+        except TrackerError as error:
+            raise HardwareError(str(error)) from error
+        if unmet:
+            raise HardwareError(f"tracker: not ready: {'; '.join(unmet)}")
+        yield Cell(arms, tracker, plant)
+
+
+def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:
+    """The simulated cell that a profile describes. Raises ``InputError`` on an unknown effect or parameter."""
+    settings = profile.plant
+    tracker = profile.tracker
+    if settings is None or tracker.pose is None:
+        raise InputError(f"profile {profile.name}: a simulated cell needs the sections 'plant' and 'tracker.pose'")
+    try:
+        config = PlantConfig(
+            seed=settings.seed,
+            arms=tuple(_plant_arm(name, arm, settings.effects.get(name, {})) for name, arm in profile.arms.items()),
+            tracker=TrackerConfig(
+                T_C_M=pose_matrix(tracker.pose),
+                transverse=(tracker.transverse.constant, tracker.transverse.proportional),
+                range=(tracker.range.constant, tracker.range.proportional),
+                azimuth=tracker.azimuth,
+                elevation=tracker.elevation,
+                distance=tracker.distance,
+                averaging_s=tracker.averaging,
+            ),
+            errors=GeometryErrors(
+                length=settings.geometry.length,
+                angle=settings.geometry.angle,
+                base_length=settings.geometry.base_length,
+                base_angle=settings.geometry.base_angle,
+                smr=settings.geometry.smr,
+            ),
+            repeatability=settings.repeatability,
+            temperature_c=settings.temperature,
+            noise=settings.noise,
+            floor=profile.plan.floor,
+        )
+        return Plant(config, watch_clearance=watch_clearance)
+    except ValueError as error:
+        raise InputError(f"profile {profile.name}: plant: {error}") from error
+
+
+def _plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, object]]) -> ArmConfig:
+    if arm.base is None or arm.smr.offset == "unknown":
+        raise InputError(f"arms.{name}: a simulated arm needs 'base' and a known 'smr.offset'")
+    joints = arm.type.joints
+    limits = arm.limits or tuple(joint.limit for joint in joints)
+    return ArmConfig(
+        name=name,
+        rows=np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in joints]),
+        limits=np.array(limits),
+        speed=np.array([joint.speed for joint in joints]),
+        acceleration=np.array([joint.acceleration for joint in joints]),
+        T_C_B=pose_matrix(arm.base),
+        smr_offset=np.array(arm.smr.offset),
+        smr_normal=np.array(arm.smr.normal) / math.hypot(*arm.smr.normal),
+        smr_acceptance=arm.smr.acceptance,
+        masses=np.array([joint.mass for joint in joints]),
+        centers_of_mass=np.array([joint.center_of_mass for joint in joints]),
+        payload_mass=arm.payload.mass,
+        payload_center=np.array(arm.payload.center_of_mass),
+        capsules=tuple(
+            CapsuleConfig(capsule.frame, np.array(capsule.start), np.array(capsule.end), capsule.radius)
+            for capsule in arm.type.capsules
+        ),
+        effects=effects,
+        home=None if arm.home is None else np.array(arm.home),
+    )

@@ -1,0 +1,111 @@
+"""The verb: drive the planned stops, measure both SMRs at each, and commit every stop before the next move."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellapp.collection.cell import open_cell
+from cellapp.collection.motion import MotionRefused, Mover
+from cellapp.errors import HardwareError, InputError
+from cellapp.planning.cell_bodies import cell_bodies, home_positions
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.run import Reading, RunFile
+from drivers.arms.protocol import ArmState
+from drivers.trackers.protocol import Point, TrackerError
+
+_MOST_MISSED_IN_A_ROW = 10
+
+
+def collect_run(
+    run: RunFile,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    resume: bool = False,
+    watch_clearance: bool = False,
+) -> tuple[str, ...]:
+    """Collect what is planned and not yet stored. Returns notes for the person.
+
+    A target that cannot be measured is noted and its arm's reading left out; the stop counts as done for the other
+    arm. Cancelled between stops, the arms rest and the run can be resumed.
+
+    Raises
+    ------
+    InputError
+        If there is no plan, or stops are stored and ``resume`` was not asked for.
+    HardwareError
+        If an arm or the tracker fails; what was committed stays.
+    Cancelled
+    """
+    cancel = cancel or CancelToken()
+    profile = run.profile
+    plan = run.read_plan()
+    if not plan:
+        raise InputError(f"{run.path}: there is no plan; make one with 'cellapp plan'")
+    done = run.stops_done()
+    if done and not resume:
+        raise InputError(f"{run.path}: {len(done)} stops are stored already; go on with --resume, or start a new run")
+    total = len(next(iter(plan.values())))
+    left = [stop for stop in range(total) if stop not in done]
+    if not left:
+        return (f"all {total} stops were stored already",)
+    notes: list[str] = []
+    bodies = cell_bodies(profile)
+    earlier = max((float(run.readings(name).time_s.max()) for name in run.arms()), default=0.0) if done else 0.0
+    with open_cell(profile, watch_clearance=watch_clearance) as cell:
+        mover = Mover(profile, cell, bodies)
+        began: float | None = None
+        missed = 0
+        for place, stop in enumerate(left):
+            cancel.check()
+            listener(Progress("collect", total - len(left) + place, total, f"stop {stop + 1}"))
+            targets = {name: rows[stop] for name, rows in plan.items()}
+            states = _go(mover, targets, home_positions(profile))
+            if began is None:
+                began = min(state.time_s for state in states.values()) - earlier
+            rows: dict[str, Reading] = {}
+            for name, state in states.items():
+                try:
+                    point = mover.measure(name, state.q)
+                except TrackerError as error:
+                    note = f"stop {stop + 1}, arm {name}: not measured: {error}"
+                    run.log("warning", note)
+                    notes.append(note)
+                    continue
+                rows[name] = _reading(state, point, mover.approach(name), began)
+            missed = 0 if rows else missed + 1
+            if missed >= _MOST_MISSED_IN_A_ROW:
+                raise HardwareError(f"the tracker saw no SMR at {missed} stops in a row; look at tracker and targets")
+            if rows:
+                run.add_stop(stop, rows)
+        listener(Progress("collect", total, total, "going home"))
+        try:
+            mover.move(home_positions(profile))
+        except MotionRefused as error:
+            notes.append(f"the arms stay where they are: {error}")
+        if cell.plant is not None and cell.plant.clearance is not None:
+            notes.append(f"smallest distance between the arms {cell.plant.clearance.arms_m * 1e3:.0f} mm")
+    return tuple(notes)
+
+
+def _go(mover: Mover, targets: dict[str, np.ndarray], homes: dict[str, np.ndarray]) -> dict[str, ArmState]:
+    """Move straight, or by way of home where the straight way is refused (after a resume, or a missed stop)."""
+    try:
+        return mover.move(targets)
+    except MotionRefused:
+        for name in homes:  # one arm at a time: the gate then knows where the other one is
+            mover.move({name: homes[name]})
+        return mover.move(targets)
+
+
+def _reading(state: ArmState, point: Point, approach: np.ndarray, began: float) -> Reading:
+    return Reading(
+        q=state.q,
+        p_M=point.p_M,
+        time_s=point.time_s - began,
+        approach=approach.copy(),
+        payload_kg=state.payload_kg,
+        temperature_c=point.temperature_c,
+        joint_temperature_c=state.joint_temperature_c,
+        covariance_M=point.covariance_M,
+    )

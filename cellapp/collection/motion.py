@@ -1,0 +1,145 @@
+"""Moving the arms of an open cell: nothing moves without the gate, and all stop when one does."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.collection.cell import Cell
+from cellapp.errors import CellappError, HardwareError
+from cellapp.planning.safety import CellBodies, predicted_smr, refuse_motion
+from cellapp.profile import Profile
+from drivers.arms.protocol import ArmError, ArmState
+from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
+
+Vector = NDArray[np.float64]
+
+_MOVE_ALLOWANCE_S = 10.0
+_WRONG_TARGET_M = 0.05
+_AT_TARGET_RAD = 1e-3
+_MEASURING_TRIES = 2
+
+
+class MotionRefused(CellappError):
+    """The gate refused a motion; nothing has moved."""
+
+    exit_code = 3
+
+
+class Mover:
+    """Moves the arms of one open cell, remembers where each joint came from, and measures.
+
+    It always starts from where the arms really are, as their controllers say.
+    """
+
+    def __init__(self, profile: Profile, cell: Cell, bodies: CellBodies) -> None:
+        self._profile, self._cell, self._bodies = profile, cell, bodies
+        self._approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
+
+    def positions(self) -> dict[str, Vector]:
+        """Where the arms are now. Raises ``HardwareError`` if one is not ready or moves."""
+        positions = {}
+        for name in self._cell.arms:
+            state = self._state(name)
+            if not state.ready or state.moving:
+                raise HardwareError(
+                    f"arm {name}: not ready: {state.reason or 'it is moving'}; look at the arm, release it there,"
+                    " then go on with --resume"
+                )
+            positions[name] = state.q
+        return positions
+
+    def refusal(self, targets: Mapping[str, Vector]) -> str:
+        """Why the arms must not go to ``targets`` from where they are; empty if they may."""
+        here = self.positions()
+        return refuse_motion(self._bodies, here, {**here, **targets})
+
+    def move(self, targets: Mapping[str, Vector]) -> dict[str, ArmState]:
+        """Move to ``targets`` (name -> (N,) [rad]), arms together, and wait until all rest there.
+
+        Raises
+        ------
+        MotionRefused
+            If the gate refuses; nothing has moved.
+        HardwareError
+            If an arm refuses, faults or does not arrive; all arms have been told to stop.
+        """
+        here = self.positions()
+        refusal = refuse_motion(self._bodies, here, {**here, **targets})
+        if refusal:
+            raise MotionRefused(f"refused to move: {refusal}")
+        try:
+            timeouts = {}
+            for name, q in targets.items():
+                speed, acceleration = self._rates(name)
+                way = np.abs(q - here[name])
+                timeouts[name] = float((way / speed + speed / acceleration).max()) * 2.0 + _MOVE_ALLOWANCE_S
+                self._cell.arms[name].start_move(q, speed, acceleration)
+            states = {name: self._cell.arms[name].wait_settled(timeouts[name]) for name in targets}
+        except ArmError as error:
+            self.stop()
+            raise HardwareError(f"{error}; all arms were told to stop") from error
+        except BaseException:
+            self.stop()
+            raise
+        for name, q in targets.items():
+            moved = q - here[name]
+            self._approach[name] = np.where(
+                np.abs(moved) > 1e-9, np.sign(moved), self._approach[name]
+            ).astype(np.int8)
+            away = float(np.abs(states[name].q - q).max())
+            if away > _AT_TARGET_RAD:
+                raise HardwareError(f"arm {name}: rests {np.degrees(away):.3f} deg from where it was sent")
+        return states
+
+    def approach(self, name: str) -> NDArray[np.int8]:
+        """Sign of each joint's last motion, 0 where it has not moved yet."""
+        return self._approach[name]
+
+    def measure(self, name: str, q: Vector) -> Point:
+        """Measure the SMR of an arm that stands at ``q`` (N,); tries twice.
+
+        Raises
+        ------
+        TargetLost, WrongTarget, Unstable
+            If there is no reading to be had.
+        HardwareError
+            If the tracker itself fails.
+        """
+        expected = predicted_smr(self._bodies, name, q[None])[0]
+        problem: TrackerError = TargetLost("not tried")
+        for _ in range(_MEASURING_TRIES):
+            try:
+                point = self._cell.tracker.measure(expected, self._profile.tracker.averaging)
+            except (TargetLost, WrongTarget, Unstable) as error:
+                problem = error
+                continue
+            except TrackerError as error:
+                raise HardwareError(f"{error}") from error
+            off = float(np.linalg.norm(point.p_M - expected))
+            if off <= _WRONG_TARGET_M:
+                return point
+            problem = WrongTarget(
+                f"arm {name}: the tracker locked an SMR {off * 1e3:.0f} mm from where this one should be"
+            )
+        raise problem
+
+    def stop(self) -> None:
+        """Tell every arm to stop, whatever the others answer."""
+        for arm in self._cell.arms.values():
+            with contextlib.suppress(ArmError):
+                arm.stop()
+
+    def _state(self, name: str) -> ArmState:
+        try:
+            return self._cell.arms[name].state()
+        except ArmError as error:
+            raise HardwareError(f"{error}") from error
+
+    def _rates(self, name: str) -> tuple[Vector, Vector]:
+        arm = self._profile.arms[name]
+        speed = np.array([joint.speed for joint in arm.type.joints]) * arm.speed_scale
+        return speed, np.array([joint.acceleration for joint in arm.type.joints]) * arm.speed_scale

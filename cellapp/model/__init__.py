@@ -1,0 +1,5 @@
+"""The calibrated cell: ``CellModel.load(path).predict(arm, q)`` works in any process, without a run."""
+
+from cellapp.model.model import ArmModel, CellModel
+
+__all__ = ["ArmModel", "CellModel"]

@@ -1,0 +1,263 @@
+"""The model of one arm (chain and effects) and of the cell (arms and inter-base transform), and their JSON file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.effects import EFFECTS, EffectContext, EffectTerm
+from cellapp.effects.effect import term_offsets
+from cellapp.errors import InputError
+from cellapp.kinematics.chain import Geometry, flange_poses, parameter_names, parameter_unit, smr_positions
+from cellapp.kinematics.statics import Bodies, gravity_torques
+from cellapp.kinematics.transforms import Array
+
+Signs = NDArray[np.float64] | NDArray[np.int8]
+_SCHEMA = "cellapp-calibration"
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class ArmModel:
+    """What is known of one arm.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        The identified chain, standing in the tracker frame.
+    nominal : Geometry
+        The published chain, registered to the same data.
+    bodies : Bodies
+        Masses for the gravity torques.
+    up_M : array, shape (3,)
+        Unit vector against gravity in the tracker frame.
+    effects : tuple of EffectTerm
+        Effects that were found.
+    identified : tuple of str, length k
+        The parameters that were identified, effects last.
+    covariance : array, shape (k, k), or None
+        Of the identified parameters, in their order and units.
+    """
+
+    geometry: Geometry
+    nominal: Geometry
+    bodies: Bodies
+    up_M: Array
+    effects: tuple[EffectTerm, ...] = ()
+    identified: tuple[str, ...] = ()
+    covariance: Array | None = None
+
+    def context(self, q: Array, approach: Signs | None = None, payload_kg: Array | None = None) -> EffectContext:
+        """What effects depend on, at configurations ``q`` (n, N)."""
+        return EffectContext(
+            q=q,
+            torques=gravity_torques(self.nominal, self.bodies, q, self.up_M, payload_kg),
+            approach=np.zeros(q.shape) if approach is None else approach.astype(np.float64),
+        )
+
+    def true_joints(self, q: Array, approach: Signs | None = None, payload_kg: Array | None = None) -> Array:
+        """Where the joints really stand when the controller reads ``q`` (n, N), after all known effects [rad]."""
+        if not self.effects:
+            return q
+        return q + term_offsets(self.effects, EFFECTS, self.context(q, approach, payload_kg))
+
+    def predict(self, q: Array, approach: Signs | None = None, payload_kg: Array | None = None) -> Array:
+        """SMR positions (n, 3) in the tracker frame [m] when the controller reads ``q`` (n, N) [rad].
+
+        ``approach`` (n, N) are signs of the last motion, ``payload_kg`` (n,) the load; unknown where not given.
+        """
+        return smr_positions(self.geometry, self.true_joints(q, approach, payload_kg))
+
+    def flange(self, q: Array) -> tuple[Array, Array]:
+        """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame."""
+        return flange_poses(self.geometry, self.true_joints(q))
+
+    def in_base(self) -> ArmModel:
+        """The same arm with its base at the origin: predicts in the base frame B."""
+        rotation = self.geometry.T_M_B()[:3, :3]
+        return replace(
+            self,
+            geometry=self.geometry.with_T_M_B(np.eye(4)),
+            nominal=self.nominal.with_T_M_B(np.eye(4)),
+            up_M=rotation.T @ self.up_M,
+        )
+
+
+@dataclass(frozen=True)
+class CellModel:
+    """The calibrated cell.
+
+    Attributes
+    ----------
+    arms : mapping
+        Name -> ArmModel.
+    T_R_L : array, shape (4, 4), or None
+        Takes coordinates in the base of ``pair[0]`` (left) into the base of ``pair[1]`` (right).
+    pair : tuple of two names, or None
+    provenance : mapping
+        Where it comes from: run, profile, seeds, versions.
+    """
+
+    arms: Mapping[str, ArmModel]
+    T_R_L: Array | None = None
+    pair: tuple[str, str] | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def predict(self, arm: str, q: Array, approach: Signs | None = None, payload_kg: Array | None = None) -> Array:
+        """SMR positions (n, 3) of one arm in the tracker frame [m] at joint positions ``q`` (n, N) [rad]."""
+        return self.arms[arm].predict(np.asarray(q, dtype=np.float64), approach, payload_kg)
+
+    def to_json(self) -> str:
+        """As readable text; floats in their shortest exact form, so that nothing is lost."""
+        return json.dumps(
+            {
+                "schema": _SCHEMA,
+                "version": _VERSION,
+                "units": "m, rad, kg; T_A_B maps coordinates of B into A; M tracker, B base",
+                "provenance": dict(self.provenance),
+                "arms": {name: _arm_to_json(arm) for name, arm in self.arms.items()},
+                "pair": None
+                if self.pair is None or self.T_R_L is None
+                else {"arms": list(self.pair), "T_second_first": self.T_R_L.tolist()},
+            },
+            indent=1,
+        )
+
+    @classmethod
+    def from_json(cls, text: str, where: str = "calibration") -> CellModel:
+        """Read what ``to_json`` wrote. Raises ``InputError`` that names ``where``."""
+        try:
+            content = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise InputError(f"{where}:{error.lineno}: not JSON; write it anew with 'cellapp calibrate'") from None
+        if not isinstance(content, dict) or content.get("schema") != _SCHEMA:
+            raise InputError(f"{where}: expected a file with \"schema\": \"{_SCHEMA}\"")
+        if content.get("version") != _VERSION:
+            raise InputError(
+                f"{where}: version {content.get('version')} is not {_VERSION}, which this program reads; update cellapp"
+            )
+        try:
+            pair = content["pair"]
+            return cls(
+                arms={name: _arm_from_json(arm) for name, arm in content["arms"].items()},
+                T_R_L=None if pair is None else np.array(pair["T_second_first"], dtype=np.float64),
+                pair=None if pair is None else (pair["arms"][0], pair["arms"][1]),
+                provenance=content["provenance"],
+            )
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            raise InputError(
+                f"{where}: incomplete or damaged ({error}); write it anew with 'cellapp calibrate'"
+            ) from None
+
+    def save(self, path: Path) -> None:
+        """Write the file at once: either the old or the new one is there, never half of it."""
+        partial = path.with_name(path.name + ".part")
+        partial.write_text(self.to_json() + "\n", encoding="utf-8")
+        partial.replace(path)
+
+    @classmethod
+    def load(cls, path: Path | str) -> CellModel:
+        """Read a calibration file. Raises ``InputError`` if it is missing, damaged or newer."""
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "not text"
+            raise InputError(f"{path}: cannot be read ({reason}); run 'cellapp calibrate' first") from None
+        return cls.from_json(text, str(path))
+
+
+def _geometry_to_json(geometry: Geometry) -> dict[str, Any]:
+    names = parameter_names(geometry.joints)
+    return {
+        "parameters": dict(zip(names, geometry.vector().tolist(), strict=True)),
+        "tracker_frame_quarter_turned": geometry.quarter_turned,
+        "T_M_B": geometry.T_M_B().tolist(),
+    }
+
+
+def _geometry_from_json(content: Mapping[str, Any]) -> Geometry:
+    vector = np.array(list(content["parameters"].values()), dtype=np.float64)
+    joints, left = divmod(len(vector) - 9, 5)
+    if left or tuple(content["parameters"]) != parameter_names(joints):
+        raise ValueError("the parameters are not those of a chain")
+    geometry = Geometry(
+        base=np.zeros(6),
+        rows=np.zeros((joints, 5)),
+        tool=np.zeros(3),
+        quarter_turned=bool(content["tracker_frame_quarter_turned"]),
+    )
+    return geometry.with_vector(vector)
+
+
+def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
+    names = parameter_names(arm.geometry.joints)
+    delta = arm.geometry.vector() - arm.nominal.vector()
+    return {
+        "geometry": _geometry_to_json(arm.geometry),
+        "nominal": _geometry_to_json(arm.nominal),
+        "deltas": {
+            name: {"value": value, "unit": parameter_unit(name)}
+            for name, value in zip(names, delta.tolist(), strict=True)
+            if value != 0.0
+        },
+        "bodies": {
+            "masses": arm.bodies.masses.tolist(),
+            "centers": arm.bodies.centers.tolist(),
+            "payload_mass": arm.bodies.payload_mass,
+            "payload_center": arm.bodies.payload_center.tolist(),
+        },
+        "up_M": arm.up_M.tolist(),
+        "effects": [
+            {
+                "effect": term.slug,
+                "parameters": {
+                    name: {"value": value, "standard_error": error, "unit": unit}
+                    for name, value, error, unit in zip(
+                        term.names, term.values.tolist(), term.standard_errors.tolist(), term.units, strict=True
+                    )
+                },
+            }
+            for term in arm.effects
+        ],
+        "identified": list(arm.identified),
+        "covariance": None if arm.covariance is None else arm.covariance.tolist(),
+    }
+
+
+def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
+    bodies = content["bodies"]
+    terms = []
+    for entry in content["effects"]:
+        if entry["effect"] not in EFFECTS:
+            raise ValueError(f"this version does not know the effect '{entry['effect']}'")
+        parameters = entry["parameters"]
+        terms.append(
+            EffectTerm(
+                slug=entry["effect"],
+                names=tuple(parameters),
+                values=np.array([p["value"] for p in parameters.values()], dtype=np.float64),
+                standard_errors=np.array([p["standard_error"] for p in parameters.values()], dtype=np.float64),
+                units=tuple(p["unit"] for p in parameters.values()),
+            )
+        )
+    return ArmModel(
+        geometry=_geometry_from_json(content["geometry"]),
+        nominal=_geometry_from_json(content["nominal"]),
+        bodies=Bodies(
+            masses=np.array(bodies["masses"], dtype=np.float64),
+            centers=np.array(bodies["centers"], dtype=np.float64).reshape(-1, 3),
+            payload_mass=float(bodies["payload_mass"]),
+            payload_center=np.array(bodies["payload_center"], dtype=np.float64),
+        ),
+        up_M=np.array(content["up_M"], dtype=np.float64),
+        effects=tuple(terms),
+        identified=tuple(content["identified"]),
+        covariance=None if content["covariance"] is None else np.array(content["covariance"], dtype=np.float64),
+    )

@@ -1,0 +1,56 @@
+"""From the profile to the bodies of the cell, with the published geometry or a calibrated one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cellapp.calibration.setup import nominal_arm, pose_matrix
+from cellapp.errors import InputError
+from cellapp.model import CellModel
+from cellapp.planning.bodies import ArmBodies
+from cellapp.planning.safety import CellBodies, TrackerField
+from cellapp.profile import Profile
+
+
+def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
+    """The cell as the profile describes it; with a model, the arms stand and are built as it was identified.
+
+    Raises
+    ------
+    InputError
+        If the profile does not say where the arms or the tracker stand.
+    """
+    tracker = profile.tracker
+    T_C_M = None if tracker.pose is None else pose_matrix(tracker.pose)
+    arms = {}
+    for name, arm in profile.arms.items():
+        if arm.base is None or T_C_M is None:
+            raise InputError(f"profile {profile.name}: arms.{name}.base and tracker.pose are needed to move")
+        if model is None:
+            geometry = nominal_arm(arm).with_T_M_B(pose_matrix(arm.base))
+        else:
+            identified = model.arms[name].geometry
+            geometry = identified.with_T_M_B(T_C_M @ identified.T_M_B())
+        capsules = arm.type.capsules
+        limits = arm.limits or tuple(joint.limit for joint in arm.type.joints)
+        arms[name] = ArmBodies(
+            geometry=geometry,
+            frames=np.array([capsule.frame for capsule in capsules], dtype=np.int64),
+            start=np.array([capsule.start for capsule in capsules]).reshape(-1, 3),
+            end=np.array([capsule.end for capsule in capsules]).reshape(-1, 3),
+            radius=np.array([capsule.radius for capsule in capsules]),
+            limits=np.array(limits),
+            normal_F=np.array(arm.smr.normal) / math.hypot(*arm.smr.normal),
+            acceptance=arm.smr.acceptance,
+        )
+    field = None
+    if T_C_M is not None:
+        field = TrackerField(T_C_M, tracker.azimuth, tracker.elevation, tracker.distance)
+    return CellBodies(arms, field, profile.plan.clearance, profile.plan.floor)
+
+
+def home_positions(profile: Profile) -> dict[str, np.ndarray]:
+    """Where each arm stands before and after a job, name -> (N,) [rad]."""
+    return {name: np.array(arm.home) for name, arm in profile.arms.items() if arm.home is not None}

@@ -1,0 +1,172 @@
+"""An arm of the simulated cell."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.arms.protocol import (
+    ArmError,
+    ArmIdentity,
+    ArmState,
+    ArmTimeout,
+    EmergencyStop,
+    LimitExceeded,
+    LinkLost,
+    ProtectiveStop,
+)
+from drivers.plant import Plant
+
+CYCLE_S = 0.008
+"""Asking the controller takes one of its cycles, so that time passes for who polls."""
+SETTLE_S = 0.2
+"""How long the arm must have rested to count as settled."""
+_ROUNDING_RAD = 1e-9
+
+
+class SimulatedArm:
+    """One arm of a ``Plant``. Faults: ``protective_stop``, ``emergency_stop``, ``cut_link``; ``release`` ends them."""
+
+    def __init__(self, plant: Plant, name: str) -> None:
+        if name not in plant.names:
+            raise ValueError(f"the simulated cell has no arm '{name}'; it has {', '.join(plant.names)}")
+        self._plant = plant
+        self._name = name
+        self._config = next(arm for arm in plant.config.arms if arm.name == name)
+        self._connected = False
+        self._fault: ProtectiveStop | EmergencyStop | None = None
+        self._link_cut = False
+
+    @property
+    def name(self) -> str:
+        """The arm's name in the cell."""
+        return self._name
+
+    def connect(self) -> None:
+        """Open the link. Raises ``LinkLost`` while it is cut."""
+        if self._link_cut:
+            raise LinkLost(f"arm {self._name}: the simulated link is cut")
+        self._connected = True
+
+    def _link(self) -> None:
+        if self._link_cut or not self._connected:
+            why = "cut" if self._link_cut else "not open; connect first"
+            raise LinkLost(f"arm {self._name}: the simulated link is {why}")
+
+    def _no_fault(self) -> None:
+        if self._fault is not None:
+            raise type(self._fault)(*self._fault.args)
+
+    def identify(self) -> ArmIdentity:
+        """Who it is: a simulated arm."""
+        self._link()
+        model = f"simulated, {self._config.joints} joints"
+        return ArmIdentity(model=model, serial=f"SIM-{self._name}", software="simulated")
+
+    def state(self) -> ArmState:
+        """The state after one cycle of the controller."""
+        self._link()
+        self._plant.advance(CYCLE_S)
+        return self._now()
+
+    def _now(self) -> ArmState:
+        return ArmState(
+            q=self._plant.q(self._name),
+            time_s=self._plant.clock_s,
+            moving=self._plant.moving(self._name),
+            ready=self._fault is None,
+            reason="" if self._fault is None else str(self._fault),
+            payload_kg=self._plant.payload(self._name)[0],
+            joint_temperature_c=self._plant.joint_temperatures_c(self._name),
+        )
+
+    def _per_joint(self, what: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        array = np.array(value, dtype=np.float64)
+        if array.shape != (self._config.joints,):
+            raise LimitExceeded(
+                f"arm {self._name}: {what} has shape {array.shape}, expected one number for each of"
+                f" {self._config.joints} joints"
+            )
+        if not np.isfinite(array).all():
+            joint = int(np.argmin(np.isfinite(array))) + 1
+            raise LimitExceeded(f"arm {self._name}: {what} of joint {joint} is not a finite number")
+        return array
+
+    def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        """Start a joint motion: straight in joint space, all joints start and end together.
+
+        Raises ``LimitExceeded``, ``ProtectiveStop``, ``EmergencyStop``, ``LinkLost``, or ``ArmError`` while it moves.
+        """
+        self._link()
+        self._no_fault()
+        goal = self._per_joint("position", q)
+        low, high = self._config.limits.T
+        for joint in np.flatnonzero((goal < low - _ROUNDING_RAD) | (goal > high + _ROUNDING_RAD)):
+            raise LimitExceeded(
+                f"arm {self._name}: position {goal[joint]:.4f} rad of joint {joint + 1} is outside"
+                f" [{low[joint]:.4f}, {high[joint]:.4f}] rad"
+            )
+        rates = []
+        for what, unit, value, most in (
+            ("speed", "rad/s", speed, self._config.speed),
+            ("acceleration", "rad/s^2", acceleration, self._config.acceleration),
+        ):
+            rate = self._per_joint(what, value)
+            for joint in np.flatnonzero((rate <= 0.0) | (rate > most * (1.0 + 1e-9))):
+                raise LimitExceeded(
+                    f"arm {self._name}: {what} {rate[joint]:g} {unit} of joint {joint + 1} is not above 0 and at most"
+                    f" {most[joint]:g} {unit}"
+                )
+            rates.append(rate)
+        if self._plant.moving(self._name):
+            raise ArmError(f"arm {self._name} is still moving; wait until it rests, or stop it")
+        self._plant.start_move(self._name, goal, rates[0], rates[1])
+
+    def wait_settled(self, timeout_s: float) -> ArmState:
+        """Let time pass until the arm has rested for ``SETTLE_S``. Raises ``ArmTimeout`` or what stopped it."""
+        self._link()
+        needed = self._plant.rest_s(self._name) + SETTLE_S - self._plant.clock_s
+        if needed > timeout_s:
+            self._plant.advance(max(timeout_s, 0.0))
+            raise ArmTimeout(f"arm {self._name} needs {needed:.2f} s to come to rest, {timeout_s:g} s were allowed")
+        if needed > 0.0:
+            self._plant.advance(needed)
+        self._no_fault()
+        return self._now()
+
+    def stop(self) -> None:
+        """Brake now; time passes until the arm rests. Harmless at rest."""
+        self._link()
+        self._brake()
+
+    def _brake(self) -> None:
+        self._plant.stop(self._name)
+        self._plant.advance(max(self._plant.rest_s(self._name) - self._plant.clock_s, 0.0))
+
+    def disconnect(self) -> None:
+        """Stop the arm and close the link; harmless when closed."""
+        if self._connected and not self._link_cut:
+            self.stop()
+        self._connected = False
+
+    # -- faults, for those who test what happens then ------------------------------------------------------------------
+
+    def protective_stop(self, reason: str = "a force limit was exceeded") -> None:
+        """Stop the arm as its controller would; it moves again after ``release``."""
+        self._fault = ProtectiveStop(f"arm {self._name}: protective stop, {reason}; look at the arm, then release it")
+        self._plant.stop(self._name)
+
+    def emergency_stop(self) -> None:
+        """Press the button; the arm moves again after ``release``."""
+        self._fault = EmergencyStop(f"arm {self._name}: the emergency stop is pressed; clear the cell, then release it")
+        self._plant.stop(self._name)
+
+    def cut_link(self) -> None:
+        """Let no call through until ``release`` and ``connect``. The arm itself goes on."""
+        self._link_cut = True
+        self._connected = False
+
+    def release(self) -> None:
+        """Take back every fault."""
+        self._fault = None
+        self._link_cut = False

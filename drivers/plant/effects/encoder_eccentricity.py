@@ -1,0 +1,46 @@
+"""A graduated disc whose centre is not on the axis it turns about, read by one head."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.plant.config import Array
+from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.mechanism import Deflection
+
+
+@dataclass(frozen=True, eq=False)
+class EncoderEccentricity(Effect):
+    """The servo brings the READING to the commanded angle; the shaft is then elsewhere.
+
+    The axis is the origin and the head stands at distance r from it. With the shaft at angle s the disc's centre is at
+    ``e (cos(s + phase), sin(s + phase))``; the head reads the angle under which the disc's centre sees it, on the disc:
+    ``reading = s + atan2(e sin(s + phase), r - e cos(s + phase))``. Solved for s in the triangle of centre, axis and
+    head, whose angle at the centre follows from the reading: ``s = reading - atan2(h, sqrt(r^2 - h^2))`` with
+    ``h = e sin(reading + phase)``.
+    """
+
+    joints: np.ndarray
+    eccentricity: Array
+    radius: Array
+    phase: Array
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        height = self.eccentricity * np.sin(situation.q[:, self.joints] + self.phase)
+        offsets = np.zeros_like(situation.q)
+        offsets[:, self.joints] = -np.arctan2(height, np.sqrt(self.radius**2 - height**2))
+        return Deflection(joints=offsets)
+
+
+def encoder_eccentricity(parameters: Parameters) -> Effect:
+    """``joints``: numbers from 1; for each ``eccentricity`` [m], ``radius`` of the disc [m] and ``phase`` [rad]."""
+    parameters.only("joints", "eccentricity", "radius", "phase")
+    joints = parameters.joint_numbers("joints")
+    count = len(joints)
+    eccentricity = parameters.numbers("eccentricity", count, least=0.0)
+    radius = parameters.numbers("radius", count, above=0.0)
+    if (eccentricity >= radius).any():
+        raise parameters.error("eccentricity", "must be smaller than radius")
+    return EncoderEccentricity(joints, eccentricity, radius, parameters.numbers("phase", count))

@@ -1,0 +1,56 @@
+"""Rigid motions in space: turns about lines, small twists. Batches come first; float64."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.plant.config import Array
+
+
+def cross_matrix(v: Array) -> Array:
+    """Matrix (..., 3, 3) of the cross product with ``v`` (..., 3)."""
+    matrix = np.zeros((*v.shape, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2] = -v[..., 2], v[..., 1]
+    matrix[..., 1, 0], matrix[..., 1, 2] = v[..., 2], -v[..., 0]
+    matrix[..., 2, 0], matrix[..., 2, 1] = -v[..., 1], v[..., 0]
+    return matrix
+
+
+def rigid(twist: Array) -> Array:
+    """Rigid motion (..., 4, 4): a turn by the rotation vector ``twist[..., 3:]``, then a shift by ``[..., :3]``."""
+    vector = twist[..., 3:]
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    cross = cross_matrix(vector)
+    # sinc keeps both factors of Rodrigues' formula finite at angle zero
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    motion = np.zeros((*vector.shape[:-1], 4, 4))
+    motion[..., :3, :3] = np.eye(3) + first * cross + second * (cross @ cross)
+    motion[..., :3, 3] = twist[..., :3]
+    motion[..., 3, 3] = 1.0
+    return motion
+
+
+def inverse(motion: Array) -> Array:
+    """Inverse of rigid motions (..., 4, 4)."""
+    back = np.zeros_like(motion)
+    turn = np.swapaxes(motion[..., :3, :3], -1, -2)
+    back[..., :3, :3] = turn
+    back[..., :3, 3] = -(turn @ motion[..., :3, 3, None])[..., 0]
+    back[..., 3, 3] = 1.0
+    return back
+
+
+def carry(motion: Array, point: Array) -> Array:
+    """Points (..., 3) moved by rigid motions (..., 4, 4)."""
+    moved: Array = (motion[..., :3, :3] @ point[..., None])[..., 0] + motion[..., :3, 3]
+    return moved
+
+
+def across(direction: Array) -> Array:
+    """Two unit vectors (..., 2, 3) that stand on the unit vectors ``direction`` (..., 3) and on each other."""
+    least = np.argmin(np.abs(direction), axis=-1)
+    helper = np.eye(3)[least]
+    first = np.cross(direction, helper)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, np.cross(direction, first)], axis=-2)

@@ -1,0 +1,302 @@
+"""An arm as axes in space with bodies on them: a product of turns about lines, and gravity on the bodies.
+
+The D-H table is read once, to know where the lines and bodies are at the zero position. From there on each joint is a
+turn about a line fixed in the base frame at the zero position (Brockett's product of exponentials), written with
+Rodrigues' formula as ``I + sin(q) K + (1 - cos(q)) K^2`` and a line's point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from drivers.plant.config import ArmConfig, Array, CapsuleConfig, GeometryErrors
+from drivers.plant.lines import across, carry, cross_matrix, inverse, rigid
+
+STANDARD_GRAVITY = 9.80665
+
+
+@dataclass(frozen=True, eq=False)
+class Deflection:
+    """Departure from the ideal arm; a part is None where there is none. A twist: shift [m], rotation vector [rad].
+
+    Attributes
+    ----------
+    joints : array, shape (n, N)
+        True less reported joint angle [rad].
+    base : array, shape (n, 6)
+        Twist of the base, in B.
+    links : array, shape (n, N, 6)
+        Twist of D-H frame i against joint i, in that frame.
+    tool : array, shape (n, 6)
+        Twist of what the flange carries, in the flange frame.
+    """
+
+    joints: Array | None = None
+    base: Array | None = None
+    links: Array | None = None
+    tool: Array | None = None
+
+
+NO_DEFLECTION = Deflection()
+
+
+def _sum(one: Array | None, other: Array | None) -> Array | None:
+    if one is None or other is None:
+        return other if one is None else one
+    return one + other
+
+
+def combined(parts: Iterable[Deflection]) -> Deflection:
+    """Sum of small deflections."""
+    whole = NO_DEFLECTION
+    for part in parts:
+        whole = Deflection(
+            joints=_sum(whole.joints, part.joints),
+            base=_sum(whole.base, part.base),
+            links=_sum(whole.links, part.links),
+            tool=_sum(whole.tool, part.tool),
+        )
+    return whole
+
+
+@dataclass(frozen=True, eq=False)
+class Capsules:
+    """Segments at the zero position in B: ``starts``, ``ends`` (k, 3), ``radii`` (k,), on bodies ``frames`` (k,)."""
+
+    frames: np.ndarray
+    starts: Array
+    ends: Array
+    radii: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """N lines, N bodies, a flange and an SMR, all at the zero position, in B.
+
+    Attributes
+    ----------
+    directions, points : arrays, shape (N, 3)
+        Unit direction of each axis and a point on it.
+    zeros : array, shape (N,)
+        True joint angle where the controller says zero [rad].
+    frames : array, shape (N + 1, 4, 4)
+        D-H frames 0 to N.
+    masses, centers : arrays, shapes (N,), (N, 3)
+        Bodies; the last one without its load.
+    payload_mass, payload_center : float, array (3,)
+        Load, in the flange frame.
+    smr, smr_normal : arrays, shape (3,)
+        In the flange frame.
+    """
+
+    directions: Array
+    points: Array
+    zeros: Array
+    frames: Array
+    masses: Array
+    centers: Array
+    payload_mass: float
+    payload_center: Array
+    smr: Array
+    smr_normal: Array
+    capsules: Capsules
+
+    @cached_property
+    def _turns(self) -> Array:
+        """What multiplies sin(q), 1 - cos(q) and 1 in each joint's motion, as rows, (N, 3, 16)."""
+        cross = cross_matrix(self.directions)
+        turns = np.zeros((len(cross), 3, 4, 4))
+        for k, matrix in enumerate((cross, cross @ cross)):
+            turns[:, k, :3, :3] = matrix
+            turns[:, k, :3, 3] = -(matrix @ self.points[:, :, None])[..., 0]
+        turns[:, 2] = np.eye(4)
+        return turns.reshape(-1, 3, 16)
+
+    @cached_property
+    def _lines(self) -> Array:
+        """Direction and point of each axis as columns, (N, 4, 2)."""
+        lines = np.zeros((len(self.directions), 4, 2))
+        lines[:, :3, 0] = self.directions
+        lines[:, :3, 1] = self.points
+        lines[:, 3, 1] = 1.0
+        return lines
+
+    @cached_property
+    def _carried(self) -> tuple[Array, Array]:
+        """First moment and mass of each body, its load with it, as columns (N, 4, 1); mass beyond each joint (N,)."""
+        moments = np.concatenate([self.masses[:, None] * self.centers, self.masses[:, None]], axis=1)
+        load = carry(self.frames[-1], self.payload_center)
+        moments[-1] += self.payload_mass * np.append(load, 1.0)
+        return moments[:, :, None], np.cumsum(moments[::-1, 3])[::-1]
+
+    def placements(self, q: Array, bend: Deflection) -> Array:
+        """Motion in B (N, n, 4, 4) of each body from its place at zero, at the reported angles ``q`` (n, N).
+
+        Joint first, so that what belongs to a joint meets all its configurations in one matrix product.
+        """
+        angles = q + self.zeros
+        if bend.joints is not None:
+            angles = angles + bend.joints
+        n, joints = angles.shape
+        factors = np.ones((joints, n, 3))
+        np.sin(angles.T, out=factors[:, :, 0])
+        np.subtract(1.0, np.cos(angles.T), out=factors[:, :, 1])
+        turns = (factors @ self._turns).reshape(joints, n, 4, 4)
+        if bend.links is not None:
+            frames = self.frames[1:, None]
+            turns = turns @ (frames @ rigid(bend.links.swapaxes(0, 1)) @ inverse(frames))
+        if bend.base is not None:
+            turns[0] = rigid(bend.base) @ turns[0]
+        for i in range(1, joints):
+            turns[i] = turns[i - 1] @ turns[i]
+        return turns
+
+
+@dataclass(frozen=True, eq=False)
+class Posture:
+    """A mechanism at n sets of reported joint angles, bent as ``bend`` says; all in B, worked out when asked for.
+
+    ``gravity`` (3,) is the acceleration of free fall in B [m/s^2].
+    """
+
+    mechanism: Mechanism
+    q: Array
+    gravity: Array
+    bend: Deflection = NO_DEFLECTION
+
+    @cached_property
+    def placements(self) -> Array:
+        """Motion of each body from its place at the zero position, (N, n, 4, 4)."""
+        return self.mechanism.placements(self.q, self.bend)
+
+    @cached_property
+    def base(self) -> Array:
+        """Motion of the base, (n, 4, 4)."""
+        if self.bend.base is None:
+            return np.broadcast_to(np.eye(4), (len(self.q), 4, 4))
+        return rigid(self.bend.base)
+
+    def _moved(self, motions: Array, columns: Array) -> Array:
+        """Homogeneous ``columns`` (N, 4, k) of each joint or body under its ``motions`` (N, n, 4, 4): (N, n, 3, k)."""
+        joints, n = motions.shape[:2]
+        return (motions.reshape(joints, 4 * n, 4) @ columns).reshape(joints, n, 4, -1)[:, :, :3]
+
+    @cached_property
+    def axes(self) -> tuple[Array, Array]:
+        """Direction and point of each axis where it is now, (N, n, 3) each."""
+        carriers = np.concatenate([self.base[None], self.placements[:-1]])
+        lines = self._moved(carriers, self.mechanism._lines)
+        return lines[..., 0], lines[..., 1]
+
+    @cached_property
+    def first_moments(self) -> Array:
+        """Mass times place of each body, its load with it, (N, n, 3) [kg m]."""
+        return self._moved(self.placements, self.mechanism._carried[0])[..., 0]
+
+    @cached_property
+    def gravity_torques(self) -> Array:
+        """Torque of gravity about each axis, (n, N) [Nm]; positive where gravity would increase the angle."""
+        directions, points = self.axes
+        arms = np.cumsum(self.first_moments[::-1], axis=0)[::-1]
+        arms -= self.mechanism._carried[1][:, None, None] * points
+        # d . (r x g) = -(d [g]) . r
+        return -((directions @ cross_matrix(self.gravity)) * arms).sum(axis=-1).T
+
+    @cached_property
+    def base_moment(self) -> Array:
+        """Moment of gravity on all bodies about the origin of B, (n, 3) [Nm]."""
+        return np.cross(self.first_moments.sum(axis=0), self.gravity)
+
+    @cached_property
+    def flange(self) -> Array:
+        """Pose of the flange and what bends with the tool, T_B_F, (n, 4, 4)."""
+        pose: Array = self.placements[-1] @ self.mechanism.frames[-1]
+        if self.bend.tool is not None:
+            pose = pose @ rigid(self.bend.tool)
+        return pose
+
+    @cached_property
+    def smr(self) -> tuple[Array, Array]:
+        """Centre of the SMR and the way it looks, (n, 3) each."""
+        return carry(self.flange, self.mechanism.smr), self.flange[:, :3, :3] @ self.mechanism.smr_normal
+
+    def segments(self) -> tuple[Array, Array]:
+        """Ends of the capsules' segments, (k, n, 3) each."""
+        capsules = self.mechanism.capsules
+        motions = np.concatenate([self.base[None], self.placements])[capsules.frames]
+        return carry(motions, capsules.starts[:, None]), carry(motions, capsules.ends[:, None])
+
+
+def _frames_at_zero(rows: Array) -> Array:
+    """D-H frames 0 to N, (N + 1, 4, 4), at the zero position of ``rot_z(q + theta) trans(a, 0, d) rot_x(alpha)``."""
+    frames = [np.eye(4)]
+    for theta, d, a, alpha in rows:
+        about_z, about_x = np.array([0.0, 0.0, d, 0.0, 0.0, theta]), np.array([a, 0.0, 0.0, alpha, 0.0, 0.0])
+        frames.append(frames[-1] @ rigid(about_z) @ rigid(about_x))
+    return np.array(frames)
+
+
+def _capsules_at_zero(capsules: Sequence[CapsuleConfig], frames: Array) -> Capsules:
+    numbers = np.array([capsule.frame for capsule in capsules], dtype=int)
+    starts = np.array([capsule.start for capsule in capsules]).reshape(-1, 3)
+    ends = np.array([capsule.end for capsule in capsules]).reshape(-1, 3)
+    return Capsules(
+        frames=numbers,
+        starts=carry(frames[numbers], starts),
+        ends=carry(frames[numbers], ends),
+        radii=np.array([capsule.radius for capsule in capsules]),
+    )
+
+
+def nominal(arm: ArmConfig) -> Mechanism:
+    """The arm as drawn."""
+    frames = _frames_at_zero(arm.rows)
+    return Mechanism(
+        directions=frames[:-1, :3, 2].copy(),
+        points=frames[:-1, :3, 3].copy(),
+        zeros=np.zeros(arm.joints),
+        frames=frames,
+        masses=arm.masses,
+        centers=carry(frames[1:], arm.centers_of_mass),
+        payload_mass=arm.payload_mass,
+        payload_center=arm.payload_center,
+        smr=arm.smr_offset,
+        smr_normal=arm.smr_normal / np.linalg.norm(arm.smr_normal),
+        capsules=_capsules_at_zero(arm.capsules, frames),
+    )
+
+
+def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Generator) -> Mechanism:
+    """The mechanism with its lines moved and tilted, its joint zeros and SMR off, normally distributed.
+
+    The same draws are taken whatever the sizes, so that one size can be changed alone.
+    """
+    joints = len(mechanism.directions)
+    sideways = across(mechanism.directions)
+    shift, tilt = rng.standard_normal((2, joints, 2))
+    zeros = rng.standard_normal(joints)
+    smr = rng.standard_normal(3)
+    moved = mechanism.points + errors.length * np.einsum("jk,jkx->jx", shift, sideways)
+    turned = errors.angle * np.einsum("jk,jkx->jx", tilt, sideways)
+    twist = np.concatenate([np.zeros_like(turned), turned], axis=1)
+    directions = (rigid(twist)[:, :3, :3] @ mechanism.directions[:, :, None])[..., 0]
+    return replace(
+        mechanism,
+        points=moved,
+        directions=directions,
+        zeros=mechanism.zeros + errors.angle * zeros,
+        smr=mechanism.smr + errors.smr * smr,
+    )
+
+
+def gravity_torques(arm: ArmConfig, q: Array) -> Array:
+    """Torque of gravity about each axis of the nominal, undeflected arm at ``q`` (n, N): (n, N) [Nm].
+
+    Positive where gravity would increase the joint angle; a motor at rest gives the opposite.
+    """
+    gravity = arm.T_C_B[:3, :3].T @ np.array([0.0, 0.0, -STANDARD_GRAVITY])
+    return Posture(nominal(arm), np.atleast_2d(np.asarray(q, dtype=np.float64)), gravity).gravity_torques

@@ -1,0 +1,256 @@
+"""Motions in simulated time, what the arm refuses, its faults, its temperatures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.arms.protocol import ArmError, ArmTimeout, EmergencyStop, LimitExceeded, LinkLost, ProtectiveStop
+from drivers.arms.simulated import CYCLE_S, SETTLE_S, SimulatedArm
+from drivers.plant.motion import braked, travel
+from drivers.sensors.protocol import SensorLinkLost
+from drivers.sensors.simulated import SimulatedAirSensor
+
+SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
+
+
+@pytest.fixture
+def plant(make_arm, make_plant):
+    return make_plant(make_arm(), make_arm("ur5", "right", 1.2))
+
+
+@pytest.fixture
+def arm(plant):
+    simulated = SimulatedArm(plant, "left")
+    simulated.connect()
+    return simulated
+
+
+angles = st.lists(st.floats(-6, 6), min_size=6, max_size=6).map(np.array)
+limits = st.lists(st.floats(0.05, 3), min_size=6, max_size=6).map(np.array)
+
+
+@settings(max_examples=80, deadline=None)
+@given(start=angles, goal=angles, speed=limits, acceleration=limits)
+def test_a_motion_is_straight_and_within_limits(start, goal, speed, acceleration):
+    motion = travel(3.0, start, goal, speed, acceleration)
+    if motion is None:
+        assert np.abs(goal - start).max() < 1e-12
+        return
+    t = np.linspace(3.0, motion.end_s, 401)
+    q, velocity = motion.position(t), motion.velocity(t)
+    assert np.array_equal(q[0], start)
+    assert np.array_equal(q[-1], goal)
+    assert (np.abs(velocity) <= speed * (1 + 1e-9)).all()
+    step = t[1] - t[0]
+    assert (np.abs(np.diff(velocity[1:-1], axis=0)) <= acceleration * step * (1 + 1e-6) + 1e-12).all()
+    # the trapezium rule is exact where the speed is linear; three corners are not
+    travelled = (0.5 * (velocity[1:] + velocity[:-1]) * step).sum(axis=0)
+    assert travelled == pytest.approx(goal - start, abs=3e-2 * float(np.abs(goal - start).max()) + 1e-12)
+    way = goal - start
+    share = (q - start) @ way / (way @ way)
+    assert np.abs(q - start - share[:, None] * way).max() < 1e-12
+    assert (np.diff(share) >= -1e-12).all()
+
+
+def test_durations_are_those_of_a_trapezium_and_a_triangle():
+    start, goal = np.zeros(2), np.array([2.0, -1.0])
+    assert travel(0.0, start, goal, np.ones(2), np.full(2, 2.0)).duration_s == pytest.approx(2.0 / 1.0 + 1.0 / 2.0)
+    assert travel(0.0, start, goal, np.full(2, 9.0), np.full(2, 2.0)).duration_s == pytest.approx(2.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(goal=angles, speed=limits, acceleration=limits, share=st.floats(0.01, 0.99))
+def test_braking_goes_on_along_the_way_and_never_past_its_end(goal, speed, acceleration, share):
+    motion = travel(0.0, np.zeros(6), goal, speed, acceleration)
+    if motion is None:
+        return
+    now = share * motion.duration_s
+    rest = braked(motion, now, acceleration)
+    q, velocity = motion.position(np.array([now]))[0], motion.velocity(np.array([now]))[0]
+    assert rest.position(np.array([now]))[0] == pytest.approx(q, abs=1e-12)
+    assert rest.velocity(np.array([now + 1e-9]))[0] == pytest.approx(velocity, abs=1e-6)
+    assert (np.abs(velocity) <= acceleration * rest.duration_s * (1 + 1e-9)).all()
+    end = rest.position(np.array([rest.end_s]))[0]
+    assert (np.abs(end) <= np.abs(goal) + 1e-12).all()
+    assert (np.abs(end) >= np.abs(q) - 1e-12).all()
+
+
+def test_two_arms_move_at_the_same_time(plant, arm):
+    other = SimulatedArm(plant, "right")
+    other.connect()
+    arm.start_move(np.full(6, 1.0), SPEED, ACCELERATION)
+    other.start_move(np.full(6, -2.0), SPEED, ACCELERATION)
+    assert arm.state().moving
+    assert other.state().moving
+    first = arm.wait_settled(10.0)
+    assert not first.moving
+    assert np.array_equal(first.q, np.full(6, 1.0))
+    assert first.time_s == pytest.approx(1.5 + SETTLE_S)
+    assert plant.moving("right")
+    last = other.wait_settled(10.0)
+    assert last.time_s == pytest.approx(2.5 + SETTLE_S)
+    assert other.wait_settled(10.0).time_s == last.time_s
+
+
+def test_polling_the_state_sees_the_motion_end(arm):
+    arm.start_move(np.full(6, 0.3), SPEED, ACCELERATION)
+    for _ in range(200):
+        state = arm.state()
+        if not state.moving:
+            break
+    assert not state.moving
+    assert state.time_s == pytest.approx(2 * np.sqrt(0.3 / 2.0), abs=2 * CYCLE_S)
+
+
+def test_stop_brings_it_to_rest_on_its_way(plant, arm):
+    arm.start_move(np.full(6, 2.0), SPEED, ACCELERATION)
+    plant.advance(1.0)
+    arm.stop()
+    state = arm.state()
+    assert not state.moving
+    assert state.ready
+    # 0.25 rad to gather speed, 0.5 s at 1 rad/s, then 3 rad/s^2 the other way
+    assert state.q == pytest.approx(np.full(6, 0.75 + 1.0 / 6.0))
+    arm.stop()
+    assert np.array_equal(arm.state().q, state.q)
+
+
+@pytest.mark.parametrize(
+    ("q", "speed", "acceleration", "message"),
+    [
+        (np.full(6, 7.0), SPEED, ACCELERATION, "position 7.0000 rad of joint 1 is outside"),
+        (np.array([0, 0, np.nan, 0, 0, 0]), SPEED, ACCELERATION, "position of joint 3 is not a finite number"),
+        (np.zeros(5), SPEED, ACCELERATION, "expected one number for each of 6 joints"),
+        (np.ones(6), np.array([1, 1, 1, 1, 1, 2.1]), ACCELERATION, "speed 2.1 rad/s of joint 6"),
+        (np.ones(6), np.zeros(6), ACCELERATION, "speed 0 rad/s of joint 1"),
+        (np.ones(6), SPEED, np.full(6, 3.1), "acceleration 3.1 rad/s\\^2 of joint 1"),
+        (np.ones(6), SPEED, np.full(6, np.inf), "acceleration of joint 1 is not a finite number"),
+    ],
+)
+def test_what_is_outside_the_limits_moves_nothing(plant, arm, q, speed, acceleration, message):
+    with pytest.raises(LimitExceeded, match=f"arm left: .*{message}"):
+        arm.start_move(q, speed, acceleration)
+    assert not plant.moving("left")
+
+
+def test_a_second_motion_must_wait(arm):
+    arm.start_move(np.ones(6), SPEED, ACCELERATION)
+    with pytest.raises(ArmError, match="arm left is still moving"):
+        arm.start_move(np.zeros(6), SPEED, ACCELERATION)
+
+
+def test_waiting_too_short_is_a_timeout_after_just_that_time(plant, arm):
+    arm.start_move(np.ones(6), SPEED, ACCELERATION)
+    with pytest.raises(ArmTimeout, match=r"needs 1.70 s to come to rest, 0.5 s were allowed"):
+        arm.wait_settled(0.5)
+    assert plant.clock_s == 0.5
+    assert plant.moving("left")
+    assert np.array_equal(arm.wait_settled(5.0).q, np.ones(6))
+
+
+@pytest.mark.parametrize(
+    ("cause", "error"),
+    [(SimulatedArm.protective_stop, ProtectiveStop), (SimulatedArm.emergency_stop, EmergencyStop)],
+)
+def test_a_stopped_arm_rests_refuses_and_comes_back(arm, cause, error):
+    arm.start_move(np.full(6, 2.0), SPEED, ACCELERATION)
+    arm.state()
+    cause(arm)
+    with pytest.raises(error, match="arm left"):
+        arm.wait_settled(10.0)
+    state = arm.state()
+    assert not state.moving
+    assert not state.ready
+    assert "arm left" in state.reason
+    assert (state.q < 0.1).all()
+    with pytest.raises(error):
+        arm.start_move(np.ones(6), SPEED, ACCELERATION)
+    arm.release()
+    arm.start_move(np.ones(6), SPEED, ACCELERATION)
+    assert np.array_equal(arm.wait_settled(10.0).q, np.ones(6))
+
+
+def test_without_a_link_nothing_is_answered_and_the_arm_goes_on(plant, arm):
+    arm.start_move(np.ones(6), SPEED, ACCELERATION)
+    arm.cut_link()
+    for call in (arm.state, arm.stop, arm.identify, arm.connect, lambda: arm.wait_settled(1.0)):
+        with pytest.raises(LinkLost, match="arm left: the simulated link is cut"):
+            call()
+    plant.advance(5.0)
+    arm.release()
+    with pytest.raises(LinkLost, match="connect first"):
+        arm.state()
+    arm.connect()
+    assert np.array_equal(arm.state().q, np.ones(6))
+
+
+def test_disconnecting_stops_the_arm_and_can_be_repeated(plant, arm):
+    arm.start_move(np.ones(6), SPEED, ACCELERATION)
+    arm.disconnect()
+    arm.disconnect()
+    assert not plant.moving("left")
+    with pytest.raises(LinkLost):
+        arm.state()
+
+
+def test_the_arm_says_who_it_is_and_what_it_carries(plant, arm):
+    assert arm.name == "left"
+    assert arm.identify().serial == "SIM-left"
+    plant.set_payload("left", 2.5, np.zeros(3))
+    assert arm.state().payload_kg == 2.5
+    with pytest.raises(ValueError, match="no arm 'middle'; it has left, right"):
+        SimulatedArm(plant, "middle")
+
+
+def test_joints_warm_up_with_motion_and_cool_at_rest(plant, arm):
+    cold = arm.state().joint_temperature_c
+    assert cold == pytest.approx(plant.air_temperature_c)
+    for k in range(200):
+        goal = np.zeros(6)
+        goal[1] = 2.0 * (k % 2)
+        arm.start_move(goal, SPEED, ACCELERATION)
+        arm.wait_settled(10.0)
+    rise = arm.state().joint_temperature_c - plant.air_temperature_c
+    assert 1.0 < rise[1] < 20.0
+    assert np.abs(rise[[0, 2, 3, 4, 5]]).max() == 0.0
+    plant.advance(4 * 3600.0)
+    assert 0.0 < plant.joint_temperatures_c("left")[1] - plant.air_temperature_c < 0.01 * rise[1]
+
+
+def test_the_air_drifts_slowly_about_the_configured_value(make_plant):
+    plant = make_plant(temperature_c=21.0)
+    sensor = SimulatedAirSensor(plant)
+    with pytest.raises(SensorLinkLost):
+        sensor.read()
+    sensor.connect()
+    readings = []
+    for _ in range(600):
+        readings.append(sensor.read().temperature_c)
+        plant.advance(60.0)
+    assert np.abs(np.array(readings) - 21.0).max() <= 0.5
+    assert np.ptp(readings) > 0.2
+    assert np.abs(np.diff(readings)).max() < 0.03
+
+
+def test_each_stop_misses_its_goal_by_the_repeatability(make_arm, make_plant):
+    config = {"repeatability": 2e-5, "seed": 4}
+    plant, ideal = make_plant(make_arm(), **config), make_plant(make_arm())
+    pose, stand = np.zeros(6), np.array([0.0, -0.4, 0.8, 0.0, 0.0, 0.0])
+    exact = ideal.smr_positions("left", stand[None])[0]
+    jacobian = np.array(
+        [(ideal.smr_positions("left", stand[None] + 1e-6 * unit)[0] - exact) / 1e-6 for unit in np.eye(6)]
+    ).T
+    misses = []
+    for _ in range(300):
+        for goal in (pose, stand):
+            plant.start_move("left", goal, SPEED, ACCELERATION)
+            plant.advance(10.0)
+        misses.append(plant.targets()[0].p_M - exact)
+        assert np.array_equal(plant.targets()[0].p_M - exact, misses[-1])  # the same while it stands
+        assert np.array_equal(plant.q("left"), stand)
+    expected = 4e-10 * jacobian @ jacobian.T
+    assert np.trace(np.cov(np.array(misses).T)) == pytest.approx(np.trace(expected), rel=0.3)
+    assert np.abs(np.mean(misses, axis=0)).max() < 4e-6
