@@ -344,7 +344,11 @@ class Profile(Section):
                     raise ValueError(f"plant.effects.{name}: there is no such arm; arms are {', '.join(self.arms)}")
         for name, arm in self.arms.items():
             if arm.driver.kind != "none":
-                needed = {f"arms.{name}.base": arm.base, f"arms.{name}.home": arm.home, "tracker.pose": self.tracker.pose}
+                needed = {
+                    f"arms.{name}.base": arm.base,
+                    f"arms.{name}.home": arm.home,
+                    "tracker.pose": self.tracker.pose,
+                }
                 for key, value in needed.items():
                     if value is None:
                         raise ValueError(f"{key}: missing; arm {name} has a driver, and to plan and to point needs it")

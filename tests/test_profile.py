@@ -172,6 +172,10 @@ WRONG = [
     ("name: twin", 'name: "\\ud800"', "name", "half a character"),
     ("averaging: 1.0", "averaging:", "tracker.averaging", "expected a time in s, got nothing"),
     ("type: arms/ur10.yaml", "type: 7", "arms.left.type", "expected keys with values, got 7"),
+    ("    home: ", "    # ", "arms.left.home", "missing; arm left has a driver, and to plan and to point needs it"),
+    ("    base: ", "    # ", "arms.left.base", "missing; arm left has a driver"),
+    ("  pose: ", "  # ", "tracker.pose", "missing; arm left has a driver"),
+    ('"-90 deg", 0.0, 0.0]', '"-90 deg", 0.0]', "arms.left.home", "5 positions for 6 joints"),
     ("name: twin", "name: ''", "name", "expected a text, got an empty one"),
 ]
 
@@ -224,12 +228,16 @@ def test_joint_count_of_another_arm_type(twin: Path) -> None:
     text = ur5.read_text("utf-8")
     first = text.index("  - {d: 0.0823")
     ur5.write_text(text[:first] + text[text.index("\n# Bodies") :].partition("capsules:")[0], "utf-8")
+    text = twin.read_text("utf-8")
+    right = text.index("  right:")
+    twin.write_text(text[:right] + text[right:].replace('"-90 deg", 0.0, 0.0]', '"-90 deg", 0.0]', 1), "utf-8")
     line = edit(twin, "  stops: 400", "  stops: 400\n  ranges: [[-1,1],[-1,1],[-1,1],[-1,1],[-1,1],[-1,1]]") + 1
     assert refusal(twin) == f"{twin}:{line}: plan.ranges: 6 ranges for the 5 joints of arm right"
 
 
 def test_an_arm_type_may_stand_in_the_profile(twin: Path) -> None:
     edit(twin, "type: arms/ur10.yaml", "type: {model: two, joints: [{d: 0.1}, {a: 200 mm}]}")
+    edit(twin, 'home: [0.0, "-90 deg", 0.0, "-90 deg", 0.0, 0.0]', "home: [0, 0]")
     profile = load_profile(twin)
     assert profile.arms["left"].type.model == "two"
     assert profile.arms["left"].type.joints[1].a == pytest.approx(0.2)
@@ -325,6 +333,7 @@ def test_json_gives_back_every_float_and_text(
                 "driver": {"kind": "simulated"},
                 "smr": {"offset": offset},
                 "base": {"position": offset},
+                "home": (angle, 0.0),
             }
         },
         "tracker": {"driver": {"kind": "none"}, "pose": {"position": offset}},

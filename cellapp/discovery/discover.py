@@ -1,0 +1,483 @@
+"""The verb: where model and measurement disagree, which effect is missing; add it and show the gap shrink."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT
+from cellapp.calibration.evaluation import evaluate, position_errors, summarise
+from cellapp.calibration.identification import EffectColumns, Identification, identify
+from cellapp.calibration.setup import prior_sigmas, stated_uncertainty
+from cellapp.discovery.scan import (
+    Candidate,
+    Score,
+    Visible,
+    candidate,
+    complement,
+    corrected_p,
+    null_maxima,
+    scan,
+    score,
+    smallest_seen,
+    threshold,
+    visible_part,
+)
+from cellapp.effects import EFFECTS, EffectColumn, EffectTerm, joint_offsets
+from cellapp.errors import InputError
+from cellapp.kinematics.chain import Turns, jacobian, joint_jacobian
+from cellapp.kinematics.transforms import Array
+from cellapp.model import ArmModel, CellModel
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.run import Readings, RunFile
+
+DISCOVER_RESULT = "discover"
+_MOST_EFFECTS = 4
+_RIVAL = 10.0
+"""Effects whose score is this near the winner's are named beside it."""
+_FLOOR = 1.05
+"""Held-out rms within this factor of the noise floor counts as explained."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect that scored near the accepted one."""
+
+    slug: str
+    score: float
+    told_apart: bool
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An accepted effect with its evidence."""
+
+    term: EffectTerm
+    joints: tuple[int, ...]
+    score: float
+    p_value: float
+    heldout_before_mm: float
+    heldout_after_mm: float
+    rivals: tuple[Rival, ...]
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """What was found in one arm's data."""
+
+    findings: tuple[Finding, ...]
+    noise_floor_mm: float
+    before_mm: float
+    after_mm: float
+    threshold: float
+    omnibus_p: float
+    invisible: tuple[Mapping[str, Any], ...]
+    verdict: str
+    sentence: str
+    model: ArmModel
+    stage: Mapping[str, Mapping[str, float | int]]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "noise_floor_mm": self.noise_floor_mm,
+            "heldout_mm": {"before": self.before_mm, "after": self.after_mm},
+            "threshold": self.threshold,
+            "omnibus_p": self.omnibus_p,
+            "accepted": [_finding_dict(finding) for finding in self.findings],
+            "invisible": [dict(entry) for entry in self.invisible],
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+        }
+
+
+def discover_run(
+    run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> dict[str, Discovery]:
+    """Look for missing effects in every arm of a calibrated run, add what is found to ``calibration.json``.
+
+    Raises
+    ------
+    InputError
+        If the run is not calibrated yet.
+    """
+    cancel = cancel or CancelToken()
+    calibrated = run.read_result(RESULT)
+    if calibrated is None:
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+    model = CellModel.load(run.folder / CALIBRATION_FILE)
+    found: dict[str, Discovery] = {}
+    for done, name in enumerate(model.arms):
+        listener(Progress("discover", done, len(model.arms), f"arm {name}"))
+        cancel.check()
+        found[name] = discover_arm(run.profile, name, model.arms[name], run.readings(name), cancel)
+    arms = {name: discovery.model for name, discovery in found.items()}
+    replace(model, arms=arms).save(run.folder / CALIBRATION_FILE)
+    result = json.loads(calibrated)
+    for name, discovery in found.items():
+        result["arms"][name]["validate"]["effects"] = discovery.stage
+    run.write_result(RESULT, json.dumps(result))
+    run.write_result(DISCOVER_RESULT, json.dumps(as_dict(found)))
+    listener(Progress("discover", len(model.arms), len(model.arms), "done"))
+    return found
+
+
+def as_dict(found: Mapping[str, Discovery]) -> dict[str, Any]:
+    """The object that ``--json`` writes."""
+    return {
+        "schema": "cellapp-discover",
+        "version": 1,
+        "arms": {name: discovery.as_dict() for name, discovery in found.items()},
+    }
+
+
+def discover_arm(
+    profile: Profile, name: str, model: ArmModel, readings: Readings, cancel: CancelToken | None = None
+) -> Discovery:
+    """Discover on everything but the validate split, confirm by folds of it, show the gap on the validate split."""
+    cancel = cancel or CancelToken()
+    held_out = readings.take(readings.in_split("validate"))
+    learn = readings.take(np.concatenate([readings.in_split("identify"), readings.in_split("train")]))
+    data = _Data.of(profile, replace(model, effects=()), learn)
+    fitted = data.fit((), None)
+    effects, basis = data.candidates(fitted), data.geometry_basis(fitted)
+    seen = [visible_part(effect, basis) for effect in effects]
+    rng = np.random.default_rng([profile.seed, 0xD15C])
+    maxima = null_maxima(seen, basis, profile.discovery.null_simulations, rng)
+    least = threshold(maxima, profile.discovery.false_alarm)
+
+    accepted: list[tuple[Candidate, Score, float, tuple[Rival, ...]]] = []
+    gaps = [_rms_mm(held_out, data.with_terms(fitted, ()), held_out)]
+    while len(accepted) < _MOST_EFFECTS:
+        cancel.check()
+        chosen_basis = _extended(basis, [(effect, s.chosen) for effect, s, _, _ in accepted])
+        residual = complement(chosen_basis, data.whitened_residual(fitted))
+        open_effects = [e for e in effects if e.slug not in {a.slug for a, _, _, _ in accepted}]
+        visible = {effect.slug: visible_part(effect, chosen_basis) for effect in open_effects}
+        scores = scan(list(visible.values()), residual)
+        winner = next((s for s in scores if s.score > least and _plausible(data, effects, accepted, s)), None)
+        if winner is None:
+            break
+        effect = next(e for e in effects if e.slug == winner.slug)
+        groups = [(a, s.chosen) for a, s, _, _ in accepted]
+        if not data.confirmed(groups, (effect, winner.chosen), profile.discovery.folds):
+            break
+        rivals = tuple(
+            Rival(s.slug, s.score, _told_apart(winner, s, effects, chosen_basis, residual, least))
+            for s in scores
+            if s.slug != winner.slug and s.score > winner.score - _RIVAL and s.score > 0.0
+        )
+        accepted.append((effect, winner, corrected_p(maxima, winner.score), rivals))
+        model_now = data.model_with([(a, s.chosen) for a, s, _, _ in accepted])
+        gaps.append(_rms_mm(held_out, model_now, held_out))
+
+    accepted = _backward(data, accepted, least)
+    groups = [(a, s.chosen) for a, s, _, _ in accepted]
+    final = data.model_with(groups) if groups else model
+    findings = tuple(
+        Finding(
+            term=term,
+            joints=tuple(sorted({effect.columns[i].joint + 1 for i in s.chosen})),
+            score=s.score,
+            p_value=p,
+            heldout_before_mm=gaps[place],
+            heldout_after_mm=gaps[place + 1],
+            rivals=rivals,
+        )
+        for place, ((effect, s, p, rivals), term) in enumerate(zip(accepted, final.effects))
+    )
+    floor = _noise_floor_mm(held_out)
+    after = _rms_mm(held_out, final, held_out)
+    last = data.fit(groups, None)
+    omnibus = _omnibus(last, learn)
+    verdict, sentence = _judge(findings, floor, after, omnibus, stated=stated_uncertainty(learn) is not None)
+    return Discovery(
+        findings=findings,
+        noise_floor_mm=floor,
+        before_mm=gaps[0],
+        after_mm=after,
+        threshold=least,
+        omnibus_p=omnibus,
+        invisible=_invisible(effects, seen, {f.term.slug for f in findings}, least, data.coordinates),
+        verdict=verdict,
+        sentence=f"arm {name}: {sentence}",
+        model=final,
+        stage=evaluate(held_out.p_M, final.predict(held_out.q, held_out.approach, held_out.payload_kg)),
+    )
+
+
+Group = tuple[Candidate, tuple[int, ...]]
+
+
+@dataclass(frozen=True)
+class _Data:
+    """One arm's readings for discovery, with what every refit needs."""
+
+    profile: Profile
+    model: ArmModel
+    readings: Readings
+    sigma: Array | None
+    white: Array
+
+    @classmethod
+    def of(cls, profile: Profile, model: ArmModel, readings: Readings) -> _Data:
+        sigma = stated_uncertainty(readings)
+        n = len(readings)
+        if sigma is None:
+            white = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
+        elif sigma.ndim == 1:
+            white = np.eye(3)[:, :, None] / sigma
+        else:
+            white = np.linalg.inv(np.linalg.cholesky(sigma)).transpose(1, 2, 0)
+        return cls(profile, model, readings, sigma, np.ascontiguousarray(white))
+
+    @property
+    def coordinates(self) -> int:
+        return 3 * len(self.readings)
+
+    def effect_columns(self) -> dict[str, list[EffectColumn]]:
+        context = self.model.context(self.readings.q, self.readings.approach, self.readings.payload_kg)
+        return {slug: effect.columns(context) for slug, effect in EFFECTS.items()}
+
+    def candidates(self, fitted: Identification) -> list[Candidate]:
+        _, by_joint = joint_jacobian(fitted.geometry, Turns.of(self.readings.q))
+        return [
+            candidate(slug, columns, by_joint, self.white)
+            for slug, columns in self.effect_columns().items()
+            if columns
+        ]
+
+    def geometry_basis(self, fitted: Identification) -> Array:
+        """Orthonormal basis (3 n, k) of what geometry can follow."""
+        _, J = jacobian(fitted.geometry, Turns.of(self.readings.q), fitted.parameter_set.columns)
+        return np.asarray(np.linalg.qr(np.einsum("acn,ckn->ank", self.white, J).reshape(self.coordinates, -1))[0])
+
+    def whitened_residual(self, fitted: Identification) -> Array:
+        return np.asarray(np.einsum("acn,nc->an", self.white, fitted.residuals).ravel())
+
+    def fit(self, groups: Sequence[Group], rows: NDArray[np.intp] | None) -> Identification:
+        """Joint refit of geometry and the chosen columns of ``groups``, on some rows or on all."""
+        chosen = np.arange(len(self.readings)) if rows is None else rows
+        columns = [effect.columns[i] for effect, picked in groups for i in picked]
+        effects = None
+        if columns:
+            effects = EffectColumns(
+                tuple(column.name for column in columns),
+                tuple(column.unit for column in columns),
+                joint_offsets(columns, self.readings.joints)[:, :, chosen],
+            )
+        settings = self.profile.calibration
+        return identify(
+            self.model.geometry,
+            self.readings.q[chosen],
+            self.readings.p_M[chosen],
+            sigma=None if self.sigma is None else self.sigma[chosen],
+            parameter_set=settings.parameter_set,
+            prior_sigma=prior_sigmas(self.model.nominal, settings.priors),
+            prior_mean=self.model.nominal,
+            robust=settings.robust,
+            effects=effects,
+            tolerance=settings.tolerance,
+            max_iterations=settings.max_iterations,
+        )
+
+    def with_terms(self, fitted: Identification, groups: Sequence[Group]) -> ArmModel:
+        terms, place = [], len(fitted.parameter_set.columns)
+        for effect, picked in groups:
+            part = slice(place, place + len(picked))
+            terms.append(
+                EffectTerm(
+                    effect.slug,
+                    fitted.names[part],
+                    fitted.values[part],
+                    fitted.standard_errors[part],
+                    fitted.units[part],
+                )
+            )
+            place += len(picked)
+        return replace(
+            self.model,
+            geometry=fitted.geometry,
+            effects=tuple(terms),
+            identified=fitted.names,
+            covariance=fitted.covariance,
+        )
+
+    def model_with(self, groups: Sequence[Group]) -> ArmModel:
+        return self.with_terms(self.fit(groups, None), groups)
+
+    def confirmed(self, groups: Sequence[Group], new: Group, folds: int) -> bool:
+        """Whether the new effect lowers the squared error on readings that were left out of the fit."""
+        fold = np.random.default_rng([self.profile.seed, 0xF01D]).permutation(len(self.readings)) % folds
+        gain = 0.0
+        for k in range(folds):
+            inside, outside = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
+            left_out = self.readings.take(outside)
+            for sign, chosen in ((1.0, [*groups]), (-1.0, [*groups, new])):
+                off = left_out.p_M - self.with_terms(self.fit(chosen, inside), chosen).predict(
+                    left_out.q, left_out.approach, left_out.payload_kg
+                )
+                gain += sign * float(np.sum(np.einsum("acn,nc->an", self.white[:, :, outside], off) ** 2))
+        return gain > 0.0
+
+
+def _extended(basis: Array, groups: Sequence[Group]) -> Array:
+    """The basis with the chosen columns of accepted effects."""
+    if not groups:
+        return basis
+    return np.asarray(np.linalg.qr(np.hstack([basis, *(effect.B[:, list(picked)] for effect, picked in groups)]))[0])
+
+
+def _plausible(
+    data: _Data,
+    effects: Sequence[Candidate],
+    accepted: Sequence[tuple[Candidate, Score, float, tuple[Rival, ...]]],
+    wanted: Score,
+) -> bool:
+    """Whether the refitted values lie inside their physical bounds, give or take two standard errors."""
+    effect = next(e for e in effects if e.slug == wanted.slug)
+    groups = [*((a, s.chosen) for a, s, _, _ in accepted), (effect, wanted.chosen)]
+    term = data.model_with(groups).effects[-1]
+    return all(
+        effect.columns[i].lower - 2.0 * error <= value <= effect.columns[i].upper + 2.0 * error
+        for i, value, error in zip(wanted.chosen, term.values, term.standard_errors, strict=True)
+    )
+
+
+def _told_apart(
+    winner: Score, rival: Score, effects: Sequence[Candidate], basis: Array, residual: Array, least: float
+) -> bool:
+    """Whether the winner still explains something after the rival has explained all it can."""
+    by_slug = {effect.slug: effect for effect in effects}
+    without = _extended(basis, [(by_slug[rival.slug], rival.chosen)])
+    left = complement(without, residual)
+    visible: Visible = visible_part(by_slug[winner.slug], without)
+    if not visible.blocks:
+        return False
+    return score(visible, visible.B.T @ left, float(left @ left), len(left)).score > least
+
+
+def _backward(
+    data: _Data, accepted: list[tuple[Candidate, Score, float, tuple[Rival, ...]]], least: float
+) -> list[tuple[Candidate, Score, float, tuple[Rival, ...]]]:
+    """Drop effects that later ones made superfluous: without them the fit is not worse by the threshold."""
+    while len(accepted) > 1:
+        full = _cost(data, [(a, s.chosen) for a, s, _, _ in accepted])
+        losses = []
+        for place, (_, s, _, _) in enumerate(accepted):
+            rest = [(a, r.chosen) for k, (a, r, _, _) in enumerate(accepted) if k != place]
+            worse = data.coordinates * math.log(_cost(data, rest) / full)
+            losses.append((worse - len(s.chosen) * math.log(data.coordinates), place))
+        loss, place = min(losses)
+        if loss > least:
+            break
+        accepted = [entry for k, entry in enumerate(accepted) if k != place]
+    return accepted
+
+
+def _cost(data: _Data, groups: Sequence[Group]) -> float:
+    residual = data.whitened_residual(data.fit(groups, None))
+    return float(residual @ residual)
+
+
+def _rms_mm(readings: Readings, model: ArmModel, held_out: Readings) -> float:
+    computed = model.predict(readings.q, readings.approach, readings.payload_kg)
+    return summarise(position_errors(readings.p_M, computed)).rms
+
+
+def _noise_floor_mm(readings: Readings) -> float:
+    """Root mean square length of the stated noise; NaN where the readings state none."""
+    sigma = stated_uncertainty(readings)
+    if sigma is None:
+        return math.nan
+    squares = 3.0 * sigma**2 if sigma.ndim == 1 else np.trace(sigma, axis1=1, axis2=2)
+    return float(np.sqrt(squares.mean())) * 1e3
+
+
+def _omnibus(fitted: Identification, readings: Readings) -> float:
+    """Probability of a scatter at least this large if the stated noise were all there is; NaN without stated noise."""
+    if stated_uncertainty(readings) is None:
+        return math.nan
+    return float(chi2.sf(fitted.scale**2 * fitted.degrees_of_freedom, fitted.degrees_of_freedom))
+
+
+def _invisible(
+    effects: Sequence[Candidate],
+    seen: Sequence[Visible],
+    found: set[str],
+    least: float,
+    coordinates: int,
+) -> tuple[Mapping[str, Any], ...]:
+    entries: list[Mapping[str, Any]] = []
+    by_slug = {effect.slug: (effect, part) for effect, part in zip(effects, seen)}
+    for slug in EFFECTS:
+        if slug in found:
+            continue
+        if slug not in by_slug:
+            entries.append({"effect": slug, "reason": "the data lack what it depends on", "smallest_seen": None})
+            continue
+        effect, part = by_slug[slug]
+        sizes = smallest_seen(part, least, coordinates)
+        entries.append(
+            {
+                "effect": slug,
+                "reason": "not found; it could have been seen from these sizes on",
+                "smallest_seen": {
+                    effect.columns[i].name: {
+                        "value": size if math.isfinite(size) else None,
+                        "unit": effect.columns[i].unit,
+                    }
+                    for i, size in sizes.items()
+                },
+            }
+        )
+    return tuple(entries)
+
+
+def _judge(
+    findings: Sequence[Finding], floor: float, after: float, omnibus: float, *, stated: bool
+) -> tuple[str, str]:
+    names = " and ".join(EFFECTS[finding.term.slug].title for finding in findings)
+    if not stated:
+        left = "the readings state no uncertainty, so nothing can be said of what is left"
+        return ("explained", f"{names}; {left}") if findings else ("nothing missing", f"nothing found; {left}")
+    at_floor = after <= floor * _FLOOR or omnibus > 0.01
+    gap = f"{after * 1e3:.0f} um rms held out against a noise floor of {floor * 1e3:.0f} um"
+    if any(not rival.told_apart for finding in findings for rival in finding.rivals):
+        return "ambiguous", f"{names}, but these data do not tell it from its rivals; {gap}"
+    if at_floor:
+        return ("explained", f"{names}; {gap}") if findings else ("nothing missing", gap)
+    if findings:
+        return "unknown effect", f"{names} found, but more is missing than the library knows; {gap}"
+    return "unknown effect", f"something is missing that the library does not know; {gap}"
+
+
+def _finding_dict(finding: Finding) -> dict[str, Any]:
+    term = finding.term
+    return {
+        "effect": term.slug,
+        "where": {"joints": list(finding.joints)},
+        "parameters": {
+            name: {"value": value, "standard_error": error, "unit": unit}
+            for name, value, error, unit in zip(
+                term.names, term.values.tolist(), term.standard_errors.tolist(), term.units, strict=True
+            )
+        },
+        "evidence": {
+            "statistic": finding.score,
+            "corrected_p": finding.p_value,
+            "heldout_mm": {"before": finding.heldout_before_mm, "after": finding.heldout_after_mm},
+        },
+        "runners_up": [
+            {"effect": rival.slug, "statistic": rival.score, "told_apart": rival.told_apart}
+            for rival in finding.rivals
+        ],
+    }
