@@ -249,11 +249,7 @@ class _Data:
 
     def candidates(self, fitted: Identification) -> list[Candidate]:
         _, by_joint = joint_jacobian(fitted.geometry, Turns.of(self.readings.q))
-        return [
-            candidate(slug, columns, by_joint, self.white)
-            for slug, columns in self.effect_columns().items()
-            if columns
-        ]
+        return [candidate(slug, columns, by_joint, self.white) for slug, columns in self.effect_columns().items()]
 
     def geometry_basis(self, fitted: Identification) -> Array:
         """Orthonormal basis (3 n, k) of what geometry can follow."""
@@ -421,10 +417,11 @@ def _invisible(
     for slug in EFFECTS:
         if slug in found:
             continue
-        if slug not in by_slug:
-            entries.append({"effect": slug, "reason": "the data lack what it depends on", "smallest_seen": None})
-            continue
         effect, part = by_slug[slug]
+        if not part.blocks:
+            reason = "these data cannot show it: what it depends on is not known or never varied"
+            entries.append({"effect": slug, "reason": reason, "smallest_seen": None})
+            continue
         sizes = smallest_seen(part, least, coordinates)
         entries.append(
             {

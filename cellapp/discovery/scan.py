@@ -154,4 +154,7 @@ def smallest_seen(effect: Visible, least_score: float, coordinates: int) -> Mapp
     """Smallest size of each single column that would have passed ``least_score``; infinite where it is invisible."""
     needed = least_score + math.log(coordinates)
     squares = np.diag(effect.gram)
-    return {i: math.sqrt(needed / s) if effect.fraction[i] > _VISIBLE else math.inf for i, s in enumerate(squares)}
+    return {
+        i: math.sqrt(needed / square) if effect.fraction[i] > _VISIBLE else math.inf
+        for i, square in enumerate(squares.tolist())
+    }

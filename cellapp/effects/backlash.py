@@ -19,9 +19,8 @@ class Backlash:
     look_alikes: tuple[str, ...] = ("friction_windup", "unsettled_measurement")
 
     def columns(self, context: EffectContext) -> list[EffectColumn]:
-        """One column a joint that was approached from both sides."""
+        """One column a joint; zero where the side of approach is not known."""
         return [
             EffectColumn(f"half_play{j + 1}", "rad", j, -context.approach[:, j].astype(np.float64), 0.0, 5e-3)
             for j in range(context.q.shape[1])
-            if (context.approach[:, j] > 0).any() and (context.approach[:, j] < 0).any()
         ]

@@ -69,7 +69,7 @@ class Effect(Protocol):
     """Slugs of effects that data may not tell apart from it."""
 
     def columns(self, context: EffectContext) -> list[EffectColumn]:
-        """Its columns on these data; empty where they lack what it needs (no approach signs, no torque)."""
+        """Its columns, always the same ones; all zero where the data lack what one needs (no approach signs)."""
 
 
 @dataclass(frozen=True)
@@ -93,14 +93,10 @@ def joint_offsets(columns: Sequence[EffectColumn], joints: int) -> Array:
 
 
 def term_offsets(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], context: EffectContext) -> Array:
-    """Joint offsets (n, N) [rad] of the terms of a model.
-
-    A parameter whose column these data lack (an approach sign that nobody logged) contributes nothing.
-    """
+    """Joint offsets (n, N) [rad] of the terms of a model."""
     total = np.zeros_like(context.q)
     for term in terms:
         columns = {column.name: column for column in effects[term.slug].columns(context)}
         for name, value in zip(term.names, term.values, strict=True):
-            if name in columns:
-                total[:, columns[name].joint] += value * columns[name].offset
+            total[:, columns[name].joint] += value * columns[name].offset
     return total

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from cellapp.effects.effect import EffectColumn, EffectContext
 
 
@@ -19,9 +17,8 @@ class JointCompliance:
     look_alikes: tuple[str, ...] = ("link_bending", "encoder_eccentricity", "pedestal_compliance")
 
     def columns(self, context: EffectContext) -> list[EffectColumn]:
-        """One column a joint that gravity loads at all."""
+        """One column a joint."""
         return [
             EffectColumn(f"compliance{j + 1}", "rad/Nm", j, context.torques[:, j], 0.0, 1e-3)
             for j in range(context.q.shape[1])
-            if np.ptp(context.torques[:, j]) > 0.1
         ]

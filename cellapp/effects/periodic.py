@@ -10,8 +10,6 @@ from cellapp.effects.effect import EffectColumn, EffectContext
 def _cycles(context: EffectContext, cycles: int) -> list[EffectColumn]:
     columns = []
     for j in range(context.q.shape[1]):
-        if np.ptp(context.q[:, j]) * cycles < np.pi:  # less than half a period cannot be told from an offset and a gain
-            continue
         for letter, wave in (("cos", np.cos), ("sin", np.sin)):
             columns.append(
                 EffectColumn(f"{letter}{cycles}q{j + 1}", "rad", j, wave(cycles * context.q[:, j]), -5e-3, 5e-3)

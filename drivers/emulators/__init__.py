@@ -1,0 +1,1 @@
+"""Servers that speak a real device's wire, so that drivers can be tried without it."""

@@ -1,0 +1,106 @@
+"""The accuracy tables of a run as plain data: CLI, TUI and the HTML page only draw them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+STAGES = ("nominal", "geometry", "network", "effects")
+METHODS = ("nominal", "method_1", "method_2", "proposed", "effects")
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of texts: title, column heads, rows; the first column names, the others are numbers for eyes."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def calibration_tables(result: Mapping[str, Any]) -> list[Table]:
+    """Held-out errors by stage, one table an arm, and the pair's; from the object of ``calibrate --json``."""
+    tables = []
+    for name, arm in result["arms"].items():
+        rows = []
+        for stage in STAGES:
+            if stage in arm["validate"]:
+                for measure in ("position_mm", "distance_mm"):
+                    if measure in arm["validate"][stage]:
+                        rows.append((f"{stage}, {measure[:-3]}", *_numbers(arm["validate"][stage][measure])))
+        title = f"Arm {name}: held-out errors [mm] ({arm['rank']} parameters, {arm['iterations']} iterations)"
+        tables.append(Table(title, ("stage, measure", "mean", "rms", "std", "max", "n"), tuple(rows)))
+    if result["pair"]:
+        rows = [
+            (method, *_numbers(result["pair"][method]["cooperative_mm"]))
+            for method in METHODS
+            if method in result["pair"]
+        ]
+        title = "Pair: held-out cooperative errors [mm]"
+        tables.append(Table(title, ("method", "mean", "rms", "std", "max", "n"), tuple(rows)))
+    return tables
+
+
+def parameter_tables(result: Mapping[str, Any]) -> list[Table]:
+    """Identified parameters with standard errors, one table an arm; from the object of ``calibrate --json``."""
+    tables = []
+    for name, arm in result["arms"].items():
+        rows = []
+        for parameter, entry in arm["identified"].items():
+            factor, unit = (1e3, "mm") if entry["unit"] == "m" else (180.0 / 3.141592653589793, "deg")
+            value, error = entry["value"] * factor, entry["standard_error"] * factor
+            rows.append((parameter, f"{value:.5f}", f"{error:.5f}", unit))
+        columns = ("parameter", "value", "standard error", "unit")
+        tables.append(Table(f"Arm {name}: identified parameters", columns, tuple(rows)))
+    return tables
+
+
+def discovery_tables(result: Mapping[str, Any]) -> list[Table]:
+    """What was found and how the gap shrank, one table an arm; from the object of ``discover --json``."""
+    tables = []
+    for name, arm in result["arms"].items():
+        rows = [("nothing named yet", "", "", f"{arm['heldout_mm']['before']:.4f}")]
+        for found in arm["accepted"]:
+            rows.append(
+                (
+                    f"+ {found['effect']}",
+                    ", ".join(str(joint) for joint in found["where"]["joints"]),
+                    f"{found['evidence']['corrected_p']:.2g}",
+                    f"{found['evidence']['heldout_mm']['after']:.4f}",
+                )
+            )
+        if arm["noise_floor_mm"] is not None:
+            rows.append(("noise floor", "", "", f"{arm['noise_floor_mm']:.4f}"))
+        columns = ("model", "joints", "corrected p", "held-out rms [mm]")
+        tables.append(Table(f"Arm {name}: {arm['verdict']}", columns, tuple(rows)))
+    return tables
+
+
+def verification_tables(result: Mapping[str, Any]) -> list[Table]:
+    """Errors at new targets before and after compensation; from the object of ``push --json``."""
+    rows = []
+    for name, ways in result["arms"].items():
+        for way, label in (("nominal_mm", "uncompensated"), ("compensated_mm", "compensated")):
+            rows.append((f"{name}, {label}", *_numbers(ways[way])))
+    if not rows:
+        return []
+    columns = ("arm, command", "mean", "rms", "std", "max", "n")
+    return [Table("Targets: measured distance from where they should be [mm]", columns, tuple(rows))]
+
+
+def all_tables(results: Mapping[str, Mapping[str, Any]]) -> list[Table]:
+    """The tables of whatever steps a run has results of: ``calibrate``, ``discover``, ``verify``."""
+    tables: list[Table] = []
+    for step, make in (
+        ("calibrate", calibration_tables),
+        ("discover", discovery_tables),
+        ("verify", verification_tables),
+    ):
+        if step in results:
+            tables += make(results[step])
+    return tables
+
+
+def _numbers(summary: Mapping[str, float | int]) -> tuple[str, ...]:
+    return (*(f"{summary[key]:.4f}" for key in ("mean", "rms", "std", "max")), str(summary["n"]))

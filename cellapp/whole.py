@@ -1,0 +1,117 @@
+"""The whole spine in one call: plan, collect, calibrate, discover, compensate, verify, report. CLI and TUI call this."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT, calibrate_run
+from cellapp.collection.collect import collect_run
+from cellapp.compensation.compensate import as_dict as compensate_dict
+from cellapp.compensation.compensate import compensate
+from cellapp.compensation.push import push
+from cellapp.compensation.targets import Target, load_targets
+from cellapp.discovery.discover import DISCOVER_RESULT, discover_run
+from cellapp.model import CellModel
+from cellapp.planning.plan import plan_run
+from cellapp.profile import load_profile
+from cellapp.progress import CancelToken, Listener, ignore
+from cellapp.reporting.page import write_page
+from cellapp.run import RunFile
+
+VERIFY_RESULT = "verify"
+COMPENSATE_RESULT = "compensate"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a whole run ended with.
+
+    Attributes
+    ----------
+    folder : Path
+        Of the run.
+    results : mapping
+        Step -> the object that its ``--json`` writes.
+    notes : tuple of str
+        What a person should know beside the numbers.
+    """
+
+    folder: Path
+    results: Mapping[str, Mapping[str, Any]]
+    notes: tuple[str, ...]
+
+
+def default_folder(profile_name: str) -> Path:
+    """A new folder below ``logs`` in the working directory, named after the profile and the time."""
+    return Path("logs") / f"{profile_name}-{datetime.now():%Y%m%d-%H%M%S}"
+
+
+def run_whole(
+    profile_path: Path, folder: Path | None, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> Outcome:
+    """Everything, unattended.
+
+    Raises
+    ------
+    CellappError
+        Bad input, a device that refused, in words.
+    Cancelled
+        On request; the run file keeps all that was committed and can be resumed.
+    """
+    cancel = cancel or CancelToken()
+    profile = load_profile(profile_path)
+    targets: tuple[Target, ...] = ()
+    if profile.targets is not None:  # read now: a misspelt list should not show after hours of measuring
+        targets = load_targets(profile_path.parent / profile.targets, profile)
+    folder = folder or default_folder(profile.name)
+    notes: list[str] = []
+    with RunFile.create(folder, profile) as run:
+        plan_run(run, listener, cancel)
+        notes += collect_run(run, listener, cancel)
+        calibration = calibrate_run(run, listener, cancel)
+        notes += calibration.notes
+        discover_run(run, listener, cancel)
+        if targets:
+            notes += push_run(run, targets, listener, cancel, verify=True)
+        write_page(run)
+        return Outcome(folder, stored_results(run), tuple(notes))
+
+
+def compensate_run(run: RunFile, targets: tuple[Target, ...]) -> dict[str, Any]:
+    """Compute and store commands for targets. Returns the object that ``compensate --json`` writes."""
+    model = CellModel.load(run.folder / CALIBRATION_FILE)
+    result = dict(compensate_dict(compensate(run.profile, model, targets)))
+    run.write_result(COMPENSATE_RESULT, json.dumps(result))
+    return result
+
+
+def push_run(
+    run: RunFile,
+    targets: tuple[Target, ...],
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    verify: bool,
+) -> tuple[str, ...]:
+    """Compensate and push targets, store what was measured. Returns notes on targets that were left out."""
+    model = CellModel.load(run.folder / CALIBRATION_FILE)
+    commands = compensate(run.profile, model, targets)
+    run.write_result(COMPENSATE_RESULT, json.dumps(compensate_dict(commands)))
+    verification = push(run.profile, model, commands, listener, cancel, verify=verify)
+    run.write_result(VERIFY_RESULT, json.dumps(verification.as_dict()))
+    return tuple(f"target {target.name}: {target.note}" for target in verification.targets if target.note)
+
+
+def stored_results(run: RunFile) -> dict[str, dict[str, Any]]:
+    """The results that a run holds, by step."""
+    results = {}
+    for step in (RESULT, DISCOVER_RESULT, COMPENSATE_RESULT, VERIFY_RESULT):
+        text = run.read_result(step)
+        if text is not None:
+            results[step] = json.loads(text)
+    return results
