@@ -53,6 +53,10 @@ class CancelToken:
         """Whether somebody asked to stop."""
         return self._event.is_set()
 
+    def wait(self, timeout_s: float) -> bool:
+        """Rest for at most ``timeout_s``, less if somebody asks to stop; whether somebody did."""
+        return self._event.wait(timeout_s)
+
     def check(self) -> None:
         """Raise ``Cancelled`` if somebody asked to stop."""
         if self.cancelled:

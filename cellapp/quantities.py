@@ -50,7 +50,7 @@ def parse_quantity(kind: str, value: object) -> float:
     elif isinstance(value, str):
         written = _WRITTEN.fullmatch(value)
         if written is None:
-            raise ValueError(f"expected a {kind}: a number in {si_unit} or a text such as '1.5 {si_unit}', got '{value}'")
+            raise ValueError(f"expected a {kind}: a number in {si_unit} or text such as '1.5 {si_unit}', got '{value}'")
         factor = units.get(written.group(2))
         if factor is None:
             raise ValueError(f"'{written.group(2)}' is not a unit of {kind}; use one of {', '.join(units)}")

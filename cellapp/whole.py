@@ -1,4 +1,4 @@
-"""The whole spine in one call: plan, collect, calibrate, discover, compensate, verify, report. CLI and TUI call this."""
+"""The whole spine in one call, from profile to report. CLI and TUI call this."""
 
 from __future__ import annotations
 

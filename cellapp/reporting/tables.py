@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,3 +104,19 @@ def all_tables(results: Mapping[str, Mapping[str, Any]]) -> list[Table]:
 
 def _numbers(summary: Mapping[str, float | int]) -> tuple[str, ...]:
     return (*(f"{summary[key]:.4f}" for key in ("mean", "rms", "std", "max")), str(summary["n"]))
+
+
+def parameter_set_table(arm: str, trials: Sequence[Mapping[str, Any]]) -> Table:
+    """Redundant against reduced model; from the rows of ``trials parameter-sets --json``."""
+    rows = tuple(
+        (
+            f"{trial['parameter_set']} ({trial['parameters']}), {trial['solver']}",
+            f"{trial['iterations']:g}",
+            f"{trial['converged']} of {trial['seeds']}",
+            f"{trial['mean_mm']:.4g}",
+            f"{trial['max_mm']:.4g}",
+        )
+        for trial in trials
+    )
+    columns = ("set (parameters), solver", "iterations", "converged", "mean [mm]", "max [mm]")
+    return Table(f"Arm {arm}: redundant and reduced models, medians over seeds", columns, rows)

@@ -1,7 +1,7 @@
-"""What a Universal Robots controller says of itself, over plain sockets. Nothing here moves an arm or changes its state.
+"""What a Universal Robots controller says of itself, over plain sockets. Nothing here changes a robot's state.
 
-The dashboard port is asked a fixed list of questions; the primary port is only listened to; on the script and RTDE ports
-a connection is opened and closed without a byte. This version has no driver that moves UR arms: see ``open_ur_arm``.
+The dashboard port is asked a fixed list of questions; the primary port is only listened to; on the script and RTDE
+ports a connection is opened and closed without a byte. No driver here moves UR arms yet: see ``open_ur_arm``.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ _ROBOT_STATE = 16
 _KINEMATICS_INFO = 5
 _KINEMATICS = struct.Struct(">6I24dI")
 _SERIES = {3: "CB3", 5: "e-Series", 10: "PolyScope X"}
-_SOLD_IN_TWO_SERIES = ("UR3", "UR5", "UR10", "UR16")
-_UNDER_WAY = (errno.EINPROGRESS, errno.EWOULDBLOCK, getattr(errno, "WSAEWOULDBLOCK", errno.EWOULDBLOCK))
+_SOLD_WITH_AN_E = ("UR3", "UR5", "UR10", "UR16")
+_UNDER_WAY = (errno.EINPROGRESS, errno.EWOULDBLOCK)
 
 
 class _Query(enum.StrEnum):
@@ -140,7 +140,7 @@ class UrProbe:
     @property
     def full_model(self) -> str | None:
         """The model with the "e" of the e-Series, whose D-H differs from the CB3 arm of the same name."""
-        if self.series != "CB3" and self.model in _SOLD_IN_TWO_SERIES:
+        if self.series != "CB3" and self.model in _SOLD_WITH_AN_E:
             return f"{self.model}e"
         return self.model
 
@@ -330,7 +330,7 @@ def _converse(link: _Connection, deadline: float) -> tuple[str, str, dict[_Query
             " check that this is a UR controller"
         )
     software = found.group(1)
-    answers = {}
+    answers: dict[_Query, str] = {}
     for query in _Query:
         if query is _Query.VERSION or (query is _Query.REMOTE_CONTROL and _series(software) == "CB3"):
             continue
@@ -378,7 +378,7 @@ class _Lines:
             self._held += more
 
     def _lost(self, what: str) -> LinkLost:
-        return LinkLost(f"{self._link.where}: {what}; check the address, or restart the controller if it is the right one")
+        return LinkLost(f"{self._link.where}: {what}; check the address; if it is right, restart the controller")
 
 
 def _shown(text: str) -> str:

@@ -5,9 +5,9 @@ could not understand (for CB3 this includes the questions of the e-Series only);
 each client of the primary port a robot state with the kinematics information when it connects.
 
 What it does not: nothing moves and nothing changes, so ``play``, ``stop``, ``power on``, ``load`` and the like are all
-answered with the controller's "Failed to execute". The robot state holds the kinematics alone, comes once, not ten times
-a second, and no version message precedes it. Bytes sent to the primary port are dropped. There is no script port and no
-RTDE port. The wording of refusals was not compared with a real controller.
+answered with "Failed to execute". The robot state holds the kinematics alone and comes once, not ten times a second,
+and no version message precedes it. Bytes sent to the primary port are dropped. There is no script port and no RTDE
+port. The wording of refusals, and which questions each version knows, were not compared with a real controller.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Literal, Self
 
@@ -36,7 +37,7 @@ PRIMARY_PORT = 30001
 _BOTH: tuple[Port, Port] = ("dashboard", "primary")
 _GREETING = "Connected: Universal Robots Dashboard Server"
 _GARBAGE = b"\x00\xff\x17 this is no robot \xfe\x80\n"
-_SOFTWARE = {
+_SOFTWARE = {  # the form counts; the dates mean nothing
     "CB3": "URSoftware 3.15.8.106339 (Jun 20 2022)",
     "e-Series": "URSoftware 5.11.1.1108318 (Nov 11 2021)",
 }
@@ -127,13 +128,23 @@ def personality(series: Series, model: str, serial: str) -> Personality:
     return Personality(series=series, model=model, serial=serial, rows=rows)
 
 
-@dataclass
+@dataclass(eq=False)
 class _Client:
     port: Port
     link: socket.socket
     held: bytearray = field(default_factory=bytearray)
     queued: bytearray = field(default_factory=bytearray)
     leaving: bool = False
+
+
+@dataclass(eq=False)
+class _Order:
+    """A fault to be shown from now on; ``refusal`` says why it cannot be, once it is done."""
+
+    port: Port
+    fault: Fault
+    done: threading.Event = field(default_factory=threading.Event)
+    refusal: OSError | None = None
 
 
 class UrDashboardEmulator:
@@ -168,7 +179,7 @@ class UrDashboardEmulator:
         self.primary_port = primary_port
         self.received: deque[str] = deque(maxlen=1000)
         self._faults: dict[Port, Fault] = {"dashboard": "none", "primary": "none"}
-        self._orders: deque[tuple[Port, Fault, threading.Event]] = deque()
+        self._orders: deque[_Order] = deque()
         self._listening: dict[Port, socket.socket] = {}
         self._clients: set[_Client] = set()
         self._selector: selectors.BaseSelector | None = None
@@ -219,15 +230,19 @@ class UrDashboardEmulator:
 
         silent: accept and say nothing. refuse: drop the clients and listen no more. garbage: answer nonsense. flood:
         bytes without a line's end, as fast as they are taken. trickle: a byte now and then, for ever.
+
+        Raises ``OSError`` if somebody else took the port while it was refused.
         """
         if self._thread is None:
             raise RuntimeError("the emulator is not running")
         for port in ports:
-            held = threading.Event()
-            self._orders.append((port, fault, held))
+            order = _Order(port, fault)
+            self._orders.append(order)
             self._ring()
-            if not held.wait(_PATIENCE_S):
+            if not order.done.wait(_PATIENCE_S):
                 raise RuntimeError("the emulator's thread does not answer")
+            if order.refusal is not None:
+                raise order.refusal
 
     # -- below: called by the server's thread alone, except _listen and _close_listening from start ----------------
 
@@ -260,10 +275,8 @@ class UrDashboardEmulator:
 
     def _ring(self) -> None:
         if self._wake is not None:
-            try:
+            with suppress(OSError):  # full: it is awake already; closed: it is gone
                 self._wake.send(b"!")
-            except OSError:
-                pass  # full: it is awake already; closed: it is gone
 
     def _serve(self) -> None:
         assert self._selector is not None
@@ -282,7 +295,7 @@ class UrDashboardEmulator:
                     else:
                         self._accept(key.data)
                 while self._orders:
-                    self._obey(*self._orders.popleft())
+                    self._obey(self._orders.popleft())
                 if trickling and time.monotonic() >= next_trickle:
                     next_trickle = time.monotonic() + _TRICKLE_S
                     for client in list(self._clients):
@@ -296,23 +309,30 @@ class UrDashboardEmulator:
             self._woken.close()
             self._wake.close()
 
-    def _obey(self, port: Port, fault: Fault, held: threading.Event) -> None:
+    def _obey(self, order: _Order) -> None:
         assert self._selector is not None
-        self._faults[port] = fault
+        port = order.port
         listening = self._listening.get(port)
-        if fault == "refuse" and listening is not None:
+        clients = [client for client in self._clients if client.port == port]
+        if order.fault == "refuse" and listening is not None:
             self._selector.unregister(listening)
             del self._listening[port]
             listening.close()
-            for client in [client for client in self._clients if client.port == port]:
+            for client in clients:
                 self._drop(client)
-        if fault != "refuse" and listening is None:
-            self._listen(port)
+        if order.fault != "refuse" and listening is None:
+            try:
+                self._listen(port)
+            except OSError as error:
+                order.refusal = error
+                order.done.set()
+                return
             self._selector.register(self._listening[port], selectors.EVENT_READ, port)
-        if fault == "flood":
-            for client in [client for client in self._clients if client.port == port]:
+        self._faults[port] = order.fault
+        if order.fault == "flood":
+            for client in clients:
                 self._send(client, b"")
-        held.set()
+        order.done.set()
 
     def _accept(self, port: Port) -> None:
         assert self._selector is not None

@@ -1,0 +1,433 @@
+"""The doors for a shell: parse, call, print. Everything slow is imported where it is used, so that --help is quick."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cellapp.errors import CellappError, CheckFailed
+from cellapp.progress import Cancelled, CancelToken, Progress
+
+if TYPE_CHECKING:
+    from cellapp.reporting.tables import Table
+    from cellapp.run import RunFile
+
+app = typer.Typer(
+    help="Calibrate a dual-arm robot cell with a laser tracker, and name the physics that the model is missing.",
+    no_args_is_help=False,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+trials_app = typer.Typer(help="Monte Carlo trials on simulated cells.", no_args_is_help=True)
+app.add_typer(trials_app, name="trials")
+
+ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")]
+RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The run's folder.")]
+NewRun = Annotated[Path, typer.Option("--run", metavar="DIR", help="Folder of the new run; must not hold one yet.")]
+JsonOption = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
+]
+
+EXIT_INTERRUPTED = 4
+
+
+@app.callback(invoke_without_command=True)
+def tui(context: typer.Context) -> None:
+    """Without a command: the terminal application."""
+    if context.invoked_subcommand is None:
+        from cellapp.tui import run_app
+
+        raise typer.Exit(run_app())
+
+
+@app.command()
+def run(
+    profile: ProfilePath,
+    folder: Annotated[
+        Path | None, typer.Option("--run", metavar="DIR", help="Folder of the new run; else a new one below logs/.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report."""
+    from cellapp.reporting.tables import all_tables
+    from cellapp.whole import run_whole
+
+    with _Job(json_file) as job:
+        outcome = run_whole(profile, folder, job.listen, job.cancel)
+        job.show(all_tables(outcome.results))
+        job.say(*_sentences(outcome.results), *outcome.notes)
+        job.say(f"run: {outcome.folder}   report: {outcome.folder / 'report.html'}")
+        job.result({"schema": "cellapp-run", "version": 1, "run": str(outcome.folder), **outcome.results})
+
+
+@app.command()
+def doctor(profile: ProfilePath, json_file: JsonOption = None) -> None:
+    """What is reachable, what is missing, what would be refused; nothing moves."""
+    from cellapp.doctor import examine
+    from cellapp.profile import load_profile
+
+    with _Job(json_file) as job:
+        findings = examine(load_profile(profile))
+        for finding in findings:
+            job.say(f"{finding.status:8} {finding.subject}: {finding.text}")
+        rows = [{"subject": f.subject, "status": f.status, "text": f.text} for f in findings]
+        job.result({"schema": "cellapp-doctor", "version": 1, "findings": rows})
+        failed = sum(finding.status == "failed" for finding in findings)
+        if failed:
+            raise CheckFailed(f"{failed} of {len(findings)} checks failed")
+
+
+@app.command()
+def plan(profile: ProfilePath, folder: NewRun, json_file: JsonOption = None) -> None:
+    """Plan the stops of a new run: seen by the tracker, safe to stand at and to reach."""
+    from cellapp.planning.plan import plan_run
+    from cellapp.profile import load_profile
+    from cellapp.run import RunFile
+
+    with _Job(json_file) as job:
+        with RunFile.create(folder, load_profile(profile)) as new:
+            plans = plan_run(new, job.listen, job.cancel)
+        counts = {name: len(rows) for name, rows in plans.items()}
+        job.say(*(f"arm {name}: {count} stops planned" for name, count in counts.items()))
+        job.result({"schema": "cellapp-plan", "version": 1, "run": str(folder), "stops": counts})
+
+
+@app.command()
+def collect(
+    folder: RunFolder,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a run that was interrupted.")] = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Drive the planned stops and measure; every stop is committed before the next move."""
+    from cellapp.collection.collect import collect_run
+
+    with _Job(json_file) as job, _open_run(folder, write=True) as opened:
+        notes = collect_run(opened, job.listen, job.cancel, resume=resume)
+        stops = len(opened.stops_done())
+        job.say(f"{stops} stops stored", *notes)
+        job.result({"schema": "cellapp-collect", "version": 1, "stops": stops, "notes": list(notes)})
+
+
+@app.command("import")
+def import_(
+    profile: ProfilePath,
+    csv: Annotated[Path, typer.Argument(metavar="CSV", help="Readings; see the README for the columns.")],
+    folder: NewRun,
+    json_file: JsonOption = None,
+) -> None:
+    """Make a run from readings that were measured elsewhere."""
+    from cellapp.profile import load_profile
+    from cellapp.run import import_csv
+
+    with _Job(json_file) as job:
+        with import_csv(load_profile(profile), csv, folder) as new:
+            counts = {name: len(new.readings(name)) for name in new.arms()}
+            notes = [event.text for event in new.events()]
+        job.say(*(f"arm {name}: {count} readings" for name, count in counts.items()), *notes)
+        result = {"schema": "cellapp-import", "version": 1, "run": str(folder), "readings": counts, "notes": notes}
+        job.result(result)
+
+
+@app.command()
+def export(
+    folder: RunFolder,
+    csv: Annotated[Path, typer.Option("--csv", metavar="FILE", help="Where to write the readings.")],
+    json_file: JsonOption = None,
+) -> None:
+    """Write the readings of a run as CSV; importing it again gives the same readings bit for bit."""
+    from cellapp.run import write_readings_csv
+
+    with _Job(json_file) as job, _open_run(folder) as opened:
+        write_readings_csv(opened, csv)
+        counts = {name: len(opened.readings(name)) for name in opened.arms()}
+        job.say(*(f"arm {name}: {count} readings" for name, count in counts.items()), f"written to {csv}")
+        job.result({"schema": "cellapp-export", "version": 1, "csv": str(csv), "readings": counts})
+
+
+@app.command()
+def calibrate(
+    folder: RunFolder,
+    parameters: Annotated[bool, typer.Option("--parameters", help="Show the identified parameters too.")] = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Identify arms and pair, evaluate on held-out stops, write calibration.json."""
+    from cellapp.calibration.calibrate import calibrate_run
+    from cellapp.reporting.tables import calibration_tables, parameter_tables
+
+    with _Job(json_file) as job, _open_run(folder, write=True) as opened:
+        result = calibrate_run(opened, job.listen, job.cancel).as_dict()
+        job.show(calibration_tables(result))
+        if parameters:
+            job.show(parameter_tables(result))
+            job.say(*_merged(result))
+        job.say(*result["notes"])
+        job.result(result)
+
+
+@app.command()
+def discover(folder: RunFolder, json_file: JsonOption = None) -> None:
+    """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink."""
+    from cellapp.discovery.discover import as_dict, discover_run
+    from cellapp.reporting.tables import discovery_tables
+
+    with _Job(json_file) as job, _open_run(folder, write=True) as opened:
+        result = as_dict(discover_run(opened, job.listen, job.cancel))
+        job.show(discovery_tables(result))
+        job.say(*_sentences({"discover": result}))
+        job.result(result)
+
+
+@app.command()
+def compensate(
+    folder: RunFolder,
+    targets: Annotated[Path, typer.Argument(metavar="TARGETS", help="Target list, YAML.")],
+    json_file: JsonOption = None,
+) -> None:
+    """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
+    from cellapp.compensation.targets import load_targets
+    from cellapp.whole import compensate_run
+
+    with _Job(json_file) as job, _open_run(folder, write=True) as opened:
+        result = compensate_run(opened, load_targets(targets, opened.profile))
+        refused = [entry for entry in result["targets"] if entry["refusal"]]
+        job.say(f"{len(result['targets']) - len(refused)} of {len(result['targets'])} targets compensated")
+        job.say(*(f"target {entry['name']}: {entry['refusal']}" for entry in refused))
+        job.result(result)
+
+
+@app.command()
+def push(
+    folder: RunFolder,
+    targets: Annotated[Path, typer.Argument(metavar="TARGETS", help="Target list, YAML.")],
+    verify: Annotated[bool, typer.Option("--verify", help="Measure where the SMR really goes.")] = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Move the arms to compensated targets; with --verify, measure them before and after compensation."""
+    from cellapp.compensation.targets import load_targets
+    from cellapp.reporting.tables import verification_tables
+    from cellapp.whole import VERIFY_RESULT, push_run, stored_results
+
+    with _Job(json_file) as job, _open_run(folder, write=True) as opened:
+        notes = push_run(opened, load_targets(targets, opened.profile), job.listen, job.cancel, verify=verify)
+        result = stored_results(opened)[VERIFY_RESULT]
+        job.show(verification_tables(result))
+        job.say(*notes)
+        job.result(result)
+
+
+@app.command()
+def report(folder: RunFolder, json_file: JsonOption = None) -> None:
+    """Write report.html, one page that needs nothing else, into the run's folder."""
+    from cellapp.reporting.page import write_page
+    from cellapp.reporting.tables import all_tables
+    from cellapp.whole import stored_results
+
+    with _Job(json_file) as job, _open_run(folder) as opened:
+        path = write_page(opened)
+        results = stored_results(opened)
+        job.show(all_tables(results))
+        job.say(f"written: {path}")
+        job.result({"schema": "cellapp-report", "version": 1, "page": str(path), **results})
+
+
+@app.command()
+def emulate(profile: ProfilePath) -> None:
+    """Serve emulated controllers of this cell on loopback until interrupted."""
+    from cellapp.emulate import emulate as serve
+    from cellapp.profile import load_profile
+
+    with _Job(None) as job:
+        for line in serve(load_profile(profile), job.cancel):
+            job.say(line)
+
+
+@trials_app.command("coverage")
+def trials_coverage(
+    profile: ProfilePath,
+    n: Annotated[int, typer.Option("--n", min=2, help="Simulated runs.")] = 200,
+    stops: Annotated[int, typer.Option("--stops", min=20, help="Stops each is identified from.")] = 100,
+    json_file: JsonOption = None,
+) -> None:
+    """How often the stated 95 % intervals hold the truth, over many simulated arms."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.coverage import coverage
+
+    with _Job(json_file) as job:
+        loaded = load_profile(profile)
+        results = {}
+        for arm in loaded.arms:
+            result = coverage(loaded, arm, n, stops, job.listen, job.cancel)
+            results[arm] = result.as_dict()
+            job.say(
+                f"arm {arm}: {100 * result.share:.2f} % of {result.intervals} stated 95 % intervals hold the truth"
+                f" ({result.runs} runs; by parameter {100 * min(result.by_parameter.values()):.1f} to"
+                f" {100 * max(result.by_parameter.values()):.1f} %)"
+            )
+        job.result({"schema": "cellapp-trials-coverage", "version": 1, "arms": results})
+
+
+@trials_app.command("parameter-sets")
+def trials_parameter_sets(
+    profile: ProfilePath,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated arms.")] = 5,
+    json_file: JsonOption = None,
+) -> None:
+    """The paper's comparison: redundant, paper's and identifiable set; iterations, mean and maximum error."""
+    from cellapp.profile import load_profile
+    from cellapp.reporting.tables import parameter_set_table
+    from cellapp.trials.parameter_sets import compare_parameter_sets
+
+    with _Job(json_file) as job:
+        loaded = load_profile(profile)
+        results = {}
+        for arm in loaded.arms:
+            trials = compare_parameter_sets(loaded, arm, range(seeds), listener=job.listen, cancel=job.cancel)
+            results[arm] = [trial.as_dict() for trial in trials]
+            job.show([parameter_set_table(arm, results[arm])])
+        job.result({"schema": "cellapp-trials-parameter-sets", "version": 1, "arms": results})
+
+
+def main() -> None:
+    """The program: errors become one sentence and an exit code."""
+    try:
+        app()
+    except Cancelled as error:
+        _complain(f"{error}; what was committed is kept: go on with 'cellapp collect DIR --resume'")
+        sys.exit(EXIT_INTERRUPTED)
+    except CellappError as error:
+        _complain(str(error))
+        sys.exit(error.exit_code)
+    except BrokenPipeError:  # the reader of our output went away
+        sys.stderr.close()
+        sys.exit(0)
+    except Exception as error:  # noqa: BLE001 - the last door: a person gets a sentence, the trace goes to a file
+        log = Path("cellapp-error.log")
+        with contextlib.suppress(OSError):
+            log.write_text(traceback.format_exc(), encoding="utf-8")
+        _complain(f"unexpected {type(error).__name__}: {error}; please report it with {log} from this folder")
+        sys.exit(1)
+
+
+class _Job:
+    """One command: its progress bars, its cancel token on Ctrl-C, its tables and its JSON."""
+
+    def __init__(self, json_file: str | None) -> None:
+        self._json_file = json_file
+        self.cancel = CancelToken()
+        self._bars: Any = None
+        self._tasks: dict[str, Any] = {}
+        self._before: dict[int, Any] = {}
+        self._began = time.monotonic()
+
+    def __enter__(self) -> _Job:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._interrupt)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._bars is not None:
+            self._bars.stop()
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _interrupt(self, number: int, frame: object) -> None:
+        if self.cancel.cancelled:
+            raise Cancelled("stopped at once")
+        self.cancel.cancel()
+        print("stopping at the next step; once more to stop at once", file=sys.stderr)
+
+    def listen(self, event: Progress) -> None:
+        """Draw one bar a job on standard error."""
+        if self._bars is None:
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import Progress as Bars
+
+            self._bars = Bars(
+                TextColumn("{task.description:12}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                TextColumn("{task.fields[note]}"),
+                console=Console(stderr=True),
+            )
+            self._bars.start()
+        if event.job not in self._tasks:
+            self._tasks[event.job] = self._bars.add_task(event.job, total=event.total, note="")
+        self._bars.update(self._tasks[event.job], completed=event.done, total=event.total, note=event.note)
+
+    def say(self, *lines: str) -> None:
+        """Lines for the person: on standard output, unless that carries the JSON."""
+        self._stop_bars()
+        for line in lines:
+            print(line, file=sys.stderr if self._json_file == "-" else sys.stdout)
+
+    def show(self, tables: Sequence[Table]) -> None:
+        """Tables for the person."""
+        from rich import box
+        from rich.console import Console
+        from rich.table import Table as RichTable
+        from rich.text import Text
+
+        self._stop_bars()
+        console = Console(stderr=self._json_file == "-")
+        for table in tables:
+            drawn = RichTable(title=Text(table.title), title_justify="left", box=box.SIMPLE_HEAD)
+            for place, column in enumerate(table.columns):
+                drawn.add_column(Text(column), justify="left" if place == 0 else "right", no_wrap=place == 0)
+            for row in table.rows:
+                drawn.add_row(*(Text(cell) for cell in row))
+            console.print(drawn)
+
+    def result(self, content: dict[str, Any]) -> None:
+        """Write the JSON, if it was asked for."""
+        if self._json_file is None:
+            return
+        text = json.dumps(content, indent=1) + "\n"
+        if self._json_file == "-":
+            sys.stdout.write(text)
+            return
+        try:
+            Path(self._json_file).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise CellappError(f"--json: {self._json_file} cannot be written ({error.strerror})") from None
+
+    def _stop_bars(self) -> None:
+        if self._bars is not None:
+            self._bars.stop()
+            self._bars, self._tasks = None, {}
+
+
+@contextlib.contextmanager
+def _open_run(folder: Path, *, write: bool = False) -> Iterator[RunFile]:
+    from cellapp.run import RunFile
+
+    with RunFile.open(folder, write=write) as opened:
+        yield opened
+
+
+def _sentences(results: Any) -> list[str]:
+    discovered = results.get("discover", {"arms": {}})
+    return [arm["sentence"] for arm in discovered["arms"].values()]
+
+
+def _merged(result: dict[str, Any]) -> list[str]:
+    lines = []
+    for name, arm in result["arms"].items():
+        for parameter, shares in arm["merged"].items():
+            into = ", ".join(f"{share:+.4g} {kept}" for kept, share in shares.items()) or "nothing: no effect here"
+            lines.append(f"arm {name}: {parameter} is merged into {into}")
+    return lines
+
+
+def _complain(text: str) -> None:
+    print(f"cellapp: {text}", file=sys.stderr)

@@ -1,0 +1,133 @@
+"""The verb: stand in for the UR controllers of a profile, so that ``doctor`` can be tried without them."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+
+from cellapp.errors import HardwareError, InputError
+from cellapp.profile import Arm, Profile
+from cellapp.progress import CancelToken
+from drivers.emulators.ur_dashboard import (
+    DASHBOARD_PORT,
+    PRIMARY_PORT,
+    Personality,
+    UrDashboardEmulator,
+)
+
+_STEP_S = 0.2
+_CB3_MODELS = ("UR3", "UR5", "UR10")
+
+
+@dataclass(frozen=True)
+class EmulatedArm:
+    """Which arm is stood in for, by which controller, and where that listens."""
+
+    arm: str
+    controller: Personality
+    host: str
+    dashboard_port: int
+    primary_port: int
+
+    def __str__(self) -> str:
+        return (
+            f"arm {self.arm}: {self.controller.model} ({self.controller.series}), serial {self.controller.serial},"
+            f" at {self.host}: dashboard {self.dashboard_port}, primary {self.primary_port}"
+        )
+
+
+def emulated_arms(profile: Profile) -> list[EmulatedArm]:
+    """The stand-ins that a profile asks for, on the standard ports.
+
+    An arm of kind ``ur`` is stood in for where its host is a loopback address, a simulated one on 127.0.0.2, 127.0.0.3
+    and so on; the others are left to their own controllers.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to stand in for, two arms share an address, or an arm is not a UR with six joints.
+    """
+    hosts: dict[str, str] = {}
+    for name, arm in profile.arms.items():
+        if arm.driver.kind == "ur":
+            host = _loopback(arm.driver.host)
+            if host is not None and host in hosts.values():
+                raise InputError(f"arms.{name}.driver.host: {host} is another arm's; give each its own, as 127.0.0.2")
+            if host is not None:
+                hosts[name] = host
+    free = (f"127.0.0.{number}" for number in range(2, 255) if f"127.0.0.{number}" not in hosts.values())
+    simulated = [name for name, arm in profile.arms.items() if arm.driver.kind == "simulated"]
+    hosts |= dict(zip(simulated, free, strict=False))
+    if not hosts:
+        raise InputError(
+            f"profile {profile.name}: nothing to stand in for; needed is an arm whose driver is 'simulated', or 'ur'"
+            " with a loopback address such as 127.0.0.2 for its host"
+        )
+    return [
+        EmulatedArm(name, _controller(name, arm, number), hosts[name], DASHBOARD_PORT, PRIMARY_PORT)
+        for number, (name, arm) in enumerate(profile.arms.items(), start=1)
+        if name in hosts
+    ]
+
+
+def emulate(
+    profile: Profile,
+    cancel: CancelToken,
+    announce: Callable[[Sequence[EmulatedArm]], None],
+    arms: Sequence[EmulatedArm] | None = None,
+) -> None:
+    """Stand in for the controllers of a profile until ``cancel``; all ports are free again when this returns.
+
+    ``announce`` is called once, when all listen, with the addresses. ``arms`` replaces what ``emulated_arms`` would
+    choose; a port 0 in it takes a free one.
+
+    Raises
+    ------
+    InputError
+        As ``emulated_arms``.
+    HardwareError
+        If a port is in use or an address cannot be had.
+    """
+    chosen = emulated_arms(profile) if arms is None else arms
+    with ExitStack() as stack:
+        listening = []
+        for arm in chosen:
+            emulator = UrDashboardEmulator(arm.controller, arm.host, arm.dashboard_port, arm.primary_port)
+            try:
+                stack.enter_context(emulator)
+            except OSError as error:
+                raise HardwareError(
+                    f"arm {arm.arm}: {error.strerror}; see whether another emulator or simulator runs here. On macOS,"
+                    f" addresses other than 127.0.0.1 must be added first: ifconfig lo0 alias {arm.host}"
+                ) from error
+            dashboard, primary = emulator.dashboard_port, emulator.primary_port
+            listening.append(replace(arm, dashboard_port=dashboard, primary_port=primary))
+        announce(listening)
+        while not cancel.wait(_STEP_S):  # in steps, so that Ctrl-C is heard
+            pass
+
+
+def _loopback(host: str) -> str | None:
+    """The address of a host that is this machine, else None."""
+    if host == "localhost":
+        return "127.0.0.1"
+    try:
+        return host if ipaddress.IPv4Address(host).is_loopback else None
+    except ValueError:
+        return None
+
+
+def _controller(name: str, arm: Arm, number: int) -> Personality:
+    model = arm.type.model.strip()
+    joints = arm.type.joints
+    if not model.upper().startswith("UR") or len(joints) != 6:
+        raise InputError(f"arms.{name}.type: '{model}' with {len(joints)} joints is no UR; only those are stood in for")
+    serial = arm.driver.serial if arm.driver.kind == "ur" else None
+    return Personality(
+        series="CB3" if model.upper() in _CB3_MODELS else "e-Series",
+        model=model.removesuffix("e").removesuffix("E"),  # controllers leave it out
+        serial=serial or f"2015990000{number}",
+        rows=tuple((joint.theta, joint.d, joint.a, joint.alpha) for joint in joints),
+    )

@@ -1,0 +1,111 @@
+"""Do the stated intervals hold what they say? Many simulated arms, each with its own true geometry and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from cellapp.calibration.identification import identify, start_from_nominal
+from cellapp.calibration.setup import nominal_arm
+from cellapp.collection.cell import build_plant
+from cellapp.planning.plan import plan_stops
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How often the 95 % intervals held the truth.
+
+    Attributes
+    ----------
+    runs, intervals : int
+        Simulated runs and intervals in all.
+    share : float
+        Of intervals that held the truth.
+    by_parameter : mapping
+        Parameter -> share of runs.
+    scatter : float
+        Mean of the root of chi-square per degree of freedom: 1 when the tracker's law is the true one.
+    """
+
+    runs: int
+    intervals: int
+    share: float
+    by_parameter: Mapping[str, float]
+    scatter: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """The object that ``--json`` writes."""
+        return {
+            "schema": "cellapp-trials-coverage",
+            "version": 1,
+            "runs": self.runs,
+            "intervals": self.intervals,
+            "share": self.share,
+            "by_parameter": dict(self.by_parameter),
+            "scatter": self.scatter,
+        }
+
+
+def bare_profile(profile: Profile, stops: int, *, plant_seed: int | None = None) -> Profile:
+    """The profile with ``stops`` stops and no hidden effects; every true geometry is drawn anew by ``plant_seed``."""
+    if profile.plant is None:
+        raise ValueError("trials need a profile with a simulated cell")
+    plant = profile.plant.model_copy(
+        update={"effects": {}, "seed": profile.plant.seed if plant_seed is None else plant_seed}
+    )
+    plan = profile.plan.model_copy(update={"stops": stops})
+    return profile.model_copy(update={"plant": plant, "plan": plan})
+
+
+def coverage(
+    profile: Profile,
+    arm: str,
+    runs: int,
+    stops: int = 100,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> Coverage:
+    """Identify ``runs`` simulated arms from the same ``stops`` and count how often 95 % intervals hold the truth.
+
+    The truth of the identified parameters is what the noise-free positions of the same plant give: parameters that are
+    merged into others have no truth of their own.
+    """
+    cancel = cancel or CancelToken()
+    nominal = nominal_arm(profile.arms[arm])
+    q = plan_stops(bare_profile(profile, stops))[arm]
+    inside = []
+    scatter = []
+    names: tuple[str, ...] = ()
+    chosen = None
+    for k in range(runs):
+        cancel.check()
+        if k % 10 == 0:
+            listener(Progress("coverage", k, runs))
+        plant = build_plant(bare_profile(profile, stops, plant_seed=k))
+        exact = plant.smr_positions(arm, q)
+        noisy, covariance = plant.measure_positions(exact, np.random.default_rng([profile.seed, 0xC0, k]))
+        start = start_from_nominal(nominal, q, noisy, tool_unknown=False)
+        estimate = identify(start, q, noisy, sigma=covariance, parameter_set=chosen or "auto", tolerance=1e-10)
+        chosen = estimate.parameter_set
+        truth = identify(start, q, exact, sigma=covariance, parameter_set=chosen, tolerance=1e-12)
+        if np.abs(truth.residuals).max() > 1e-8:
+            raise ValueError(f"the {chosen.name} model does not fit noise-free positions: {truth.message}")
+        limit = student.ppf(0.975, estimate.degrees_of_freedom)
+        inside.append(np.abs(estimate.values - truth.values) <= limit * estimate.standard_errors)
+        scatter.append(estimate.scale)
+        names = estimate.names
+    held = np.array(inside)
+    listener(Progress("coverage", runs, runs, "done"))
+    return Coverage(
+        runs=runs,
+        intervals=held.size,
+        share=float(held.mean()),
+        by_parameter=dict(zip(names, held.mean(axis=0).tolist(), strict=True)),
+        scatter=float(np.mean(scatter)),
+    )

@@ -1,0 +1,127 @@
+"""The paper's comparison of the redundant with the reduced model: iterations, mean and maximum error.
+
+Two solvers are shown. ``plain`` is the paper's: Gauss-Newton by unscaled least squares that trusts every direction,
+stopped at |dg| < 1e-5 or after 1000 iterations; on the redundant model its steps along what the data cannot tell never
+end. ``cellapp`` is this program's, which takes the shortest step where the normal matrix is singular.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from cellapp.calibration.evaluation import position_errors, summarise
+from cellapp.calibration.identification import identify, start_from_nominal
+from cellapp.calibration.parameters import ParameterSet, auto_set, full_set, paper_set
+from cellapp.calibration.setup import nominal_arm
+from cellapp.collection.cell import build_plant
+from cellapp.kinematics.chain import Geometry, Turns, jacobian, smr_positions
+from cellapp.kinematics.transforms import Array
+from cellapp.planning.plan import plan_stops
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.trials.coverage import bare_profile
+
+PAPER_TOLERANCE = 1e-5
+PAPER_ITERATIONS = 1000
+
+
+@dataclass(frozen=True)
+class SetTrial:
+    """One parameter set with one solver: median over seeds, and how often it converged."""
+
+    parameter_set: str
+    solver: str
+    parameters: int
+    iterations: float
+    converged: int
+    seeds: int
+    mean_mm: float
+    max_mm: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def plain_gauss_newton(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> tuple[Geometry, int, bool]:
+    """The paper's iteration, without any guard against dependent columns, until |dg| < 1e-5.
+
+    Returns the last finite geometry, the iterations and whether it converged.
+    """
+    geometry, turns, measured = start, Turns.of(q), p_M.T
+    columns = list(chosen.columns)
+    for iteration in range(1, PAPER_ITERATIONS + 1):
+        P, J = jacobian(geometry, turns, chosen.columns)
+        rows = J.transpose(0, 2, 1).reshape(-1, len(columns))
+        step = np.linalg.lstsq(rows, (measured - P).ravel(), rcond=-1.0)[0]
+        vector = geometry.vector()
+        vector[columns] += step
+        if not np.isfinite(vector).all():
+            return geometry, iteration, False
+        geometry = geometry.with_vector(vector)
+        if np.linalg.norm(step) < PAPER_TOLERANCE:
+            return geometry, iteration, True
+    return geometry, PAPER_ITERATIONS, False
+
+
+def compare_parameter_sets(
+    profile: Profile,
+    arm: str,
+    seeds: Sequence[int],
+    identify_stops: int = 100,
+    validate_stops: int = 100,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> list[SetTrial]:
+    """Both solvers on the full, the paper's and the automatic set, over simulated arms of several seeds."""
+    cancel = cancel or CancelToken()
+    nominal = nominal_arm(profile.arms[arm])
+    stops = identify_stops + validate_stops
+    q = plan_stops(bare_profile(profile, stops))[arm]
+    here, held_out = q[:identify_stops], q[identify_stops:]
+    results: dict[tuple[str, str], list[tuple[int, int, bool, float, float]]] = {}
+    for done, seed in enumerate(seeds):
+        cancel.check()
+        listener(Progress("parameter sets", done, len(seeds), f"seed {seed}"))
+        plant = build_plant(bare_profile(profile, stops, plant_seed=seed))
+        noisy, _ = plant.measure_positions(plant.smr_positions(arm, q), np.random.default_rng([profile.seed, seed]))
+        start = start_from_nominal(nominal, here, noisy[:identify_stops], tool_unknown=False)
+        sets = [full_set(start), auto_set(start, here)]
+        if nominal.joints == 6:
+            sets.insert(1, paper_set(start))
+        for chosen in sets:
+            geometry, iterations, converged = plain_gauss_newton(start, here, noisy[:identify_stops], chosen)
+            ours = identify(
+                start,
+                here,
+                noisy[:identify_stops],
+                parameter_set=chosen,
+                tolerance=PAPER_TOLERANCE,
+                max_iterations=PAPER_ITERATIONS,
+            )
+            for solver, found, steps, ended in (
+                ("plain", geometry, iterations, converged),
+                ("cellapp", ours.geometry, ours.iterations, ours.converged),
+            ):
+                error = summarise(position_errors(noisy[identify_stops:], smr_positions(found, held_out)))
+                results.setdefault((chosen.name, solver), []).append(
+                    (len(chosen.columns), steps, ended, error.mean, error.max)
+                )
+    listener(Progress("parameter sets", len(seeds), len(seeds), "done"))
+    return [
+        SetTrial(
+            parameter_set=name,
+            solver=solver,
+            parameters=rows[0][0],
+            iterations=float(np.median([row[1] for row in rows])),
+            converged=sum(row[2] for row in rows),
+            seeds=len(rows),
+            mean_mm=float(np.median([row[3] for row in rows])),
+            max_mm=float(np.median([row[4] for row in rows])),
+        )
+        for (name, solver), rows in results.items()
+    ]

@@ -1,0 +1,365 @@
+"""Asking a UR controller: what it says is read rightly, nothing but questions is sent, and no host can hold us up."""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.arms.protocol import ArmError, LinkLost
+from drivers.arms.ur import UrProbe, open_ur_arm, parse_kinematics, probe_ur
+from drivers.emulators.ur_dashboard import Fault, Personality, UrDashboardEmulator, personality, robot_state
+
+PATIENT_S = 10.0
+SHORT_S = 0.3
+QUESTIONS = {
+    "PolyscopeVersion",
+    "get robot model",
+    "get serial number",
+    "robotmode",
+    "safetymode",
+    "safetystatus",
+    "running",
+    "is in remote control",
+}
+CB3 = personality("CB3", "UR10", "20153012345")
+E_SERIES = personality("e-Series", "UR5", "20205501234")
+
+
+@contextmanager
+def open_port() -> Iterator[int]:
+    """A port that accepts connections and says nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+@contextmanager
+def closed_port() -> Iterator[int]:
+    """A port that is taken, so that nobody else gets it, but does not listen."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        yield taken.getsockname()[1]
+
+
+@contextmanager
+def dashboard_that_says(data: bytes) -> Iterator[int]:
+    """A port that sends ``data`` to its first client and then closes."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(PATIENT_S)
+
+        def serve() -> None:
+            link, _ = server.accept()
+            with link:
+                link.settimeout(PATIENT_S)
+                link.sendall(data)
+                link.shutdown(socket.SHUT_WR)
+                while link.recv(4096):
+                    pass
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield server.getsockname()[1]
+        thread.join(PATIENT_S)
+        assert not thread.is_alive()
+
+
+def ask(emulator: UrDashboardEmulator, timeout_s: float = PATIENT_S) -> UrProbe:
+    """Probe an emulator, with an open script port and a closed RTDE port."""
+    with open_port() as script, closed_port() as rtde:
+        return probe_ur(
+            emulator.host,
+            timeout_s,
+            dashboard_port=emulator.dashboard_port,
+            primary_port=emulator.primary_port,
+            script_port=script,
+            rtde_port=rtde,
+        )
+
+
+def lost(dashboard_port: int, timeout_s: float = PATIENT_S, host: str = "127.0.0.1") -> str:
+    """The message of a probe that finds no dashboard; the other ports are closed."""
+    with closed_port() as first, closed_port() as second, closed_port() as third, pytest.raises(LinkLost) as caught:
+        probe_ur(
+            host,
+            timeout_s,
+            dashboard_port=dashboard_port,
+            primary_port=first,
+            script_port=second,
+            rtde_port=third,
+        )
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("controller", "software", "full_model"),
+    [(CB3, "3.15.8.106339", "UR10"), (E_SERIES, "5.11.1.1108318", "UR5e")],
+    ids=["CB3", "e-Series"],
+)
+def test_a_controller_tells_who_and_how_it_is(controller: Personality, software: str, full_model: str) -> None:
+    with UrDashboardEmulator(controller) as emulator:
+        said = ask(emulator)
+    assert (said.software, said.series, said.full_model) == (software, controller.series, full_model)
+    assert (said.model, said.serial) == (controller.model, controller.serial)
+    assert (said.robot_mode, said.safety_mode, said.program_running) == ("RUNNING", "NORMAL", False)
+    e_series = controller.series == "e-Series"
+    assert said.remote_control is (True if e_series else None)
+    assert said.safety_status == ("NORMAL" if e_series else None)
+    assert list(said.ports.values()) == [True, True, False]
+    assert said.greeting == "Connected: Universal Robots Dashboard Server"
+    assert said.kinematics is not None
+    assert said.kinematics.rows.tolist() == [list(row) for row in controller.rows]
+    assert said.kinematics_note == ""
+
+
+def test_only_questions_are_sent() -> None:
+    for controller in (CB3, E_SERIES):
+        with UrDashboardEmulator(controller) as emulator:
+            ask(emulator)
+            sent = set(emulator.received)
+        assert sent - QUESTIONS == set()
+        assert {"PolyscopeVersion", "safetymode"} <= sent
+
+
+def test_states_other_than_ready_are_told_as_they_are() -> None:
+    stopped = replace(
+        E_SERIES, robot_mode="POWER_OFF", safety_mode="PROTECTIVE_STOP", remote_control=False, program_running=True
+    )
+    with UrDashboardEmulator(E_SERIES) as emulator:
+        emulator.personality = stopped
+        said = ask(emulator)
+    assert (said.robot_mode, said.safety_mode) == ("POWER_OFF", "PROTECTIVE_STOP")
+    assert said.remote_control is False
+    assert said.program_running is True
+
+
+def test_calibrated_kinematics_come_with_their_checksums() -> None:
+    rows = tuple((1e-4 * i, d + 1e-3 * i, a - 2e-4, alpha + 3e-5) for i, (_, d, a, alpha) in enumerate(CB3.rows))
+    calibrated = replace(CB3, rows=rows, checksums=(1, 2, 3, 4, 5, 0xDEADBEEF), calibration_status=2)
+    with UrDashboardEmulator(calibrated) as emulator:
+        found = ask(emulator).kinematics
+    assert found is not None
+    assert found.rows.tolist() == [list(row) for row in rows]
+    assert (found.checksums, found.status) == ((1, 2, 3, 4, 5, 0xDEADBEEF), 2)
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ("silent", "its greeting did not come in time"),
+        ("trickle", "its greeting did not come in time"),
+        ("refuse", "no connection to the UR dashboard"),
+        ("garbage", "what answers is no UR dashboard"),
+        ("flood", "longer than 4096 bytes"),
+    ],
+)
+def test_a_faulty_dashboard_is_named_in_bounded_time(fault: Fault, expected: str) -> None:
+    timeout_s = SHORT_S if fault in ("silent", "trickle") else PATIENT_S
+    began = time.monotonic()
+    with UrDashboardEmulator(CB3) as emulator:
+        emulator.fail(fault)
+        message = lost(emulator.dashboard_port, timeout_s)
+        assert time.monotonic() - began < PATIENT_S
+        assert f"127.0.0.1:{emulator.dashboard_port}: " in message
+        assert expected in message
+        emulator.fail("none")
+        assert ask(emulator).model == "UR10"
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ("silent", "no kinematics came in time"),
+        ("trickle", "no UR packages"),  # five zero bytes are a package of no size
+        ("refuse", "no connection"),
+        ("garbage", "no UR packages"),
+        ("flood", "no UR packages"),
+    ],
+)
+def test_a_faulty_primary_port_costs_only_the_kinematics(fault: Fault, expected: str) -> None:
+    with UrDashboardEmulator(CB3) as emulator:
+        emulator.fail(fault, ["primary"])
+        said = ask(emulator, 1.0)
+        primary = emulator.primary_port
+    assert said.model == "UR10"
+    assert said.ports[primary] is (fault != "refuse")
+    assert said.kinematics is None
+    assert expected in said.kinematics_note
+
+
+def test_other_open_ports_are_named_when_the_dashboard_is_closed() -> None:
+    with UrDashboardEmulator(CB3) as emulator:
+        emulator.fail("refuse", ["dashboard"])
+        with pytest.raises(LinkLost, match=rf"Other UR ports .*\({emulator.primary_port}, \d+\).*switched on"):
+            ask(emulator)
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (b"", "closed the connection before its greeting"),
+        (b"Connected: Universal Robots Dashboard", "closed the connection before its greeting"),
+        (b"SSH-2.0-OpenSSH_9\r\n", "greets with 'SSH-2.0-OpenSSH_9'"),
+        (b"\x1b[2J\x00\n", "greets with '?[2J?'"),
+        (b"\n\nConnected: Universal Robots Dashboard Server\n\nhello\n", "expected a PolyScope version"),
+        (b"Connected: Universal Robots Dashboard Server\n", "before the answer to 'PolyscopeVersion'"),
+        (b"Connected: Universal Robots Dashboard Server\n" + 5000 * b"5" + b"\n", "longer than 4096 bytes"),
+    ],
+)
+def test_what_is_no_dashboard_is_refused(data: bytes, expected: str) -> None:
+    with dashboard_that_says(data) as port:
+        assert expected in lost(port)
+
+
+def test_old_software_that_does_not_know_the_questions_is_still_probed() -> None:
+    unknown = b"could not understand\n"
+    lines = [b"Connected: Universal Robots Dashboard Server\n", b"3.0.15547, Jul 25 2014\n", unknown, unknown]
+    lines += [b"Robotmode: IDLE\n", b"Safetymode: NORMAL\n", unknown, b"Robot running: True\n"]
+    with (
+        dashboard_that_says(b"".join(lines)) as port,
+        closed_port() as a,
+        closed_port() as b,
+        closed_port() as c,
+    ):
+        said = probe_ur("127.0.0.1", PATIENT_S, dashboard_port=port, primary_port=a, script_port=b, rtde_port=c)
+    assert (said.software, said.series) == ("3.0.15547", "CB3")
+    assert (said.model, said.serial, said.safety_status, said.full_model) == (None, None, None, None)
+    assert (said.robot_mode, said.program_running) == ("IDLE", True)
+
+
+def test_a_host_that_does_not_exist_is_named() -> None:
+    assert "no-such-host.invalid: no IPv4 host of that name" in lost(1, host="no-such-host.invalid")
+    assert "host is empty" in lost(1, host=" ")
+    assert "no IPv4 host of that name" in lost(1, host="a" * 80)
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, -1.0, math.nan, math.inf])
+def test_a_timeout_must_be_a_time(timeout_s: float) -> None:
+    with pytest.raises(ValueError, match="timeout_s"):
+        probe_ur("127.0.0.1", timeout_s)
+
+
+def test_opening_an_arm_says_that_it_cannot() -> None:
+    with pytest.raises(ArmError, match=r"arm left at 192\.168\.0\.10: .*can examine a UR controller .* but not move"):
+        open_ur_arm("left", "192.168.0.10")
+
+
+# -- the primary interface's bytes ------------------------------------------------------------------------------------
+
+
+def sub_package(kind: int, payload: bytes) -> bytes:
+    return struct.pack(">IB", 5 + len(payload), kind) + payload
+
+
+KINEMATICS = robot_state(CB3)[5:]
+
+
+def test_the_kinematics_sub_package_has_its_published_size_and_order() -> None:
+    assert struct.unpack_from(">IB", KINEMATICS) == (225, 5)
+    assert struct.unpack_from(">6d", KINEMATICS, 5 + 24 + 48)[1:3] == (-0.612, -0.5723)  # a after theta
+    assert struct.unpack_from(">6d", KINEMATICS, 5 + 24 + 96)[0] == 0.1273
+
+
+@given(
+    before=st.lists(st.tuples(st.integers(6, 255), st.binary(max_size=60)), max_size=5),
+    appended=st.binary(max_size=20),
+)
+def test_unknown_sub_packages_and_appended_fields_are_skipped(before: list[tuple[int, bytes]], appended: bytes) -> None:
+    longer = sub_package(5, KINEMATICS[5:] + appended)
+    found = parse_kinematics(b"".join(sub_package(kind, payload) for kind, payload in before) + longer)
+    assert found == parse_kinematics(KINEMATICS)
+    assert found is not None
+    assert found.d[0] == 0.1273
+
+
+@given(st.binary(max_size=400))
+def test_any_bytes_are_parsed_or_refused(state: bytes) -> None:
+    try:
+        found = parse_kinematics(state)
+    except ValueError:
+        return
+    assert found is None or len(state) >= 225
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"),
+    [
+        (KINEMATICS[:-1], "claims 225 bytes of 224"),
+        (struct.pack(">IB", 0, 7), "claims 0 bytes"),
+        (b"\x00\x00", "inside a sub-package's header"),
+        (sub_package(5, KINEMATICS[5:-4]), "have 221 bytes, expected 225"),
+        (sub_package(5, KINEMATICS[5:29] + struct.pack(">d", math.nan) + KINEMATICS[37:]), "not a finite number"),
+    ],
+)
+def test_broken_packages_are_refused(state: bytes, expected: str) -> None:
+    with pytest.raises(ValueError, match=expected):
+        parse_kinematics(state)
+
+
+# -- the emulator -----------------------------------------------------------------------------------------------------
+
+
+def talk(emulator: UrDashboardEmulator, *lines: str) -> list[str]:
+    """Greeting and answers of the dashboard; the connection is closed by ``quit``."""
+    with socket.create_connection((emulator.host, emulator.dashboard_port), PATIENT_S) as link:
+        link.sendall("".join(f"{line}\n" for line in (*lines, "quit")).encode())
+        with link.makefile("r", encoding="utf-8") as answers:
+            return answers.read().splitlines()
+
+
+def test_the_emulator_answers_line_by_line_and_refuses_what_it_does_not_do() -> None:
+    with UrDashboardEmulator(CB3) as emulator:
+        assert talk(emulator, "robotmode", "is in remote control", "stop", "load /a b.urp", "stopp", "running") == [
+            "Connected: Universal Robots Dashboard Server",
+            "Robotmode: RUNNING",
+            "could not understand: 'is in remote control'",
+            "Failed to execute: stop",
+            "Failed to execute: load /a b.urp",
+            "could not understand: 'stopp'",
+            "Program running: false",
+            "Disconnected",
+        ]
+        emulator.personality = E_SERIES
+        assert talk(emulator, "is in remote control", "safetystatus")[1:-1] == ["true", "Safetystatus: NORMAL"]
+
+
+def test_the_emulator_serves_two_clients_at_once() -> None:
+    with UrDashboardEmulator(CB3) as emulator:
+        address = (emulator.host, emulator.dashboard_port)
+        with socket.create_connection(address, PATIENT_S) as idle, idle.makefile("r") as lines:
+            assert lines.readline().startswith("Connected")
+            assert talk(emulator, "get robot model")[1] == "UR10"
+
+
+def test_the_emulator_leaves_nothing_behind_and_can_start_again() -> None:
+    emulator = UrDashboardEmulator(CB3)
+    for _ in range(2):
+        before = threading.active_count()
+        with emulator, socket.create_connection((emulator.host, emulator.primary_port), PATIENT_S):
+            assert ask(emulator).model == "UR10"
+        assert threading.active_count() == before
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection((emulator.host, emulator.dashboard_port), PATIENT_S)
+        emulator.close()
+
+
+def test_the_emulator_stays_on_this_machine_and_names_a_port_in_use() -> None:
+    with pytest.raises(ValueError, match="beyond_loopback"):
+        UrDashboardEmulator(CB3, host="0.0.0.0")
+    with open_port() as taken, pytest.raises(OSError, match=rf"cannot listen on 127\.0\.0\.1:{taken}"):
+        UrDashboardEmulator(CB3, primary_port=taken).start()
+
+
+def test_an_emulated_controller_has_a_known_model_and_six_joints() -> None:
+    with pytest.raises(ValueError, match="known are UR10, UR5"):
+        personality("CB3", "UR7", "1")
+    with pytest.raises(ValueError, match="six joints"):
+        replace(CB3, rows=CB3.rows[:5])

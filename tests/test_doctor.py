@@ -1,0 +1,282 @@
+"""The doctor names every unmet point and never waits long; emulated controllers take the place of real ones."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cellapp.doctor import LONGEST_PROBE_S, Finding, examine
+from cellapp.emulate import EmulatedArm, emulate, emulated_arms
+from cellapp.errors import HardwareError, InputError
+from cellapp.profile import Profile, load_profile
+from cellapp.progress import CancelToken
+from drivers.arms.protocol import LinkLost
+from drivers.arms.ur import UrProbe, probe_ur
+from drivers.emulators.ur_dashboard import UrDashboardEmulator, personality
+
+PROFILES = Path(__file__).parents[1] / "profiles"
+PATIENT_S = 10.0
+READY = UrProbe(
+    host="192.168.0.10",
+    greeting="Connected: Universal Robots Dashboard Server",
+    software="3.15.8.106339",
+    series="CB3",
+    model="UR10",
+    serial="20153012345",
+    robot_mode="RUNNING",
+    safety_mode="NORMAL",
+    safety_status=None,
+    remote_control=None,
+    program_running=False,
+    ports={30001: True, 30003: True, 30004: True},
+    kinematics=None,
+    kinematics_note="not asked",
+)
+
+
+def change(profile: Profile, arm: str, **changes: object) -> Profile:
+    """A profile with another driver section or the like for one arm."""
+    changed = profile.arms[arm].model_copy(update=changes)
+    return profile.model_copy(update={"arms": {**profile.arms, arm: changed}})
+
+
+def with_driver(profile: Profile, arm: str, **changes: object) -> Profile:
+    return change(profile, arm, driver=profile.arms[arm].driver.model_copy(update=changes))
+
+
+def findings(profile: Profile, said: Callable[[str, float], UrProbe] = probe_ur) -> dict[str, Finding]:
+    found = examine(profile, said)
+    assert len({finding.subject for finding in found}) == len(found)
+    return {finding.subject: finding for finding in found}
+
+
+@pytest.fixture
+def twin() -> Profile:
+    return load_profile(PROFILES / "twin.yaml")
+
+
+@pytest.fixture
+def real() -> Profile:
+    """The real cell, the left arm's serial number given."""
+    return with_driver(load_profile(PROFILES / "ur10-ur5.yaml"), "left", serial="20153012345")
+
+
+def one_ready(host: str, timeout_s: float) -> UrProbe:
+    return READY if host == "192.168.0.10" else replace(READY, host=host, model="UR5", serial="20153567890")
+
+
+def test_the_simulated_cell_is_sound(twin: Profile) -> None:
+    found = findings(twin)
+    assert {finding.status for finding in found.values()} == {"ok"}
+    assert {"arm left", "arm right", "home", "plant", "arm left: SMR", "arm right: SMR", "tracker"} <= set(found)
+
+
+def test_readings_from_a_file_need_no_device() -> None:
+    found = findings(load_profile(PROFILES / "ur10-real.yaml"))
+    assert found["arm left"].text == "no device: readings come from a file"
+    assert {finding.status for finding in found.values()} == {"ok"}
+
+
+def test_an_unsafe_home_is_refused(twin: Profile) -> None:
+    home = (0.0, 0.6, 0.0, -1.5, 0.0, 0.0)  # bent down into the floor
+    found = findings(change(twin, "left", home=home))["home"]
+    assert found.status == "failed"
+    assert "arm left" in found.text
+    assert "floor" in found.text
+
+
+def test_an_smr_that_looks_away_is_refused(twin: Profile) -> None:
+    assert twin.tracker.pose is not None
+    behind = twin.tracker.model_copy(update={"distance": (30.0, 40.0)})
+    found = findings(twin.model_copy(update={"tracker": behind}))
+    assert found["arm left: SMR"].status == "failed"
+    assert "smr.normal" in found["arm left: SMR"].text
+
+
+def test_an_unknown_effect_of_the_plant_is_refused(twin: Profile) -> None:
+    assert twin.plant is not None
+    plant = twin.plant.model_copy(update={"effects": {"left": {"witchcraft": {}}}})
+    found = findings(twin.model_copy(update={"plant": plant}))["plant"]
+    assert found.status == "failed"
+    assert "witchcraft" in found.text
+
+
+def test_a_ready_controller_fails_in_nothing_but_what_this_version_cannot_do(real: Profile) -> None:
+    found = findings(real, one_ready)
+    failed = {subject for subject, finding in found.items() if finding.status == "failed"}
+    assert failed == {"arm left: motion", "arm right: motion", "tracker"}
+    assert "not move" in found["arm left: motion"].text
+    assert "LMF needs Windows" in found["tracker"].text
+    assert found["arm left: serial"].status == "ok"
+    assert found["arm right: serial"].status == "warning"  # the profile does not give it
+    assert '"20153567890"' in found["arm right: serial"].text
+    assert found["arm left: kinematics"] == Finding(
+        "arm left: kinematics", "warning", "the controller's own D-H could not be read: not asked"
+    )
+
+
+E_SERIES = replace(READY, series="e-Series", software="5.11.1.1108318", safety_status="NORMAL", remote_control=True)
+
+
+@pytest.mark.parametrize(
+    ("said", "subject", "status", "words"),
+    [
+        (replace(READY, model="UR5"), "model", "failed", ["UR5", "UR10", "swapped"]),
+        (E_SERIES, "model", "failed", ["UR10e", "UR10"]),
+        (replace(READY, model=None), "model", "warning", ["UR10"]),
+        (replace(READY, serial="20150000000"), "serial", "failed", ["20150000000", "20153012345"]),
+        (replace(READY, serial=None), "serial", "warning", ["20153012345"]),
+        (replace(READY, safety_mode="PROTECTIVE_STOP"), "safety", "failed", ["PROTECTIVE_STOP", "see what stopped it"]),
+        (replace(READY, safety_mode="REDUCED"), "safety", "warning", ["REDUCED"]),
+        (replace(READY, safety_mode="NEW_MODE"), "safety", "failed", ["NEW_MODE", "pendant"]),
+        (replace(READY, safety_mode=None), "safety", "failed", ["pendant"]),
+        (replace(READY, safety_status="SAFEGUARD_STOP"), "safety", "failed", ["SAFEGUARD_STOP"]),
+        (replace(READY, robot_mode="POWER_OFF"), "robot mode", "failed", ["POWER_OFF", "power the arm on"]),
+        (replace(E_SERIES, remote_control=False), "remote control", "failed", ["Local to Remote"]),
+        (replace(E_SERIES, remote_control=None), "remote control", "warning", ["Remote"]),
+        (E_SERIES, "remote control", "ok", ["on"]),
+        (replace(READY, program_running=True), "program", "warning", ["a program runs"]),
+        (replace(READY, ports={30004: False}), "port 30004", "failed", ["firewall"]),
+    ],
+)
+def test_every_unmet_point_is_named_with_what_to_do(
+    real: Profile, said: UrProbe, subject: str, status: str, words: list[str]
+) -> None:
+    found = findings(real, lambda host, _: said if host == "192.168.0.10" else one_ready(host, 0.0))
+    finding = found[f"arm left: {subject}"]
+    assert finding.status == status
+    assert all(word in finding.text for word in words), finding.text
+    assert "arm right: model" in found
+
+
+def test_dead_hosts_are_asked_at_the_same_time_and_not_for_long(real: Profile) -> None:
+    together = threading.Barrier(2)  # broken, and the test fails, if one is asked after the other
+
+    def dead(host: str, timeout_s: float) -> UrProbe:
+        assert timeout_s <= LONGEST_PROBE_S
+        together.wait(PATIENT_S)
+        raise LinkLost(f"{host}: no answer")
+
+    found = findings(with_driver(real, "right", timeout=60.0), dead)
+    assert found["arm left: link"] == Finding("arm left: link", "failed", "192.168.0.10: no answer")
+    assert found["arm right: link"] == Finding("arm right: link", "failed", "192.168.0.11: no answer")
+    assert "arm left: model" not in found
+
+
+def test_two_arms_at_one_address_are_refused(real: Profile) -> None:
+    found = findings(with_driver(real, "right", host="192.168.0.10"), one_ready)
+    assert found["arm left: address"].status == "failed"
+    assert "arm right" in found["arm left: address"].text
+
+
+def test_looking_does_not_load_torch_or_the_robot_library() -> None:
+    code = (
+        "import sys; from pathlib import Path; from cellapp.doctor import examine; from cellapp.profile import"
+        f" load_profile; examine(load_profile(Path({str(PROFILES / 'twin.yaml')!r})));"
+        " sys.exit(','.join({'torch', 'rtde_control'} & set(sys.modules)) or None)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+# -- emulate ----------------------------------------------------------------------------------------------------------
+
+
+def on_free_ports(profile: Profile) -> list[EmulatedArm]:
+    return [replace(arm, dashboard_port=0, primary_port=0) for arm in emulated_arms(profile)]
+
+
+def test_simulated_arms_are_stood_in_for_on_addresses_of_their_own(twin: Profile) -> None:
+    arms = emulated_arms(twin)
+    assert [(arm.arm, arm.controller.model, arm.host) for arm in arms] == [
+        ("left", "UR10", "127.0.0.2"),
+        ("right", "UR5", "127.0.0.3"),
+    ]
+    assert {(arm.dashboard_port, arm.primary_port) for arm in arms} == {(29999, 30001)}
+    assert arms[0].controller.rows[1][2] == -0.612
+    assert len({arm.controller.serial for arm in arms}) == 2
+
+
+def test_ur_arms_are_stood_in_for_on_loopback_hosts_only(real: Profile) -> None:
+    with pytest.raises(InputError, match="nothing to stand in for"):
+        emulated_arms(real)
+    arms = emulated_arms(with_driver(real, "left", host="127.0.0.5"))
+    assert [(arm.arm, arm.host, arm.controller.serial) for arm in arms] == [("left", "127.0.0.5", "20153012345")]
+    both = with_driver(with_driver(real, "left", host="127.0.0.1"), "right", host="localhost")
+    with pytest.raises(InputError, match=r"arms\.right\.driver\.host"):
+        emulated_arms(both)
+
+
+def test_only_ur_arms_are_stood_in_for(twin: Profile) -> None:
+    other = twin.arms["left"].type.model_copy(update={"model": "IRB 120"})
+    with pytest.raises(InputError, match="IRB 120"):
+        emulated_arms(change(twin, "left", type=other))
+    e_series = twin.arms["left"].type.model_copy(update={"model": "UR10e"})
+    controller = emulated_arms(change(twin, "left", type=e_series))[0].controller
+    assert (controller.series, controller.model) == ("e-Series", "UR10")
+
+
+def test_the_doctor_finds_emulated_controllers_until_they_are_cancelled(real: Profile) -> None:
+    profile = with_driver(with_driver(real, "left", host="127.0.0.2"), "right", host="127.0.0.3")
+    cancel = CancelToken()
+    listening: list[EmulatedArm] = []
+
+    def at_their_ports(host: str, timeout_s: float) -> UrProbe:
+        arm = next(arm for arm in listening if arm.host == host)
+        with_ports = {"dashboard_port": arm.dashboard_port, "primary_port": arm.primary_port}
+        return probe_ur(host, timeout_s, script_port=arm.primary_port, rtde_port=arm.primary_port, **with_ports)
+
+    found: dict[str, Finding] = {}
+
+    def announced(arms: object) -> None:
+        assert isinstance(arms, list)
+        listening.extend(arms)
+        found.update(findings(profile, at_their_ports))
+        cancel.cancel()
+
+    before = threading.active_count()
+    emulate(profile, cancel, announced, on_free_ports(profile))
+    assert threading.active_count() == before
+    assert "UR10 (CB3), serial 20153012345, at 127.0.0.2: dashboard " in str(listening[0])
+    failed = {subject for subject, finding in found.items() if finding.status == "failed"}
+    assert failed == {"arm left: motion", "arm right: motion", "tracker"}
+    assert found["arm left: model"].text == "UR10"
+    assert found["arm right: model"].text == "UR5"
+    assert found["arm left: kinematics"].status == "ok"
+
+
+def test_emulation_waits_until_it_is_cancelled(twin: Profile) -> None:
+    cancel, up = CancelToken(), threading.Event()
+    thread = threading.Thread(target=emulate, args=(twin, cancel, lambda _: up.set(), on_free_ports(twin)))
+    thread.start()
+    assert up.wait(PATIENT_S)
+    assert thread.is_alive()
+    cancel.cancel()
+    thread.join(PATIENT_S)
+    assert not thread.is_alive()
+
+
+def test_a_port_in_use_is_named_and_nothing_is_left_open(twin: Profile) -> None:
+    before = threading.active_count()
+    with UrDashboardEmulator(personality("CB3", "UR5", "20150000001"), "127.0.0.3") as other:
+        left, right = on_free_ports(twin)
+        arms = [left, replace(right, dashboard_port=other.dashboard_port)]
+        with pytest.raises(HardwareError, match=rf"arm right: cannot listen on 127\.0\.0\.3:{other.dashboard_port}"):
+            emulate(twin, CancelToken(), lambda _: None, arms)
+    assert threading.active_count() == before
+
+
+def test_waiting_on_a_token_ends_early_when_it_is_cancelled() -> None:
+    cancel = CancelToken()
+    assert cancel.wait(0.0) is False
+    cancel.cancel()
+    began = time.monotonic()
+    assert cancel.wait(60.0) is True
+    assert time.monotonic() - began < 30.0
