@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -15,7 +15,7 @@ from cellapp.calibration.evaluation import evaluate, summarise
 from cellapp.calibration.identification import (
     Identification,
     TooFewReadings,
-    identify,
+    identify_with_excess,
     start_from_nominal,
 )
 from cellapp.calibration.pair import PAIR_NAMES, PairIdentification, distances, identify_pair
@@ -41,10 +41,14 @@ RESULT = "calibrate"
 
 @dataclass(frozen=True)
 class ArmCalibration:
-    """One arm's calibration: the model, how it was identified, and its errors on held-out stops by stage."""
+    """One arm's calibration: the model, how it was identified, and its errors on held-out stops by stage.
+
+    ``excess_m`` is the standard deviation of a coordinate [m] beyond what the readings state of themselves.
+    """
 
     model: ArmModel
     identification: Identification
+    excess_m: float
     validate: Mapping[str, Mapping[str, Mapping[str, float | int]]]
     counts: Mapping[str, int]
 
@@ -168,7 +172,7 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
     settings = profile.calibration
     priors = prior_sigmas(nominal, settings.priors)
     try:
-        identification = identify(
+        identification, excess = identify_with_excess(
             nominal,
             here.q,
             here.p_M,
@@ -197,7 +201,7 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
     }
     counts = {word: len(readings.in_split(word)) for word in ("identify", "train", "validate")}
     notes = [] if identification.converged else [f"arm '{name}': {identification.message}; do not use this calibration"]
-    return ArmCalibration(model, identification, stages, counts), notes
+    return ArmCalibration(model, identification, excess, stages, counts), notes
 
 
 def nominal_transform(first: Geometry, second: Geometry) -> Array:
@@ -249,13 +253,6 @@ def _calibrate_pair(
     return PairCalibration(identification, cooperative, {"identify": len(learn), "validate": len(held_out)}), notes
 
 
-def with_effects(calibration: ArmCalibration, model: ArmModel, held_out: Readings) -> ArmCalibration:
-    """The same calibration with the stage ``effects`` of a model that effects were added to."""
-    computed = model.predict(held_out.q, held_out.approach, held_out.payload_kg)
-    stages = {**calibration.validate, "effects": evaluate(held_out.p_M, computed)}
-    return replace(calibration, model=model, validate=stages)
-
-
 def _arm_dict(arm: ArmCalibration) -> dict[str, Any]:
     result = arm.identification
     return {
@@ -277,6 +274,7 @@ def _arm_dict(arm: ArmCalibration) -> dict[str, Any]:
             "value": result.scale,
             "meaning": "root of chi-square per degree of freedom against the stated uncertainty, or metres without one",
         },
+        "excess_mm": arm.excess_m * 1e3,
         "degrees_of_freedom": result.degrees_of_freedom,
         "splits": dict(arm.counts),
         "validate": {stage: dict(errors) for stage, errors in arm.validate.items()},

@@ -13,10 +13,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.optimize import brentq
 
 from cellapp.calibration.parameters import (
     ParameterSet,
@@ -43,6 +44,7 @@ RobustName = Literal["none", "huber", "tukey"]
 _CHUNK = 2048
 _HUBER = 2.5003  # sqrt of the 90 % quantile of chi-square with 3 degrees of freedom: the norm of a good point
 _TUKEY = 6.0  # no weight beyond about four times the median norm of a good point
+_EXCESS_ROUNDS = 6
 _MEDIAN_NORM = 1.5382  # median of the norm of three independent standard normal numbers
 
 
@@ -333,6 +335,62 @@ def identify(
         gram=best.plain / (best.lever * best.lever[:, None]) / n,
         configurations=n,
     )
+
+
+def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: int) -> float:
+    """Variance [m^2] that, added to every coordinate, makes the scatter what the stated uncertainty says.
+
+    The root of ``sum_i r_i^T (S_i + tau^2 I)^-1 r_i = degrees of freedom`` (the idea of DerSimonian, Laird, Control.
+    Clin. Trials 7 (1986) 177); zero where the scatter is not larger than chance allows.
+
+    Parameters
+    ----------
+    residuals : array, shape (n, 3) [m]
+    sigma : array, shape (n,) [m] or (n, 3, 3) [m^2]
+    degrees_of_freedom : int
+    """
+    if sigma.ndim == 1:
+        variance, squares = sigma[:, None] ** 2, residuals**2
+    else:
+        variance, axes = np.linalg.eigh(sigma)
+        squares = np.einsum("nab,na->nb", axes, residuals) ** 2
+
+    def too_much(tau_squared: float) -> float:
+        return float(np.sum(squares / (variance + tau_squared))) - degrees_of_freedom
+
+    if too_much(0.0) <= 3.0 * math.sqrt(2.0 * degrees_of_freedom):
+        return 0.0
+    return float(brentq(too_much, 0.0, float(squares.sum()) / degrees_of_freedom, xtol=1e-18, rtol=1e-6))
+
+
+def with_excess(sigma: Array, tau_squared: float) -> Array:
+    """The stated uncertainty and an excess variance [m^2] together, in the shape of ``sigma``."""
+    if sigma.ndim == 1:
+        return np.sqrt(sigma**2 + tau_squared)
+    return np.asarray(sigma + tau_squared * np.eye(3))
+
+
+def identify_with_excess(
+    start: Geometry, q: Array, p_M: Array, *, sigma: Array | None, **settings: Any
+) -> tuple[Identification, float]:
+    """``identify``, and where the readings scatter more than they state, again with that scatter in the weights.
+
+    A model that lacks physics leaves errors far above the tracker's; weighing by the tracker's alone would then let few
+    readings decide. Returns the identification and the excess standard deviation [m] of a coordinate.
+    """
+    settings = {"prior_mean": start, **settings}
+    found = identify(start, q, p_M, sigma=sigma, **settings)
+    if sigma is None:
+        return found, 0.0
+    tau_squared = 0.0
+    settings["parameter_set"] = found.parameter_set
+    for _ in range(_EXCESS_ROUNDS):
+        before = tau_squared
+        tau_squared = excess_variance(found.residuals, sigma, found.degrees_of_freedom)
+        if abs(tau_squared - before) <= 0.01 * tau_squared:
+            break
+        found = identify(found.geometry, q, p_M, sigma=with_excess(sigma, tau_squared), **settings)
+    return found, math.sqrt(tau_squared)
 
 
 @dataclass(frozen=True)

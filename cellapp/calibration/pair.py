@@ -93,18 +93,20 @@ def identify_pair(
             continue
         damping = 0.0 if damping < 1e-6 else damping / 10.0
         rotation, b, residual, J, cost = trial_rotation, trial_b, trial_residual, trial_J, trial_cost
-    scatter = cost / max(1, n - 6)
-    covariance = np.linalg.inv(J.T @ J) * scatter
-    errors = np.sqrt(np.diag(covariance))
     T_R_L = transform(rotation, b)
     off = measured - distances(T_R_L, p_L, p_R)
+    scale = float(np.sqrt(off @ off / max(1, n - 6)))
+    # distances scatter alike, their squares do not: D^2 scatters by 2 D times as much
+    inverse = np.linalg.inv(J.T @ J)
+    half = inverse @ (J * (2.0 * measured * scale)[:, None]).T
+    errors = np.sqrt(np.einsum("kn,kn->k", half, half))
     return PairIdentification(
         T_R_L=T_R_L,
         values=np.concatenate([b, zyx_angles(rotation)]),
         standard_errors=np.concatenate([errors[:3], errors[:2:-1]]),
         iterations=iterations,
         converged=converged,
-        scale=float(np.sqrt(off @ off / max(1, n - 6))),
+        scale=scale,
     )
 
 

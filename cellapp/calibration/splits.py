@@ -27,7 +27,8 @@ def plan_splits(n: int, identify: int, train: int, validate: int | None) -> Spli
     if identify + train + (1 if validate is None else validate) <= n:
         return SplitPlan(identify, train, n - identify - train if validate is None else validate, ())
     share = n / (identify + train + wanted)
-    fewer_identify, fewer_train = max(1, int(identify * share)), int(train * share)
+    fewer_identify = max(1, int(identify * share))
+    fewer_train = min(int(train * share), n - fewer_identify - 1)
     fewer_validate = n - fewer_identify - fewer_train
     note = (
         f"{n} stops are too few for identify {identify}, train {train}, validate {validate or 'rest'}:"

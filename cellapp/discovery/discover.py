@@ -14,7 +14,14 @@ from scipy.stats import chi2
 
 from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT
 from cellapp.calibration.evaluation import evaluate, position_errors, summarise
-from cellapp.calibration.identification import EffectColumns, Identification, identify
+from cellapp.calibration.identification import (
+    EffectColumns,
+    Identification,
+    excess_variance,
+    identify,
+    with_excess,
+)
+from cellapp.calibration.parameters import ParameterSet
 from cellapp.calibration.setup import prior_sigmas, stated_uncertainty
 from cellapp.discovery.scan import (
     Candidate,
@@ -43,6 +50,7 @@ DISCOVER_RESULT = "discover"
 _MOST_EFFECTS = 4
 _RIVAL = 10.0
 """Effects whose score is this near the winner's are named beside it."""
+_WEIGHING_ROUNDS = 3
 _FLOOR = 1.05
 """Held-out rms within this factor of the noise floor counts as explained."""
 
@@ -146,67 +154,67 @@ def discover_arm(
     cancel = cancel or CancelToken()
     held_out = readings.take(readings.in_split("validate"))
     learn = readings.take(np.concatenate([readings.in_split("identify"), readings.in_split("train")]))
-    data = _Data.of(profile, replace(model, effects=()), learn)
-    fitted = data.fit((), None)
-    effects, basis = data.candidates(fitted), data.geometry_basis(fitted)
-    seen = [visible_part(effect, basis) for effect in effects]
+    stated = _Data.of(profile, replace(model, effects=()), learn)
+    data = stated.weighed(())
+    fitted = data.fit(())
+    first_candidates, first_basis = data.candidates(fitted), data.geometry_basis(fitted)
+    first_seen = [visible_part(effect, first_basis) for effect in first_candidates]
     rng = np.random.default_rng([profile.seed, 0xD15C])
-    maxima = null_maxima(seen, basis, profile.discovery.null_simulations, rng)
+    maxima = null_maxima(first_seen, first_basis, profile.discovery.null_simulations, rng)
     least = threshold(maxima, profile.discovery.false_alarm)
 
-    accepted: list[tuple[Candidate, Score, float, tuple[Rival, ...]]] = []
-    gaps = [_rms_mm(held_out, data.with_terms(fitted, ()), held_out)]
+    accepted: list[_Accepted] = []
+    before_mm = gap = _rms_mm(data.with_terms(fitted, ()), held_out)
     while len(accepted) < _MOST_EFFECTS:
         cancel.check()
-        chosen_basis = _extended(basis, [(effect, s.chosen) for effect, s, _, _ in accepted])
-        residual = complement(chosen_basis, data.whitened_residual(fitted))
-        open_effects = [e for e in effects if e.slug not in {a.slug for a, _, _, _ in accepted}]
-        visible = {effect.slug: visible_part(effect, chosen_basis) for effect in open_effects}
-        scores = scan(list(visible.values()), residual)
-        winner = next((s for s in scores if s.score > least and _plausible(data, effects, accepted, s)), None)
-        if winner is None:
-            break
-        effect = next(e for e in effects if e.slug == winner.slug)
-        groups = [(a, s.chosen) for a, s, _, _ in accepted]
-        if not data.confirmed(groups, (effect, winner.chosen), profile.discovery.folds):
+        groups = _groups(accepted)
+        data = stated.weighed(groups)
+        fitted = data.fit(groups)
+        effects = {effect.slug: effect for effect in data.candidates(fitted)}
+        basis = _extended(data.geometry_basis(fitted), [(effects[slug], picked) for slug, picked in groups])
+        residual = complement(basis, data.whitened_residual(fitted))
+        taken = {slug for slug, _ in groups}
+        scores = scan([visible_part(effect, basis) for slug, effect in effects.items() if slug not in taken], residual)
+        winner = next((s for s in scores if s.score > least and data.plausible(groups, (s.slug, s.chosen))), None)
+        if winner is None or not data.confirmed(groups, (winner.slug, winner.chosen), profile.discovery.folds):
             break
         rivals = tuple(
-            Rival(s.slug, s.score, _told_apart(winner, s, effects, chosen_basis, residual, least))
+            Rival(s.slug, s.score, _told_apart(winner, s, effects, basis, residual, least))
             for s in scores
             if s.slug != winner.slug and s.score > winner.score - _RIVAL and s.score > 0.0
         )
-        accepted.append((effect, winner, corrected_p(maxima, winner.score), rivals))
-        model_now = data.model_with([(a, s.chosen) for a, s, _, _ in accepted])
-        gaps.append(_rms_mm(held_out, model_now, held_out))
+        new_gap = _rms_mm(data.model_with([*groups, (winner.slug, winner.chosen)]), held_out)
+        accepted.append(
+            _Accepted(winner.slug, winner.chosen, winner.score, corrected_p(maxima, winner.score), gap, new_gap, rivals)
+        )
+        gap = new_gap
 
-    accepted = _backward(data, accepted, least)
-    groups = [(a, s.chosen) for a, s, _, _ in accepted]
-    final = data.model_with(groups) if groups else model
+    accepted = _backward(stated, accepted, least)
+    groups = _groups(accepted)
+    final = stated.weighed(groups).model_with(groups)
     findings = tuple(
         Finding(
             term=term,
-            joints=tuple(sorted({effect.columns[i].joint + 1 for i in s.chosen})),
-            score=s.score,
-            p_value=p,
-            heldout_before_mm=gaps[place],
-            heldout_after_mm=gaps[place + 1],
-            rivals=rivals,
+            joints=tuple(sorted({stated.columns[entry.slug][i].joint + 1 for i in entry.chosen})),
+            score=entry.score,
+            p_value=entry.p_value,
+            heldout_before_mm=entry.before_mm,
+            heldout_after_mm=entry.after_mm,
+            rivals=entry.rivals,
         )
-        for place, ((effect, s, p, rivals), term) in enumerate(zip(accepted, final.effects))
+        for entry, term in zip(accepted, final.effects, strict=True)
     )
-    floor = _noise_floor_mm(held_out)
-    after = _rms_mm(held_out, final, held_out)
-    last = data.fit(groups, None)
-    omnibus = _omnibus(last, learn)
-    verdict, sentence = _judge(findings, floor, after, omnibus, stated=stated_uncertainty(learn) is not None)
+    floor, after = _noise_floor_mm(held_out), _rms_mm(final, held_out)
+    omnibus = _omnibus(stated.fit(groups), learn)
+    verdict, sentence = _judge(findings, floor, after, omnibus, stated=stated.sigma is not None)
     return Discovery(
         findings=findings,
         noise_floor_mm=floor,
-        before_mm=gaps[0],
+        before_mm=before_mm,
         after_mm=after,
         threshold=least,
         omnibus_p=omnibus,
-        invisible=_invisible(effects, seen, {f.term.slug for f in findings}, least, data.coordinates),
+        invisible=_invisible(first_candidates, first_seen, {slug for slug, _ in groups}, least, data.coordinates),
         verdict=verdict,
         sentence=f"arm {name}: {sentence}",
         model=final,
@@ -214,42 +222,75 @@ def discover_arm(
     )
 
 
-Group = tuple[Candidate, tuple[int, ...]]
+Group = tuple[str, tuple[int, ...]]
+"""An effect's slug and the columns of it that are in a model."""
+
+
+@dataclass(frozen=True)
+class _Accepted:
+    slug: str
+    chosen: tuple[int, ...]
+    score: float
+    p_value: float
+    before_mm: float
+    after_mm: float
+    rivals: tuple[Rival, ...]
+
+
+def _groups(accepted: Sequence[_Accepted]) -> list[Group]:
+    return [(entry.slug, entry.chosen) for entry in accepted]
 
 
 @dataclass(frozen=True)
 class _Data:
-    """One arm's readings for discovery, with what every refit needs."""
+    """One arm's readings for discovery, with what every refit needs.
+
+    ``sigma`` are the weights in use, ``white`` (3, 3, n) what whitens by them. The parameter set is fixed once: decided
+    anew in each joint refit it would let redundant directions creep in through an effect.
+    """
 
     profile: Profile
     model: ArmModel
     readings: Readings
+    columns: Mapping[str, list[EffectColumn]]
     sigma: Array | None
     white: Array
+    parameter_set: ParameterSet
 
     @classmethod
     def of(cls, profile: Profile, model: ArmModel, readings: Readings) -> _Data:
+        """With the weights that the readings state themselves."""
+        context = model.context(readings.q, readings.approach, readings.payload_kg)
         sigma = stated_uncertainty(readings)
-        n = len(readings)
-        if sigma is None:
-            white = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
-        elif sigma.ndim == 1:
-            white = np.eye(3)[:, :, None] / sigma
-        else:
-            white = np.linalg.inv(np.linalg.cholesky(sigma)).transpose(1, 2, 0)
-        return cls(profile, model, readings, sigma, np.ascontiguousarray(white))
+        chosen = identify(
+            model.geometry,
+            readings.q,
+            readings.p_M,
+            parameter_set=profile.calibration.parameter_set,
+            max_iterations=1,
+        ).parameter_set
+        columns = {slug: effect.columns(context) for slug, effect in EFFECTS.items()}
+        return cls(profile, model, readings, columns, sigma, _whitening(sigma, len(readings)), chosen)
+
+    def weighed(self, groups: Sequence[Group]) -> _Data:
+        """With weights that hold what a model with ``groups`` leaves beyond the stated uncertainty."""
+        if self.sigma is None:
+            return self
+        sigma = self.sigma
+        for _ in range(_WEIGHING_ROUNDS):
+            fitted = replace(self, sigma=sigma, white=_whitening(sigma, len(self.readings))).fit(groups)
+            sigma = with_excess(
+                self.sigma, excess_variance(fitted.residuals, self.sigma, fitted.degrees_of_freedom)
+            )
+        return replace(self, sigma=sigma, white=_whitening(sigma, len(self.readings)))
 
     @property
     def coordinates(self) -> int:
         return 3 * len(self.readings)
 
-    def effect_columns(self) -> dict[str, list[EffectColumn]]:
-        context = self.model.context(self.readings.q, self.readings.approach, self.readings.payload_kg)
-        return {slug: effect.columns(context) for slug, effect in EFFECTS.items()}
-
     def candidates(self, fitted: Identification) -> list[Candidate]:
         _, by_joint = joint_jacobian(fitted.geometry, Turns.of(self.readings.q))
-        return [candidate(slug, columns, by_joint, self.white) for slug, columns in self.effect_columns().items()]
+        return [candidate(slug, columns, by_joint, self.white) for slug, columns in self.columns.items()]
 
     def geometry_basis(self, fitted: Identification) -> Array:
         """Orthonormal basis (3 n, k) of what geometry can follow."""
@@ -259,10 +300,10 @@ class _Data:
     def whitened_residual(self, fitted: Identification) -> Array:
         return np.asarray(np.einsum("acn,nc->an", self.white, fitted.residuals).ravel())
 
-    def fit(self, groups: Sequence[Group], rows: NDArray[np.intp] | None) -> Identification:
+    def fit(self, groups: Sequence[Group], rows: NDArray[np.intp] | None = None) -> Identification:
         """Joint refit of geometry and the chosen columns of ``groups``, on some rows or on all."""
         chosen = np.arange(len(self.readings)) if rows is None else rows
-        columns = [effect.columns[i] for effect, picked in groups for i in picked]
+        columns = [self.columns[slug][i] for slug, picked in groups for i in picked]
         effects = None
         if columns:
             effects = EffectColumns(
@@ -276,7 +317,7 @@ class _Data:
             self.readings.q[chosen],
             self.readings.p_M[chosen],
             sigma=None if self.sigma is None else self.sigma[chosen],
-            parameter_set=settings.parameter_set,
+            parameter_set=self.parameter_set,
             prior_sigma=prior_sigmas(self.model.nominal, settings.priors),
             prior_mean=self.model.nominal,
             robust=settings.robust,
@@ -287,15 +328,11 @@ class _Data:
 
     def with_terms(self, fitted: Identification, groups: Sequence[Group]) -> ArmModel:
         terms, place = [], len(fitted.parameter_set.columns)
-        for effect, picked in groups:
+        for slug, picked in groups:
             part = slice(place, place + len(picked))
             terms.append(
                 EffectTerm(
-                    effect.slug,
-                    fitted.names[part],
-                    fitted.values[part],
-                    fitted.standard_errors[part],
-                    fitted.units[part],
+                    slug, fitted.names[part], fitted.values[part], fitted.standard_errors[part], fitted.units[part]
                 )
             )
             place += len(picked)
@@ -307,8 +344,8 @@ class _Data:
             covariance=fitted.covariance,
         )
 
-    def model_with(self, groups: Sequence[Group]) -> ArmModel:
-        return self.with_terms(self.fit(groups, None), groups)
+    def model_with(self, groups: Sequence[Group], rows: NDArray[np.intp] | None = None) -> ArmModel:
+        return self.with_terms(self.fit(groups, rows), groups)
 
     def confirmed(self, groups: Sequence[Group], new: Group, folds: int) -> bool:
         """Whether the new effect lowers the squared error on readings that were left out of the fit."""
@@ -318,75 +355,75 @@ class _Data:
             inside, outside = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
             left_out = self.readings.take(outside)
             for sign, chosen in ((1.0, [*groups]), (-1.0, [*groups, new])):
-                off = left_out.p_M - self.with_terms(self.fit(chosen, inside), chosen).predict(
+                computed = self.model_with(chosen, inside).predict(
                     left_out.q, left_out.approach, left_out.payload_kg
                 )
-                gain += sign * float(np.sum(np.einsum("acn,nc->an", self.white[:, :, outside], off) ** 2))
+                off = np.einsum("acn,nc->an", self.white[:, :, outside], left_out.p_M - computed)
+                gain += sign * float(np.sum(off**2))
         return gain > 0.0
 
+    def plausible(self, groups: Sequence[Group], new: Group) -> bool:
+        """Whether the refitted values lie inside their physical bounds, give or take two standard errors."""
+        term = self.model_with([*groups, new]).effects[-1]
+        columns = [self.columns[new[0]][i] for i in new[1]]
+        return all(
+            column.lower - 2.0 * error <= value <= column.upper + 2.0 * error
+            for column, value, error in zip(columns, term.values, term.standard_errors, strict=True)
+        )
 
-def _extended(basis: Array, groups: Sequence[Group]) -> Array:
+
+def _whitening(sigma: Array | None, n: int) -> Array:
+    """What turns errors of each point into units of their standard uncertainty, (3, 3, n) [1/m]."""
+    if sigma is None:
+        return np.ascontiguousarray(np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n)))
+    if sigma.ndim == 1:
+        return np.asarray(np.eye(3)[:, :, None] / sigma)
+    return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(sigma)).transpose(1, 2, 0))
+
+
+def _extended(basis: Array, groups: Sequence[tuple[Candidate, tuple[int, ...]]]) -> Array:
     """The basis with the chosen columns of accepted effects."""
     if not groups:
         return basis
     return np.asarray(np.linalg.qr(np.hstack([basis, *(effect.B[:, list(picked)] for effect, picked in groups)]))[0])
 
 
-def _plausible(
-    data: _Data,
-    effects: Sequence[Candidate],
-    accepted: Sequence[tuple[Candidate, Score, float, tuple[Rival, ...]]],
-    wanted: Score,
-) -> bool:
-    """Whether the refitted values lie inside their physical bounds, give or take two standard errors."""
-    effect = next(e for e in effects if e.slug == wanted.slug)
-    groups = [*((a, s.chosen) for a, s, _, _ in accepted), (effect, wanted.chosen)]
-    term = data.model_with(groups).effects[-1]
-    return all(
-        effect.columns[i].lower - 2.0 * error <= value <= effect.columns[i].upper + 2.0 * error
-        for i, value, error in zip(wanted.chosen, term.values, term.standard_errors, strict=True)
-    )
-
-
 def _told_apart(
-    winner: Score, rival: Score, effects: Sequence[Candidate], basis: Array, residual: Array, least: float
+    winner: Score, rival: Score, effects: Mapping[str, Candidate], basis: Array, residual: Array, least: float
 ) -> bool:
     """Whether the winner still explains something after the rival has explained all it can."""
-    by_slug = {effect.slug: effect for effect in effects}
-    without = _extended(basis, [(by_slug[rival.slug], rival.chosen)])
+    without = _extended(basis, [(effects[rival.slug], rival.chosen)])
     left = complement(without, residual)
-    visible: Visible = visible_part(by_slug[winner.slug], without)
+    visible: Visible = visible_part(effects[winner.slug], without)
     if not visible.blocks:
         return False
     return score(visible, visible.B.T @ left, float(left @ left), len(left)).score > least
 
 
-def _backward(
-    data: _Data, accepted: list[tuple[Candidate, Score, float, tuple[Rival, ...]]], least: float
-) -> list[tuple[Candidate, Score, float, tuple[Rival, ...]]]:
+def _backward(data: _Data, accepted: list[_Accepted], least: float) -> list[_Accepted]:
     """Drop effects that later ones made superfluous: without them the fit is not worse by the threshold."""
     while len(accepted) > 1:
-        full = _cost(data, [(a, s.chosen) for a, s, _, _ in accepted])
+        weighed = data.weighed(_groups(accepted))
+        full = _cost(weighed, accepted)
         losses = []
-        for place, (_, s, _, _) in enumerate(accepted):
-            rest = [(a, r.chosen) for k, (a, r, _, _) in enumerate(accepted) if k != place]
-            worse = data.coordinates * math.log(_cost(data, rest) / full)
-            losses.append((worse - len(s.chosen) * math.log(data.coordinates), place))
+        for place, entry in enumerate(accepted):
+            worse = data.coordinates * math.log(_cost(weighed, accepted[:place] + accepted[place + 1 :]) / full)
+            losses.append((worse - len(entry.chosen) * math.log(data.coordinates), place))
         loss, place = min(losses)
         if loss > least:
             break
-        accepted = [entry for k, entry in enumerate(accepted) if k != place]
+        accepted = accepted[:place] + accepted[place + 1 :]
     return accepted
 
 
-def _cost(data: _Data, groups: Sequence[Group]) -> float:
-    residual = data.whitened_residual(data.fit(groups, None))
+def _cost(data: _Data, accepted: Sequence[_Accepted]) -> float:
+    residual = data.whitened_residual(data.fit(_groups(accepted)))
     return float(residual @ residual)
 
 
-def _rms_mm(readings: Readings, model: ArmModel, held_out: Readings) -> float:
-    computed = model.predict(readings.q, readings.approach, readings.payload_kg)
-    return summarise(position_errors(readings.p_M, computed)).rms
+def _rms_mm(model: ArmModel, held_out: Readings) -> float:
+    computed = model.predict(held_out.q, held_out.approach, held_out.payload_kg)
+    return summarise(position_errors(held_out.p_M, computed)).rms
 
 
 def _noise_floor_mm(readings: Readings) -> float:
@@ -448,13 +485,13 @@ def _judge(
         return ("explained", f"{names}; {left}") if findings else ("nothing missing", f"nothing found; {left}")
     at_floor = after <= floor * _FLOOR or omnibus > 0.01
     gap = f"{after * 1e3:.0f} um rms held out against a noise floor of {floor * 1e3:.0f} um"
-    if any(not rival.told_apart for finding in findings for rival in finding.rivals):
+    doubt = any(not rival.told_apart for finding in findings for rival in finding.rivals)
+    if not at_floor:
+        found = f"{names} found{' (or a look-alike)' if doubt else ''}, but " if findings else ""
+        return "unknown effect", f"{found}more is missing than the library knows; {gap}"
+    if doubt:
         return "ambiguous", f"{names}, but these data do not tell it from its rivals; {gap}"
-    if at_floor:
-        return ("explained", f"{names}; {gap}") if findings else ("nothing missing", gap)
-    if findings:
-        return "unknown effect", f"{names} found, but more is missing than the library knows; {gap}"
-    return "unknown effect", f"something is missing that the library does not know; {gap}"
+    return ("explained", f"{names}; {gap}") if findings else ("nothing missing", gap)
 
 
 def _finding_dict(finding: Finding) -> dict[str, Any]:

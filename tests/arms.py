@@ -1,0 +1,89 @@
+"""Arms for tests: published tables and random ones, and small simulated cells made of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.kinematics.chain import Geometry, nominal_geometry, parallel_rows, parameter_names, parameter_unit
+from cellapp.kinematics.transforms import rotation_from_vector, transform
+from drivers.plant import ArmConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
+
+Array = NDArray[np.float64]
+HALF_TURN = np.pi / 2.0
+
+
+def dh(theta: list[float], d: list[float], a: list[float], alpha: list[float]) -> Array:
+    """D-H rows (N, 4)."""
+    return np.column_stack([theta, d, a, alpha])
+
+
+UR_ALPHA = [HALF_TURN, 0.0, 0.0, HALF_TURN, -HALF_TURN, 0.0]
+UR10 = dh([0.0] * 6, [0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922], [0.0, -0.612, -0.5723, 0.0, 0.0, 0.0], UR_ALPHA)
+UR5 = dh([0.0] * 6, [0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823], [0.0, -0.425, -0.39225, 0.0, 0.0, 0.0], UR_ALPHA)
+UR10_MASSES = np.array([7.1, 12.7, 4.27, 2.0, 2.0, 0.365])
+UR10_CENTERS = np.array(
+    [[0.021, 0.0, 0.027], [0.38, 0.0, 0.158], [0.24, 0.0, 0.068], [0.0, 0.007, 0.018], [0.0, 0.007, 0.018], [0, 0, -0.026]]
+)
+UR5_MASSES = np.array([3.7, 8.393, 2.33, 1.219, 1.219, 0.1879])
+UR5_CENTERS = np.array(
+    [[0, -0.02561, 0.00193], [0.2125, 0, 0.11336], [0.15, 0, 0.0265], [0, -0.0018, 0.01634], [0, 0.0018, 0.01634],
+     [0, 0, -0.001159]]
+)  # fmt: skip
+# seven joints, none of whose neighbours are parallel (KUKA LBR iiwa 7 R800's published lengths)
+SEVEN = dh(
+    [0.0] * 7,
+    [0.340, 0.0, 0.400, 0.0, 0.400, 0.0, 0.126],
+    [0.0] * 7,
+    [-HALF_TURN, HALF_TURN, HALF_TURN, -HALF_TURN, -HALF_TURN, HALF_TURN, 0.0],
+)
+OFF_AXIS = np.array([0.045, 0.020, 0.060])
+ON_AXIS = np.array([0.0, 0.0, 0.060])
+STATION = transform(rotation_from_vector([0.05, -0.08, 2.0]), [2.6, 0.9, -0.7])
+
+
+def true_geometry(
+    nominal: Geometry, rng: np.random.Generator, length: float = 0.3e-3, angle: float = 0.05 * np.pi / 180.0
+) -> Geometry:
+    """An arm that left its nominal table: every row parameter (beta only between parallel axes) and the tool."""
+    vector = nominal.vector()
+    betas = {f"beta{i + 1}" for i in parallel_rows(nominal)}
+    for place, name in enumerate(parameter_names(nominal.joints)[6:], start=6):
+        if name.startswith("beta") and name not in betas:
+            continue
+        vector[place] += rng.normal(0.0, angle if parameter_unit(name) == "rad" else length)
+    return nominal.with_vector(vector)
+
+
+def at_station(rows: Array, tool: Array, T_M_B: Array = STATION) -> Geometry:
+    """The nominal geometry of an arm that stands in front of the tracker."""
+    return nominal_geometry(rows, tool, T_M_B)
+
+
+def plant_of(rows: Array, tool: Array, T_M_B: Array = STATION, errors: GeometryErrors | None = None, seed: int = 0) -> Plant:
+    """A plant of one arm, without effects, whose tracker frame is the cell frame."""
+    n = len(rows)
+    arm = ArmConfig(
+        name="arm",
+        rows=rows,
+        limits=np.tile([-2.0 * np.pi, 2.0 * np.pi], (n, 1)),
+        speed=np.ones(n),
+        acceleration=np.ones(n),
+        T_C_B=T_M_B,
+        smr_offset=tool,
+        smr_normal=np.array([0.0, 0.0, 1.0]),
+        smr_acceptance=np.pi,
+        masses=np.ones(n),
+        centers_of_mass=np.zeros((n, 3)),
+    )
+    config = PlantConfig(
+        seed=seed,
+        arms=(arm,),
+        tracker=TrackerConfig(T_C_M=np.eye(4)),
+        errors=errors or GeometryErrors(),
+        repeatability=0.0,
+        temperature_c=20.0,
+        noise=True,
+        floor=-10.0,
+    )
+    return Plant(config)

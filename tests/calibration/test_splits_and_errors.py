@@ -1,0 +1,62 @@
+"""Splits never leak and never depend on order; errors are those of the definitions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cellapp.calibration.evaluation import distance_errors, evaluate, position_errors, summarise
+from cellapp.calibration.splits import draw_splits, plan_splits
+
+
+@given(
+    st.integers(2, 600), st.integers(1, 300), st.integers(0, 300), st.one_of(st.none(), st.integers(1, 300))
+)
+def test_sizes_fit_and_every_use_gets_something(n, identify, train, validate):
+    plan = plan_splits(n, identify, train, validate)
+    assert plan.identify + plan.train + plan.validate <= n
+    assert plan.identify >= 1
+    assert plan.validate >= 1
+    assert plan.identify <= identify
+    assert plan.train <= train
+    fits = identify + train + (validate or 1) <= n
+    assert (plan.notes == ()) == fits
+    if fits and validate is not None:
+        assert (plan.identify, plan.train, plan.validate) == (identify, train, validate)
+    if validate is None:
+        assert plan.identify + plan.train + plan.validate == n
+
+
+@given(st.sets(st.integers(0, 10_000), min_size=5, max_size=80), st.integers(0, 100))
+def test_the_draw_depends_on_the_numbers_and_the_seed_alone(numbers, seed):
+    ordered = np.array(sorted(numbers))
+    shuffled = np.random.default_rng(1).permutation(np.concatenate([ordered, ordered]))  # both arms, any order
+    assert draw_splits(ordered, 2, 1, 1, seed) == draw_splits(shuffled, 2, 1, 1, seed)
+
+
+def test_another_seed_draws_otherwise():
+    numbers = np.arange(400)
+    assert draw_splits(numbers, 100, 200, 100, 0)[0] != draw_splits(numbers, 100, 200, 100, 1)[0]
+
+
+def test_errors_on_a_worked_example():
+    measured = np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]])
+    computed = np.array([[0.0, 0, 0], [1.003, 0.004, 0], [0, 1.0, 0]])
+    np.testing.assert_allclose(position_errors(measured, computed), [0, 0.005, 0], atol=1e-12)
+    expected = [np.hypot(1.003, 0.004) - 1.0, 0.0, abs(np.hypot(1.003, 0.996) - np.sqrt(2.0))]
+    np.testing.assert_allclose(distance_errors(measured, computed), expected, atol=1e-12)
+    summary = summarise(np.array([0.001, -0.003]))
+    assert (summary.mean, summary.max, summary.n) == pytest.approx((2.0, 3.0, 2))
+    assert summary.rms == pytest.approx(np.sqrt(5.0))
+    assert summary.std == pytest.approx(np.sqrt(2.0))
+    assert "distance_mm" not in evaluate(measured[:1], computed[:1])
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_rigid_motion_changes_no_distance(seed):
+    rng = np.random.default_rng(seed)
+    p = rng.normal(size=(6, 3))
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    assert distance_errors(p, p @ rotation.T + rng.normal(size=3)).max() < 1e-12
