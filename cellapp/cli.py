@@ -8,13 +8,13 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cellapp.errors import CellappError, CheckFailed
+from cellapp.errors import CellappError, CheckFailed, InputError
 from cellapp.progress import Cancelled, CancelToken, Progress
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ def run(
         job.say(*_sentences(outcome.results), *outcome.notes)
         job.say(f"run: {outcome.folder}   report: {outcome.folder / 'report.html'}")
         job.result({"schema": "cellapp-run", "version": 1, "run": str(outcome.folder), **outcome.results})
+        _check_verified(outcome.results)
 
 
 @app.command()
@@ -89,14 +90,12 @@ def doctor(profile: ProfilePath, json_file: JsonOption = None) -> None:
 @app.command()
 def plan(profile: ProfilePath, folder: NewRun, json_file: JsonOption = None) -> None:
     """Plan the stops of a new run: seen by the tracker, safe to stand at and to reach."""
-    from cellapp.planning.plan import plan_run
     from cellapp.profile import load_profile
-    from cellapp.run import RunFile
+    from cellapp.whole import new_planned_run
 
     with _Job(json_file) as job:
-        with RunFile.create(folder, load_profile(profile)) as new:
-            plans = plan_run(new, job.listen, job.cancel)
-        counts = {name: len(rows) for name, rows in plans.items()}
+        with new_planned_run(load_profile(profile), folder, job.listen, job.cancel) as new:
+            counts = {name: len(rows) for name, rows in new.read_plan().items()}
         job.say(*(f"arm {name}: {count} stops planned" for name, count in counts.items()))
         job.result({"schema": "cellapp-plan", "version": 1, "run": str(folder), "stops": counts})
 
@@ -214,14 +213,16 @@ def push(
     """Move the arms to compensated targets; with --verify, measure them before and after compensation."""
     from cellapp.compensation.targets import load_targets
     from cellapp.reporting.tables import verification_tables
-    from cellapp.whole import VERIFY_RESULT, push_run, stored_results
+    from cellapp.whole import PUSH_RESULT, VERIFY_RESULT, push_run, stored_results
 
     with _Job(json_file) as job, _open_run(folder, write=True) as opened:
         notes = push_run(opened, load_targets(targets, opened.profile), job.listen, job.cancel, verify=verify)
-        result = stored_results(opened)[VERIFY_RESULT]
+        result = stored_results(opened)[VERIFY_RESULT if verify else PUSH_RESULT]
         job.show(verification_tables(result))
         job.say(*notes)
         job.result(result)
+        if verify:
+            _check_verified({VERIFY_RESULT: result})
 
 
 @app.command()
@@ -240,14 +241,21 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
 
 
 @app.command()
-def emulate(profile: ProfilePath) -> None:
+def emulate(profile: ProfilePath, json_file: JsonOption = None) -> None:
     """Serve emulated controllers of this cell on loopback until interrupted."""
+    from dataclasses import asdict
+
+    from cellapp.emulate import EmulatedArm
     from cellapp.emulate import emulate as serve
     from cellapp.profile import load_profile
 
-    with _Job(None) as job:
-        for line in serve(load_profile(profile), job.cancel):
-            job.say(line)
+    with _Job(json_file) as job:
+
+        def announce(arms: Sequence[EmulatedArm]) -> None:
+            job.say(*(str(arm) for arm in arms))
+            job.result({"schema": "cellapp-emulate", "version": 1, "arms": [asdict(arm) for arm in arms]})
+
+        serve(load_profile(profile), job.cancel, announce)
 
 
 @trials_app.command("coverage")
@@ -301,7 +309,7 @@ def main() -> None:
     try:
         app()
     except Cancelled as error:
-        _complain(f"{error}; what was committed is kept: go on with 'cellapp collect DIR --resume'")
+        _complain(f"{error}; what was committed is kept, and a collection goes on with 'cellapp collect DIR --resume'")
         sys.exit(EXIT_INTERRUPTED)
     except CellappError as error:
         _complain(str(error))
@@ -321,6 +329,8 @@ class _Job:
     """One command: its progress bars, its cancel token on Ctrl-C, its tables and its JSON."""
 
     def __init__(self, json_file: str | None) -> None:
+        if json_file not in (None, "-") and not Path(str(json_file)).absolute().parent.is_dir():
+            raise InputError(f"--json: {json_file}: there is no such folder; nothing was done")
         self._json_file = json_file
         self.cancel = CancelToken()
         self._bars: Any = None
@@ -369,7 +379,7 @@ class _Job:
         """Lines for the person: on standard output, unless that carries the JSON."""
         self._stop_bars()
         for line in lines:
-            print(line, file=sys.stderr if self._json_file == "-" else sys.stdout)
+            print(line, file=sys.stderr if self._json_file == "-" else sys.stdout, flush=True)
 
     def show(self, tables: Sequence[Table]) -> None:
         """Tables for the person."""
@@ -395,6 +405,7 @@ class _Job:
         text = json.dumps(content, indent=1) + "\n"
         if self._json_file == "-":
             sys.stdout.write(text)
+            sys.stdout.flush()
             return
         try:
             Path(self._json_file).write_text(text, encoding="utf-8")
@@ -418,6 +429,15 @@ def _open_run(folder: Path, *, write: bool = False) -> Iterator[RunFile]:
 def _sentences(results: Any) -> list[str]:
     discovered = results.get("discover", {"arms": {}})
     return [arm["sentence"] for arm in discovered["arms"].values()]
+
+
+def _check_verified(results: Mapping[str, Any]) -> None:
+    from cellapp.compensation.push import unverified
+    from cellapp.whole import VERIFY_RESULT
+
+    complaints = unverified(results[VERIFY_RESULT]) if VERIFY_RESULT in results else []
+    if complaints:
+        raise CheckFailed(f"verification: {'; '.join(complaints)}")
 
 
 def _merged(result: dict[str, Any]) -> list[str]:

@@ -215,6 +215,10 @@ def _standing(profile: Profile) -> list[Finding]:
             findings.append(Finding("plant", "failed", str(error)))
         else:
             findings.append(Finding("plant", "ok", "the simulated cell can be built"))
+    bare = [name for name, arm in placed.items() if not arm.type.capsules]
+    if bare:
+        text = f"arm {', '.join(bare)} has no bodies, so no collision can be foreseen; add capsules to its type"
+        return [*findings, Finding("home", "failed", text)]
     cell = cell_bodies(profile.model_copy(update={"arms": placed}))
     refusal = refuse_stop(cell, home_positions(profile))
     if refusal:

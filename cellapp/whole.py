@@ -18,13 +18,15 @@ from cellapp.compensation.targets import Target, load_targets
 from cellapp.discovery.discover import DISCOVER_RESULT, discover_run
 from cellapp.model import CellModel
 from cellapp.planning.plan import plan_run
-from cellapp.profile import load_profile
+from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.reporting.page import write_page
 from cellapp.run import RunFile
 
 VERIFY_RESULT = "verify"
 COMPENSATE_RESULT = "compensate"
+PUSH_RESULT = "push"
+"""What was pushed without a verification; it does not replace one."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +72,7 @@ def run_whole(
         targets = load_targets(profile_path.parent / profile.targets, profile)
     folder = folder or default_folder(profile.name)
     notes: list[str] = []
-    with RunFile.create(folder, profile) as run:
-        plan_run(run, listener, cancel)
+    with new_planned_run(profile, folder, listener, cancel) as run:
         notes += collect_run(run, listener, cancel)
         calibration = calibrate_run(run, listener, cancel)
         notes += calibration.notes
@@ -80,6 +81,24 @@ def run_whole(
             notes += push_run(run, targets, listener, cancel, verify=True)
         write_page(run)
         return Outcome(folder, stored_results(run), tuple(notes))
+
+
+def new_planned_run(
+    profile: Profile, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> RunFile:
+    """A new run with its plan. Where there is no plan to be had, or on request, nothing is left behind.
+
+    Raises
+    ------
+    InputError
+        As ``RunFile.create`` and ``plan_run`` do.
+    Cancelled
+    """
+
+    def fill(run: RunFile) -> None:
+        plan_run(run, listener, cancel)
+
+    return RunFile.create(folder, profile, fill)
 
 
 def compensate_run(run: RunFile, targets: tuple[Target, ...]) -> dict[str, Any]:
@@ -98,19 +117,22 @@ def push_run(
     *,
     verify: bool,
 ) -> tuple[str, ...]:
-    """Compensate and push targets, store what was measured. Returns notes on targets that were left out."""
+    """Compensate and push targets, store what was measured. Returns notes on targets that were left out.
+
+    Whether a verification held is told by ``unverified`` from the stored result.
+    """
     model = CellModel.load(run.folder / CALIBRATION_FILE)
     commands = compensate(run.profile, model, targets)
     run.write_result(COMPENSATE_RESULT, json.dumps(compensate_dict(commands)))
     verification = push(run.profile, model, commands, listener, cancel, verify=verify)
-    run.write_result(VERIFY_RESULT, json.dumps(verification.as_dict()))
+    run.write_result(VERIFY_RESULT if verify else PUSH_RESULT, json.dumps(verification.as_dict()))
     return tuple(f"target {target.name}: {target.note}" for target in verification.targets if target.note)
 
 
 def stored_results(run: RunFile) -> dict[str, dict[str, Any]]:
     """The results that a run holds, by step."""
     results = {}
-    for step in (RESULT, DISCOVER_RESULT, COMPENSATE_RESULT, VERIFY_RESULT):
+    for step in (RESULT, DISCOVER_RESULT, COMPENSATE_RESULT, PUSH_RESULT, VERIFY_RESULT):
         text = run.read_result(step)
         if text is not None:
             results[step] = json.loads(text)

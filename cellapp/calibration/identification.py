@@ -33,7 +33,6 @@ from cellapp.kinematics.chain import (
     jacobian,
     joint_jacobian,
     parameter_names,
-    parameter_unit,
     smr_positions,
 )
 from cellapp.kinematics.transforms import Array, register
@@ -272,18 +271,18 @@ def identify(
         offsets=None if effects is None else effects.joint_offsets,
     )
     chosen, ready = _choose(parameter_set, start, rows)
-    names = chosen.names
-    units = tuple(parameter_unit(name) for name in names)
+    names, units = chosen.names, chosen.units
     extra = 0 if effects is None else len(effects.names)
     k = len(names) + extra
     precision, mean = _priors(names, extra, chosen.columns, prior_sigma or {}, prior_mean or start)
-    if 3 * n + np.count_nonzero(precision) < k or (3 * n <= k and not precision.any()):
+    believing = bool(precision.any())
+    if 3 * n + np.count_nonzero(precision) < k or (3 * n <= k and not believing):
         raise TooFewReadings(
             f"{n} readings give {3 * n} coordinates for {k} parameters; measure at least {k // 3 + 1} configurations"
         )
 
     free = np.concatenate([start.vector()[list(chosen.columns)], np.zeros(extra)])
-    weights = np.ones(n)
+    weights: Array | None = None
     best = _evaluate(start, rows, chosen, free, weights, ready)
     steps: list[float] = []
     damping, message, converged = 0.0, f"not converged after {max_iterations} iterations", False
@@ -293,7 +292,7 @@ def identify(
             best = _evaluate(start, rows, chosen, free, weights)
         # Beliefs weigh against what the readings scatter now, not against what the tracker alone would: far from the
         # solution they hold, near it they only keep what the data cannot tell.
-        variance = _variance(best.cost, weights, k, precision) if precision.any() else 1.0
+        variance = _variance(best.cost, _used(weights, n), k, precision) if believing else 1.0
         step = _step(best, variance, precision, mean - free, damping)
         size = float(np.max(np.abs(step) * best.lever))
         if size <= tolerance:  # the step is not taken, so that all that is reported belongs to one place
@@ -314,7 +313,7 @@ def identify(
         free, best = free + step, trial
 
     geometry, beta = _place(start, chosen, free)
-    covariance, scale, freedom = _covariance(best, weights, precision, k)
+    covariance, scale, freedom = _covariance(best, _used(weights, n), precision, k)
     return Identification(
         geometry=geometry,
         parameter_set=chosen,
@@ -330,7 +329,7 @@ def identify(
         scale=scale,
         degrees_of_freedom=freedom,
         residuals=best.residuals.T,
-        weights=weights,
+        weights=np.ones(n) if weights is None else weights,
         steps=tuple(steps),
         gram=best.plain / (best.lever * best.lever[:, None]) / n,
         configurations=n,
@@ -462,7 +461,7 @@ def _evaluate(
     rows: _Rows,
     chosen: ParameterSet,
     free: Array,
-    weights: Array,
+    weights: Array | None,
     ready: _Linear | None = None,
 ) -> _Normal:
     """Normal equations at ``free``; ``ready`` are positions and Jacobian there where they are known already."""
@@ -470,17 +469,18 @@ def _evaluate(
     k, size = len(free), len(chosen.columns)
     A, b, plain, cost = np.zeros((k, k)), np.zeros(k), np.zeros((k, k)), 0.0
     residuals = np.empty((3, rows.count))
-    unweighted = rows.white is None and bool(np.all(weights == 1.0))
+    plainly = rows.white is None and weights is None
     for first, last in rows.chunks():
         turns = rows.turns_at(beta, first, last)
         here = ready or _linearise(geometry, turns, chosen, rows, first, last)
         J = here.J
         r = np.subtract(rows.measured[:, first:last], here.P, out=residuals[:, first:last])
         plain += here.gram
-        if not unweighted:
-            root = np.sqrt(weights[first:last])
-            J = rows.whiten(J, first, last) * root
-            r = rows.whiten(r, first, last) * root
+        if not plainly:
+            J, r = rows.whiten(J, first, last), rows.whiten(r, first, last)
+            if weights is not None:
+                root = np.sqrt(weights[first:last])
+                J, r = J * root, r * root
             A += gram_matrix(J)
         b += (J @ r[:, :, None]).sum(axis=0)[:, 0]
         cost += float(np.vdot(r, r))
@@ -490,7 +490,7 @@ def _evaluate(
     if rotations:
         lever[:rotations] = math.sqrt(max(float(moved[:rotations].mean()), 1e-30))
     lever[size:] = np.sqrt(np.maximum(moved[size:], 1e-30))
-    return _Normal(plain if unweighted else A, b, plain, cost, lever, residuals)
+    return _Normal(plain if plainly else A, b, plain, cost, lever, residuals)
 
 
 def _linearise(
@@ -503,13 +503,18 @@ def _linearise(
     return _Linear(P, J, gram_matrix(J))
 
 
-def _variance(cost: float, weights: Array, k: int, precision: Array) -> float:
-    """Scatter of the weighted residuals, squared, against the stated sigma (or in m^2 without one)."""
-    return max(cost / _freedom(weights, k, precision), 1e-300)
+def _variance(cost: float, used: int, k: int, precision: Array) -> float:
+    """Scatter of the weighted residuals of ``used`` points, squared, against the stated sigma (or in m^2 without)."""
+    return max(cost / _freedom(used, k, precision), 1e-300)
 
 
-def _freedom(weights: Array, k: int, precision: Array) -> int:
-    return max(1, 3 * int(np.count_nonzero(weights > 1e-3)) - k + int(np.count_nonzero(precision)))
+def _freedom(used: int, k: int, precision: Array) -> int:
+    return max(1, 3 * used - k + int(np.count_nonzero(precision)))
+
+
+def _used(weights: Array | None, n: int) -> int:
+    """How many points have a say."""
+    return n if weights is None else int(np.count_nonzero(weights > 1e-3))
 
 
 def _step(normal: _Normal, variance: float, precision: Array, to_mean: Array, damping: float) -> Array:
@@ -543,13 +548,13 @@ def _robust_weights(rows: _Rows, normal: _Normal, robust: RobustName) -> Array:
     return np.asarray(np.where(u < _TUKEY, (1.0 - (np.minimum(u, _TUKEY) / _TUKEY) ** 2) ** 2, 0.0))
 
 
-def _covariance(normal: _Normal, weights: Array, precision: Array, k: int) -> tuple[Array, float, int]:
+def _covariance(normal: _Normal, used: int, precision: Array, k: int) -> tuple[Array, float, int]:
     """Covariance (k, k), the scatter against the stated sigma, and the degrees of freedom.
 
     Priors are beliefs and are not scaled by the scatter; the readings' part is.
     """
-    freedom = _freedom(weights, k, precision)
-    variance = _variance(normal.cost, weights, k, precision)
+    freedom = _freedom(used, k, precision)
+    variance = _variance(normal.cost, used, k, precision)
     inner = 1.0 / normal.lever
     A = (normal.A / variance + np.diag(precision)) * inner * inner[:, None]
     factor, failed = lapack.dpotrf(A, lower=1)

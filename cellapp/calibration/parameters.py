@@ -33,32 +33,44 @@ class ParameterSet:
         Indices into ``parameter_names``; rotations before translations.
     dropped : tuple of int, length l
         Candidates that depend on the columns.
-    shares : array, shape (k, l)
-        A unit of a dropped parameter acts like these shares of the kept ones.
+    scaled_gram, scale : arrays, shapes (k + l, k + l), (k + l,)
+        Gram matrix of columns and dropped ones, in that order, at unit scale, and what it was divided by.
     """
 
     name: str
     joints: int
     columns: tuple[int, ...]
     dropped: tuple[int, ...] = ()
-    shares: Array | None = None
+    scaled_gram: Array | None = None
+    scale: Array | None = None
 
-    @cached_property
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the columns."""
-        names = parameter_names(self.joints)
-        return tuple(names[c] for c in self.columns)
+        return _names_of(self.columns, self.joints)
 
-    @cached_property
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the columns."""
+        return _units_of(self.columns, self.joints)
+
+    @property
     def rotations(self) -> int:
         """How many of the columns are rotations; they stand first."""
-        return sum(parameter_unit(name) == "rad" for name in self.names)
+        return self.units.count("rad")
+
+    @cached_property
+    def shares(self) -> Array:
+        """A unit of a dropped parameter acts like these shares of the kept ones, shape (k, l)."""
+        k = len(self.columns)
+        if self.scaled_gram is None or self.scale is None:
+            return np.zeros((k, 0))
+        shares = np.linalg.solve(self.scaled_gram[:k, :k], self.scaled_gram[:k, k:])
+        return np.asarray(shares * self.scale[k:] / self.scale[:k, None])
 
     @cached_property
     def merged(self) -> dict[str, dict[str, float]]:
         """Dropped parameter -> {kept parameter: share}; an empty entry has no effect on these data at all."""
-        if self.shares is None:
-            return {}
         names = parameter_names(self.joints)
         return {
             names[column]: {
@@ -68,6 +80,17 @@ class ParameterSet:
             }
             for place, column in enumerate(self.dropped)
         }
+
+
+@lru_cache(maxsize=64)
+def _names_of(columns: tuple[int, ...], joints: int) -> tuple[str, ...]:
+    names = parameter_names(joints)
+    return tuple(names[c] for c in columns)
+
+
+@lru_cache(maxsize=64)
+def _units_of(columns: tuple[int, ...], joints: int) -> tuple[str, ...]:
+    return tuple(parameter_unit(name) for name in _names_of(columns, joints))
 
 
 @lru_cache(maxsize=32)
@@ -119,28 +142,29 @@ def identifiable_set(geometry: Geometry, gram: Array) -> ParameterSet:
     factorisation of their Gram matrix finds what each adds to those preferred to it: base, then tool, then the rows
     from the first joint on. The rank is checked against a factorisation with free pivoting.
     """
-    parallel = parallel_rows(geometry)
-    candidates, order, rotations = _candidates(geometry.joints, parallel)
-    inverse_scale = np.ones(len(candidates))
-    inverse_scale[:rotations] = math.sqrt(float(np.diag(gram)[:rotations].mean()))
-    inverse_scale *= math.sqrt(float(np.diag(gram)[rotations:].mean()))
-    scaled = gram / inverse_scale / inverse_scale[:, None]
+    candidates, order, rotations = _candidates(geometry.joints, parallel_rows(geometry))
+    squares = np.diag(gram)
+    scale = np.empty(len(candidates))
+    scale[:rotations] = math.sqrt(float(squares[:rotations].mean()))
+    scale[rotations:] = math.sqrt(float(squares[rotations:].mean()))
+    scaled = gram / scale / scale[:, None]
     preferred = scaled[order][:, order]
     # a dependent column is let through with a pivot of the size of this ridge, far below the threshold
-    preferred[np.diag_indices(len(order))] += 1e-13
-    pivots = np.diag(np.linalg.cholesky(preferred))
-    chosen = np.sort(order[pivots > _INVISIBLE])
+    preferred.flat[:: len(order) + 1] += 1e-13
+    factor, failed = lapack.dpotrf(preferred, lower=1)
+    chosen = np.sort(order[np.diag(factor) > _INVISIBLE])
     _, free_order, rank, _ = lapack.dpstrf(scaled, tol=_INVISIBLE**2, lower=1)
-    if len(chosen) > rank:  # the order of preference kept a nearly dependent column: pivot freely instead
+    if failed or len(chosen) > rank:  # the order of preference kept a nearly dependent column: pivot freely instead
         chosen = np.sort(free_order[:rank] - 1)
-    dropped = np.delete(np.arange(len(candidates)), chosen)
-    shares = np.linalg.solve(scaled[chosen][:, chosen], scaled[chosen][:, dropped])
+    kept = chosen.tolist()
+    sorted_out = [*kept, *(j for j in range(len(candidates)) if j not in set(kept))]
     return ParameterSet(
         "auto",
         geometry.joints,
-        tuple(candidates[j] for j in chosen.tolist()),
-        tuple(candidates[j] for j in dropped.tolist()),
-        shares * inverse_scale[dropped] / inverse_scale[chosen, None],
+        tuple(candidates[j] for j in kept),
+        tuple(candidates[j] for j in sorted_out[len(kept) :]),
+        scaled[sorted_out][:, sorted_out],
+        scale[sorted_out],
     )
 
 

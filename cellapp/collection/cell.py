@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,8 +53,8 @@ def _ur_arm(name: str, arm: ArmProfile, plant: Plant | None) -> Arm:
 
 def _lmf_tracker(profile: Profile, plant: Plant | None) -> Tracker:
     raise HardwareError(
-        "tracker: this version has no driver for the AT960's LMF interface;"
-        " use the simulated cell, or import readings measured elsewhere"
+        "tracker: this version has no driver for the AT960's LMF interface; nothing was moved."
+        " Use the simulated cell, or import readings measured elsewhere"
     )
 
 
@@ -89,12 +89,12 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
     arms = {name: ARM_DRIVERS[arm.driver.kind](name, arm, plant) for name, arm in profile.arms.items()}
     tracker = TRACKER_DRIVERS[profile.tracker.driver.kind](profile, plant)
     with ExitStack() as stack:
-        for name, arm in arms.items():
+        for arm in arms.values():
             try:
                 arm.connect()
             except ArmError as error:
-                raise HardwareError(f"arm {name}: {error}") from error
-            stack.callback(arm.disconnect)
+                raise HardwareError(str(error)) from error
+            stack.callback(_let_go, arm)
         try:
             tracker.connect()
             stack.callback(tracker.disconnect)
@@ -104,6 +104,11 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
         if unmet:
             raise HardwareError(f"tracker: not ready: {'; '.join(unmet)}")
         yield Cell(arms, tracker, plant)
+
+
+def _let_go(arm: Arm) -> None:
+    with suppress(ArmError):  # the other devices are let go of too, and what went wrong before is what is told
+        arm.disconnect()
 
 
 def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:

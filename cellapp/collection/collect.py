@@ -60,9 +60,7 @@ def collect_run(
             cancel.check()
             listener(Progress("collect", total - len(left) + place, total, f"stop {stop + 1}"))
             targets = {name: rows[stop] for name, rows in plan.items()}
-            states = _go(mover, targets, home_positions(profile))
-            if began is None:
-                began = min(state.time_s for state in states.values()) - earlier
+            states = _go(mover, targets)
             rows: dict[str, Reading] = {}
             for name, state in states.items():
                 try:
@@ -72,6 +70,8 @@ def collect_run(
                     run.log("warning", note)
                     notes.append(note)
                     continue
+                if began is None:  # by the tracker's clock alone: controllers have their own
+                    began = point.time_s - point.averaging_s - earlier
                 rows[name] = _reading(state, point, mover.approach(name), began)
             missed = 0 if rows else missed + 1
             if missed >= _MOST_MISSED_IN_A_ROW:
@@ -88,13 +88,12 @@ def collect_run(
     return tuple(notes)
 
 
-def _go(mover: Mover, targets: dict[str, np.ndarray], homes: dict[str, np.ndarray]) -> dict[str, ArmState]:
+def _go(mover: Mover, targets: dict[str, np.ndarray]) -> dict[str, ArmState]:
     """Move straight, or by way of home where the straight way is refused (after a resume, or a missed stop)."""
     try:
         return mover.move(targets)
     except MotionRefused:
-        for name in homes:  # one arm at a time: the gate then knows where the other one is
-            mover.move({name: homes[name]})
+        mover.go_home()
         return mover.move(targets)
 
 

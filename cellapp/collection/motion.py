@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.collection.cell import Cell
 from cellapp.errors import CellappError, HardwareError
+from cellapp.planning.cell_bodies import home_positions
 from cellapp.planning.safety import CellBodies, predicted_smr, refuse_motion
 from cellapp.profile import Profile
-from drivers.arms.protocol import ArmError, ArmState
+from drivers.arms.protocol import ArmError, ArmState, ArmTimeout
 from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
 
 Vector = NDArray[np.float64]
 
 _MOVE_ALLOWANCE_S = 10.0
+_ROUND_S = 1.0
+"""How long one arm is waited for before the others are looked at again: a fault of any stops all of them."""
 _WRONG_TARGET_M = 0.05
 _AT_TARGET_RAD = 1e-3
 _MEASURING_TRIES = 2
@@ -52,10 +56,16 @@ class Mover:
             positions[name] = state.q
         return positions
 
-    def refusal(self, targets: Mapping[str, Vector]) -> str:
-        """Why the arms must not go to ``targets`` from where they are; empty if they may."""
+    def refusal(self, *legs: Mapping[str, Vector]) -> str:
+        """Why the arms must not go from where they are to the targets of each leg in turn; empty if they may."""
         here = self.positions()
-        return refuse_motion(self._bodies, here, {**here, **targets})
+        for targets in legs:
+            there = {**here, **targets}
+            refusal = refuse_motion(self._bodies, here, there)
+            if refusal:
+                return refusal
+            here = there
+        return ""
 
     def move(self, targets: Mapping[str, Vector]) -> dict[str, ArmState]:
         """Move to ``targets`` (name -> (N,) [rad]), arms together, and wait until all rest there.
@@ -72,13 +82,13 @@ class Mover:
         if refusal:
             raise MotionRefused(f"refused to move: {refusal}")
         try:
-            timeouts = {}
+            timeout = 0.0
             for name, q in targets.items():
                 speed, acceleration = self._rates(name)
                 way = np.abs(q - here[name])
-                timeouts[name] = float((way / speed + speed / acceleration).max()) * 2.0 + _MOVE_ALLOWANCE_S
+                timeout = max(timeout, float((way / speed + speed / acceleration).max()) * 2.0 + _MOVE_ALLOWANCE_S)
                 self._cell.arms[name].start_move(q, speed, acceleration)
-            states = {name: self._cell.arms[name].wait_settled(timeouts[name]) for name in targets}
+            states = self._settled(list(targets), timeout)
         except ArmError as error:
             self.stop()
             raise HardwareError(f"{error}; all arms were told to stop") from error
@@ -94,6 +104,32 @@ class Mover:
             if away > _AT_TARGET_RAD:
                 raise HardwareError(f"arm {name}: rests {np.degrees(away):.3f} deg from where it was sent")
         return states
+
+    def go_home(self) -> None:
+        """Bring the arms home one at a time, in whatever order the gate lets them.
+
+        Raises as ``move`` does; ``MotionRefused`` if no arm that is not at home yet can go there.
+        """
+        homes = home_positions(self._profile)
+        waiting = list(homes)
+        while waiting:
+            name = next((name for name in waiting if not self.refusal({name: homes[name]})), waiting[0])
+            self.move({name: homes[name]})
+            waiting.remove(name)
+
+    def _settled(self, names: Sequence[str], timeout_s: float) -> dict[str, ArmState]:
+        """Wait for all arms in turns, until a whole round found each of them at rest."""
+        late = ""
+        for _ in range(math.ceil(timeout_s / _ROUND_S)):
+            states = {}
+            for name in names:
+                try:
+                    states[name] = self._cell.arms[name].wait_settled(_ROUND_S)
+                except ArmTimeout:
+                    late = name
+            if len(states) == len(names):
+                return states
+        raise ArmTimeout(f"arm {late}: did not come to rest within {timeout_s:.0f} s")
 
     def approach(self, name: str) -> NDArray[np.int8]:
         """Sign of each joint's last motion, 0 where it has not moved yet."""

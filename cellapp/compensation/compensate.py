@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.compensation.targets import Target
+from cellapp.errors import InputError
 from cellapp.kinematics.inverse import solve_pose
 from cellapp.kinematics.transforms import Array, rotation_zyx
 from cellapp.model import ArmModel, CellModel
@@ -48,7 +49,19 @@ class Command:
 
 
 def compensate(profile: Profile, model: CellModel, targets: Sequence[Target]) -> tuple[Command, ...]:
-    """Commands for all targets, in their order; targets out of reach, out of sight or unsafe carry the reason."""
+    """Commands for all targets, in their order; targets out of reach, out of sight or unsafe carry the reason.
+
+    Raises
+    ------
+    InputError
+        If the profile does not say where arms and tracker stand, or the model is of other arms.
+    """
+    if set(model.arms) != set(profile.arms):
+        known, asked = ", ".join(model.arms), ", ".join(profile.arms)
+        raise InputError(f"the calibration is of arms {known}, the profile of arms {asked}; calibrate this run anew")
+    for name, arm in profile.arms.items():
+        if arm.home is None:
+            raise InputError(f"profile {profile.name}: arms.{name}.home is needed: an arm waits there for the others")
     commands: dict[str, Command] = {}
     for name in profile.arms:
         of_arm = [target for target in targets if target.arm == name]
@@ -99,7 +112,8 @@ def _compensate_arm(profile: Profile, model: CellModel, name: str, targets: Sequ
     cell = cell_bodies(profile, model)
     limits = cell.arms[name].limits
     rng = np.random.default_rng([profile.seed, 0x7A6])
-    low, high = np.maximum(limits[:, 0], -np.pi), np.minimum(limits[:, 1], np.pi)
+    middle = np.clip(0.0, limits[:, 0] + np.pi, limits[:, 1] - np.pi)  # one turn of each joint, or what it has of it
+    low, high = np.maximum(limits[:, 0], middle - np.pi), np.minimum(limits[:, 1], middle + np.pi)
     starts = rng.uniform(low, high, size=(_STARTS, len(low)))
     n = len(targets)
     every = np.repeat(np.arange(n), _STARTS)
@@ -107,14 +121,14 @@ def _compensate_arm(profile: Profile, model: CellModel, name: str, targets: Sequ
         arm.nominal, nominal_M[every], (T_nominal[:3, :3] @ rotation_B)[every], np.tile(starts, (n, 1))
     )
     q_all = _into_limits(solved.q, limits)
-    others = {other: q for other, q in home_positions(profile).items() if other != name}
+    homes = home_positions(profile)
+    others = {other: q for other, q in homes.items() if other != name}
     commands = []
     for k, target in enumerate(targets):
         ways = q_all[(every == k) & solved.reached]
         ways = ways[np.all((ways >= limits[:, 0]) & (ways <= limits[:, 1]), axis=1)]
         command = Command(target, None, None, None, None, "out of reach")
-        home = np.array(profile.arms[name].home)
-        for q in ways[np.argsort(np.abs(ways - home).max(axis=1), kind="stable")]:
+        for q in ways[np.argsort(np.abs(ways - homes[name]).max(axis=1), kind="stable")]:
             seen = visible(cell, name, q[None], {other: value[None] for other, value in others.items()})[0]
             refusal = "the tracker does not see it" if not seen else refuse_stop(cell, {**others, name: q})
             if not refusal:
@@ -122,9 +136,12 @@ def _compensate_arm(profile: Profile, model: CellModel, name: str, targets: Sequ
                     arm, expected_M[k : k + 1], T_calibrated[None, :3, :3] @ rotation_B[k : k + 1], q[None]
                 )
                 if reached[0]:
+                    refusal = refuse_stop(cell, {**others, name: q_compensated[0]})
+                else:
+                    refusal = "the calibrated model does not reach it"
+                if not refusal:
                     command = Command(target, q, q_compensated[0], expected_M[k], nominal_M[k], "")
                     break
-                refusal = "the calibrated model does not reach it"
             command = Command(target, None, None, None, None, refusal)
         commands.append(command)
     return commands

@@ -72,6 +72,22 @@ class Verification:
         }
 
 
+def unverified(result: Mapping[str, Any]) -> list[str]:
+    """Why a verification did not hold, arm by arm; empty if it did. From the object of ``push --verify --json``."""
+    complaints = []
+    for name in dict.fromkeys(target["arm"] for target in result["targets"]):
+        ways = result["arms"].get(name)
+        if ways is None:
+            complaints.append(f"arm {name}: no target could be measured")
+        elif ways["compensated_mm"]["mean"] >= ways["nominal_mm"]["mean"]:
+            before, after = ways["nominal_mm"]["mean"], ways["compensated_mm"]["mean"]
+            complaints.append(
+                f"arm {name}: compensated targets were missed by {after:.3f} mm in the mean, uncompensated by"
+                f" {before:.3f} mm; do not use this calibration"
+            )
+    return complaints
+
+
 def push(
     profile: Profile,
     model: CellModel,
@@ -100,8 +116,7 @@ def push(
     ways: tuple[Way, ...] = ("nominal", "compensated") if verify else ("compensated",)
     with open_cell(profile) as cell:
         mover = Mover(profile, cell, bodies)
-        for name in homes:
-            mover.move({name: homes[name]})
+        mover.go_home()
         busy = ""
         for done, command in enumerate(commands):
             cancel.check()
@@ -121,8 +136,7 @@ def push(
                 if off is not None:
                     errors[way] = off
             verified.append(Verified(command.target.name, name, errors.get("nominal"), errors.get("compensated"), note))
-        for name in homes:
-            mover.move({name: homes[name]})
+        mover.go_home()
     listener(Progress("push", len(commands), len(commands), "done"))
     return Verification(tuple(verified), _summaries(verified))
 
@@ -141,11 +155,10 @@ def _go_and_measure(
             return np.asarray(command.q_nominal)
         return arriving(arm, np.asarray(command.q_compensated), mover.positions()[name])
 
-    try:
-        states = mover.move({name: joints()})
-    except MotionRefused:  # the straight way is not free: by way of home
+    # straight, if the arm can go home from there too, so that it never strands; else by way of home and back
+    if mover.refusal({name: joints()}, {name: home}):
         mover.move({name: home})
-        states = mover.move({name: joints()})
+    states = mover.move({name: joints()})
     if not measure:
         return None
     return float(np.linalg.norm(mover.measure(name, states[name].q).p_M - wanted))

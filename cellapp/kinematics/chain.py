@@ -126,8 +126,7 @@ def parallel_rows(geometry: Geometry) -> tuple[int, ...]:
 
     Source: Hayati, Mirmirani, J. Robotic Systems 2 (1985) 397: D-H is singular between parallel axes.
     """
-    alphas = geometry.rows[:-1, 3]
-    return tuple(int(i) for i in np.flatnonzero(np.abs(np.sin(alphas)) < _PARALLEL))
+    return tuple(i for i, alpha in enumerate(geometry.rows[:-1, 3].tolist()) if abs(math.sin(alpha)) < _PARALLEL)
 
 
 @dataclass(frozen=True)

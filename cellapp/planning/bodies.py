@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,6 +43,20 @@ class ArmBodies:
     limits: Array
     normal_F: Array
     acceptance: float
+
+    @cached_property
+    def levers(self) -> Array:
+        """How far from each joint's axis any point of the bodies can get, shape (N,) [m]."""
+        joints = self.geometry.joints
+        zero = np.zeros((1, joints))
+        origins, bodies = frame_poses(self.geometry, zero)[1][:, 0], place(self, zero)
+        # neither a frame's distance from the one before nor a body's from the frame before its own changes with q
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(origins, axis=0), axis=1))])
+        before = np.maximum(self.frames - 1, 0)
+        ends = np.stack([bodies.start[0], bodies.end[0]])
+        reach = np.linalg.norm(ends - origins[before], axis=2).max(axis=0) + self.radius + along[before]
+        carried = self.frames[:, None] > np.arange(joints)
+        return np.asarray(np.where(carried, reach[:, None] - along[:-1], 0.0).max(axis=0, initial=0.0))
 
 
 @dataclass(frozen=True)
@@ -126,10 +141,10 @@ def between_arms(first: Placed, second: Placed) -> Array:
 def beam_clearance(tracker: Array, target: Array, bodies: Placed, *, own: bool) -> Array:
     """Smallest distance of a beam's axis from the bodies, shape (n,) [m].
 
-    With ``own``, the bodies carry the target (n, 3): what is fixed to the last frame is left out, and the beam ends
-    short of the SMR.
+    With ``own``, the bodies carry the target (n, 3): what is fixed to the last frame with bodies is left out, for it
+    always stands where the beam ends.
     """
-    seen = bodies.frames < bodies.frames.max() if own else np.ones(len(bodies.frames), dtype=bool)
+    seen = bodies.frames < bodies.frames.max(initial=0) if own else np.ones(len(bodies.frames), dtype=bool)
     if not seen.any():
         return np.full(len(target), np.inf)
     gap = segment_distance(

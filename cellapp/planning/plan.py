@@ -95,6 +95,11 @@ class _Pool:
         if profile.plan.ranges is not None:
             self._low, self._high = np.array(profile.plan.ranges).T
             self._low, self._high = np.maximum(self._low, limits[:, 0]), np.minimum(self._high, limits[:, 1])
+            for j in np.flatnonzero(self._low > self._high):
+                low, high = profile.plan.ranges[j]
+                raise InputError(
+                    f"plan.ranges: joint {j + 1}: nothing of [{low:g}, {high:g}] rad is inside the limits of arm {name}"
+                )
         else:  # one turn shows all of a joint
             middle = np.clip(0.0, limits[:, 0] + math.pi, limits[:, 1] - math.pi)
             self._low = np.maximum(limits[:, 0], middle - math.pi)

@@ -25,6 +25,11 @@ from cellapp.planning.bodies import (
 )
 
 _BEAM_RADIUS = 0.02
+_SELF_CLEARANCE = 0.01
+_FINEST_STEP = 0.02
+_EVERY = 2
+"""Of the samples that are held against the arm itself and the floor, each so many-th is held against other arms: there
+all pairs count."""
 _PAIRS_AT_ONCE = 20_000
 
 
@@ -68,16 +73,27 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
     """Why the arms must not go from ``q_from`` to ``q_to`` (name -> (N,)); empty if they may.
 
     Checks that the numbers are numbers, the target is inside the joint limits, and on the way every arm keeps its
-    clearance from itself, from the floor and from the other arms.
+    clearance from the floor and from the other arms, and does not touch itself. The way is sampled; what may happen
+    between two samples is added to the clearance, so that the answer never errs on the unsafe side.
     """
-    placed = {}
+    unknown = [name for name in (*q_from, *q_to) if name not in cell.arms]
+    if unknown:
+        return f"arm {unknown[0]}: there is no such arm in the cell"
+    missing = [name for name in cell.arms if name not in q_from or name not in q_to]
+    if missing:
+        return f"arm {missing[0]}: nobody says where it stands and where it shall go"
+    placed: dict[str, Placed] = {}
+    strays: dict[str, float] = {}
     for name, arm in cell.arms.items():
+        if len(arm.radius) == 0:
+            return f"arm {name}: has no bodies, so that no collision can be foreseen; add capsules to its type"
         here, there = np.asarray(q_from[name], dtype=np.float64), np.asarray(q_to[name], dtype=np.float64)
         joints = arm.geometry.joints
-        if here.shape != (joints,) or there.shape != (joints,):
-            return f"arm {name}: {len(there)} joint positions for {joints} joints"
-        if not (np.isfinite(here).all() and np.isfinite(there).all()):
-            return f"arm {name}: a joint position is not a finite number"
+        for q in (here, there):
+            if q.shape != (joints,):
+                return f"arm {name}: {q.size} joint positions for {joints} joints"
+            if not np.isfinite(q).all():
+                return f"arm {name}: a joint position is not a finite number"
         outside = (there < arm.limits[:, 0] - 1e-9) | (there > arm.limits[:, 1] + 1e-9)
         if outside.any():
             j = int(np.argmax(outside))
@@ -86,16 +102,18 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
                 f"arm {name}: joint {j + 1} at {math.degrees(there[j]):.1f} deg is outside"
                 f" its limits {low:.1f} to {high:.1f} deg"
             )
-        way = place(arm, _samples(arm, here, there, cell.clearance))
-        if floor_clearance(way, cell.floor).min() < cell.clearance:
+        samples, stray = _samples(arm, here, there, max(0.5 * cell.clearance, _FINEST_STEP))
+        way = place(arm, samples)
+        if not floor_clearance(way, cell.floor).min() >= cell.clearance + stray:
             return f"arm {name}: comes nearer to the floor than {cell.clearance * 1e3:.0f} mm"
-        if self_clearance(way).min() < min(cell.clearance, 0.01):
+        # an arm knows its own shape better than where it stands: nothing between two samples can make it touch itself
+        if not self_clearance(way).min() >= max(min(cell.clearance, _SELF_CLEARANCE), stray):
             return f"arm {name}: comes too near to itself"
-        placed[name] = way
+        placed[name], strays[name] = way.take(slice(None, None, _EVERY)), _EVERY * stray
     names = list(placed)
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
-            if not _apart(placed[first], placed[second], cell.clearance):
+            if not _apart(placed[first], placed[second], cell.clearance + strays[first] + strays[second]):
                 return f"arms {first} and {second}: come nearer than {cell.clearance * 1e3:.0f} mm"
     return ""
 
@@ -116,12 +134,10 @@ def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] |
     azimuth = np.arctan2(in_M[:, 1], in_M[:, 0])
     elevation = np.arcsin(np.clip(in_M[:, 2] / distance, -1.0, 1.0))
     seen = np.ones(len(q), dtype=bool)
-    for value, (low, high) in (
-        (azimuth, cell.field.azimuth),
-        (elevation, cell.field.elevation),
-        (distance, cell.field.distance),
-    ):
+    for value, (low, high) in ((elevation, cell.field.elevation), (distance, cell.field.distance)):
         seen &= (value >= low) & (value <= high)
+    left, right = cell.field.azimuth
+    seen &= np.mod(azimuth - left, 2.0 * math.pi) <= right - left
     back = (T_C_M[:3, 3] - bodies.smr) / distance[:, None]
     cosine = np.einsum("na,na->n", back, bodies.normal)
     seen &= cosine > math.cos(max(0.0, arm.acceptance - math.radians(3.0)))
@@ -142,13 +158,14 @@ def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
     return np.asarray((place(cell.arms[name], q).smr - T_C_M[:3, 3]) @ T_C_M[:3, :3])
 
 
-def _samples(arm: ArmBodies, q_from: Array, q_to: Array, step: float) -> Array:
-    """Configurations along the way so close that no body point moves more than ``step`` between two of them."""
-    rows = arm.geometry.rows
-    ahead = np.cumsum((np.abs(rows[:, 1]) + np.abs(rows[:, 2]))[::-1])[::-1] + float(arm.radius.max(initial=0.1))
-    way = float(np.abs(q_to - q_from) @ ahead)
-    count = max(2, math.ceil(way / max(step, 1e-3)) + 1)
-    return np.asarray(q_from + np.linspace(0.0, 1.0, count)[:, None] * (q_to - q_from))
+def _samples(arm: ArmBodies, q_from: Array, q_to: Array, step: float) -> tuple[Array, float]:
+    """Configurations along the way so close that no body point moves more than ``step`` [m] between ``_EVERY`` of them.
+
+    Also returns how far any body point can be from where it is at the nearest of them [m]; zero for no way.
+    """
+    way = float(np.abs(q_to - q_from) @ arm.levers)
+    count = _EVERY * max(1, math.ceil(way / step)) + 1
+    return q_from + np.linspace(0.0, 1.0, count)[:, None] * (q_to - q_from), 0.5 * way / (count - 1)
 
 
 def _apart(first: Placed, second: Placed, clearance: float) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -70,7 +71,7 @@ def discovery_tables(result: Mapping[str, Any]) -> list[Table]:
                     f"{found['evidence']['heldout_mm']['after']:.4f}",
                 )
             )
-        if arm["noise_floor_mm"] is not None:
+        if arm["noise_floor_mm"] is not None and math.isfinite(arm["noise_floor_mm"]):
             rows.append(("noise floor", "", "", f"{arm['noise_floor_mm']:.4f}"))
         columns = ("model", "joints", "corrected p", "held-out rms [mm]")
         tables.append(Table(f"Arm {name}: {arm['verdict']}", columns, tuple(rows)))

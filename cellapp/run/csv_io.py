@@ -105,15 +105,22 @@ def read_readings_csv(path: Path, joint_counts: Mapping[str, int]) -> tuple[dict
 def import_csv(profile: Profile, csv: Path, folder: Path) -> RunFile:
     """Make a run of a file of readings. The run is made only after the whole file was read and found good.
 
-    What is noteworthy (unknown columns, arms without readings) is in the run's events with level ``note``.
+    What is noteworthy (unknown columns) is in the run's events with level ``note``.
 
     Raises
     ------
     InputError
-        As ``read_readings_csv`` and ``RunFile.create`` do; nothing is left behind then.
+        As ``read_readings_csv`` and ``RunFile.create`` do, and if an arm of the profile has no readings; nothing is
+        left behind then.
     """
     table = _read_table(Path(csv))
     readings, notes = _read(table, {name: len(arm.type.joints) for name, arm in profile.arms.items()})
+    missing = [name for name in profile.arms if name not in readings]
+    if missing:
+        raise InputError(
+            f"{csv}: arm: there is no reading of arm {', '.join(missing)}, which the profile has; add its readings, or"
+            " take the arm out of the profile"
+        )
 
     def fill(run: RunFile) -> None:
         run.keep_columns(table.names)

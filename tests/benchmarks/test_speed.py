@@ -55,7 +55,7 @@ def test_identification_of_27_parameters_at_400_configurations(benchmark):
     ours, theirs = best_of(200, lambda: identify(start, q, p_M), lambda: np.linalg.lstsq(A, b, rcond=None))
     benchmark.extra_info["ratio_to_lstsq"] = ours / theirs
     print(f"\nidentify / numpy.linalg.lstsq (1200 x 27): {ours / theirs:.2f}")  # noqa: T201
-    assert ours / theirs < 10.0  # a factor of two above what the README states: only a real loss trips it
+    assert ours / theirs < 7.5  # well above what the README states: only a real loss trips it
 
 
 @pytest.mark.benchmark(group="400 configurations, 27 parameters")

@@ -1,0 +1,216 @@
+"""Figures of the report as inline SVG; pure drawing, from arrays to text.
+
+Import this module only where a figure is drawn: it loads matplotlib. No name that a user gave is drawn here, so that
+any alphabet will do and nothing needs escaping: names stand in the page's captions and legends.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from numpy.typing import NDArray
+
+from cellapp.kinematics.transforms import Array
+
+ARM_COLOURS = 4
+"""Arms beyond these share colours."""
+
+# Drawn with colours that stand for the page's own, so that the style sheet decides them, also in the dark.
+_INK, _SOFT, _GRID = "#010101", "#010102", "#010103"
+_STAGES = {"nominal": "#010111", "geometry": "#010112", "effects": "#010113"}
+_ARMS = tuple(f"#01012{number}" for number in range(1, ARM_COLOURS + 1))
+_PAGE_COLOURS = {
+    _INK: "currentColor",
+    _SOFT: "var(--soft)",
+    _GRID: "var(--grid)",
+    **{colour: f"var(--{stage})" for stage, colour in _STAGES.items()},
+    **{colour: f"var(--arm{number})" for number, colour in enumerate(_ARMS, start=1)},
+}
+_CAPS = {"nominal": "butt", "geometry": "round", "effects": "projecting"}  # ends of strokes: dash, dot, square
+_SETTINGS = {
+    "svg.fonttype": "none",
+    "text.parse_math": False,
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9.0,
+    "axes.labelsize": 9.0,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": _SOFT,
+    "axes.labelcolor": _INK,
+    "text.color": _INK,
+    "xtick.color": _SOFT,
+    "ytick.color": _SOFT,
+    "xtick.labelcolor": _INK,
+    "ytick.labelcolor": _INK,
+    "axes.axisbelow": True,
+    "axes.facecolor": "none",
+    "figure.facecolor": "none",
+    "savefig.facecolor": "none",
+    "figure.dpi": 72.0,
+}
+_FAMILIES = ("axes", "figure", "font", "grid", "lines", "patch", "path", "savefig", "svg", "text", "xtick", "ytick")
+_SIZE = (5.2, 3.3)
+_LEAST_MM = 1e-6  # what a logarithmic axis shows for no error at all
+
+
+@dataclass(frozen=True)
+class ArmInCell:
+    """What the drawing of the cell shows of one arm: measured points (n, 3) and the base (3,), both levelled [m]."""
+
+    points: Array
+    base: Array
+
+
+def error_figure(
+    key: str, configurations: NDArray[np.int64], errors_mm: Mapping[str, Array], floor_mm: float | None
+) -> str:
+    """Position error (n,) [mm] of each configuration by stage, on a logarithmic axis; ids in the SVG are of ``key``."""
+    with _settings(key):
+        figure, axes = _axes()
+        for stage, errors in errors_mm.items():
+            half = 0.005 * float(np.ptp(configurations)) if stage == "nominal" else 0.0
+            _dots(axes, configurations, np.maximum(errors, _LEAST_MM), _STAGES[stage], _CAPS[stage], half=half)
+        shown = np.maximum(np.concatenate(list(errors_mm.values())), _LEAST_MM)
+        axes.set_xlim(*_padded(configurations))
+        _log_axis(axes.yaxis, shown, floor_mm)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_xlabel("configuration")
+        axes.set_ylabel("position error [mm]")
+        if floor_mm is not None:
+            axes.axhline(floor_mm, color=_INK, linewidth=1.0, linestyle="--")
+        return _svg(figure, key)
+
+
+def residual_figure(key: str, errors_mm: Mapping[str, Array], floor_mm: float | None) -> str:
+    """Histogram of the position errors [mm] of some stages on a logarithmic axis, with the noise floor."""
+    with _settings(key):
+        figure, axes = _axes()
+        shown = np.maximum(np.concatenate(list(errors_mm.values())), _LEAST_MM)
+        _log_axis(axes.xaxis, shown, floor_mm)
+        low, high = axes.get_xlim()
+        edges = np.geomspace(low, high, 41)
+        for stage, errors in errors_mm.items():
+            counts, _ = np.histogram(np.maximum(errors, _LEAST_MM), edges)
+            axes.stairs(counts, edges, fill=True, color=_STAGES[stage], alpha=0.3)
+            axes.stairs(counts, edges, color=_STAGES[stage], linewidth=1.3)
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_xlabel("position error [mm]")
+        axes.set_ylabel("configurations")
+        if floor_mm is not None:
+            axes.axvline(floor_mm, color=_INK, linewidth=1.0, linestyle="--")
+        return _svg(figure, key)
+
+
+def target_figure(key: str, before_mm: Array, after_mm: Array, floor_mm: float | None) -> str:
+    """Measured error [mm] at each target (n,) without and with compensation, joined by a line."""
+    with _settings(key):
+        figure, axes = _axes()
+        number = np.arange(1, len(before_mm) + 1)
+        before, after = np.maximum(before_mm, _LEAST_MM), np.maximum(after_mm, _LEAST_MM)
+        axes.vlines(number, before, after, color=_GRID, linewidth=1.5)
+        axes.plot(number, before, "o", color=_STAGES["nominal"], markersize=4.5)
+        axes.plot(number, after, "s", color=_STAGES["effects"], markersize=4.5)
+        _log_axis(axes.yaxis, np.concatenate([before, after]), floor_mm)
+        axes.set_xlim(0.0, len(number) + 1.0)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_xlabel("target, in the order of the table")
+        axes.set_ylabel("measured error [mm]")
+        if floor_mm is not None:
+            axes.axhline(floor_mm, color=_INK, linewidth=1.0, linestyle="--")
+        return _svg(figure, key)
+
+
+def cell_figure(key: str, arms: Sequence[ArmInCell], across: int, up: int) -> str:
+    """The cell seen along one axis: coordinate ``across`` to the right, ``up`` upwards; the tracker at the origin."""
+    with _settings(key):
+        figure, axes = _axes()
+        axes.set_aspect("equal", adjustable="datalim")
+        for number, arm in enumerate(arms):
+            colour = _ARMS[number % ARM_COLOURS]
+            _dots(axes, arm.points[:, across], arm.points[:, up], colour, "round", width=1.8)
+            axes.plot(
+                [0.0, arm.base[across]], [0.0, arm.base[up]], color=_SOFT, linewidth=0.8, linestyle=":", zorder=1.0
+            )
+            axes.plot(arm.base[across], arm.base[up], "s", color=colour, markersize=9, markeredgecolor=_INK)
+        axes.plot(0.0, 0.0, "^", color=_INK, markersize=9)
+        axes.margins(0.06)
+        axes.autoscale_view()
+        axes.set_xlabel(f"{'xyz'[across]} [m]")
+        axes.set_ylabel(f"{'xyz'[up]} [m]")
+        return _svg(figure, key)
+
+
+def _settings(key: str) -> Any:
+    """Matplotlib's own defaults (not a user's) with ours; ids in the SVG follow from ``key`` alone."""
+    defaults: Mapping[Any, Any] = matplotlib.rcParamsDefault
+    own = {name: value for name, value in defaults.items() if name.split(".")[0] in _FAMILIES}
+    settings: Any = {**own, **_SETTINGS, "svg.hashsalt": key}
+    return matplotlib.rc_context(settings)
+
+
+def _axes() -> tuple[Figure, Any]:
+    figure = Figure(figsize=_SIZE, layout="constrained")
+    axes = figure.add_subplot()
+    axes.grid(color=_GRID, linewidth=0.6)
+    return figure, axes
+
+
+def _dots(
+    axes: Any, x: NDArray[Any], y: Array, colour: str, cap: str, *, width: float = 2.6, half: float = 0.0
+) -> None:
+    """Many small marks as one path of strokes, ``half`` to either side of x: a tenth of the text of single markers."""
+    ends = np.column_stack([x - half, y, x + half, y]).reshape(-1, 2)
+    codes = np.tile(np.array([Outline.MOVETO, Outline.LINETO], dtype=np.uint8), len(x))
+    outline = Outline(ends, codes)
+    outline.should_simplify = False
+    patch = PathPatch(outline, facecolor="none", edgecolor=colour, linewidth=width, capstyle=cap, snap=False)
+    axes.add_patch(patch)
+
+
+def _padded(values: NDArray[Any]) -> tuple[float, float]:
+    low, high = float(np.min(values)), float(np.max(values))
+    room = 0.05 * (high - low) or 0.5
+    return low - room, high + room
+
+
+def _log_axis(axis: Any, values: Array, also: float | None) -> None:
+    """A logarithmic axis around positive values with plain numbers and at least one of them to read."""
+    shown = values if also is None else np.append(values, also)
+    low, high = float(shown.min()) / 1.25, float(shown.max()) * 1.25
+    decades = np.log10(high / low)
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    axis.axes.set(**{f"{axis.axis_name}lim": (low, high)})
+    subs = (1.0,) if decades > 3.0 else (1.0, 3.0) if decades > 1.5 else (1.0, 2.0, 5.0)
+    axis.set_major_locator(LogLocator(10.0, subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _svg(figure: Figure, key: str) -> str:
+    """The figure as an ``svg`` element for HTML: no declarations, ids that start with ``key``, the page's colours."""
+    stream = io.StringIO()
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    FigureCanvasSVG(figure).print_svg(stream, metadata=nothing)
+    text = stream.getvalue()
+    head, _, body = text[text.index("<svg") :].partition(">")
+    text = re.sub(r'\s(?:xmlns(?::\w+)?|width|height|version)="[^"]*"', "", head) + ">" + body
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
+    text = text.replace("xlink:href=", "href=")
+    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{key}-", text)
+    for drawn, on_page in _PAGE_COLOURS.items():
+        text = text.replace(drawn, on_page)
+    return text.replace("<svg", '<svg aria-hidden="true" focusable="false"', 1)
