@@ -92,10 +92,16 @@ def test_an_unsafe_home_is_refused(twin: Profile) -> None:
     assert "floor" in found.text
 
 
-def test_an_smr_that_looks_away_is_refused(twin: Profile) -> None:
-    assert twin.tracker.pose is not None
-    behind = twin.tracker.model_copy(update={"distance": (30.0, 40.0)})
-    found = findings(twin.model_copy(update={"tracker": behind}))
+def test_arms_without_bodies_are_refused(twin: Profile) -> None:
+    bare = twin.arms["right"].type.model_copy(update={"capsules": ()})
+    found = findings(change(twin, "right", type=bare))["home"]
+    assert found.status == "failed"
+    assert "arm right has no bodies" in found.text
+
+
+def test_an_smr_that_is_never_seen_is_refused(twin: Profile) -> None:
+    away = twin.arms["left"].smr.model_copy(update={"normal": (0.0, 0.0, -1.0), "acceptance": 0.1})
+    found = findings(change(twin, "left", smr=away))
     assert found["arm left: SMR"].status == "failed"
     assert "smr.normal" in found["arm left: SMR"].text
 

@@ -81,9 +81,18 @@ def error_figure(
     """Position error (n,) [mm] of each configuration by stage, on a logarithmic axis; ids in the SVG are of ``key``."""
     with _settings(key):
         figure, axes = _axes()
+        width = 2.6 if len(configurations) < 500 else 1.5
         for stage, errors in errors_mm.items():
             half = 0.005 * float(np.ptp(configurations)) if stage == "nominal" else 0.0
-            _dots(axes, configurations, np.maximum(errors, _LEAST_MM), _STAGES[stage], _CAPS[stage], half=half)
+            _dots(
+                axes,
+                configurations,
+                np.maximum(errors, _LEAST_MM),
+                _STAGES[stage],
+                _CAPS[stage],
+                width=width,
+                half=half,
+            )
         shown = np.maximum(np.concatenate(list(errors_mm.values())), _LEAST_MM)
         axes.set_xlim(*_padded(configurations))
         _log_axis(axes.yaxis, shown, floor_mm)
@@ -169,9 +178,7 @@ def _axes() -> tuple[Figure, Any]:
     return figure, axes
 
 
-def _dots(
-    axes: Any, x: NDArray[Any], y: Array, colour: str, cap: str, *, width: float = 2.6, half: float = 0.0
-) -> None:
+def _dots(axes: Any, x: NDArray[Any], y: Array, colour: str, cap: str, *, width: float, half: float = 0.0) -> None:
     """Many small marks as one path of strokes, ``half`` to either side of x: a tenth of the text of single markers."""
     ends = np.column_stack([x - half, y, x + half, y]).reshape(-1, 2)
     codes = np.tile(np.array([Outline.MOVETO, Outline.LINETO], dtype=np.uint8), len(x))

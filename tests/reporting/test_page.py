@@ -1,0 +1,364 @@
+"""The report page: complete, self-contained, safe with any names, and there also when later steps are not."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.calibration.calibrate import CALIBRATION_FILE, calibrate_run
+from cellapp.calibration.evaluation import Summary, summarise
+from cellapp.calibration.setup import nominal_arm
+from cellapp.compensation.push import Verification, Verified, Way
+from cellapp.discovery.discover import discover_run
+from cellapp.errors import InputError
+from cellapp.kinematics.chain import smr_positions
+from cellapp.profile import Discovery, NoDriver, Profile, Splits, load_profile
+from cellapp.reporting import figures
+from cellapp.reporting.page import page_text, write_page
+from cellapp.reporting.tables import all_tables, discovery_tables, parameter_tables
+from cellapp.run import Readings, RunFile
+from tests.arms import STATION, true_geometry
+
+PROFILE = Path(__file__).parents[2] / "profiles" / "twin.yaml"
+NOON = datetime(2026, 1, 2, 12, 0, 0, tzinfo=UTC)
+LEFT = "<script>alert('left')</script>"
+RIGHT = '右"><img src=x onerror=alert(2)> & $x_'
+NAME = "</title></style><script src='https://evil.example/x.js'></script>"
+TARGET = "<b onclick=alert(3)>t</b>"
+EVENT = "<iframe src='http://evil.example'></iframe> &amp; more"
+VOID = {"meta", "br", "hr", "img", "link", "input"}
+FLOOR_MM = 20e-3 * np.sqrt(3.0)
+
+
+def profile_of(*arms: str) -> Profile:
+    """Some arms of the twin's kinds under other names, all without devices."""
+    twin = load_profile(PROFILE)
+    none = NoDriver(kind="none")
+    kinds = [arm.model_copy(update={"driver": none}) for arm in twin.arms.values()]
+    return twin.model_copy(
+        update={
+            "name": NAME,
+            "arms": dict(zip(arms, kinds)),
+            "tracker": twin.tracker.model_copy(update={"driver": none}),
+            "splits": Splits(identify=40, train=0, validate=20, pair_identify=40, pair_validate=20),
+            "discovery": Discovery(null_simulations=20, folds=2, false_alarm=0.05),
+            "plant": None,
+            "targets": None,
+        }
+    )
+
+
+def fill(run: RunFile, *, sigma_m: float | None = 20e-6) -> None:
+    """60 stops of every arm with other lengths and angles, and with backlash in joints 1 to 3."""
+    rng = np.random.default_rng(5)
+    for shift, (name, arm) in enumerate(run.profile.arms.items()):
+        station = STATION.copy()
+        station[0, 3] += 1.5 * shift
+        true = true_geometry(nominal_arm(arm).with_T_M_B(station), rng)
+        q = rng.uniform(-2.5, 2.5, (60, 6))
+        approach = rng.choice([-1, 1], (60, 6)).astype(np.int8)
+        play = np.array([2e-4, 2e-4, 2e-4, 0.0, 0.0, 0.0])
+        p_M = smr_positions(true, q - approach * play) + rng.normal(0.0, 20e-6, (60, 3))
+        run.add_readings(
+            name,
+            Readings(
+                configuration=np.arange(60, dtype=np.int64),
+                time_s=np.arange(60.0),
+                q=q,
+                approach=approach,
+                p_M=p_M,
+                sigma_m=None if sigma_m is None else np.full(60, sigma_m),
+            ),
+        )
+
+
+def verification() -> dict[str, Any]:
+    measured = [Verified(TARGET, arm, 3.25e-3, 0.0271e-3, "") for arm in (LEFT, RIGHT)]
+    refused = Verified("far", LEFT, None, None, "the model does not reach <it>")
+    both: dict[Way, Summary] = {
+        "nominal": summarise(np.array([3.25e-3])),
+        "compensated": summarise(np.array([0.0271e-3])),
+    }
+    return Verification((*measured, refused), {LEFT: both, RIGHT: both}).as_dict()
+
+
+class Page(HTMLParser):
+    """A page taken apart; ``faults`` tells where elements are not closed as they were opened."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.faults: list[str] = []
+        self._open: list[str] = []
+        self.feed(text)
+        self.close()
+        self.faults += self._open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        if not self._open or self._open.pop() != tag:
+            self.faults.append(f"/{tag} at {self.getpos()}")
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data.strip())
+
+    @property
+    def text(self) -> str:
+        return "\n".join(text for text in self.texts if text)
+
+    def values(self, attribute: str) -> list[str]:
+        return [value or "" for _, attributes in self.elements if (value := attributes.get(attribute, "")) != ""]
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunFile]:
+    """A run with all results, whose names are as hostile as they can be."""
+    with RunFile.create(tmp_path_factory.mktemp("full"), profile_of(LEFT, RIGHT)) as run:
+        fill(run)
+        run.log("warning", EVENT)
+        calibrate_run(run)
+        discover_run(run)
+        run.write_result("verify", json.dumps(verification()))
+        yield run
+
+
+@pytest.fixture(scope="module")
+def full_text(full: RunFile) -> str:
+    return page_text(full, NOON)
+
+
+@pytest.fixture(scope="module")
+def page(full_text: str) -> Page:
+    return Page(full_text)
+
+
+@pytest.fixture
+def single(tmp_path: Path) -> Iterator[RunFile]:
+    """One arm without devices, calibrated and no more."""
+    with RunFile.create(tmp_path / "single", profile_of("only")) as run:
+        fill(run)
+        calibrate_run(run)
+        yield run
+
+
+def results_of(run: RunFile) -> dict[str, Any]:
+    texts = {step: run.read_result(step) for step in ("calibrate", "discover", "verify")}
+    return {step: json.loads(text) for step, text in texts.items() if text is not None}
+
+
+def test_is_well_formed(page: Page) -> None:
+    assert page.faults == []
+    assert [tag for tag, _ in page.elements].count("svg") == 8  # two an arm, targets an arm, the cell twice
+
+
+def test_needs_nothing_else(page: Page, full_text: str) -> None:
+    tags = {tag for tag, _ in page.elements}
+    assert tags.isdisjoint({"script", "link", "img", "image", "iframe", "object", "embed", "base", "form", "a"})
+    names = {name for _, attributes in page.elements for name in attributes}
+    assert names.isdisjoint({"src", "srcset", "action", "data", "http-equiv", "background", "xlink:href"})
+    assert not [name for name in names if name.startswith("on")]
+    assert all(value.startswith("#") for value in page.values("href"))
+    outside = r"url\((?!#)|@import|@font-face|javascript:"
+    assert re.search(outside, full_text) is None
+    escaped = full_text.replace("https://evil.example/x.js", "").replace("http://evil.example", "")
+    assert "http:" not in escaped
+    assert "https:" not in escaped
+
+
+def test_ids_are_unique_and_all_references_lead_somewhere(page: Page, full_text: str) -> None:
+    ids = page.values("id")
+    assert len(ids) > 100
+    assert len(set(ids)) == len(ids)
+    referred = {value[1:] for value in page.values("href")} | set(re.findall(r"url\(#([^)]*)\)", full_text))
+    assert referred
+    assert referred <= set(ids)
+
+
+def test_figures_take_their_colours_from_the_page(full_text: str) -> None:
+    for svg in re.findall(r"<svg.*?</svg>", full_text, re.DOTALL):
+        assert re.search(r"#[0-9a-fA-F]{6}\b", svg) is None
+        assert "currentColor" in svg
+    styled = set(re.findall(r"(--\w+):", full_text))
+    assert set(re.findall(r"var\((--\w+)\)", full_text)) <= styled
+    assert "prefers-color-scheme: dark" in full_text
+
+
+def test_holds_every_table(full: RunFile, page: Page) -> None:
+    results = results_of(full)
+    cells = set(page.texts)
+    tables = [*all_tables(results), *parameter_tables(results["calibrate"])]
+    assert len(tables) == 8
+    for table in tables:
+        assert table.title in cells
+        for row in table.rows:
+            assert {cell for cell in (*table.columns, *row) if cell} <= cells
+    assert "theta1" in cells  # merged into another one
+
+
+def test_numbers_stand_on_the_right(full_text: str) -> None:
+    assert '<td class="number">3.2500</td>' in full_text
+    assert '<th scope="col" class="number">mean</th>' in full_text
+    assert '<th scope="col">unit</th>' in full_text
+
+
+def test_speaks_of_every_step(page: Page) -> None:
+    text = page.text
+    assert "backlash" in text
+    assert "At 1 new targets the measured mean error fell from 3.250 mm to 0.027 mm with compensation." in text
+    assert "target far: the model does not reach <it>" in text
+    assert "The distance between the two arms' SMRs is known to" in text
+    assert "60: 40 identify, 0 train, 20 validate, 0 unused; driver: none" in text
+    assert "Not in this report" not in text
+
+
+def test_hostile_names_are_only_text(page: Page) -> None:
+    text = page.text
+    for name in (LEFT, RIGHT, NAME, TARGET, EVENT):
+        assert name in text
+
+
+def test_figures_show_what_the_tables_say(full: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[dict[str, Any]] = []
+    floors: list[float | None] = []
+    real = figures.error_figure
+
+    def recording(key: str, configurations: Any, errors_mm: Any, floor_mm: float | None) -> str:
+        drawn.append(errors_mm)
+        floors.append(floor_mm)
+        return real(key, configurations, errors_mm, floor_mm)
+
+    monkeypatch.setattr(figures, "error_figure", recording)
+    page_text(full, NOON)
+    arms = results_of(full)["calibrate"]["arms"]
+    assert len(drawn) == len(arms)
+    for errors, arm in zip(drawn, arms.values()):
+        assert list(errors) == ["nominal", "geometry", "effects"]
+        for stage, values in errors.items():
+            assert len(values) == 20
+            assert values.mean() == pytest.approx(arm["validate"][stage]["position_mm"]["mean"], rel=1e-9)
+    assert floors == pytest.approx([FLOOR_MM, FLOOR_MM])
+
+
+def test_same_run_same_bytes_but_for_the_time(full: RunFile, full_text: str) -> None:
+    path = write_page(full)
+    assert path == full.folder / "report.html"
+    written = path.read_bytes().decode("utf-8")
+    time = r'<time datetime="[^"]*">[^<]*</time>'
+    assert re.sub(time, "", written) == re.sub(time, "", full_text)
+    assert not list(full.folder.glob("*.part"))
+
+
+def test_user_settings_of_matplotlib_do_not_matter(single: RunFile) -> None:
+    import matplotlib
+
+    usual = page_text(single, NOON)
+    with matplotlib.rc_context({"axes.grid": True, "svg.fonttype": "path", "font.size": 30.0, "axes.facecolor": "red"}):
+        assert page_text(single, NOON) == usual
+
+
+def test_says_what_is_missing_and_how_to_get_it(single: RunFile) -> None:
+    page = Page(page_text(single, NOON))
+    text = page.text
+    assert page.faults == []
+    assert [tag for tag, _ in page.elements].count("svg") == 4
+    assert "cellapp discover DIR" in text
+    assert "the profile names no devices" in text
+    assert "cellapp push DIR TARGETS --verify" in text
+    assert "the profile has 1 arm(s)" in text
+    assert "Verification at new targets:" in text
+    assert "Arm only, verified" not in text
+    assert "no effects: not looked for yet" in text
+    assert "what was missing" not in text
+
+
+def test_pushed_but_not_measured_counts_as_missing(single: RunFile) -> None:
+    single.write_result("verify", json.dumps(Verification((), {}).as_dict()))
+    assert "none was measured with both commands" in Page(page_text(single, NOON)).text
+
+
+def test_effects_of_an_earlier_calibration_are_not_shown(single: RunFile) -> None:
+    discover_run(single)
+    assert "what was missing" in Page(page_text(single, NOON)).text
+    calibrate_run(single)
+    text = Page(page_text(single, NOON)).text
+    assert "what was missing" not in text
+    assert "calibrated again since they were found; run anew: cellapp discover DIR" in text
+
+
+def test_readings_without_stated_uncertainty(tmp_path: Path) -> None:
+    with RunFile.create(tmp_path / "run", profile_of("only")) as run:
+        fill(run, sigma_m=None)
+        calibrate_run(run)
+        discover_run(run)
+        text = page_text(run, NOON)
+        assert "nan" not in {cell for table in all_tables(results_of(run)) for row in table.rows for cell in row}
+    assert 'class="swatch floor"' not in text
+    assert Page(text).faults == []
+
+
+def test_a_noise_floor_that_nobody_knows_has_no_row() -> None:
+    arm = {"heldout_mm": {"before": 1.0}, "accepted": [], "noise_floor_mm": float("nan"), "verdict": "nothing missing"}
+    (table,) = discovery_tables({"arms": {"left": arm}})
+    assert [row[0] for row in table.rows] == ["nothing named yet"]
+
+
+def test_unconverged_calibration_is_no_good_news(single: RunFile) -> None:
+    result = results_of(single)["calibrate"]
+    result["arms"]["only"].update(converged=False, message="gave up after 50 iterations")
+    single.write_result("calibrate", json.dumps(result))
+    text = Page(page_text(single, NOON)).text
+    assert "The calibration did not converge (gave up after 50 iterations): do not use it." in text
+    assert "is now known to" not in text
+
+
+def test_uncalibrated_run_is_refused(tmp_path: Path) -> None:
+    with RunFile.create(tmp_path / "run", profile_of("only")) as run:
+        fill(run)
+        with pytest.raises(InputError, match="run 'cellapp calibrate' first"):
+            write_page(run)
+        assert not (run.folder / "report.html").exists()
+
+
+def test_lost_calibration_file_is_refused(single: RunFile) -> None:
+    (single.folder / CALIBRATION_FILE).unlink()
+    with pytest.raises(InputError, match=r"calibration\.json.*run 'cellapp calibrate' first"):
+        write_page(single)
+
+
+def test_page_that_cannot_be_written(single: RunFile) -> None:
+    (single.folder / "report.html").mkdir()
+    with pytest.raises(InputError, match=r"report\.html: cannot be written"):
+        write_page(single)
+    assert not list(single.folder.glob("*.part"))
+
+
+def test_perfect_model_can_be_drawn() -> None:
+    nothing = {"nominal": np.zeros(3), "geometry": np.zeros(3)}
+    assert "<path" in figures.error_figure("a", np.arange(3), nothing, None)
+    assert "<path" in figures.residual_figure("a", nothing, None)
+    assert "<path" in figures.target_figure("a", np.zeros(1), np.zeros(1), None)
+    assert "<path" in figures.error_figure("a", np.array([7]), {"nominal": np.ones(1)}, 0.01)
+
+
+def test_importing_the_page_loads_no_drawing_library() -> None:
+    code = "import sys, cellapp.reporting.page; print({'matplotlib', 'jinja2'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "set()"
