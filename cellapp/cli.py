@@ -130,7 +130,7 @@ def import_(
     with _Job(json_file) as job:
         with import_csv(load_profile(profile), csv, folder) as new:
             counts = {name: len(new.readings(name)) for name in new.arms()}
-            notes = [event.text for event in new.events()]
+            notes = [event.text for event in new.events() if event.level == "note"]
         job.say(*(f"arm {name}: {count} readings" for name, count in counts.items()), *notes)
         result = {"schema": "cellapp-import", "version": 1, "run": str(folder), "readings": counts, "notes": notes}
         job.result(result)
@@ -304,6 +304,23 @@ def trials_parameter_sets(
         job.result({"schema": "cellapp-trials-parameter-sets", "version": 1, "arms": results})
 
 
+@trials_app.command("paper")
+def trials_paper(
+    profile: ProfilePath,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells.")] = 10,
+    json_file: JsonOption = None,
+) -> None:
+    """The paper's three methods on many simulated cells, and the two networks at another tracker station."""
+    from cellapp.profile import load_profile
+    from cellapp.reporting.tables import paper_tables
+    from cellapp.trials.paper import paper_trials, summary
+
+    with _Job(json_file) as job:
+        result = summary(paper_trials(load_profile(profile), range(seeds), job.listen, job.cancel))
+        job.show(paper_tables(result))
+        job.result(result)
+
+
 def main() -> None:
     """The program: errors become one sentence and an exit code."""
     try:
@@ -356,7 +373,9 @@ class _Job:
         print("stopping at the next step; once more to stop at once", file=sys.stderr)
 
     def listen(self, event: Progress) -> None:
-        """Draw one bar a job on standard error."""
+        """Draw one bar a job on standard error, if a person looks at it."""
+        if not sys.stderr.isatty():
+            return
         if self._bars is None:
             from rich.console import Console
             from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn

@@ -286,6 +286,20 @@ class Calibration(Section):
     max_iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 50
 
 
+class Network(Section):
+    """The residual network: ``mlp`` trains one on what geometry leaves, ``none`` does without."""
+
+    kind: Literal["mlp", "none"] = "mlp"
+    folds: Annotated[int, Field(strict=True, ge=2, le=20)] = 5
+    iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 150
+
+
+class Pair(Section):
+    """The inter-base transform: from distances alone, as the paper does, or from the common tracker frame."""
+
+    transform: Literal["distances", "tracker"] = "distances"
+
+
 class Discovery(Section):
     """How missing effects are looked for: the false-alarm rate for the whole scan and the simulations that set it."""
 
@@ -328,6 +342,8 @@ class Profile(Section):
     plan: Plan = Plan()
     splits: Splits = Splits()
     calibration: Calibration = Calibration()
+    network: Network = Network()
+    pair: Pair = Pair()
     discovery: Discovery = Discovery()
     plant: Plant | None = None
     targets: str | None = None

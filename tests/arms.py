@@ -23,7 +23,7 @@ UR10 = dh([0.0] * 6, [0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922], [0.0, -0.612,
 UR5 = dh([0.0] * 6, [0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823], [0.0, -0.425, -0.39225, 0.0, 0.0, 0.0], UR_ALPHA)
 UR10_MASSES = np.array([7.1, 12.7, 4.27, 2.0, 2.0, 0.365])
 UR10_CENTERS = np.array(
-    [[0.021, 0.0, 0.027], [0.38, 0.0, 0.158], [0.24, 0.0, 0.068], [0.0, 0.007, 0.018], [0.0, 0.007, 0.018], [0, 0, -0.026]]
+    [[0.021, 0, 0.027], [0.38, 0, 0.158], [0.24, 0, 0.068], [0, 0.007, 0.018], [0, 0.007, 0.018], [0, 0, -0.026]]
 )
 UR5_MASSES = np.array([3.7, 8.393, 2.33, 1.219, 1.219, 0.1879])
 UR5_CENTERS = np.array(
@@ -60,7 +60,9 @@ def at_station(rows: Array, tool: Array, T_M_B: Array = STATION) -> Geometry:
     return nominal_geometry(rows, tool, T_M_B)
 
 
-def plant_of(rows: Array, tool: Array, T_M_B: Array = STATION, errors: GeometryErrors | None = None, seed: int = 0) -> Plant:
+def plant_of(
+    rows: Array, tool: Array, T_M_B: Array = STATION, errors: GeometryErrors | None = None, seed: int = 0
+) -> Plant:
     """A plant of one arm, without effects, whose tracker frame is the cell frame."""
     n = len(rows)
     arm = ArmConfig(

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 import cellapp
-from cellapp.calibration.evaluation import evaluate, summarise
+from cellapp.calibration.cooperative import PairCalibration, calibrate_pair
+from cellapp.calibration.evaluation import evaluate, repeatability
 from cellapp.calibration.identification import (
     Identification,
     TooFewReadings,
     identify_with_excess,
     start_from_nominal,
 )
-from cellapp.calibration.pair import PAIR_NAMES, PairIdentification, distances, identify_pair
+from cellapp.calibration.residual import SHAPES, Shape, Training, train_network
 from cellapp.calibration.setup import (
     bodies_of,
     nominal_arm,
@@ -28,9 +30,9 @@ from cellapp.calibration.setup import (
 )
 from cellapp.calibration.splits import draw_splits
 from cellapp.errors import InputError
-from cellapp.kinematics.chain import Geometry, smr_positions
-from cellapp.kinematics.transforms import Array, invert
-from cellapp.model import ArmModel, CellModel
+from cellapp.kinematics.chain import smr_positions
+from cellapp.kinematics.transforms import Array
+from cellapp.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings, RunFile
@@ -43,23 +45,20 @@ RESULT = "calibrate"
 class ArmCalibration:
     """One arm's calibration: the model, how it was identified, and its errors on held-out stops by stage.
 
-    ``excess_m`` is the standard deviation of a coordinate [m] beyond what the readings state of themselves.
+    ``excess_m`` is the standard deviation of a coordinate [m] beyond what the readings state of themselves;
+    ``training`` tells how the residual network came about, ``tracker_trained`` is the paper's counter-example: the same
+    network trained in the tracker frame.
     """
 
     model: ArmModel
     identification: Identification
     excess_m: float
-    validate: Mapping[str, Mapping[str, Mapping[str, float | int]]]
+    validate: Mapping[str, Mapping[str, Any]]
     counts: Mapping[str, int]
-
-
-@dataclass(frozen=True)
-class PairCalibration:
-    """The pair: the inter-base transform and cooperative errors by method; or why there is none."""
-
-    identification: PairIdentification
-    cooperative: Mapping[str, Mapping[str, float | int]]
-    counts: Mapping[str, int]
+    repeatability: Mapping[str, float | int] | None
+    tracker_mm: float | None
+    training: Training | None = None
+    tracker_trained: ResidualNetwork | None = None
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class Calibration:
             "schema": "cellapp-calibrate",
             "version": 1,
             "arms": {name: _arm_dict(arm) for name, arm in self.arms.items()},
-            "pair": {} if self.pair is None else _pair_dict(self.pair),
+            "pair": {} if self.pair is None else self.pair.as_dict(),
             "notes": list(self.notes),
             "provenance": dict(self.model.provenance),
         }
@@ -97,21 +96,45 @@ def calibrate_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken
     profile = run.profile
     notes = list(ensure_splits(run))
     readings = {name: run.readings(name) for name in profile.arms}
-    total = len(readings) + 1
+    calibration = calibrate_readings(profile, readings, listener, cancel)
+    calibration = replace(calibration, notes=(*notes, *calibration.notes))
+    store(run, calibration)
+    return calibration
+
+
+def calibrate_readings(
+    profile: Profile,
+    readings: Mapping[str, Readings],
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> Calibration:
+    """Calibrate from readings whose splits are drawn: geometry, networks, pair. Raises as ``calibrate_run``."""
+    cancel = cancel or CancelToken()
+    notes: list[str] = []
+    total = 2 * len(readings) + 1
     arms: dict[str, ArmCalibration] = {}
-    for done, (name, arm_readings) in enumerate(readings.items()):
-        listener(Progress("calibrate", done, total, f"arm {name}"))
+    for name, arm_readings in readings.items():
+        listener(Progress("calibrate", len(arms), total, f"arm {name}: geometry"))
         cancel.check()
         arms[name], arm_notes = calibrate_arm(profile, name, arm_readings)
         notes += arm_notes
+    if profile.network.kind == "mlp":
+        listener(Progress("calibrate", len(arms), total, "residual networks"))
+        with ThreadPoolExecutor(max_workers=2) as pool:  # torch works outside the interpreter lock
+            tasks = {
+                name: pool.submit(train_arm, profile, arm, readings[name], cancel) for name, arm in arms.items()
+            }
+            for name, task in tasks.items():
+                arms[name] = task.result()
+                listener(Progress("calibrate", len(arms) + 1, total, f"arm {name}: network"))
     listener(Progress("calibrate", total - 1, total, "pair"))
     cancel.check()
-    pair, pair_note = _calibrate_pair(profile, readings, {name: arm.model for name, arm in arms.items()})
-    notes += pair_note
+    pair, pair_notes = calibrate_pair(profile, readings, arms)
+    notes += pair_notes
     names = tuple(profile.arms)
     model = CellModel(
         arms={name: arm.model for name, arm in arms.items()},
-        T_R_L=None if pair is None else pair.identification.T_R_L,
+        T_R_L=None if pair is None else pair.T_R_L,
         pair=None if pair is None else (names[0], names[1]),
         provenance={
             "profile": profile.name,
@@ -121,10 +144,8 @@ def calibrate_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken
             "written": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
-    calibration = Calibration(model, arms, pair, tuple(notes))
-    store(run, calibration)
     listener(Progress("calibrate", total, total, "done"))
-    return calibration
+    return Calibration(model, arms, pair, tuple(notes))
 
 
 def store(run: RunFile, calibration: Calibration) -> None:
@@ -201,56 +222,60 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
     }
     counts = {word: len(readings.in_split(word)) for word in ("identify", "train", "validate")}
     notes = [] if identification.converged else [f"arm '{name}': {identification.message}; do not use this calibration"]
-    return ArmCalibration(model, identification, excess, stages, counts), notes
+    stated = stated_uncertainty(held_out)
+    calibration = ArmCalibration(
+        model=model,
+        identification=identification,
+        excess_m=excess,
+        validate=stages,
+        counts=counts,
+        repeatability=repeatability(readings.q, readings.p_M),
+        tracker_mm=None if stated is None else rms_length_mm(stated),
+    )
+    return calibration, notes
 
 
-def nominal_transform(first: Geometry, second: Geometry) -> Array:
-    """``T_second_first`` (4, 4) of two bases that both stand in the tracker frame."""
-    return np.asarray(invert(second.T_M_B()) @ first.T_M_B())
+def train_arm(
+    profile: Profile, arm: ArmCalibration, readings: Readings, cancel: CancelToken | None = None
+) -> ArmCalibration:
+    """Train the residual network of an arm in its base frame, and the same in the tracker frame for comparison.
+
+    It learns from the train split, or from the identify split where there is no train split.
+    """
+    rows = readings.in_split("train")
+    learn = readings.take(rows if len(rows) else readings.in_split("identify"))
+    held_out = readings.take(readings.in_split("validate"))
+    if len(learn) < 2 * profile.network.folds:
+        return arm
+    rotation = arm.model.geometry.T_M_B()[:3, :3]
+    left_M = learn.p_M - arm.model.predict(learn.q, learn.approach, learn.payload_kg)
+
+    def train(residual: Array, shapes: Sequence[Shape]) -> Training:
+        return train_network(
+            learn.q,
+            residual,
+            seed=profile.seed,
+            folds=profile.network.folds,
+            iterations=profile.network.iterations,
+            shapes=shapes,
+            cancel=cancel,
+        )
+
+    training = train(left_M @ rotation, SHAPES)
+    if training.network is None:
+        return replace(arm, training=training)
+    # the same layers; nothing there turns with joint 1, as the tracker knows nothing of that axis
+    in_tracker = train(left_M, (replace(training.shape, turning=False),)).network
+    model = replace(arm.model, network=training.network)
+    computed = model.predict(held_out.q, held_out.approach, held_out.payload_kg)
+    stages = {**arm.validate, "network": evaluate(held_out.p_M, computed)}
+    return replace(arm, model=model, validate=stages, training=training, tracker_trained=in_tracker)
 
 
-def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
-    """The readings of two arms at their common stops, in the same order."""
-    _, i, k = np.intersect1d(first.configuration, second.configuration, return_indices=True)
-    return first.take(i), second.take(k)
-
-
-def _calibrate_pair(
-    profile: Profile, readings: Mapping[str, Readings], models: Mapping[str, ArmModel]
-) -> tuple[PairCalibration | None, list[str]]:
-    if len(readings) != 2:
-        return None, [f"pair: skipped, the profile has {len(readings)} arm(s)"]
-    (left, right), (left_model, right_model) = readings.values(), models.values()
-    both = common_stops(left, right)
-    held_out = both[0].in_split("validate")
-    learn = np.setdiff1d(np.arange(len(both[0])), held_out)
-    draw = np.random.default_rng([profile.seed, 0xBA5E])
-    learn = np.sort(draw.permutation(learn)[: profile.splits.pair_identify])
-    held_out = np.sort(draw.permutation(held_out)[: profile.splits.pair_validate])
-    if len(learn) < 7 or len(held_out) < 1:
-        return None, [
-            f"pair: skipped, {len(both[0])} common stops leave {len(learn)} to identify and {len(held_out)} to"
-            " validate; 7 and 1 are needed"
-        ]
-    notes = []
-    if len(learn) < profile.splits.pair_identify or len(held_out) < profile.splits.pair_validate:
-        notes.append(f"pair: {len(learn)} stops to identify and {len(held_out)} to validate are fewer than asked for")
-    measured = np.linalg.norm(both[0].p_M - both[1].p_M, axis=1)
-    start = nominal_transform(left_model.geometry, right_model.geometry)
-    p_L = left_model.in_base().predict(both[0].q, both[0].approach, both[0].payload_kg)
-    p_R = right_model.in_base().predict(both[1].q, both[1].approach, both[1].payload_kg)
-    identification = identify_pair(start, p_L[learn], p_R[learn], measured[learn])
-    if not identification.converged:
-        notes.append("pair: the inter-base transform did not converge; do not use it")
-    nominal = nominal_transform(left_model.nominal, right_model.nominal)
-    p_L_nominal = smr_positions(left_model.nominal.with_T_M_B(np.eye(4)), both[0].q)
-    p_R_nominal = smr_positions(right_model.nominal.with_T_M_B(np.eye(4)), both[1].q)
-    errors = {
-        "nominal": measured - distances(nominal, p_L_nominal, p_R_nominal),
-        "method_1": measured - distances(identification.T_R_L, p_L, p_R),
-    }
-    cooperative = {method: summarise(error[held_out]).as_dict() for method, error in errors.items()}
-    return PairCalibration(identification, cooperative, {"identify": len(learn), "validate": len(held_out)}), notes
+def rms_length_mm(sigma: Array) -> float:
+    """Root mean square length of the stated noise, from sigmas (n,) [m] or covariances (n, 3, 3) [m^2]."""
+    squares = 3.0 * sigma**2 if sigma.ndim == 1 else np.trace(sigma, axis1=1, axis2=2)
+    return float(np.sqrt(squares.mean())) * 1e3
 
 
 def _arm_dict(arm: ArmCalibration) -> dict[str, Any]:
@@ -277,18 +302,22 @@ def _arm_dict(arm: ArmCalibration) -> dict[str, Any]:
         "excess_mm": arm.excess_m * 1e3,
         "degrees_of_freedom": result.degrees_of_freedom,
         "splits": dict(arm.counts),
+        "tracker_mm": arm.tracker_mm,
+        "repeatability_mm": None if arm.repeatability is None else dict(arm.repeatability),
+        "network": None if arm.training is None else _training_dict(arm.training),
         "validate": {stage: dict(errors) for stage, errors in arm.validate.items()},
     }
 
 
-def _pair_dict(pair: PairCalibration) -> dict[str, Any]:
-    found = pair.identification
-    methods: dict[str, Any] = {method: {"cooperative_mm": errors} for method, errors in pair.cooperative.items()}
-    methods["method_1"]["identified"] = {
-        name: {"value": value, "standard_error": error, "unit": "m" if name in "xyz" else "rad"}
-        for name, value, error in zip(PAIR_NAMES, found.values.tolist(), found.standard_errors.tolist(), strict=True)
+def _training_dict(training: Training) -> dict[str, Any]:
+    return {
+        "used": training.network is not None,
+        "inputs": training.shape.inputs,
+        "hidden": list(training.shape.hidden),
+        "left_out_rms_mm": training.left_out_rms * 1e3,
+        "without_rms_mm": training.without_rms * 1e3,
+        "tried": [
+            {"inputs": shape.inputs, "hidden": list(shape.hidden), "left_out_rms_mm": error * 1e3}
+            for shape, error in training.tried
+        ],
     }
-    methods["method_1"]["iterations"] = found.iterations
-    methods["method_1"]["converged"] = found.converged
-    methods["method_1"]["splits"] = dict(pair.counts)
-    return methods

@@ -23,6 +23,8 @@ from cellapp.profile import Profile
 _STARTS = 48
 _EFFECT_ROUNDS = 8
 _SAME_RAD = 1e-12
+_AIMING_ROUNDS = 5
+_SAME_M = 3e-10
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,18 @@ def invert_model(arm: ArmModel, position_M: Array, rotation_M: Array, start: Arr
     """Controller readings (n, N) [rad] at which the calibrated model puts the SMR at its targets, and which it reached.
 
     Positions (n, 3) [m] and flange rotations (n, 3, 3) are in the tracker frame. Effects move the joints away from what
-    the controller reads (``without_effects``). The side from which joints will arrive is not known here; backlash is
-    taken in the middle.
+    the controller reads (``without_effects``); what the model adds to the chain's position, a residual network, is
+    aimed off for. The side from which joints will arrive is not known here; backlash is taken in the middle.
     """
-    true = solve_pose(arm.geometry, position_M, rotation_M, start)
-    return without_effects(arm, true.q, np.zeros(start.shape)), true.reached
+    aim, here = position_M, start
+    for _ in range(_AIMING_ROUNDS):
+        true = solve_pose(arm.geometry, aim, rotation_M, here)
+        q = without_effects(arm, true.q, np.zeros(start.shape))
+        off = np.where(true.reached[:, None], position_M - arm.predict(q), 0.0)
+        if np.max(np.abs(off), initial=0.0) < _SAME_M:
+            break
+        aim, here = aim + off, true.q
+    return q, true.reached
 
 
 def without_effects(arm: ArmModel, true: Array, approach: Array) -> Array:

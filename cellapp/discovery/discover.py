@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT
+from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT, rms_length_mm
+from cellapp.calibration.cooperative import calibrate_pair
 from cellapp.calibration.evaluation import evaluate, position_errors, summarise
 from cellapp.calibration.identification import (
     EffectColumns,
@@ -22,6 +23,7 @@ from cellapp.calibration.identification import (
     with_excess,
 )
 from cellapp.calibration.parameters import ParameterSet
+from cellapp.calibration.residual import train_network
 from cellapp.calibration.setup import prior_sigmas, stated_uncertainty
 from cellapp.discovery.scan import (
     Candidate,
@@ -41,7 +43,7 @@ from cellapp.effects import EFFECTS, EffectColumn, EffectTerm, joint_offsets
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import Turns, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
-from cellapp.model import ArmModel, CellModel
+from cellapp.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings, RunFile
@@ -96,10 +98,10 @@ class Discovery:
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {
-            "noise_floor_mm": self.noise_floor_mm,
+            "noise_floor_mm": None if math.isnan(self.noise_floor_mm) else self.noise_floor_mm,
             "heldout_mm": {"before": self.before_mm, "after": self.after_mm},
             "threshold": self.threshold,
-            "omnibus_p": self.omnibus_p,
+            "omnibus_p": None if math.isnan(self.omnibus_p) else self.omnibus_p,
             "accepted": [_finding_dict(finding) for finding in self.findings],
             "invisible": [dict(entry) for entry in self.invisible],
             "verdict": self.verdict,
@@ -127,15 +129,32 @@ def discover_run(
         listener(Progress("discover", done, len(model.arms), f"arm {name}"))
         cancel.check()
         found[name] = discover_arm(run.profile, name, model.arms[name], run.readings(name), cancel)
-    arms = {name: discovery.model for name, discovery in found.items()}
-    replace(model, arms=arms).save(run.folder / CALIBRATION_FILE)
     result = json.loads(calibrated)
     for name, discovery in found.items():
-        result["arms"][name]["validate"]["effects"] = discovery.stage
+        result["arms"][name]["validate"].pop("effects", None)
+        if discovery.findings:
+            result["arms"][name]["validate"]["effects"] = discovery.stage
+    result["pair"].pop("effects", None)
+    if any(discovery.findings for discovery in found.values()):
+        readings = {name: run.readings(name) for name in found}
+        pair, _ = calibrate_pair(run.profile, readings, {name: _Found(d.model) for name, d in found.items()})
+        if pair is not None:
+            result["pair"]["effects"] = pair.as_dict()["effects"]
+            model = replace(model, T_R_L=pair.T_R_L)
+    arms = {name: discovery.model for name, discovery in found.items()}
+    replace(model, arms=arms).save(run.folder / CALIBRATION_FILE)
     run.write_result(RESULT, json.dumps(result))
     run.write_result(DISCOVER_RESULT, json.dumps(as_dict(found)))
     listener(Progress("discover", len(model.arms), len(model.arms), "done"))
     return found
+
+
+@dataclass(frozen=True)
+class _Found:
+    """An arm as the pair sees it after discovery."""
+
+    model: ArmModel
+    tracker_trained: None = None
 
 
 def as_dict(found: Mapping[str, Discovery]) -> dict[str, Any]:
@@ -154,7 +173,7 @@ def discover_arm(
     cancel = cancel or CancelToken()
     held_out = readings.take(readings.in_split("validate"))
     learn = readings.take(np.concatenate([readings.in_split("identify"), readings.in_split("train")]))
-    stated = _Data.of(profile, replace(model, effects=()), learn)
+    stated = _Data.of(profile, replace(model, effects=(), network=None), learn)
     data = stated.weighed(())
     fitted = data.fit(())
     first_candidates, first_basis = data.candidates(fitted), data.geometry_basis(fitted)
@@ -191,7 +210,7 @@ def discover_arm(
 
     accepted = _backward(stated, accepted, least)
     groups = _groups(accepted)
-    final = stated.weighed(groups).model_with(groups)
+    final = stated.weighed(groups).model_with(groups) if groups else model
     findings = tuple(
         Finding(
             term=term,
@@ -207,6 +226,8 @@ def discover_arm(
     floor, after = _noise_floor_mm(held_out), _rms_mm(final, held_out)
     omnibus = _omnibus(stated.fit(groups), learn)
     verdict, sentence = _judge(findings, floor, after, omnibus, stated=stated.sigma is not None)
+    if findings and verdict == "unknown effect" and profile.network.kind == "mlp":
+        final = replace(final, network=_network_for_the_rest(profile, final, learn, cancel))
     return Discovery(
         findings=findings,
         noise_floor_mm=floor,
@@ -220,6 +241,21 @@ def discover_arm(
         model=final,
         stage=evaluate(held_out.p_M, final.predict(held_out.q, held_out.approach, held_out.payload_kg)),
     )
+
+
+def _network_for_the_rest(
+    profile: Profile, model: ArmModel, learn: Readings, cancel: CancelToken
+) -> ResidualNetwork | None:
+    """A network for what the named effects leave, where it predicts readings it has not seen better than none."""
+    rest_M = learn.p_M - model.predict(learn.q, learn.approach, learn.payload_kg)
+    return train_network(
+        learn.q,
+        rest_M @ model.geometry.T_M_B()[:3, :3],
+        seed=profile.seed,
+        folds=profile.network.folds,
+        iterations=profile.network.iterations,
+        cancel=cancel,
+    ).network
 
 
 Group = tuple[str, tuple[int, ...]]
@@ -429,10 +465,7 @@ def _rms_mm(model: ArmModel, held_out: Readings) -> float:
 def _noise_floor_mm(readings: Readings) -> float:
     """Root mean square length of the stated noise; NaN where the readings state none."""
     sigma = stated_uncertainty(readings)
-    if sigma is None:
-        return math.nan
-    squares = 3.0 * sigma**2 if sigma.ndim == 1 else np.trace(sigma, axis1=1, axis2=2)
-    return float(np.sqrt(squares.mean())) * 1e3
+    return math.nan if sigma is None else rms_length_mm(sigma)
 
 
 def _omnibus(fitted: Identification, readings: Readings) -> float:

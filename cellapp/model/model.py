@@ -17,6 +17,7 @@ from cellapp.errors import InputError
 from cellapp.kinematics.chain import Geometry, flange_poses, parameter_names, parameter_unit, smr_positions
 from cellapp.kinematics.statics import Bodies, gravity_torques
 from cellapp.kinematics.transforms import Array
+from cellapp.model.network import ResidualNetwork
 
 Signs = NDArray[np.float64] | NDArray[np.int8]
 _SCHEMA = "cellapp-calibration"
@@ -39,6 +40,8 @@ class ArmModel:
         Unit vector against gravity in the tracker frame.
     effects : tuple of EffectTerm
         Effects that were found.
+    network : ResidualNetwork or None
+        Corrects what is left, in the base frame B.
     identified : tuple of str, length k
         The parameters that were identified, effects last.
     covariance : array, shape (k, k), or None
@@ -50,6 +53,7 @@ class ArmModel:
     bodies: Bodies
     up_M: Array
     effects: tuple[EffectTerm, ...] = ()
+    network: ResidualNetwork | None = None
     identified: tuple[str, ...] = ()
     covariance: Array | None = None
 
@@ -72,7 +76,10 @@ class ArmModel:
 
         ``approach`` (n, N) are signs of the last motion, ``payload_kg`` (n,) the load; unknown where not given.
         """
-        return smr_positions(self.geometry, self.true_joints(q, approach, payload_kg))
+        p_M = smr_positions(self.geometry, self.true_joints(q, approach, payload_kg))
+        if self.network is None:
+            return p_M
+        return np.asarray(p_M + self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T)
 
     def flange(self, q: Array) -> tuple[Array, Array]:
         """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame."""
@@ -226,6 +233,7 @@ def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
             }
             for term in arm.effects
         ],
+        "network": None if arm.network is None else arm.network.as_dict(),
         "identified": list(arm.identified),
         "covariance": None if arm.covariance is None else arm.covariance.tolist(),
     }
@@ -258,6 +266,7 @@ def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
         ),
         up_M=np.array(content["up_M"], dtype=np.float64),
         effects=tuple(terms),
+        network=None if content["network"] is None else ResidualNetwork.from_dict(content["network"]),
         identified=tuple(content["identified"]),
         covariance=None if content["covariance"] is None else np.array(content["covariance"], dtype=np.float64),
     )

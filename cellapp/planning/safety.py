@@ -26,7 +26,8 @@ from cellapp.planning.bodies import (
 
 _BEAM_RADIUS = 0.02
 _SELF_CLEARANCE = 0.01
-_FINEST_STEP = 0.02
+_STEPS = (0.02, 0.04)
+"""Finest and coarsest sampling of a way [m]; between them it goes with the clearance."""
 _EVERY = 2
 """Of the samples that are held against the arm itself and the floor, each so many-th is held against other arms: there
 all pairs count."""
@@ -102,7 +103,7 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
                 f"arm {name}: joint {j + 1} at {math.degrees(there[j]):.1f} deg is outside"
                 f" its limits {low:.1f} to {high:.1f} deg"
             )
-        samples, stray = _samples(arm, here, there, max(0.5 * cell.clearance, _FINEST_STEP))
+        samples, stray = _samples(arm, here, there, min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1]))
         way = place(arm, samples)
         if not floor_clearance(way, cell.floor).min() >= cell.clearance + stray:
             return f"arm {name}: comes nearer to the floor than {cell.clearance * 1e3:.0f} mm"

@@ -121,3 +121,24 @@ def parameter_set_table(arm: str, trials: Sequence[Mapping[str, Any]]) -> Table:
     )
     columns = ("set (parameters), solver", "iterations", "converged", "mean [mm]", "max [mm]")
     return Table(f"Arm {arm}: redundant and reduced models, medians over seeds", columns, rows)
+
+
+def paper_tables(result: Mapping[str, Any]) -> list[Table]:
+    """The paper's methods over seeds, beside the paper; from the object of ``trials paper --json``."""
+    rows: list[tuple[str, ...]] = []
+    for method, entry in result["cooperative_mm"].items():
+        paper = "" if entry["paper"] is None else f"{entry['paper']:.4f}"
+        rows.append((method, f"{entry['median']:.4f}", f"{entry['worst']:.4f}", paper))
+    gain = result["gain"]
+    rows.append(("proposed below method_1", *(f"{100 * gain[key]:.1f} %" for key in ("median", "worst", "paper"))))
+    seeds = len(result["trials"])
+    columns = ("method", "median", "worst", "paper")
+    tables = [Table(f"Mean cooperative error [mm], {seeds} simulated cells", columns, tuple(rows))]
+    for where, title in (("position_mm", "Mean position error [mm]"), ("moved_mm", "At another tracker station [mm]")):
+        shown: list[tuple[str, ...]] = []
+        for name in result["trials"][0][where]:
+            for stage in result["trials"][0][where][name]:
+                values = sorted(t[where][name][stage] for t in result["trials"] if stage in t[where][name])
+                shown.append((f"{name}, {stage}", f"{values[len(values) // 2]:.4f}", f"{values[-1]:.4f}"))
+        tables.append(Table(title, ("arm, model", "median", "worst"), tuple(shown)))
+    return tables

@@ -73,13 +73,16 @@ class RunFile:
     read or written (disk full, locked by another program, taken away).
     """
 
-    def __init__(self, folder: Path, connection: sqlite3.Connection, profile: Profile, writable: bool) -> None:
+    def __init__(
+        self, folder: Path, connection: sqlite3.Connection, profile: Profile, writable: bool, journal: str
+    ) -> None:
         """For ``create`` and ``open`` only."""
         self.folder = folder
         self.profile = profile
         self.writable = writable
         self._connection = connection
         self._lock = threading.RLock()
+        self._journal = journal
 
     @property
     def path(self) -> Path:
@@ -138,25 +141,25 @@ class RunFile:
                 if write:
                     connection.close()
                     connection = _connect(path, "rw")
-                    connection.execute("PRAGMA journal_mode=WAL").fetchall()
                     connection.execute("PRAGMA synchronous=FULL")
                     if connection.execute("BEGIN IMMEDIATE"):  # a file that cannot be written is found now
                         connection.execute("ROLLBACK")
             except BaseException:
                 connection.close()
                 raise
-        return cls(folder, connection, profile, write)
+            journal = str(connection.execute("PRAGMA journal_mode").fetchone()[0])
+        return cls(folder, connection, profile, write, journal)
 
     def close(self) -> None:
         """Put everything into the one file and let go of it; harmless when closed."""
         with self._lock:
-            if self.writable:
+            if self.writable and self._journal == "wal":
                 # Refused while somebody else reads: then the log stays beside the file, and nothing is lost.
                 with contextlib.suppress(sqlite3.Error):
                     self._connection.execute("PRAGMA busy_timeout=0")
                     self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
                     self._connection.execute("PRAGMA journal_mode=DELETE").fetchall()
-                self.writable = False
+            self.writable = False
             self._connection.close()
 
     def __enter__(self) -> Self:
@@ -339,6 +342,8 @@ class RunFile:
         with self._lock, _readable_errors(self.folder):
             if not self.writable:
                 raise InputError(f"{self.path} is open for reading only; open it for writing to change it")
+            if self._journal == "delete":  # not before: who changes nothing leaves every byte as it was
+                self._journal = str(self._connection.execute("PRAGMA journal_mode=WAL").fetchone()[0])
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield self._connection
@@ -401,7 +406,7 @@ def _build(folder: Path, path: Path, profile: Profile, fill: Callable[[RunFile],
         connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
         connection.execute("COMMIT")
         if fill is not None:
-            fill(RunFile(folder, connection, profile, True))
+            fill(RunFile(folder, connection, profile, True, "unfinished"))
     finally:
         connection.close()
 

@@ -78,7 +78,7 @@ def test_an_arm_is_recovered_to_the_noise_in_three_iterations(rows):
 
 
 def test_the_full_set_predicts_as_well_as_the_identifiable_one():
-    nominal, truth, q, p_M = measured(UR10, OFF_AXIS, seed=3, n=100)
+    nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=3, n=100)
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
     full, auto = (identify(start, q, p_M, parameter_set=name) for name in ("full", "auto"))
     assert full.converged

@@ -34,7 +34,7 @@ def test_exact_distances_give_the_exact_transform(seed):
 def test_standard_errors_are_those_of_repetition():
     errors, stated = [], []
     for k in range(300):
-        rng, T_R_L, p_L, p_R, _ = cell(0)
+        _, T_R_L, p_L, p_R, _ = cell(0)
         measured = distances(T_R_L, p_L, p_R) + np.random.default_rng(k).normal(0.0, 20e-6, 100)
         found = identify_pair(T_R_L, p_L, p_R, measured)
         errors.append(found.T_R_L[:3, 3] - T_R_L[:3, 3])

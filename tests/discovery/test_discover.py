@@ -1,4 +1,4 @@
-"""Effects hidden in the plant are named, with values inside their own uncertainty; nothing is named where nothing is."""
+"""Hidden effects are named, with values inside their own uncertainty; nothing is named where nothing is."""
 
 from __future__ import annotations
 

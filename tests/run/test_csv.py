@@ -275,6 +275,13 @@ def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
         import_csv(two_arms(), path, tmp_path / "run")
 
 
+def test_an_import_without_any_reading_of_an_arm_is_refused(path: Path, tmp_path: Path) -> None:
+    write(path, *(row for row in ROWS if "left" in row))
+    with pytest.raises(InputError, match=r"readings\.csv: arm: there is no reading of arm right"):
+        import_csv(two_arms(), path, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 def test_export_has_the_columns_of_the_import(path: Path, tmp_path: Path) -> None:
     header = "zeta," + HEADER + ",alpha,payload_kg"
     write(path, *(f"{index},{row},x y,," for index, row in enumerate(ROWS)), header=header + ",empty")
@@ -350,12 +357,14 @@ def test_export_then_import_gives_every_bit_back(data: st.DataObject, tmp_path_f
     extras = data.draw(st.sampled_from([(), ("note",), ("b", "a, \"quoted\"")]))  # fmt: skip
     arms = data.draw(st.sampled_from([("left",), ("left", "right")]))
     before = {arm: data.draw(some_readings(JOINTS[arm], extras)) for arm in arms}
+    profile = two_arms()
+    profile = profile.model_copy(update={"arms": {arm: profile.arms[arm] for arm in arms}})
     folder = tmp_path_factory.mktemp("bits")
-    with RunFile.create(folder / "run", two_arms()) as run:
+    with RunFile.create(folder / "run", profile) as run:
         for arm, readings in before.items():
             run.add_readings(arm, readings)
         write_readings_csv(run, folder / "first.csv")
-    with import_csv(two_arms(), folder / "first.csv", folder / "again") as run:
+    with import_csv(profile, folder / "first.csv", folder / "again") as run:
         write_readings_csv(run, folder / "second.csv")
         assert run.arms() == list(before)
         for arm, readings in before.items():

@@ -513,6 +513,16 @@ def test_nothing_committed_is_lost_by_a_kill_at_any_moment(profile: Profile, fol
 def test_a_commit_waits_for_the_disk(profile: Profile, folder: Path) -> None:
     """SIGKILL cannot show this: after a power cut only what was synchronised is there."""
     with RunFile.create(folder, profile) as run:
+        run.log("info", "from the first change on")
         (synchronous,) = run._connection.execute("PRAGMA synchronous").fetchone()
         (journal,) = run._connection.execute("PRAGMA journal_mode").fetchone()
     assert (synchronous, journal) == (2, "wal")
+
+
+def test_who_changes_nothing_leaves_every_byte_as_it_was(profile: Profile, folder: Path) -> None:
+    RunFile.create(folder, profile).close()
+    before = (folder / "run.sqlite").read_bytes()
+    with RunFile.open(folder, write=True) as run:
+        assert run.stops_done() == set()
+    assert (folder / "run.sqlite").read_bytes() == before
+    assert list(files(folder)) == ["run.sqlite"]

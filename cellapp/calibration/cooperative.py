@@ -1,0 +1,171 @@
+"""Cooperative accuracy: the pair by every method, all on the same held-out stops.
+
+    nominal    published chains; bases registered to the tracker
+    method_1   identified geometry alone
+    method_2   geometry and a network trained in the tracker frame, its output wrongly added in the base frame
+    proposed   geometry and a network in the base frame (Bai et al. 2023)
+    effects    geometry and the named effects
+
+Each method identifies the inter-base transform from its own positions: from distances alone, and from the common
+tracker frame as well (both bases registered to the tracker on the same stops), so that the two can be compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from cellapp.calibration.evaluation import Summary, summarise
+from cellapp.calibration.pair import PAIR_NAMES, PairIdentification, distances, identify_pair
+from cellapp.kinematics.chain import smr_positions
+from cellapp.kinematics.transforms import Array, invert, register
+from cellapp.model import ArmModel, ResidualNetwork
+from cellapp.profile import Profile
+from cellapp.run import Readings
+
+
+class CalibratedArm(Protocol):
+    """What the pair needs to know of an arm."""
+
+    @property
+    def model(self) -> ArmModel:
+        """With its network, if it has one."""
+
+    @property
+    def tracker_trained(self) -> ResidualNetwork | None:
+        """The network trained in the tracker frame."""
+
+
+@dataclass(frozen=True)
+class PairMethod:
+    """One method on the held-out stops, with either transform."""
+
+    by_distances: Summary
+    by_tracker: Summary
+    identification: PairIdentification
+    T_R_L_tracker: Array
+
+
+@dataclass(frozen=True)
+class PairCalibration:
+    """The pair by method; ``chosen`` is the transform that the profile asked for: ``distances`` or ``tracker``."""
+
+    methods: Mapping[str, PairMethod]
+    chosen: str
+    counts: Mapping[str, int]
+
+    @property
+    def T_R_L(self) -> Array:
+        """The chosen transform of the best method at hand, shape (4, 4)."""
+        best = next(name for name in ("effects", "proposed", "method_1") if name in self.methods)
+        method = self.methods[best]
+        return method.identification.T_R_L if self.chosen == "distances" else method.T_R_L_tracker
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON: ``METHOD.cooperative_mm`` is by the chosen transform."""
+        return {name: _method_dict(method, self.chosen, self.counts) for name, method in self.methods.items()}
+
+
+def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
+    """The readings of two arms at their common stops, in the same order."""
+    _, i, k = np.intersect1d(first.configuration, second.configuration, return_indices=True)
+    return first.take(i), second.take(k)
+
+
+def pair_stops(profile: Profile, left: Readings) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the common stops that identify and that validate the pair, drawn by the profile's seed.
+
+    Those that validate come from the arms' own validate split, so that nothing leaks.
+    """
+    held_out = left.in_split("validate")
+    learn = np.setdiff1d(np.arange(len(left)), held_out)
+    draw = np.random.default_rng([profile.seed, 0xBA5E])
+    learn = np.sort(draw.permutation(learn)[: profile.splits.pair_identify])
+    return learn, np.sort(draw.permutation(held_out)[: profile.splits.pair_validate])
+
+
+def calibrate_pair(
+    profile: Profile, readings: Mapping[str, Readings], arms: Mapping[str, CalibratedArm]
+) -> tuple[PairCalibration | None, list[str]]:
+    """All methods that the arms allow, or None and the reason."""
+    if len(readings) != 2:
+        return None, [f"pair: skipped, the profile has {len(readings)} arm(s)"]
+    left, right = common_stops(*readings.values())
+    learn, held_out = pair_stops(profile, left)
+    if len(learn) < 7 or len(held_out) < 1:
+        return None, [
+            f"pair: skipped, {len(left)} common stops leave {len(learn)} to identify and {len(held_out)} to"
+            " validate; 7 and 1 are needed"
+        ]
+    notes = []
+    if len(learn) < profile.splits.pair_identify or len(held_out) < profile.splits.pair_validate:
+        notes.append(f"pair: {len(learn)} stops to identify and {len(held_out)} to validate are fewer than asked for")
+    both = (left, right)
+    measured = np.linalg.norm(left.p_M - right.p_M, axis=1)
+    models = [arm.model for arm in arms.values()]
+    start = np.asarray(invert(models[1].geometry.T_M_B()) @ models[0].geometry.T_M_B())
+    methods = {}
+    for name, positions in _positions(both, list(arms.values())).items():
+        found = identify_pair(start, positions[0][learn], positions[1][learn], measured[learn])
+        T_M = [register(r.p_M[learn], p[learn]) for r, p in zip(both, positions, strict=True)]
+        tracker = np.asarray(invert(T_M[1]) @ T_M[0])
+        p_L, p_R = positions[0][held_out], positions[1][held_out]
+        methods[name] = PairMethod(
+            by_distances=summarise(measured[held_out] - distances(found.T_R_L, p_L, p_R)),
+            by_tracker=summarise(measured[held_out] - distances(tracker, p_L, p_R)),
+            identification=found,
+            T_R_L_tracker=tracker,
+        )
+        if not found.converged:
+            notes.append(f"pair: {name}: the inter-base transform did not converge; do not use it")
+    counts = {"identify": len(learn), "validate": len(held_out)}
+    return PairCalibration(methods, profile.pair.transform, counts), notes
+
+
+def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[str, tuple[Array, Array]]:
+    """SMR positions (n, 3) of both arms in their own base frames, by method."""
+
+    def geometry_only(arm: CalibratedArm, r: Readings) -> Array:
+        return smr_positions(arm.model.geometry.with_T_M_B(np.eye(4)), r.q)
+
+    def nominal(arm: CalibratedArm, r: Readings) -> Array:
+        return smr_positions(arm.model.nominal.with_T_M_B(np.eye(4)), r.q)
+
+    def full(arm: CalibratedArm, r: Readings) -> Array:
+        return arm.model.in_base().predict(r.q, r.approach, r.payload_kg)
+
+    def wrong_frame(arm: CalibratedArm, r: Readings) -> Array:
+        network = arm.tracker_trained
+        return geometry_only(arm, r) if network is None else geometry_only(arm, r) + network.correct(r.q)
+
+    ways = {"nominal": nominal}
+    if any(arm.model.effects for arm in arms):
+        ways["effects"] = full
+    else:
+        ways["method_1"] = geometry_only
+        if any(arm.model.network is not None for arm in arms):
+            ways |= {"method_2": wrong_frame, "proposed": full}
+    return {
+        name: (way(arms[0], both[0]), way(arms[1], both[1])) for name, way in ways.items()
+    }
+
+
+def _method_dict(method: PairMethod, chosen: str, counts: Mapping[str, int]) -> dict[str, Any]:
+    found = method.identification
+    values, errors = found.values.tolist(), found.standard_errors.tolist()
+    summaries = {"distances": method.by_distances, "tracker": method.by_tracker}
+    return {
+        "cooperative_mm": summaries[chosen].as_dict(),
+        "transform": chosen,
+        "by_transform_mm": {name: summary.as_dict() for name, summary in summaries.items()},
+        "identified": {
+            name: {"value": value, "standard_error": error, "unit": "m" if name in "xyz" else "rad"}
+            for name, value, error in zip(PAIR_NAMES, values, errors, strict=True)
+        },
+        "iterations": found.iterations,
+        "converged": found.converged,
+        "splits": dict(counts),
+    }

@@ -1,0 +1,128 @@
+"""The residual network as a model part: numbers in, corrections out. Needs no torch; training does.
+
+A committee of small multilayer perceptrons (tanh, linear output) maps joint positions to what geometry leaves of the
+SMR position. Its mean is the correction, its spread the correction's stated uncertainty. Beyond the joint ranges it was
+trained in, the correction fades to zero over a margin: outside its data a network invents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from cellapp.kinematics.transforms import Array
+
+Inputs = Literal["angles", "sincos"]
+Layers = tuple[tuple[Array, Array], ...]
+
+
+@dataclass(frozen=True)
+class ResidualNetwork:
+    """A trained committee.
+
+    Attributes
+    ----------
+    inputs : str
+        ``angles`` scaled to the trained ranges, or ``sincos``.
+    low, high : array, shape (N,)
+        Trained joint ranges [rad].
+    margin : array, shape (N,)
+        How far beyond them the correction fades to zero [rad].
+    turning : bool
+        Whether the members speak in a frame that turns with the first joint about z; what gravity and gears do to an
+        arm looks the same there wherever the arm points. The correction is turned back.
+    scale : float
+        Of the outputs [m].
+    members : tuple of layers
+        Each a tuple of (weights (out, in), offsets (out,)).
+    """
+
+    inputs: Inputs
+    low: Array
+    high: Array
+    margin: Array
+    turning: bool
+    scale: float
+    members: tuple[Layers, ...]
+
+    def correct(self, q: Array) -> Array:
+        """Correction of the SMR position at ``q`` (n, N), shape (n, 3) [m], in the frame it was trained in."""
+        correction = self._each(q).mean(axis=0) * self._fade(q)
+        return turn_about_z(correction, q[:, 0]) if self.turning else np.asarray(correction)
+
+    def spread(self, q: Array) -> Array:
+        """Standard deviation of the members at ``q`` (n, N), shape (n, 3) [m]."""
+        each = self._each(q)
+        if self.turning:
+            each = np.array([turn_about_z(member, q[:, 0]) for member in each])
+        return np.asarray(each.std(axis=0, ddof=1) * self._fade(q))
+
+    def _each(self, q: Array) -> Array:
+        x = network_inputs(self.inputs, self.low, self.high, q)
+        outputs = []
+        for layers in self.members:
+            y = x
+            for weights, offsets in layers[:-1]:
+                y = np.tanh(y @ weights.T + offsets)
+            weights, offsets = layers[-1]
+            outputs.append(y @ weights.T + offsets)
+        return np.asarray(outputs) * self.scale
+
+    def _fade(self, q: Array) -> Array:
+        beyond = np.maximum(np.maximum(self.low - q, q - self.high), 0.0) / self.margin
+        each = np.where(beyond < 1.0, 0.5 * (1.0 + np.cos(np.pi * np.minimum(beyond, 1.0))), 0.0)
+        return np.asarray(each.prod(axis=1)[:, None])
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; floats keep every bit."""
+        return {
+            "inputs": self.inputs,
+            "low": self.low.tolist(),
+            "high": self.high.tolist(),
+            "margin": self.margin.tolist(),
+            "turning_with_joint_1": self.turning,
+            "scale_m": self.scale,
+            "activation": "tanh",
+            "members": [
+                [{"weights": weights.tolist(), "offsets": offsets.tolist()} for weights, offsets in layers]
+                for layers in self.members
+            ],
+        }
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> ResidualNetwork:
+        """What ``as_dict`` wrote. Raises ``KeyError``, ``ValueError`` or ``TypeError`` if it is something else."""
+        if content["inputs"] not in ("angles", "sincos") or content["activation"] != "tanh":
+            raise ValueError(f"a network with inputs '{content['inputs']}' is not known")
+        return cls(
+            inputs=content["inputs"],
+            low=np.array(content["low"], dtype=np.float64),
+            high=np.array(content["high"], dtype=np.float64),
+            margin=np.array(content["margin"], dtype=np.float64),
+            turning=bool(content["turning_with_joint_1"]),
+            scale=float(content["scale_m"]),
+            members=tuple(
+                tuple(
+                    (np.array(layer["weights"], dtype=np.float64), np.array(layer["offsets"], dtype=np.float64))
+                    for layer in layers
+                )
+                for layers in content["members"]
+            ),
+        )
+
+
+def turn_about_z(vectors: Array, angles: Array) -> Array:
+    """Vectors (n, 3) turned about z by ``angles`` (n,) [rad]."""
+    c, s = np.cos(angles), np.sin(angles)
+    x, y, z = vectors.T
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=1)
+
+
+def network_inputs(kind: Inputs, low: Array, high: Array, q: Array) -> Array:
+    """What the first layer sees of ``q`` (n, N): (n, N) numbers in [-1, 1], or (n, 2 N) cosines and sines."""
+    if kind == "sincos":
+        return np.hstack([np.cos(q), np.sin(q)])
+    return np.asarray((q - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9))

@@ -1,0 +1,51 @@
+"""Readings of a simulated cell in one go, for trials: what collecting the plan would give, without the moving."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.calibration.splits import draw_splits
+from cellapp.collection.cell import build_plant
+from cellapp.kinematics.transforms import Array
+from cellapp.planning.cell_bodies import home_positions
+from cellapp.profile import Profile
+from cellapp.run import Readings
+
+
+def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dict[str, Readings]:
+    """Readings of all arms at ``plan`` (name -> (n, N) [rad]), noise drawn by ``seed``, splits by the profile's seed.
+
+    Joints arrive from the stop before; the first stop is reached from home.
+    """
+    plant = build_plant(profile)
+    homes = home_positions(profile)
+    readings = {}
+    for place, (name, q) in enumerate(plan.items()):
+        approach = np.sign(np.diff(np.vstack([homes[name], q]), axis=0)).astype(np.int8)
+        others = {other: rows for other, rows in plan.items() if other != name}
+        exact = plant.smr_positions(name, q, approach=approach.astype(np.float64), others=others)
+        points, covariance = plant.measure_positions(exact, np.random.default_rng([seed, place]))
+        readings[name] = Readings(
+            configuration=np.arange(len(q)),
+            time_s=np.full(len(q), np.nan),
+            q=q,
+            approach=approach,
+            p_M=points,
+            covariance_M=covariance,
+        )
+    return with_splits(profile, readings)
+
+
+def with_splits(profile: Profile, readings: Mapping[str, Readings]) -> dict[str, Readings]:
+    """The readings with splits drawn as a run would draw them."""
+    splits = profile.splits
+    numbers = np.concatenate([arm.configuration for arm in readings.values()])
+    validate = None if splits.validate_ == "rest" else splits.validate_
+    drawn, _ = draw_splits(numbers, splits.identify, splits.train, validate, profile.seed)
+    return {
+        name: replace(arm, split=tuple(drawn[number] for number in arm.configuration.tolist()))
+        for name, arm in readings.items()
+    }

@@ -1,0 +1,120 @@
+"""The residual network learns what can be learnt, knows when there is nothing, and never invents outside its data."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from cellapp.calibration.residual import Shape, train_network
+from cellapp.model import ResidualNetwork
+from cellapp.model.network import network_inputs, turn_about_z
+
+SMALL = (Shape("sincos", (6,)), Shape("sincos", (6,), turning=True))
+
+
+def bend(q):
+    """A smooth residual [m], a few tenths of a millimetre, that turns with the first joint."""
+    sag = 3e-4 * np.cos(q[:, 1]) + 2e-4 * np.sin(q[:, 1] + q[:, 2])
+    return turn_about_z(np.stack([sag, 0.3 * sag, -sag], axis=1), q[:, 0])
+
+
+def poses(n, seed=0):
+    return np.random.default_rng(seed).uniform(-2.5, 2.5, (n, 6))
+
+
+@pytest.fixture(scope="module")
+def trained():
+    q = poses(200)
+    noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
+    return q, train_network(q, bend(q) + noise, seed=3, shapes=SMALL, iterations=80)
+
+
+def test_a_smooth_residual_is_learnt_from_200_poses(trained):
+    _, training = trained
+    new = poses(500, seed=9)
+    before = np.linalg.norm(bend(new), axis=1).mean()
+    after = np.linalg.norm(bend(new) - training.network.correct(new), axis=1).mean()
+    assert after < 0.3 * before
+    assert training.left_out_rms < 0.4 * training.without_rms
+    assert training.shape.turning  # what turns with the first joint is told apart
+    assert len(training.network.members) == 5
+
+
+def test_pure_noise_gets_no_network():
+    q = poses(200)
+    training = train_network(
+        q, np.random.default_rng(4).normal(0.0, 15e-6, (200, 3)), seed=3, shapes=SMALL, iterations=40
+    )
+    assert training.network is None
+    assert training.left_out_rms > 0.95 * training.without_rms
+
+
+def test_the_same_seed_gives_the_same_network(trained):
+    q, training = trained
+    noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
+    again = train_network(q, bend(q) + noise, seed=3, shapes=SMALL, iterations=80)
+    assert json.dumps(again.network.as_dict()) == json.dumps(training.network.as_dict())
+
+
+def test_beyond_the_trained_ranges_the_correction_fades_to_zero(trained):
+    _, training = trained
+    network = training.network
+    q = poses(20, seed=5)
+    for joint in range(6):
+        edge = q.copy()
+        edge[:, joint] = network.high[joint]
+        far = q.copy()
+        far[:, joint] = network.high[joint] + 1.001 * network.margin[joint]
+        half = q.copy()
+        half[:, joint] = network.high[joint] + 0.5 * network.margin[joint]
+        assert np.abs(network.correct(far)).max() == 0.0
+        assert np.abs(network.spread(far)).max() == 0.0
+        assert np.abs(network.correct(half)).max() > 0.0
+        just = edge.copy()
+        just[:, joint] += 1e-9
+        np.testing.assert_allclose(network.correct(just), network.correct(edge), atol=1e-9)
+
+
+def test_the_spread_grows_where_data_are_missing(trained):
+    q = poses(400)
+    gap = (q[:, 1] > 0.2) & (q[:, 1] < 1.4)
+    training = train_network(q[~gap], bend(q[~gap]), seed=3, shapes=SMALL[1:], iterations=80)
+    new = poses(500, seed=6)
+    inside = (new[:, 1] > 0.4) & (new[:, 1] < 1.2)
+    spread = np.linalg.norm(training.network.spread(new), axis=1)
+    assert np.median(spread[inside]) > 1.2 * np.median(spread[~inside])
+    # and it is of the size of the error it stands for
+    q, training = trained
+    off = np.linalg.norm(training.network.correct(new) - bend(new), axis=1)
+    assert 0.3 < np.median(np.linalg.norm(training.network.spread(new), axis=1)) / np.median(off) < 6.0
+
+
+def test_the_file_keeps_every_bit_and_needs_no_torch(trained):
+    _, training = trained
+    text = json.dumps(training.network.as_dict())
+    q = poses(7, seed=8)
+    np.testing.assert_array_equal(
+        ResidualNetwork.from_dict(json.loads(text)).correct(q), training.network.correct(q)
+    )
+    program = (
+        "import json, sys, numpy as np\n"
+        "from cellapp.model import ResidualNetwork\n"
+        "network = ResidualNetwork.from_dict(json.loads(sys.stdin.read()))\n"
+        "print(network.correct(np.zeros((1, 6))).tolist(), 'torch' in sys.modules)\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program], input=text, capture_output=True, text=True, timeout=60, check=True
+    )
+    assert result.stdout.strip() == f"{training.network.correct(np.zeros((1, 6))).tolist()} False"
+
+
+def test_what_the_inputs_are():
+    q = np.array([[0.0, np.pi / 2.0], [1.0, -1.0]])
+    low, high = q.min(axis=0), q.max(axis=0)
+    np.testing.assert_allclose(network_inputs("sincos", low, high, q)[0], [1.0, 0.0, 0.0, 1.0], atol=1e-12)
+    scaled = network_inputs("angles", low, high, q)
+    np.testing.assert_allclose(np.abs(scaled), 1.0)

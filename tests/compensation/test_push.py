@@ -1,0 +1,165 @@
+"""Pushing targets to the simulated cell: what is measured there judges the compensation."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.collection.cell import Cell, open_cell
+from cellapp.compensation import push as pushing
+from cellapp.compensation.compensate import Command, compensate
+from cellapp.compensation.push import push, unverified
+from cellapp.compensation.targets import Target, load_targets
+from cellapp.errors import HardwareError, InputError
+from cellapp.model import CellModel
+from cellapp.planning.cell_bodies import home_positions
+from cellapp.progress import Cancelled, CancelToken, Progress
+from cellapp.run import RunFile
+from cellapp.whole import push_run, stored_results
+from tests.twin import PROFILES, small_twin
+
+ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
+TARGETS = (*ALL[:6], *ALL[20:26], *ALL[6:8])
+FAR = Target(name="far", arm="left", position=(9.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def commands(run: RunFile, model: CellModel) -> tuple[Command, ...]:
+    return compensate(run.profile, model, TARGETS)
+
+
+@pytest.fixture
+def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The cells that are opened, each with a witness of its clearances."""
+    opened: list[Any] = []
+
+    @contextmanager
+    def watched(profile: Any) -> Iterator[Cell]:
+        with open_cell(profile, watch_clearance=True) as cell:
+            opened.append(cell)
+            yield cell
+
+    monkeypatch.setattr(pushing, "open_cell", watched)
+    return opened
+
+
+def test_compensated_targets_are_met_to_the_trackers_noise(
+    run: RunFile, model: CellModel, commands: tuple[Command, ...], cells: list[Any]
+) -> None:
+    heard: list[Progress] = []
+    found = push(run.profile, model, commands, heard.append, verify=True)
+    assert [(target.name, target.note) for target in found.targets] == [(t.name, "") for t in TARGETS]
+    for name in ("left", "right"):
+        nominal, compensated = found.summaries[name]["nominal"], found.summaries[name]["compensated"]
+        assert nominal.n == compensated.n == sum(target.arm == name for target in TARGETS)
+        # 3 to 4 m away the tracker scatters by 17 um across the beam in each of two directions
+        assert compensated.mean < 40e-3
+        assert nominal.mean > 40.0 * compensated.mean
+    result = found.as_dict()
+    assert unverified(result) == []
+    assert result["arms"]["left"]["compensated_mm"]["n"] == 8
+    assert found.targets[0].compensated_m is not None
+    assert result["targets"][0]["compensated_mm"] == pytest.approx(found.targets[0].compensated_m * 1e3)
+    (cell,) = cells
+    assert cell.plant.clearance.arms_m > 0.0
+    assert cell.plant.clearance.floor_m > 0.0
+    for name, home in home_positions(run.profile).items():
+        np.testing.assert_array_equal(cell.plant.q(name), home)
+    assert (heard[0].done, heard[-1].done, heard[-1].total) == (0, len(TARGETS), len(TARGETS))
+
+
+def test_without_the_arriving_side_backlash_would_be_seen(
+    run: RunFile, model: CellModel, commands: tuple[Command, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = [command for command in commands if command.target.arm == "right"]
+    good = push(run.profile, model, right, verify=True).summaries["right"]["compensated"].mean
+    monkeypatch.setattr(pushing, "arriving", lambda arm, command, here: command)
+    bad = push(run.profile, model, right, verify=True).summaries["right"]["compensated"].mean
+    assert bad > 2.0 * good
+
+
+def test_a_target_that_cannot_be_commanded_is_left_out_with_its_reason(run: RunFile, model: CellModel) -> None:
+    commands = compensate(run.profile, model, (FAR, TARGETS[0]))
+    found = push(run.profile, model, commands, verify=True)
+    assert [target.note for target in found.targets] == ["out of reach", ""]
+    assert (found.targets[0].nominal_m, found.targets[0].compensated_m) == (None, None)
+    assert found.summaries["left"]["nominal"].n == 1
+    with pytest.raises(InputError, match="none of the targets can be commanded: out of reach"):
+        push(run.profile, model, commands[:1], verify=True)
+
+
+def test_a_way_that_the_gate_refuses_is_noted_and_nothing_moves(
+    run: RunFile, model: CellModel, commands: tuple[Command, ...], cells: list[Any]
+) -> None:
+    under = np.array(home_positions(run.profile)["left"])
+    under[1] = 0.9
+    mad = dataclasses.replace(commands[0], q_compensated=under)
+    found = push(run.profile, model, (mad, commands[1]), verify=True)
+    assert "refused to move: arm left: comes nearer to the floor" in found.targets[0].note
+    assert found.targets[0].compensated_m is None
+    assert found.targets[1].compensated_m is not None
+    assert cells[0].plant.clearance.floor_m > 0.0
+
+
+def test_without_verification_nothing_is_measured_and_an_earlier_one_is_kept(run: RunFile) -> None:
+    push_run(run, TARGETS[:2], verify=True)
+    verified = stored_results(run)["verify"]
+    assert verified["arms"]["left"]["compensated_mm"]["n"] == 2
+    assert push_run(run, (TARGETS[0], FAR), verify=False) == ("target far: out of reach",)
+    results = stored_results(run)
+    assert results["verify"] == verified
+    assert results["push"]["arms"] == {}
+    assert [target["compensated_mm"] for target in results["push"]["targets"]] == [None, None]
+
+
+def test_cancelled_between_targets(
+    run: RunFile, model: CellModel, commands: tuple[Command, ...], cells: list[Any]
+) -> None:
+    token = CancelToken()
+    with pytest.raises(Cancelled):
+        push(
+            run.profile, model, commands, lambda event: token.cancel() if event.done == 1 else None, token, verify=True
+        )
+    plant = cells[0].plant
+    before = {name: plant.q(name) for name in plant.names}
+    plant.advance(60.0)
+    for name, q in before.items():
+        np.testing.assert_array_equal(plant.q(name), q)
+
+
+def test_a_fault_on_the_way_stops_everything(
+    run: RunFile, model: CellModel, commands: tuple[Command, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Any] = []
+
+    @contextmanager
+    def failing(profile: Any) -> Iterator[Cell]:
+        with open_cell(profile) as cell:
+            opened.append(cell)
+            yield cell
+
+    monkeypatch.setattr(pushing, "open_cell", failing)
+    with pytest.raises(HardwareError, match="arm left: protective stop"):
+        push(
+            run.profile,
+            model,
+            commands,
+            lambda event: opened[0].arms["left"].protective_stop() if event.done == 2 else None,
+            verify=True,
+        )
+    assert not any(opened[0].plant.moving(name) for name in ("left", "right"))
+
+
+def test_a_verification_that_does_not_hold_is_told() -> None:
+    good = {"nominal_mm": {"mean": 2.0}, "compensated_mm": {"mean": 0.02}}
+    bad = {"nominal_mm": {"mean": 0.5}, "compensated_mm": {"mean": 0.75}}
+    targets = [{"arm": "left"}, {"arm": "right"}, {"arm": "left"}]
+    assert unverified({"arms": {"left": good, "right": good}, "targets": targets}) == []
+    assert unverified({"arms": {"left": good}, "targets": targets}) == ["arm right: no target could be measured"]
+    (told,) = unverified({"arms": {"left": bad, "right": good}, "targets": targets})
+    assert told.startswith("arm left: compensated targets were missed by 0.750 mm in the mean, uncompensated by 0.500")

@@ -1,0 +1,559 @@
+"""The command line: every command once, its JSON, its exit code, and one sentence for every bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp import cli
+from cellapp.run import RunFile
+from tests.twin import PROFILES, write_profile
+
+ROOT = Path(__file__).parents[1]
+WAIT_S = 120.0
+FAR = "  - {name: far, arm: left, position: [9.0, 0.0, 0.0], rpy: [0, 0, 0]}"
+
+
+def few_targets() -> str:
+    """The first targets of each arm, and one that is out of reach."""
+    head, _, listed = (PROFILES / "targets" / "twin.yaml").read_text("utf-8").partition("targets:\n")
+    rows = listed.splitlines()
+    chosen = [row for arm in ("left", "right") for row in [row for row in rows if f"arm: {arm}" in row][:4]]
+    return "\n".join([f"{head}targets:", *chosen, FAR, ""])
+
+
+class Ended:
+    """How a command ended."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """What stands on standard output, which must be one strict JSON object and nothing else."""
+        found = json.loads(self.out, parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
+        assert isinstance(found, dict)
+        assert isinstance(found["schema"], str)
+        assert found["version"] == 1
+        return found
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Any:
+    """Run the program in this process, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+
+    def called(*arguments: object) -> Ended:
+        monkeypatch.setattr(sys, "argv", ["cellapp", *map(str, arguments)])
+        capsys.readouterr()
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+        captured = capsys.readouterr()
+        assert "Traceback" not in captured.out + captured.err
+        assert not Path("cellapp-error.log").exists(), Path("cellapp-error.log").read_text()
+        return Ended(code, captured.out, captured.err)
+
+    return called
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONWARNINGS": "default"}
+
+
+def shell(*arguments: object, cwd: Path) -> Ended:
+    """Run the program as a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-m", "cellapp", *map(str, arguments)],
+        cwd=cwd,
+        env={**environment(), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    assert "Traceback" not in done.stdout + done.stderr
+    return Ended(done.returncode, done.stdout, done.stderr)
+
+
+def one_sentence(ended: Ended, *says: str, code: int = 2) -> None:
+    assert ended.code == code, ended.err
+    assert ended.out == ""
+    lines = [line for line in ended.err.splitlines() if line]
+    assert len(lines) == 1, ended.err
+    assert lines[0].startswith("cellapp: ")
+    for text in says:
+        assert text in lines[0]
+
+
+def bytes_below(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the profile, targets, and runs: planned, collected, calibrated, pushed. Never written by a test."""
+    folder = tmp_path_factory.mktemp("made")
+    write_profile(folder)
+    (folder / "targets.yaml").write_text(few_targets())
+    steps: dict[str, Sequence[Sequence[object]]] = {
+        "planned": [("plan", "twin.yaml", "--run", "planned")],
+        "collected": [("collect", "collected")],
+        "calibrated": [("calibrate", "calibrated")],
+        "done": [("discover", "done"), ("push", "done", "targets.yaml", "--verify")],
+    }
+    before = None
+    for name, commands in steps.items():
+        if before is not None:
+            shutil.copytree(folder / before, folder / name)
+        for command in commands:
+            ended = shell(*command, "--json", f"{name}-{command[0]}.json", cwd=folder)
+            assert ended.code == 0, ended.err
+        before = name
+    return folder
+
+
+@pytest.fixture
+def work(made: Path, tmp_path: Path) -> Path:
+    """A copy of all that."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+# -- every command once -----------------------------------------------------------------------------------------------
+
+
+def test_the_steps_one_by_one(made: Path) -> None:
+    results = {path.stem.partition("-")[2]: json.loads(path.read_text()) for path in made.glob("*.json")}
+    assert {step: (result["schema"], result["version"]) for step, result in results.items()} == {
+        "plan": ("cellapp-plan", 1),
+        "collect": ("cellapp-collect", 1),
+        "calibrate": ("cellapp-calibrate", 1),
+        "discover": ("cellapp-discover", 1),
+        "push": ("cellapp-verify", 1),
+    }
+    assert results["plan"]["stops"] == {"left": 30, "right": 30}
+    assert results["collect"]["stops"] == 30
+    for name in ("left", "right"):
+        arm = results["calibrate"]["arms"][name]
+        nominal, geometry = (arm["validate"][stage]["position_mm"] for stage in ("nominal", "geometry"))
+        assert geometry["mean"] < nominal["mean"]
+        assert nominal["n"] == geometry["n"] == 10
+        assert {"value", "standard_error", "unit"} <= set(next(iter(arm["identified"].values())))
+        assert results["discover"]["arms"][name]["verdict"] in (
+            "explained", "nothing missing", "unknown effect", "ambiguous",
+        )  # fmt: skip
+        verified = results["push"]["arms"][name]
+        assert verified["compensated_mm"]["mean"] < 0.2 * verified["nominal_mm"]["mean"]
+    assert results["calibrate"]["pair"]["method_1"]["cooperative_mm"]["n"] == 10
+    notes = [target["note"] for target in results["push"]["targets"]]
+    assert notes[-1] == "out of reach"
+    assert notes.count("") >= 6
+
+
+def test_doctor(work: Path, call: Any) -> None:
+    assert call("doctor", "twin.yaml", "--json", "-").json["schema"] == "cellapp-doctor"
+    text = (work / "ur10-ur5.yaml").read_text("utf-8")  # a port that nobody serves, on this machine
+    (work / "ur10-ur5.yaml").write_text(re.sub(r"host: 192\.168\.0\.1", "host: 127.0.0.1", text), "utf-8")
+    ended = call("doctor", "ur10-ur5.yaml")
+    assert ended.code == 1
+    assert "checks failed" in ended.err
+
+
+def test_plan_and_collect_to_standard_output(work: Path, call: Any) -> None:
+    assert call("plan", "twin.yaml", "--run", "new", "--json", "-").json["stops"] == {"left": 30, "right": 30}
+    with RunFile.open(work / "new") as new, RunFile.open(work / "planned") as first:
+        for name, q in first.read_plan().items():
+            np.testing.assert_array_equal(new.read_plan()[name], q)
+    ended = call("collect", "new", "--json", "-")
+    assert ended.json["stops"] == 30
+    assert "30 stops stored" in ended.err, "what a person reads goes elsewhere"
+
+
+def test_calibrate_discover_compensate_push_report_to_standard_output(work: Path, call: Any) -> None:
+    assert call("calibrate", "collected", "--json", "-").json["schema"] == "cellapp-calibrate"
+    assert call("discover", "collected", "--json", "-").json["schema"] == "cellapp-discover"
+    found = call("compensate", "collected", "targets.yaml", "--json", "-").json
+    assert found["targets"][-1]["refusal"] == "out of reach"
+    assert {len(entry["q_compensated"]) for entry in found["targets"] if not entry["refusal"]} == {6}
+    assert call("push", "collected", "targets.yaml", "--json", "-").json["arms"] == {}
+    assert call("push", "collected", "targets.yaml", "--verify", "--json", "-").json["arms"]["left"]
+    found = call("report", "collected", "--json", "-").json
+    assert set(found) >= {"schema", "version", "page", "calibrate", "discover", "compensate", "verify"}
+    assert (work / "collected" / "report.html").read_text("utf-8").lstrip().lower().startswith("<!doctype html>")
+
+
+def test_what_a_person_sees_without_json(work: Path, call: Any) -> None:
+    ended = call("calibrate", "collected", "--parameters")
+    assert ended.code == 0
+    assert "Arm left: held-out errors [mm]" in ended.out
+    assert "Arm right: identified parameters" in ended.out
+    ended = call("push", "done", "targets.yaml", "--verify")
+    assert "left, compensated" in ended.out
+    assert "target far: out of reach" in ended.out
+
+
+def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
+    (work / "targets" / "twin.yaml").write_text(few_targets())
+    ended = call("run", "twin.yaml", "--run", "all/of/it", "--json", "-")
+    assert ended.code == 0, ended.err
+    found = ended.json
+    assert set(found) >= {"calibrate", "discover", "compensate", "verify"}
+    assert {path.name for path in (work / "all/of/it").iterdir()} >= {"run.sqlite", "calibration.json", "report.html"}
+    assert not [path for path in (work / "all/of/it").iterdir() if path.name.startswith("run.sqlite-")]
+
+
+def test_trials(work: Path, call: Any) -> None:
+    found = call("trials", "coverage", "twin.yaml", "--n", "2", "--stops", "25", "--json", "-").json
+    assert found["arms"]["left"]["runs"] == 2
+
+
+def test_a_verification_that_does_not_hold_exits_with_one(
+    work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cellapp.compensation.push.arriving", lambda arm, command, here: command + 0.02)
+    ended = call("push", "done", "targets.yaml", "--verify", "--json", "-")
+    assert ended.code == 1
+    assert "verification: arm left: compensated targets were missed by" in ended.err
+    assert ended.json["arms"]["left"]["compensated_mm"]["mean"] > 5.0, "the numbers are told all the same"
+
+
+# -- readings out and in ----------------------------------------------------------------------------------------------
+
+
+def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> None:
+    assert call("export", "collected", "--csv", "out.csv", "--json", "-").json["readings"] == {"left": 30, "right": 30}
+    found = call("import", "twin.yaml", "out.csv", "--run", "again", "--json", "-").json
+    assert found["readings"] == {"left": 30, "right": 30}
+    assert found["notes"] == []
+    with RunFile.open(work / "collected") as first, RunFile.open(work / "again") as again:
+        for name in ("left", "right"):
+            one, other = first.readings(name), again.readings(name)
+            for field in ("configuration", "time_s", "q", "approach", "p_M", "payload_kg", "temperature_c"):
+                assert getattr(one, field).tobytes() == getattr(other, field).tobytes(), field
+            for field in ("joint_temperature_c", "covariance_M"):
+                np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+    assert call("calibrate", "again").code == 0
+    call("export", "again", "--csv", "again.csv")
+    for before, after in zip(rows_of(work / "out.csv"), rows_of(work / "again.csv"), strict=True):
+        assert before == {key: value for key, value in after.items() if key != "split"}
+
+
+# -- bad input --------------------------------------------------------------------------------------------------------
+
+
+def spoil_run(run: Path, statement: str) -> None:
+    connection = sqlite3.connect(run / "run.sqlite")
+    connection.execute(statement)
+    connection.commit()
+    connection.close()
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), "utf-8")
+
+
+def misspelt_key(work: Path) -> None:
+    edit(work / "twin.yaml", "payload:", "payloud:")
+
+
+def truncated(work: Path) -> None:
+    file = work / "collected" / "run.sqlite"
+    file.write_bytes(file.read_bytes()[:5000])
+
+
+def newer(work: Path) -> None:
+    spoil_run(work / "collected", "PRAGMA user_version=99")
+
+
+BAD = [
+    # what is spoilt, the command, what is said
+    (misspelt_key, "doctor twin.yaml", ["twin.yaml:", ": arms.left.payloud", "did you mean 'payload'?"]),
+    (misspelt_key, "plan twin.yaml --run new", ["twin.yaml:", ": arms.left.payloud"]),
+    (misspelt_key, "run twin.yaml --run new", ["twin.yaml:", ": arms.left.payloud"]),
+    (None, "plan nowhere.yaml --run new", ["nowhere.yaml"]),
+    (None, "doctor targets", ["targets"]),
+    (None, "plan twin.yaml --run collected", ["collected already holds a run", "choose a new folder"]),
+    (None, "run twin.yaml --run collected", ["collected already holds a run"]),
+    (None, "plan twin.yaml --run targets", ["targets is not empty"]),
+    (None, "plan twin.yaml --run twin.yaml", ["twin.yaml is a file"]),
+    (None, "collect nothing", ["nothing: there is no such run folder", "'cellapp plan'"]),
+    (None, "calibrate targets", ["targets holds no run"]),
+    (None, "collect collected", ["30 stops are stored already", "--resume"]),
+    (truncated, "calibrate collected", ["run.sqlite is cut off: 5000 bytes of"]),
+    (truncated, "collect collected --resume", ["run.sqlite is cut off"]),
+    (newer, "report collected", ["written by a newer cellapp (schema 99"]),
+    (None, "calibrate planned", ["arm 'left' has no readings", "collect or import"]),
+    (None, "discover planned", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "discover collected", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "push collected targets.yaml", ["calibration.json", "'cellapp calibrate' first"]),
+    (None, "compensate collected targets.yaml", ["calibration.json", "'cellapp calibrate' first"]),
+    (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
+    (None, "push done twin.yaml", ["twin.yaml: "]),
+    (None, "export planned --csv out.csv", ["holds no readings yet"]),
+    (None, "import twin.yaml nowhere.csv --run new", ["nowhere.csv: there is no such file"]),
+    (None, "export done --csv nowhere/out.csv", ["nowhere/out.csv cannot be written"]),
+    (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: there is no such folder"]),
+    (None, "emulate ur10-ur5.yaml", ["nothing to stand in for"]),
+]
+
+
+@pytest.mark.parametrize(("spoil", "command", "says"), BAD, ids=[f"{n}: {case[1]}" for n, case in enumerate(BAD)])
+def test_bad_input_gets_one_sentence_and_nothing_is_touched(
+    work: Path, call: Any, spoil: Any, command: str, says: list[str]
+) -> None:
+    if spoil is not None:
+        spoil(work)
+    before = bytes_below(work)
+    one_sentence(call(*command.split()), *says)
+    assert bytes_below(work) == before
+    assert not (work / "new").exists()
+
+
+def write_csv(work: Path, rows: list[dict[str, str]]) -> None:
+    with (work / "bad.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture
+def table(work: Path, call: Any) -> list[dict[str, str]]:
+    assert call("export", "collected", "--csv", "good.csv").code == 0
+    return rows_of(work / "good.csv")
+
+
+def test_a_missing_column_a_number_that_is_none_and_a_missing_arm(
+    work: Path, call: Any, table: list[dict[str, str]]
+) -> None:
+    def refused(rows: list[dict[str, str]], *says: str) -> None:
+        write_csv(work, rows)
+        before = bytes_below(work)
+        one_sentence(call("import", "twin.yaml", "bad.csv", "--run", "new"), *says)
+        assert bytes_below(work) == before
+        assert not (work / "new").exists()
+
+    for column in ("z_m", "q3"):
+        refused(
+            [{key: value for key, value in row.items() if key != column} for row in table],
+            f"bad.csv:1: {column}: the column is missing",
+        )
+    for column, value in (("q2", "nan"), ("x_m", "inf"), ("y_m", "")):
+        changed = [dict(row) for row in table]
+        changed[3][column] = value
+        refused(changed, f"bad.csv:5: {column}: ")
+    refused([row for row in table if row["arm"] == "left"], "bad.csv: arm: ", "no reading of arm right")
+    refused([table[0]], "no reading of arm right")
+
+
+@pytest.mark.parametrize("stops", [1, 2, 5])
+def test_fewer_readings_than_can_be_calibrated_from(
+    work: Path, call: Any, table: list[dict[str, str]], stops: int
+) -> None:
+    write_csv(work, table[: 2 * stops])
+    assert call("import", "twin.yaml", "bad.csv", "--run", "few").code == 0
+    one_sentence(call("calibrate", "few"), "arm 'left': ", "measure more configurations")
+    assert not (work / "few" / "calibration.json").exists()
+
+
+def test_fewer_readings_than_parameters(work: Path, call: Any, table: list[dict[str, str]]) -> None:
+    rows = [{**row, "split": "identify" if int(row["configuration"]) < 6 else "validate"} for row in table[:20]]
+    write_csv(work, rows)
+    assert call("import", "twin.yaml", "bad.csv", "--run", "few").code == 0
+    one_sentence(call("calibrate", "few"), "arm 'left': ", "18 ")
+    assert not (work / "few" / "calibration.json").exists()
+
+
+def test_a_plan_that_cannot_be_made_leaves_no_run_behind(work: Path, call: Any) -> None:
+    text = (work / "twin.yaml").read_text("utf-8")
+    (work / "twin.yaml").write_text(re.sub(r"(?m)^  floor: .*$", "  floor: 0.4", text), "utf-8")
+    before = bytes_below(work)
+    one_sentence(call("plan", "twin.yaml", "--run", "new/one"), "arm left: the tracker sees none of")
+    assert bytes_below(work) == before
+    assert not (work / "new").exists()
+    (work / "twin.yaml").write_text(text, "utf-8")
+    assert call("plan", "twin.yaml", "--run", "new/one").code == 0
+
+
+def test_a_target_list_that_is_wrong_is_found_before_anything_moves(work: Path, call: Any) -> None:
+    edit(work / "targets" / "twin.yaml", "arm: right", "arm: middle")
+    before = bytes_below(work)
+    one_sentence(call("run", "twin.yaml", "--run", "new"), "target 'right-01': no arm 'middle'")
+    assert bytes_below(work) == before
+
+
+def test_a_real_controller_is_not_moved_yet(work: Path, call: Any) -> None:
+    edit(work / "ur10-ur5.yaml", "stops: 400", "stops: 3")
+    assert call("plan", "ur10-ur5.yaml", "--run", "real").code == 0
+    before = bytes_below(work)
+    one_sentence(call("collect", "real"), "arm left: ", "nothing was moved", code=3)
+    assert bytes_below(work) == before
+
+
+@pytest.mark.parametrize("arguments", [["nonsense"], ["plan"], ["plan", "twin.yaml"], ["collect", "--unknown", "done"]])
+def test_bad_usage(work: Path, call: Any, arguments: list[str]) -> None:
+    ended = call(*arguments)
+    assert ended.code == 2
+    assert ended.out == ""
+    assert "Usage" in ended.err
+
+
+# -- processes --------------------------------------------------------------------------------------------------------
+
+WATCH = """
+import sys
+from cellapp import cli
+sys.argv = ["cellapp", *sys.argv[1:]]
+try:
+    cli.main()
+finally:
+    heavy = sorted(name for name in ("torch", "matplotlib", "textual") if name in sys.modules)
+    print("loaded:", *heavy, file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize("command", ["--help", "plan twin.yaml --run new", "collect planned", "doctor twin.yaml"])
+def test_torch_is_not_loaded_where_no_network_is_needed(work: Path, command: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WATCH, *command.split()],
+        cwd=work,
+        env={**environment(), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.splitlines()[-1] == "loaded:"
+
+
+def test_help_names_every_command(tmp_path: Path) -> None:
+    ended = shell("--help", cwd=tmp_path)
+    assert ended.code == 0
+    for command in ("run", "doctor", "plan", "collect", "import", "export", "calibrate", "discover", "compensate",
+                    "push", "report", "trials", "emulate"):  # fmt: skip
+        assert f" {command} " in ended.out
+
+
+def test_bad_input_in_a_process_of_its_own(work: Path) -> None:
+    misspelt_key(work)
+    one_sentence(shell("plan", "twin.yaml", "--run", "new", cwd=work), "twin.yaml:", ": arms.left.payloud")
+
+
+@pytest.fixture
+def long_run(work: Path) -> Path:
+    """A run of many stops between two that were planned, long enough to be interrupted."""
+    with RunFile.open(work / "planned", write=True) as run:
+        plan = run.read_plan()
+        run.write_plan({name: np.tile(q[:2], (60, 1)) for name, q in plan.items()})
+    return work / "planned"
+
+
+def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
+    """Collect as a process, and send it a signal when some stops are stored."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cellapp", "collect", run.name],
+        cwd=run.parent,
+        env={**environment(), "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        for _ in range(600):
+            with RunFile.open(run) as seen:
+                if len(seen.stops_done()) >= 5:
+                    break
+            try:
+                process.wait(0.05)
+            except subprocess.TimeoutExpired:
+                continue
+            pytest.fail(f"it ended by itself: {process.stderr.read() if process.stderr else ''}")
+        process.send_signal(number)
+        out, err = process.communicate(timeout=WAIT_S)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+
+def check_resumes(run: Path) -> None:
+    with RunFile.open(run) as seen:
+        stored = seen.stops_done()
+        assert 5 <= len(stored) < 120
+        assert stored == set(range(len(stored)))
+        for name in ("left", "right"):
+            np.testing.assert_array_equal(seen.readings(name).configuration, np.arange(len(stored)))
+    ended = shell("collect", run.name, "--resume", "--json", "-", cwd=run.parent)
+    assert ended.code == 0, ended.err
+    assert ended.json["stops"] == 120
+    with RunFile.open(run) as seen:
+        plan = seen.read_plan()
+        for name in ("left", "right"):
+            np.testing.assert_array_equal(seen.readings(name).configuration, np.arange(120))
+            np.testing.assert_allclose(seen.readings(name).q, plan[name], atol=1e-12)
+            assert np.all(np.diff(seen.readings(name).time_s) > 0.0)
+
+
+def test_killed_in_the_middle_it_is_resumed(long_run: Path) -> None:
+    ended = interrupted(long_run, signal.SIGKILL)
+    assert ended.returncode == -signal.SIGKILL
+    check_resumes(long_run)
+
+
+def test_interrupted_it_exits_with_four_and_is_resumed(long_run: Path) -> None:
+    ended = interrupted(long_run, signal.SIGINT)
+    assert ended.returncode == 4, ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert "'cellapp collect DIR --resume'" in ended.stderr
+    assert not (long_run / "run.sqlite-wal").exists(), "the file is whole"
+    check_resumes(long_run)
+
+
+def test_emulate_serves_until_it_is_interrupted(tmp_path: Path) -> None:
+    write_profile(tmp_path)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cellapp", "emulate", "twin.yaml"],
+        cwd=tmp_path,
+        env={**environment(), "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        first = process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=WAIT_S)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    if process.returncode == 3 and "in use" in err:
+        pytest.skip("another emulator listens here")
+    assert process.returncode == 0, err
+    assert first.startswith("arm left: UR10 (CB3)")
+    assert "Traceback" not in out + err

@@ -1,0 +1,115 @@
+"""What may import what, and what stands nowhere, read from the syntax of every module."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+MODULES = sorted(path for folder in ("cellapp", "drivers") for path in (ROOT / folder).rglob("*.py"))
+PURE = ("kinematics", "effects", "model", "calibration")
+TOUCH_DRIVERS = ("collection", "compensation", "trials")
+TOUCH_DRIVERS_FILES = ("doctor.py", "emulate.py")
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Every module that a file imports, at its top or inside a function, in full dotted names."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            package = path.relative_to(ROOT).with_suffix("").parts[: -node.level] if node.level else ()
+            module = ".".join([*package, *([node.module] if node.module else [])])
+            yield module
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def imports_of(path: Path, package: str) -> list[str]:
+    return [name for name in imported(path) if name == package or name.startswith(f"{package}.")]
+
+
+def name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def test_the_modules_are_found() -> None:
+    names = {name(path) for path in MODULES}
+    assert {"cellapp/cli.py", "cellapp/kinematics/chain.py", "drivers/plant/plant.py"} <= names
+    assert imports_of(ROOT / "cellapp/collection/cell.py", "drivers") != []
+    assert "cellapp.whole" in imported(ROOT / "cellapp/cli.py"), "imports inside functions count"
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("drivers/")], ids=name)
+def test_drivers_stand_alone(path: Path) -> None:
+    assert imports_of(path, "cellapp") == []
+    assert imports_of(path, "tests") == []
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("drivers/plant/")], ids=name)
+def test_the_plant_knows_no_driver_either(path: Path) -> None:
+    assert [found for found in imports_of(path, "drivers") if not found.startswith("drivers.plant")] == []
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("cellapp/")], ids=name)
+def test_only_those_who_move_or_look_touch_drivers(path: Path) -> None:
+    inside = path.relative_to(ROOT / "cellapp")
+    if inside.parts[0] in TOUCH_DRIVERS or inside.as_posix() in TOUCH_DRIVERS_FILES:
+        return
+    assert imports_of(path, "drivers") == []
+
+
+@pytest.mark.parametrize("package", PURE)
+def test_mathematics_knows_neither_devices_nor_those_who_use_them(package: str) -> None:
+    outer = ("collection", "compensation", "planning", "trials", "tui", "reporting", "cli", "whole", "doctor")
+    for path in (ROOT / "cellapp" / package).rglob("*.py"):
+        for module in outer:
+            assert imports_of(path, f"cellapp.{module}") == [], name(path)
+
+
+def test_doors_are_used_by_nobody_inside() -> None:
+    for path in MODULES:
+        if name(path) not in ("cellapp/__main__.py", "cellapp/cli.py"):
+            assert imports_of(path, "cellapp.cli") == [], name(path)
+            if not name(path).startswith("cellapp/tui/"):
+                assert imports_of(path, "cellapp.tui") == [], name(path)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name)
+def test_nothing_that_runs_foreign_code_or_hides_errors(path: Path) -> None:
+    for module in ("pickle", "cPickle", "dill", "shelve", "marshal", "joblib"):
+        assert imports_of(path, module) == []
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        where = f"{name(path)}:{getattr(node, 'lineno', 0)}"
+        if isinstance(node, ast.ExceptHandler):
+            assert node.type is not None, f"{where}: bare except"
+        if isinstance(node, ast.Call):
+            called = ast.unparse(node.func)
+            assert called not in ("eval", "exec", "os.system"), where
+            assert not called.endswith((".unsafe_load", ".full_load", ".load_all", ".unsafe_load_all")), where
+            if called in ("yaml.load", "yaml.compose", "yaml.parse"):
+                loaders = [argument for argument in (*node.args[1:], *(key.value for key in node.keywords))]
+                assert any(_is_safe(path, ast.unparse(loader)) for loader in loaders), f"{where}: no safe loader"
+            if called in ("np.load", "numpy.load", "torch.load"):
+                allowed = {key.arg: ast.unparse(key.value) for key in node.keywords}
+                assert allowed.get("allow_pickle") == "False" or allowed.get("weights_only") == "True", where
+
+
+def _is_safe(path: Path, loader: str) -> bool:
+    """Whether a loader is one of YAML's safe ones or a class of this file made from one."""
+    safe = ("yaml.SafeLoader", "yaml.CSafeLoader")
+    if loader in safe:
+        return True
+    classes = [node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.ClassDef)]
+    return any(node.name == loader and [ast.unparse(base) for base in node.bases] in ([safe[0]], [safe[1]])
+               for node in classes)  # fmt: skip
+
+
+def test_nothing_waits_by_sleeping_in_tests() -> None:
+    for path in (ROOT / "tests").rglob("*.py"):
+        tree = ast.parse(path.read_text("utf-8"))
+        assert "time.sleep" not in [ast.unparse(node) for node in ast.walk(tree) if isinstance(node, ast.Attribute)], (
+            path.name
+        )
