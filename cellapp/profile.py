@@ -252,6 +252,8 @@ class Plan(Section):
     stops: Annotated[int, Field(strict=True, ge=1, le=100_000)] = 400
     clearance: Annotated[CellLength, Field(ge=0.0)] = 0.05
     floor: CellLength = 0.0
+    ceiling: CellLength | None = None
+    """Height in C above which no body may reach; left out, there is none."""
     ranges: tuple[tuple[Turn, Turn], ...] | None = None
     """Joint ranges drawn from, the same for all arms; else each arm's limits, at most one turn."""
 

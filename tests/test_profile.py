@@ -119,7 +119,7 @@ WRONG = [
     ("  noise: true", "  noise: perhaps", "plant.noise", "expected true or false, got 'perhaps'"),
     ('"50 mm"', '"50 deg"', "plan.clearance", "'deg' is not a unit of length; use one of m, cm, mm"),
     ('"50 mm"', "50 furlongs", "plan.clearance", "'furlongs' is not a unit of length"),
-    ('"50 mm"', "wide", "plan.clearance", "expected a length as a number in m"),
+    ('"50 mm"', "wide", "plan.clearance", "expected a length: a number in m"),
     ('"50 mm"', "[1, 2]", "plan.clearance", "expected a length in m, got list"),
     ('"50 mm"', '"-50 mm"', "plan.clearance", "expected at least 0 (SI), got '-50 mm'"),
     ('"50 mm"', "500", "plan.clearance", "write '500 mm' for mm"),
@@ -142,7 +142,7 @@ WRONG = [
         "expected a list or 'unknown', got 'known'",
     ),
     ("normal: [0, 0, 1]", "normal: [0, 0, 7]", "arms.left.smr.normal", "normal must be a unit vector"),
-    ('rpy: [0.0, 0.0, "180 deg"]', "rpy: [0, 0, 180]", "arms.left.base.rpy[2]", "write '180 deg' for degrees"),
+    ('rpy: [0.0, 0.0, "90 deg"]', "rpy: [0, 0, 90]", "arms.left.base.rpy[2]", "write '90 deg' for degrees"),
     (
         "{kind: simulated}",
         "{kind: imaginary}",
@@ -161,7 +161,7 @@ WRONG = [
     ("version: 1", "version: one", "version", "expected 1, got 'one'"),
     ("schema: cellapp-profile", "schema: other", "schema", "expected 'cellapp-profile', got 'other'"),
     ("schema: cellapp-profile\n", "", "schema", "missing; it must be given"),
-    ("  effects: {}", "  effects: {middle: {}}", "plant.effects.middle", "there is no such arm; arms are left, right"),
+    ("    right:\n      backlash", "    middle:\n      backlash", "plant.effects.middle", "there is no such arm; arms are left, right"),
     ("  stops: 400", "  stops: 400\n  ranges: [[-1, 1]]", "plan.ranges", "1 ranges for the 6 joints of arm left"),
     ("    speed_scale: 0.5 ", "    limits: [[-1, 1]]\n    #", "arms.left.limits", "1 ranges for the 6 joints of UR10"),
     ("  stops: 400", "  stops: 400\n  stops: 500", "plan.stops", "the key is there twice (first in line"),
@@ -246,10 +246,10 @@ def test_an_arm_type_may_stand_in_the_profile(twin: Path) -> None:
 
 
 def test_several_errors_one_a_line_in_the_order_of_the_file(twin: Path) -> None:
-    for old, new in [("  stops: 400", "  stops: x"), ("robust: none", "robust: yes"), ("folds: 5", "folds: 1")]:
+    for old, new in [("  stops: 400", "  stops: x"), ("robust: none", "robust: yes"), ("null_simulations: 200", "null_simulations: 1")]:
         edit(twin, old, new)
     lines = refusal(twin).splitlines()
-    assert [line.split(": ")[1] for line in lines] == ["plan.stops", "calibration.robust", "discovery.folds"]
+    assert [line.split(": ")[1] for line in lines] == ["plan.stops", "calibration.robust", "discovery.null_simulations"]
 
 
 def test_many_errors_are_counted(twin: Path) -> None:
@@ -304,7 +304,7 @@ def test_simulated_drivers_need_a_plant(twin: Path) -> None:
 def test_short_forms_of_numbers(twin: Path) -> None:
     """YAML 1.1 would leave 1e-8 and 9.0e4 as texts."""
     edit(twin, "robust: none", "tolerance: 1e-9\n  robust: none")
-    edit(twin, "effects: {}", "effects: {left: {joint_compliance: {stiffness: [9.0e4, .inf, 1e5, 2E+4, .5e5, -1e-3]}}}")
+    edit(twin, "[9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]", "[9.0e4, .inf, 1e5, 2E+4, .5e5, -1e-3]")
     profile = load_profile(twin)
     assert profile.calibration.tolerance == 1e-9
     assert profile.plant is not None

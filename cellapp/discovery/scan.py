@@ -6,8 +6,8 @@ group of columns in blocks (a block is one joint); blocks are added while
 
     score = -N ln(1 - R^2) - k ln N,   N = 3 n coordinates, k columns,
 
-grows. The threshold is the quantile of the largest score over all effects in simulated data with nothing missing, so
-that searching over many effects does not raise the false-alarm rate (max-T: Westfall, Young 1993).
+grows by more than a margin. The threshold is the quantile of the largest score over all effects in simulated data with
+nothing missing, so that searching over many effects does not raise the false-alarm rate (max-T: Westfall, Young 1993).
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ import numpy as np
 from cellapp.effects import EffectColumn, joint_offsets
 from cellapp.kinematics.transforms import Array
 
+_NEXT_BLOCK = 10.0
+"""Another joint joins an effect only if it gains this much: very strong evidence (Kass, Raftery 1995), as what a law
+leaves over of one joint often looks a little like another."""
 _VISIBLE = 1e-4
 """A column of which geometry takes all but this share (in norm) is invisible."""
 
@@ -107,7 +110,7 @@ def score(effect: Visible, projection: Array, square: float, coordinates: int) -
             share = min(reduction / square, 1.0 - 1e-12)
             trials.append((-coordinates * math.log1p(-share) - len(columns) * penalty, block))
         top, block = max(trials)
-        if top <= best and chosen:
+        if chosen and top <= best + _NEXT_BLOCK:
             break
         if not chosen and top <= 0.0:
             best = top  # reported as it is: the data speak against the effect

@@ -6,8 +6,9 @@ The model is the one of Bai et al., ROBOT 45(3) 2023, 276-286:
     T_M_B = R_ref trans(x0, y0, 0) rot_x(alpha0) rot_y(beta0) trans(0, 0, z0) rot_z(theta0)
     A_i   = rot_z(q_i + theta_i) trans(a_i, 0, d_i) rot_x(alpha_i) rot_y(beta_i)
 
-with ``R_ref`` the identity unless the first axis lies near the tracker's x axis, where rot_x and rot_z would turn about
-the same line; there it is a quarter turn about z, which keeps the six numbers well defined for arms on walls.
+with ``R_ref`` the identity unless the first axis is more than 60 degrees off the tracker's z axis (an arm on a wall):
+there x0, y0, z0 would run away, and ``R_ref`` renames the tracker's axes so that its z is the one nearest to the first
+axis.
 
 A rotation parameter about axis u through point c moves the SMR P by u x (P - c) per radian, a translation along u
 moves it by u per metre: that is the whole Jacobian.
@@ -30,7 +31,11 @@ from cellapp.kinematics.transforms import Array, rotation_x, rotation_y, transfo
 BASE_NAMES = ("x0", "y0", "z0", "alpha0", "beta0", "theta0")
 ROW_NAMES = ("theta", "d", "a", "alpha", "beta")
 TOOL_NAMES = ("tx", "ty", "tz")
-_QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+_REFERENCES = (  # rotations that take z to x, to y, and to itself
+    np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    np.eye(3),
+)
 _PARALLEL = math.sin(math.radians(5.0))
 
 
@@ -46,14 +51,14 @@ class Geometry:
         theta [rad], d [m], a [m], alpha [rad], beta [rad] of each joint.
     tool : array, shape (3,)
         SMR centre in the last joint's frame [m].
-    quarter_turned : bool
-        Whether the base numbers are counted from the tracker frame turned a quarter about z (see the module).
+    reference_axis : int
+        Which tracker axis (0 x, 1 y, 2 z) the base numbers take for z: 2 unless the arm hangs on a wall.
     """
 
     base: Array
     rows: Array
     tool: Array
-    quarter_turned: bool = False
+    reference_axis: int = 2
 
     @property
     def joints(self) -> int:
@@ -72,7 +77,7 @@ class Geometry:
 
     def reference(self) -> Array:
         """``R_ref`` (3, 3)."""
-        return _QUARTER_TURN if self.quarter_turned else np.eye(3)
+        return _REFERENCES[self.reference_axis]
 
     def T_M_B(self) -> Array:
         """The base in the tracker frame, shape (4, 4)."""
@@ -82,8 +87,8 @@ class Geometry:
     def with_T_M_B(self, T_M_B: Array) -> Geometry:
         """The same arm standing elsewhere."""
         axis = T_M_B[:3, 2]
-        quarter_turned = bool(abs(axis[0]) > 0.8)
-        geometry = replace(self, quarter_turned=quarter_turned)
+        reference_axis = 2 if abs(axis[2]) > 0.5 else int(np.argmax(np.abs(axis)))
+        geometry = replace(self, reference_axis=reference_axis)
         inverse_reference = geometry.reference().T
         rotation, position = inverse_reference @ T_M_B[:3, :3], inverse_reference @ T_M_B[:3, 3]
         alpha0 = math.atan2(-rotation[1, 2], rotation[2, 2])
@@ -92,8 +97,6 @@ class Geometry:
         about = tilt.T @ rotation
         theta0 = math.atan2(about[1, 0], about[0, 0])
         # z0 runs along the first axis, from where that axis crosses the plane z = 0 of the (turned) tracker frame
-        if abs(tilt[2, 2]) < 1e-6:
-            raise ValueError("the first axis is parallel to the tracker's xy plane: x0, y0, z0 are not defined")
         z0 = position[2] / tilt[2, 2]
         x0, y0 = (position - tilt[:, 2] * z0)[:2]
         return replace(geometry, base=np.array([x0, y0, z0, alpha0, beta0, theta0]))
@@ -290,7 +293,7 @@ def _base_frame(geometry: Geometry) -> Array:
             (x0, y0, 0.0),
         ]
     )
-    return vectors @ _QUARTER_TURN.T if geometry.quarter_turned else vectors
+    return vectors if geometry.reference_axis == 2 else vectors @ _REFERENCES[geometry.reference_axis].T
 
 
 def _smr(geometry: Geometry, frames: Array) -> Array:

@@ -184,7 +184,7 @@ def _geometry_to_json(geometry: Geometry) -> dict[str, Any]:
     names = parameter_names(geometry.joints)
     return {
         "parameters": dict(zip(names, geometry.vector().tolist(), strict=True)),
-        "tracker_frame_quarter_turned": geometry.quarter_turned,
+        "base_z_is_tracker_axis": "xyz"[geometry.reference_axis],
         "T_M_B": geometry.T_M_B().tolist(),
     }
 
@@ -198,7 +198,7 @@ def _geometry_from_json(content: Mapping[str, Any]) -> Geometry:
         base=np.zeros(6),
         rows=np.zeros((joints, 5)),
         tool=np.zeros(3),
-        quarter_turned=bool(content["tracker_frame_quarter_turned"]),
+        reference_axis="xyz".index(content["base_z_is_tracker_axis"]),
     )
     return geometry.with_vector(vector)
 

@@ -123,11 +123,25 @@ def self_clearance(placed: Placed) -> Array:
 
 def floor_clearance(placed: Placed, floor: float) -> Array:
     """Smallest height above the floor of bodies that can move up and down, shape (n,) [m]; infinite without any."""
-    moving = placed.frames > 1  # the column and the shoulder only turn about the first axis
+    moving = _moving(placed)
     if not moving.any():
         return np.full(len(placed.smr), np.inf)
     lowest = np.minimum(placed.start[:, moving, 2], placed.end[:, moving, 2]) - placed.radius[moving]
     return np.asarray(lowest.min(axis=1) - floor)
+
+
+def ceiling_clearance(placed: Placed, ceiling: float) -> Array:
+    """Smallest depth below the ceiling of bodies that can move up and down, shape (n,) [m]; infinite without any."""
+    moving = _moving(placed)
+    if not moving.any():
+        return np.full(len(placed.smr), np.inf)
+    highest = np.maximum(placed.start[:, moving, 2], placed.end[:, moving, 2]) + placed.radius[moving]
+    return np.asarray(ceiling - highest.max(axis=1))
+
+
+def _moving(placed: Placed) -> np.ndarray:
+    """Which bodies can move up and down: column and shoulder only turn about the first axis."""
+    return np.asarray(placed.frames > 1)
 
 
 def between_arms(first: Placed, second: Placed) -> Array:

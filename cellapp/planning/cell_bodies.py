@@ -48,7 +48,8 @@ def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
     field = None
     if T_C_M is not None:
         field = TrackerField(T_C_M, tracker.azimuth, tracker.elevation, tracker.distance)
-    return CellBodies(arms, field, profile.plan.clearance, profile.plan.floor)
+    ceiling = math.inf if profile.plan.ceiling is None else profile.plan.ceiling
+    return CellBodies(arms, field, profile.plan.clearance, profile.plan.floor, ceiling)
 
 
 def home_positions(profile: Profile) -> dict[str, np.ndarray]:

@@ -18,6 +18,7 @@ from cellapp.planning.bodies import (
     Placed,
     beam_clearance,
     between_arms,
+    ceiling_clearance,
     floor_clearance,
     place,
     segment_distance,
@@ -55,14 +56,15 @@ class CellBodies:
     field : TrackerField or None
     clearance : float
         Least distance of bodies from one another and from the floor [m].
-    floor : float
-        Height of the floor in C [m].
+    floor, ceiling : float
+        Heights in C [m] that nothing may pass; the ceiling may be infinite.
     """
 
     arms: Mapping[str, ArmBodies]
     field: TrackerField | None
     clearance: float
     floor: float
+    ceiling: float = math.inf
 
 
 def refuse_stop(cell: CellBodies, q: Mapping[str, Array]) -> str:
@@ -107,6 +109,8 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
         way = place(arm, samples)
         if not floor_clearance(way, cell.floor).min() >= cell.clearance + stray:
             return f"arm {name}: comes nearer to the floor than {cell.clearance * 1e3:.0f} mm"
+        if not ceiling_clearance(way, cell.ceiling).min() >= cell.clearance + stray:
+            return f"arm {name}: comes nearer to the ceiling than {cell.clearance * 1e3:.0f} mm"
         # an arm knows its own shape better than where it stands: nothing between two samples can make it touch itself
         if not self_clearance(way).min() >= max(min(cell.clearance, _SELF_CLEARANCE), stray):
             return f"arm {name}: comes too near to itself"
@@ -117,6 +121,12 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
             if not _apart(placed[first], placed[second], cell.clearance + strays[first] + strays[second]):
                 return f"arms {first} and {second}: come nearer than {cell.clearance * 1e3:.0f} mm"
     return ""
+
+
+def clear_of_floor_and_ceiling(cell: CellBodies, placed: Placed) -> np.ndarray:
+    """Whether bodies keep the cell's clearance from floor and ceiling, shape (n,) bool."""
+    heights = np.minimum(floor_clearance(placed, cell.floor), ceiling_clearance(placed, cell.ceiling))
+    return np.asarray(heights > cell.clearance)
 
 
 def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] | None = None) -> np.ndarray:
@@ -199,6 +209,7 @@ __all__ = [
     "CellBodies",
     "TrackerField",
     "between_arms",
+    "clear_of_floor_and_ceiling",
     "predicted_smr",
     "refuse_motion",
     "refuse_stop",

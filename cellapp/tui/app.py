@@ -140,7 +140,7 @@ class CellApp(App[None]):
 
     def __init__(self, profiles: Path, run: Run = run_whole, patience_s: float = 60.0) -> None:
         super().__init__()
-        self._found = sorted(profiles.glob("*.yaml"))
+        self._found = sorted(profiles.glob("*.yaml"), key=lambda path: path.stem)
         self._profiles = profiles
         self._run = run
         self._patience_s = patience_s

@@ -33,7 +33,8 @@ def measured_run(folder, plan, effects, seed=7, noise_seed=0):
     """A run of a twin with ``effects`` by arm, measured in one go by the plant."""
     profile = load_profile(ROOT / "profiles" / "twin.yaml")
     settings = profile.plant.model_copy(update={"effects": effects, "seed": seed})
-    profile = profile.model_copy(update={"plant": settings})
+    without = profile.network.model_copy(update={"kind": "none"})  # trained networks are tested elsewhere
+    profile = profile.model_copy(update={"plant": settings, "network": without})
     plant, rng = build_plant(profile), np.random.default_rng(noise_seed)
 
     def fill(run):

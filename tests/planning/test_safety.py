@@ -133,6 +133,12 @@ def test_an_arm_outside_its_limits_may_come_back(twin: CellBodies) -> None:
     assert refuse_motion(twin, {**HOME, "left": outside}, HOME) == ""
 
 
+def test_the_ceiling(twin: CellBodies) -> None:
+    low = dataclasses.replace(twin, ceiling=1.2)  # the upright UR10 is 1.43 m high
+    assert "arm left: comes nearer to the ceiling than 50 mm" in refuse_stop(low, HOME)
+    assert refuse_stop(dataclasses.replace(twin, ceiling=1.6), HOME) == ""
+
+
 def test_the_floor(twin: CellBodies) -> None:
     down = HOME["left"].copy()
     down[1] = math.radians(30.0)
