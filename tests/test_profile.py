@@ -161,7 +161,12 @@ WRONG = [
     ("version: 1", "version: one", "version", "expected 1, got 'one'"),
     ("schema: cellapp-profile", "schema: other", "schema", "expected 'cellapp-profile', got 'other'"),
     ("schema: cellapp-profile\n", "", "schema", "missing; it must be given"),
-    ("    right:\n      backlash", "    middle:\n      backlash", "plant.effects.middle", "there is no such arm; arms are left, right"),
+    (
+        "    right:\n      backlash",
+        "    middle:\n      backlash",
+        "plant.effects.middle",
+        "there is no such arm; arms are left, right",
+    ),
     ("  stops: 400", "  stops: 400\n  ranges: [[-1, 1]]", "plan.ranges", "1 ranges for the 6 joints of arm left"),
     ("    speed_scale: 0.5 ", "    limits: [[-1, 1]]\n    #", "arms.left.limits", "1 ranges for the 6 joints of UR10"),
     ("  stops: 400", "  stops: 400\n  stops: 500", "plan.stops", "the key is there twice (first in line"),
@@ -246,7 +251,8 @@ def test_an_arm_type_may_stand_in_the_profile(twin: Path) -> None:
 
 
 def test_several_errors_one_a_line_in_the_order_of_the_file(twin: Path) -> None:
-    for old, new in [("  stops: 400", "  stops: x"), ("robust: none", "robust: yes"), ("null_simulations: 200", "null_simulations: 1")]:
+    wrong = [("stops: 400", "stops: x"), ("robust: none", "robust: yes"), ("simulations: 200", "simulations: 1")]
+    for old, new in wrong:
         edit(twin, old, new)
     lines = refusal(twin).splitlines()
     assert [line.split(": ")[1] for line in lines] == ["plan.stops", "calibration.robust", "discovery.null_simulations"]

@@ -305,7 +305,7 @@ async def test_everything_is_reached_by_keyboard_and_explained() -> None:
 
         app.query_one("#profiles").focus()
         await pilot.press("home", "down")
-        names = [path.stem for path in sorted(PROFILES.glob("*.yaml"))]
+        names = sorted(path.stem for path in PROFILES.glob("*.yaml"))
         assert app.query_one("#profiles", OptionList).option_count == len(names)
         assert app.query_one("#profile", Input).value == str(PROFILES / f"{names[1]}.yaml")
         await pilot.press("enter")
