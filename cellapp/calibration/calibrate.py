@@ -29,6 +29,7 @@ from cellapp.calibration.setup import (
     up_in_tracker,
 )
 from cellapp.calibration.splits import draw_splits
+from cellapp.calibration.station import station_change
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import Array
@@ -222,6 +223,12 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
     }
     counts = {word: len(readings.in_split(word)) for word in ("identify", "train", "validate")}
     notes = [] if identification.converged else [f"arm '{name}': {identification.message}; do not use this calibration"]
+    moved = station_change(smr_positions(nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
+    if moved is not None:
+        notes.append(
+            f"arm '{name}': the tracker or the base seems to have been moved before configuration"
+            f" {readings.configuration[moved]}; import the two parts as runs of their own"
+        )
     stated = stated_uncertainty(held_out)
     calibration = ArmCalibration(
         model=model,
