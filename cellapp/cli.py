@@ -139,17 +139,32 @@ def import_(
 @app.command()
 def export(
     folder: RunFolder,
-    csv: Annotated[Path, typer.Option("--csv", metavar="FILE", help="Where to write the readings.")],
+    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Where to write the readings.")] = None,
+    geometry: Annotated[
+        Path | None,
+        typer.Option("--geometry", metavar="FILE", help="Where to write the identified arms as URDF and UR values."),
+    ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Write the readings of a run as CSV; importing it again gives the same readings bit for bit."""
+    """Write the readings of a run as CSV, or the identified geometry for other programs.
+
+    Importing the CSV again gives the same readings bit for bit.
+    """
     from cellapp.run import write_readings_csv
 
     with _Job(json_file) as job, _open_run(folder) as opened:
-        write_readings_csv(opened, csv)
-        counts = {name: len(opened.readings(name)) for name in opened.arms()}
-        job.say(*(f"arm {name}: {count} readings" for name, count in counts.items()), f"written to {csv}")
-        job.result({"schema": "cellapp-export", "version": 1, "csv": str(csv), "readings": counts})
+        result: dict[str, Any] = {"schema": "cellapp-export", "version": 1}
+        if csv is None and geometry is None:
+            raise InputError("export: say what to write: --csv FILE for the readings, --geometry FILE for the arms")
+        if csv is not None:
+            write_readings_csv(opened, csv)
+            counts = {name: len(opened.readings(name)) for name in opened.arms()}
+            job.say(*(f"arm {name}: {count} readings" for name, count in counts.items()), f"written to {csv}")
+            result |= {"csv": str(csv), "readings": counts}
+        if geometry is not None:
+            job.say(*_export_geometry(opened, geometry))
+            result |= {"geometry": str(geometry)}
+        job.result(result)
 
 
 @app.command()
@@ -435,6 +450,23 @@ class _Job:
         if self._bars is not None:
             self._bars.stop()
             self._bars, self._tasks = None, {}
+
+
+def _export_geometry(run: RunFile, path: Path) -> list[str]:
+    from cellapp.calibration.calibrate import CALIBRATION_FILE
+    from cellapp.model import CellModel
+    from cellapp.model.exports import geometry_export
+
+    content = geometry_export(CellModel.load(run.folder / CALIBRATION_FILE))
+    try:
+        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path} cannot be written ({error.strerror}); choose another place") from None
+    lines = []
+    for name, arm in content["arms"].items():
+        lost = arm["ur_deltas"]["lost"]["position_mm"]
+        lines.append(f"arm {name}: UR's D-H deltas cannot hold the Hayati angles and lose {lost['rms']:.3f} mm rms")
+    return [*lines, f"written to {path}"]
 
 
 @contextlib.contextmanager

@@ -236,6 +236,19 @@ def test_a_verification_that_does_not_hold_exits_with_one(
 # -- readings out and in ----------------------------------------------------------------------------------------------
 
 
+def test_the_identified_arms_for_other_programs(work: Path, call: Any) -> None:
+    out = call("export", "done", "--geometry", "arms.json")
+    assert out.code == 0
+    arms = json.loads((work / "arms.json").read_text("utf-8"))["arms"]
+    assert set(arms) == {"left", "right"}
+    assert [len(arm["urdf"]) for arm in arms.values()] == [7, 7]
+    assert set(arms["left"]["ur_deltas"]["lost"]["beta_rad"]) == {"beta2", "beta3"}
+    assert "lose" in out.out
+    refused = call("export", "done")
+    assert refused.code == 2
+    assert "--csv FILE" in refused.err
+
+
 def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> None:
     assert call("export", "collected", "--csv", "out.csv", "--json", "-").json["readings"] == {"left": 30, "right": 30}
     found = call("import", "twin.yaml", "out.csv", "--run", "again", "--json", "-").json

@@ -17,11 +17,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cellapp.calibration.evaluation import Summary, summarise
+from cellapp.calibration.evaluation import Summary, position_errors, summarise
 from cellapp.calibration.pair import PAIR_NAMES, PairIdentification, distances, identify_pair
 from cellapp.kinematics.chain import smr_positions
-from cellapp.kinematics.transforms import Array, invert, register
+from cellapp.kinematics.transforms import Array, apply, invert, register, zyx_angles
 from cellapp.model import ArmModel, ResidualNetwork
 from cellapp.profile import Profile
 from cellapp.run import Readings
@@ -41,21 +42,32 @@ class CalibratedArm(Protocol):
 
 @dataclass(frozen=True)
 class PairMethod:
-    """One method on the held-out stops, with either transform."""
+    """One method on the held-out stops, with either transform.
+
+    ``errors`` are those of each held-out stop (n,) [m] by transform, signed, measured less computed;
+    ``position_errors`` (n,) [m] by arm are the absolute ones of the same stops, with the bases where the arms'
+    calibration put them.
+    """
 
     by_distances: Summary
     by_tracker: Summary
     identification: PairIdentification
     T_R_L_tracker: Array
+    errors: Mapping[str, Array]
+    position_errors: Mapping[str, Array]
 
 
 @dataclass(frozen=True)
 class PairCalibration:
-    """The pair by method; ``chosen`` is the transform that the profile asked for: ``distances`` or ``tracker``."""
+    """The pair by method; ``chosen`` is the transform that the profile asked for: ``distances`` or ``tracker``.
+
+    ``stops`` are the numbers of the held-out configurations, in the order of each method's errors.
+    """
 
     methods: Mapping[str, PairMethod]
     chosen: str
     counts: Mapping[str, int]
+    stops: NDArray[np.int64]
 
     @property
     def T_R_L(self) -> Array:
@@ -66,7 +78,7 @@ class PairCalibration:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON: ``METHOD.cooperative_mm`` is by the chosen transform."""
-        return {name: _method_dict(method, self.chosen, self.counts) for name, method in self.methods.items()}
+        return {name: _method_dict(method, self) for name, method in self.methods.items()}
 
 
 def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
@@ -113,16 +125,26 @@ def calibrate_pair(
         T_M = [register(r.p_M[learn], p[learn]) for r, p in zip(both, positions, strict=True)]
         tracker = np.asarray(invert(T_M[1]) @ T_M[0])
         p_L, p_R = positions[0][held_out], positions[1][held_out]
+        errors = {
+            "distances": measured[held_out] - distances(found.T_R_L, p_L, p_R),
+            "tracker": measured[held_out] - distances(tracker, p_L, p_R),
+        }
+        bases = [(model.nominal if name == "nominal" else model.geometry).T_M_B() for model in models]
         methods[name] = PairMethod(
-            by_distances=summarise(measured[held_out] - distances(found.T_R_L, p_L, p_R)),
-            by_tracker=summarise(measured[held_out] - distances(tracker, p_L, p_R)),
+            by_distances=summarise(errors["distances"]),
+            by_tracker=summarise(errors["tracker"]),
             identification=found,
             T_R_L_tracker=tracker,
+            errors=errors,
+            position_errors={
+                arm: position_errors(r.p_M[held_out], apply(T_M_B, p[held_out]))
+                for arm, r, T_M_B, p in zip(readings, both, bases, positions, strict=True)
+            },
         )
         if not found.converged:
             notes.append(f"pair: {name}: the inter-base transform did not converge; do not use it")
     counts = {"identify": len(learn), "validate": len(held_out)}
-    return PairCalibration(methods, profile.pair.transform, counts), notes
+    return PairCalibration(methods, profile.pair.transform, counts, left.configuration[held_out]), notes
 
 
 def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[str, tuple[Array, Array]]:
@@ -153,19 +175,31 @@ def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> di
     }
 
 
-def _method_dict(method: PairMethod, chosen: str, counts: Mapping[str, int]) -> dict[str, Any]:
+def _method_dict(method: PairMethod, pair: PairCalibration) -> dict[str, Any]:
     found = method.identification
     values, errors = found.values.tolist(), found.standard_errors.tolist()
+    tracker = method.T_R_L_tracker
+    by_tracker = [*tracker[:3, 3].tolist(), *zyx_angles(tracker[:3, :3])]
     summaries = {"distances": method.by_distances, "tracker": method.by_tracker}
     return {
-        "cooperative_mm": summaries[chosen].as_dict(),
-        "transform": chosen,
+        "cooperative_mm": summaries[pair.chosen].as_dict(),
+        "transform": pair.chosen,
         "by_transform_mm": {name: summary.as_dict() for name, summary in summaries.items()},
         "identified": {
-            name: {"value": value, "standard_error": error, "unit": "m" if name in "xyz" else "rad"}
-            for name, value, error in zip(PAIR_NAMES, values, errors, strict=True)
+            name: {
+                "value": value,
+                "standard_error": error,
+                "unit": "m" if name in "xyz" else "rad",
+                "by_tracker": other,
+            }
+            for name, value, error, other in zip(PAIR_NAMES, values, errors, by_tracker, strict=True)
         },
         "iterations": found.iterations,
         "converged": found.converged,
-        "splits": dict(counts),
+        "splits": dict(pair.counts),
+        "held_out": {
+            "configuration": pair.stops.tolist(),
+            "cooperative_mm": (np.abs(method.errors[pair.chosen]) * 1e3).tolist(),
+            "position_mm": {arm: (errors * 1e3).tolist() for arm, errors in method.position_errors.items()},
+        },
     }

@@ -53,6 +53,8 @@ _MOST_EFFECTS = 4
 _RIVAL = 10.0
 """Effects whose score is this near the winner's are named beside it."""
 _WEIGHING_ROUNDS = 3
+_CHANCE = 4.0
+"""Standard errors by which a value may pass its bound: a joint that hardly feels an effect may come out negative."""
 _FLOOR = 1.05
 """Held-out rms within this factor of the noise floor counts as explained."""
 
@@ -193,8 +195,10 @@ def discover_arm(
         basis = _extended(data.geometry_basis(fitted), [(effects[slug], picked) for slug, picked in groups])
         residual = complement(basis, data.whitened_residual(fitted))
         taken = {slug for slug, _ in groups}
-        scores = scan([visible_part(effect, basis) for slug, effect in effects.items() if slug not in taken], residual)
-        winner = next((s for s in scores if s.score > least and data.plausible(groups, (s.slug, s.chosen))), None)
+        visible = {slug: visible_part(effect, basis) for slug, effect in effects.items() if slug not in taken}
+        scores = scan(list(visible.values()), residual)
+        possible = (_plausible(data, groups, s, visible[s.slug], residual) for s in scores if s.score > least)
+        winner = next((s for s in possible if s.score > least), None)
         if winner is None or not data.confirmed(groups, (winner.slug, winner.chosen), profile.discovery.folds):
             break
         rivals = tuple(
@@ -398,14 +402,30 @@ class _Data:
                 gain += sign * float(np.sum(off**2))
         return gain > 0.0
 
-    def plausible(self, groups: Sequence[Group], new: Group) -> bool:
-        """Whether the refitted values lie inside their physical bounds, give or take two standard errors."""
+    def impossible(self, groups: Sequence[Group], new: Group) -> set[int]:
+        """Joints at which a refit puts the new effect outside its physical bounds by more than chance allows."""
         term = self.model_with([*groups, new]).effects[-1]
         columns = [self.columns[new[0]][i] for i in new[1]]
-        return all(
-            column.lower - 2.0 * error <= value <= column.upper + 2.0 * error
+        return {
+            column.joint
             for column, value, error in zip(columns, term.values, term.standard_errors, strict=True)
-        )
+            if not column.lower - _CHANCE * error <= value <= column.upper + _CHANCE * error
+        }
+
+
+def _plausible(
+    data: _Data, groups: Sequence[Group], found: Score, effect: Visible, residual: Array
+) -> Score:
+    """The score of an effect without the joints at which its values are impossible; minus infinity if none is left.
+
+    A negative stiffness is an alias of something else at that joint, which says nothing against the effect at others.
+    """
+    while found.chosen and (alias := data.impossible(groups, (found.slug, found.chosen))):
+        columns = data.columns[found.slug]
+        blocks = tuple(block for block in effect.blocks if columns[block[0]].joint not in alias)
+        effect = replace(effect, blocks=blocks)
+        found = score(effect, effect.B.T @ residual, float(residual @ residual), len(residual))
+    return found
 
 
 def _whitening(sigma: Array | None, n: int) -> Array:

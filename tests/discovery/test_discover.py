@@ -73,12 +73,13 @@ def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan):
             assert discovery.after_mm == pytest.approx(discovery.noise_floor_mm, rel=0.25)
 
 
-def test_hidden_effects_are_named_and_measured(tmp_path, plan):
+@pytest.mark.parametrize("seed", [7, 1, 30])
+def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
     effects = {
         "left": {"joint_compliance": {"stiffness": STIFFNESS}, "encoder_eccentricity": ECCENTRIC},
         "right": {"backlash": {"play": PLAY}},
     }
-    calibration, found, stored = discovered(tmp_path / "run", plan, effects)
+    calibration, found, stored = discovered(tmp_path / "run", plan, effects, seed=seed, noise_seed=seed)
     left, right = found["left"], found["right"]
     assert names(left) == {"joint_compliance", "encoder_eccentricity"}
     assert names(right) == {"backlash"}
