@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -141,7 +143,9 @@ def calibrate_readings(
             "profile": profile.name,
             "seed": profile.seed,
             "program": f"cellapp {cellapp.__version__}",
+            "python": platform.python_version(),
             "numpy": np.__version__,
+            "torch": version("torch"),
             "written": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
@@ -321,10 +325,16 @@ def _training_dict(training: Training) -> dict[str, Any]:
         "used": training.network is not None,
         "inputs": training.shape.inputs,
         "hidden": list(training.shape.hidden),
+        "turning": training.shape.turning,
         "left_out_rms_mm": training.left_out_rms * 1e3,
         "without_rms_mm": training.without_rms * 1e3,
         "tried": [
-            {"inputs": shape.inputs, "hidden": list(shape.hidden), "left_out_rms_mm": error * 1e3}
+            {
+                "inputs": shape.inputs,
+                "hidden": list(shape.hidden),
+                "turning": shape.turning,
+                "left_out_rms_mm": error * 1e3,
+            }
             for shape, error in training.tried
         ],
     }

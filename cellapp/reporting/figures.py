@@ -10,6 +10,7 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import matplotlib
@@ -19,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from cellapp.kinematics.transforms import Array
@@ -28,7 +30,13 @@ ARM_COLOURS = 4
 
 # Drawn with colours that stand for the page's own, so that the style sheet decides them, also in the dark.
 _INK, _SOFT, _GRID = "#010101", "#010102", "#010103"
-_STAGES = {"nominal": "#010111", "geometry": "#010112", "effects": "#010113"}
+_STAGES = {
+    "nominal": "#010111",
+    "geometry": "#010112",
+    "effects": "#010113",
+    "network": "#010114",
+    "tracker-network": "#010115",
+}
 _ARMS = tuple(f"#01012{number}" for number in range(1, ARM_COLOURS + 1))
 _PAGE_COLOURS = {
     _INK: "currentColor",
@@ -37,7 +45,15 @@ _PAGE_COLOURS = {
     **{colour: f"var(--{stage})" for stage, colour in _STAGES.items()},
     **{colour: f"var(--arm{number})" for number, colour in enumerate(_ARMS, start=1)},
 }
-_CAPS = {"nominal": "butt", "geometry": "round", "effects": "projecting"}  # ends of strokes: dash, dot, square
+# ends of strokes: dash, dot, square
+_CAPS = {
+    "nominal": "butt",
+    "geometry": "round",
+    "network": "round",
+    "tracker-network": "butt",
+    "effects": "projecting",
+}
+_DASHES = ("nominal", "tracker-network")
 _SETTINGS = {
     "svg.fonttype": "none",
     "text.parse_math": False,
@@ -61,29 +77,43 @@ _SETTINGS = {
     "figure.facecolor": "none",
     "savefig.facecolor": "none",
     "figure.dpi": 72.0,
+    "grid.color": _GRID,
+    "grid.linewidth": 0.5,
 }
-_FAMILIES = ("axes", "figure", "font", "grid", "lines", "patch", "path", "savefig", "svg", "text", "xtick", "ytick")
+_FAMILIES = frozenset(
+    {"axes", "axes3d", "figure", "font", "grid", "lines", "patch", "path", "savefig", "svg", "text", "xtick", "ytick"}
+)
 _SIZE = (5.2, 3.3)
+_WIDE = (8.0, 6.0)
 _LEAST_MM = 1e-6  # what a logarithmic axis shows for no error at all
 
 
 @dataclass(frozen=True)
 class ArmInCell:
-    """What the drawing of the cell shows of one arm: measured points (n, 3) and the base (3,), both levelled [m]."""
+    """What the drawing of the cell shows of one arm, all levelled [m].
+
+    Measured points (n, 3), the base (3,), and the chain (k, 3) from the base over the joints to the SMR at one
+    configuration.
+    """
 
     points: Array
     base: Array
+    chain: Array
 
 
 def error_figure(
-    key: str, configurations: NDArray[np.int64], errors_mm: Mapping[str, Array], floor_mm: float | None
+    key: str,
+    configurations: NDArray[np.int64],
+    errors_mm: Mapping[str, Array],
+    floor_mm: float | None,
+    label: str = "position error [mm]",
 ) -> str:
-    """Position error (n,) [mm] of each configuration by stage, on a logarithmic axis; ids in the SVG are of ``key``."""
+    """Error (n,) [mm] of each configuration by stage, on a logarithmic axis; ids in the SVG are of ``key``."""
     with _settings(key):
         figure, axes = _axes()
         width = 2.6 if len(configurations) < 500 else 1.5
         for stage, errors in errors_mm.items():
-            half = 0.005 * float(np.ptp(configurations)) if stage == "nominal" else 0.0
+            half = 0.005 * float(np.ptp(configurations)) if stage in _DASHES else 0.0
             _dots(
                 axes,
                 configurations,
@@ -98,14 +128,16 @@ def error_figure(
         _log_axis(axes.yaxis, shown, floor_mm)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("configuration")
-        axes.set_ylabel("position error [mm]")
+        axes.set_ylabel(label)
         if floor_mm is not None:
             axes.axhline(floor_mm, color=_INK, linewidth=1.0, linestyle="--")
         return _svg(figure, key)
 
 
-def residual_figure(key: str, errors_mm: Mapping[str, Array], floor_mm: float | None) -> str:
-    """Histogram of the position errors [mm] of some stages on a logarithmic axis, with the noise floor."""
+def residual_figure(
+    key: str, errors_mm: Mapping[str, Array], floor_mm: float | None, label: str = "position error [mm]"
+) -> str:
+    """Histogram of the errors [mm] of some stages on a logarithmic axis, with the noise floor."""
     with _settings(key):
         figure, axes = _axes()
         shown = np.maximum(np.concatenate(list(errors_mm.values())), _LEAST_MM)
@@ -117,7 +149,7 @@ def residual_figure(key: str, errors_mm: Mapping[str, Array], floor_mm: float | 
             axes.stairs(counts, edges, fill=True, color=_STAGES[stage], alpha=0.3)
             axes.stairs(counts, edges, color=_STAGES[stage], linewidth=1.3)
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.set_xlabel("position error [mm]")
+        axes.set_xlabel(label)
         axes.set_ylabel("configurations")
         if floor_mm is not None:
             axes.axvline(floor_mm, color=_INK, linewidth=1.0, linestyle="--")
@@ -143,6 +175,56 @@ def target_figure(key: str, before_mm: Array, after_mm: Array, floor_mm: float |
         return _svg(figure, key)
 
 
+def vector_figure(key: str, points: Array, vectors: Array, length_mm: float) -> str:
+    """Vectors (n, 3) [m] at points (n, 3) [m], seen along z and along y, hugely enlarged.
+
+    The arrow of ``length_mm`` above each view tells the scale; ``scale_length_mm`` finds one.
+    """
+    with _settings(key):
+        figure = Figure(figsize=_SIZE, layout="constrained")
+        reach = float(np.max(np.ptp(points, axis=0))) or 1.0
+        enlarged = 0.18 * reach / (length_mm * 1e-3)
+        for place, up in enumerate((1, 2)):
+            axes = figure.add_subplot(1, 2, place + 1)
+            axes.grid(color=_GRID, linewidth=0.6)
+            axes.set_aspect("equal", adjustable="datalim")
+            flat = points[:, (0, up)]
+            _arrows(axes, flat, vectors[:, (0, up)] * enlarged, _STAGES["geometry"], 0.03 * reach)
+            ends = np.vstack([flat, flat + vectors[:, (0, up)] * enlarged])
+            low, high = ends.min(axis=0), ends.max(axis=0)
+            key_at = np.array([[low[0], high[1] + 0.1 * reach]])
+            _arrows(axes, key_at, np.array([[0.18 * reach, 0.0]]), _INK, 0.03 * reach)
+            axes.text(key_at[0, 0] + 0.22 * reach, key_at[0, 1], f"{length_mm:g} mm", va="center", fontsize=8.5)
+            axes.update_datalim(np.vstack([low, high, key_at + np.array([0.0, 0.06 * reach])]))
+            axes.margins(0.06)
+            axes.autoscale_view()
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_locator(MaxNLocator(4))
+            axes.set_xlabel("x [m]")
+            axes.set_ylabel(f"{'xyz'[up]} [m]")
+        return _svg(figure, key)
+
+
+def scale_length_mm(vectors: Array) -> float:
+    """A round length [mm] near that of the larger ones of ``vectors`` (n, 3) [m]."""
+    large = max(float(np.quantile(np.linalg.norm(vectors, axis=1), 0.9)) * 1e3, _LEAST_MM)
+    decade = 10.0 ** np.floor(np.log10(large))
+    return float(f"{decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= large * (1.0 + 1e-9)):.3g}")
+
+
+def _arrows(axes: Any, starts: Array, steps: Array, colour: str, head: float) -> None:
+    """Arrows (n, 2) as one path of strokes; heads at most of length ``head``."""
+    length = np.linalg.norm(steps, axis=1, keepdims=True)
+    along = steps / np.maximum(length, 1e-12) * np.minimum(head, 0.5 * length)
+    across = np.column_stack([-along[:, 1], along[:, 0]]) * 0.5
+    tips = starts + steps
+    ends = np.stack([starts, tips, tips - along + across, tips, tips - along - across], axis=1).reshape(-1, 2)
+    codes = np.tile(np.array([Outline.MOVETO, *[Outline.LINETO] * 4], dtype=np.uint8), len(starts))
+    outline = Outline(ends, codes)
+    outline.should_simplify = False
+    axes.add_patch(PathPatch(outline, facecolor="none", edgecolor=colour, linewidth=0.8, snap=False))
+
+
 def cell_figure(key: str, arms: Sequence[ArmInCell], across: int, up: int) -> str:
     """The cell seen along one axis: coordinate ``across`` to the right, ``up`` upwards; the tracker at the origin."""
     with _settings(key):
@@ -161,6 +243,50 @@ def cell_figure(key: str, arms: Sequence[ArmInCell], across: int, up: int) -> st
         axes.set_xlabel(f"{'xyz'[across]} [m]")
         axes.set_ylabel(f"{'xyz'[up]} [m]")
         return _svg(figure, key)
+
+
+def space_figure(key: str, arms: Sequence[ArmInCell]) -> str:
+    """The cell in space: tracker at the origin, arms at one configuration, their measured points."""
+    with _settings(key), matplotlib.rc_context({"path.simplify": False}):
+        figure = Figure(figsize=_WIDE)
+        axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+        middle = np.mean([arm.base for arm in arms], axis=0)
+        # look across the way from the tracker to the arms, so that it is seen in full
+        axes.view_init(elev=24.0, azim=float(np.degrees(np.arctan2(middle[1], middle[0]))) - 65.0)
+        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+            axis.pane.set_visible(False)
+        corners = [np.zeros((1, 3))]
+        for number, arm in enumerate(arms):
+            colour = _ARMS[number % ARM_COLOURS]
+            # all dots as one line with gaps: a tenth of the text of single markers
+            gap = np.full_like(arm.points, np.nan)
+            dots = np.stack([arm.points, arm.points + np.array([0.0, 0.0, 1e-4]), gap], axis=1).reshape(-1, 3)
+            axes.plot(*dots.T, color=colour, linewidth=1.8, solid_capstyle="round", alpha=0.5)
+            axes.plot(*np.array([np.zeros(3), arm.chain[-1]]).T, color=_SOFT, linewidth=0.7, linestyle=":")
+            axes.plot(*arm.chain.T, color=colour, linewidth=3.0, solid_capstyle="round")
+            axes.plot(*arm.chain[1:-1].T, "o", color=_INK, markersize=2.4)
+            axes.plot(*arm.chain[-1:].T, "o", color=_INK, markersize=4.5)
+            axes.plot(*arm.base[None].T, "s", color=colour, markersize=8, markeredgecolor=_INK)
+            corners += [arm.points, arm.chain]
+        axes.plot([0.0], [0.0], [0.0], "^", color=_INK, markersize=10)
+        every = np.vstack(corners)
+        low, high = every.min(axis=0), every.max(axis=0)
+        room = 0.04 * float(np.max(high - low))
+        span = (high - low) / float(np.max(high - low))
+        for name, a, b, share in zip("xyz", low - room, high + room, span, strict=True):
+            axes.set(**{f"{name}lim": (a, b), f"{name}label": f"{name} [m]"})
+            getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(max(2, round(6.0 * float(share)))))
+        axes.set_box_aspect(high - low + 2.0 * room)
+        return _svg(figure, key, _around_box(axes, low - room, high + room))
+
+
+def _around_box(axes: Any, low: Array, high: Array) -> Bbox:
+    """The part of the figure [inch] that shows the box of a 3-D drawing with the labels around it."""
+    axes.apply_aspect()
+    corners = np.array([[*corner, 1.0] for corner in product(*zip(low, high, strict=True))]) @ axes.get_proj().T
+    inches = axes.transData.transform(corners[:, :2] / corners[:, 3:]) / 72.0
+    room = np.array([0.8, 0.55])
+    return Bbox([inches.min(axis=0) - room, inches.max(axis=0) + room])
 
 
 def _settings(key: str) -> Any:
@@ -207,11 +333,11 @@ def _log_axis(axis: Any, values: Array, also: float | None) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _svg(figure: Figure, key: str) -> str:
+def _svg(figure: Figure, key: str, part: Bbox | None = None) -> str:
     """The figure as an ``svg`` element for HTML: no declarations, ids that start with ``key``, the page's colours."""
     stream = io.StringIO()
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    FigureCanvasSVG(figure).print_svg(stream, metadata=nothing)
+    FigureCanvasSVG(figure).print_figure(stream, format="svg", metadata=nothing, bbox_inches=part)
     text = stream.getvalue()
     head, _, body = text[text.index("<svg") :].partition(">")
     text = re.sub(r'\s(?:xmlns(?::\w+)?|width|height|version)="[^"]*"', "", head) + ">" + body

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import math
+import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import cellapp
 from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT
@@ -19,16 +22,18 @@ from cellapp.calibration.evaluation import position_errors
 from cellapp.calibration.setup import stated_uncertainty
 from cellapp.discovery.discover import DISCOVER_RESULT
 from cellapp.errors import InputError
-from cellapp.kinematics.chain import Geometry, parameter_names, smr_positions
-from cellapp.kinematics.transforms import Array
+from cellapp.kinematics.chain import Geometry, frame_poses, parameter_names, smr_positions
+from cellapp.kinematics.transforms import Array, apply, invert
 from cellapp.model import ArmModel, CellModel
-from cellapp.profile import Profile
+from cellapp.profile import Profile, profile_to_json
 from cellapp.reporting.tables import (
     METHODS,
     Table,
-    calibration_tables,
+    detailed_tables,
     discovery_tables,
+    distance_mm,
     parameter_tables,
+    transform_tables,
     verification_tables,
 )
 from cellapp.run import Readings, RunFile
@@ -39,7 +44,20 @@ _VERIFY_RESULT = "verify"  # as in cellapp.whole, which imports this module
 _NO_PAIR = "pair: skipped"
 _MOST_EVENTS = 100
 _FOR_EYES = {"rad": (1e6, "µrad"), "rad/Nm": (1e6, "µrad/Nm"), "m": (1e6, "µm")}
-_STAGE_WORDS = {"nominal": "nominal", "geometry": "identified geometry", "effects": "geometry and effects"}
+_STAGE_WORDS = {
+    "nominal": "nominal",
+    "geometry": "identified geometry",
+    "network": "geometry and network",
+    "effects": "geometry and effects",
+}
+_METHOD_COLOURS = {
+    "method_1": "geometry",
+    "method_2": "tracker-network",
+    "proposed": "network",
+    "effects": "effects",
+}
+_MOST_POINTS = 400
+_MOST_ARROWS = 150
 _METHOD_WORDS = {
     "nominal": "the nominal cell",
     "method_1": "geometry alone",
@@ -56,6 +74,18 @@ class _Drawing:
     svg: str
     caption: str
     legend: tuple[tuple[str, str], ...]
+    width: str = ""
+
+
+@dataclass(frozen=True)
+class _Drawings:
+    """The figures by section of the page."""
+
+    accuracy: list[_Drawing]
+    pair: list[_Drawing]
+    vectors: list[_Drawing]
+    targets: list[_Drawing]
+    cell: list[_Drawing]
 
 
 @dataclass(frozen=True)
@@ -99,7 +129,7 @@ def page_text(run: RunFile, written: datetime) -> str:
     results = _read(run)
     model = CellModel.load(run.folder / CALIBRATION_FILE)
     readings = {name: run.readings(name) for name in model.arms}
-    accuracy, targets, cell = _draw(results, model, readings)
+    drawn = _draw(results, model, readings)
     environment = Environment(
         loader=PackageLoader("cellapp", "reporting"),
         autoescape=True,
@@ -116,19 +146,26 @@ def page_text(run: RunFile, written: datetime) -> str:
         headlines=_headlines(results),
         warnings=_warnings(results),
         missing=results.missing,
-        accuracy=accuracy,
-        accuracy_tables=calibration_tables(results.calibrate),
+        accuracy=drawn.accuracy,
+        accuracy_tables=detailed_tables(results.calibrate),
+        tracker=_tracker_words(results.calibrate),
+        cooperative=drawn.pair,
+        transform_tables=transform_tables(results.calibrate),
+        pair_tables=_pair_tables(results.calibrate),
+        vectors=drawn.vectors,
+        fact_table=_fact_table(results.calibrate),
+        network_tables=_network_tables(results.calibrate),
         methods=[(method, words) for method, words in _METHOD_WORDS.items() if method in results.calibrate["pair"]],
         discovery_tables=[] if discover is None else [*discovery_tables(discover), *_effect_tables(discover)],
         doubts=[] if discover is None else _doubts(discover),
-        targets=targets,
+        targets=drawn.targets,
         verification_tables=[] if verify is None else verification_tables(verify),
         target_tables=[] if verify is None else _target_tables(verify),
-        cell=cell,
+        cell=drawn.cell,
         cell_table=_base_table(model),
-        parameter_tables=[*parameter_tables(results.calibrate), *_pair_tables(results.calibrate)],
+        parameter_tables=_parameter_tables(results.calibrate, model),
         merged_tables=_merged_tables(results.calibrate),
-        provenance=_provenance(run.profile, results, readings),
+        provenance=[*_provenance(run.profile, results, readings), *_hashes(run, readings)],
         events=run.events()[-_MOST_EVENTS:],
     )
 
@@ -255,8 +292,10 @@ def _right_aligned(table: Table) -> list[bool]:
 
 
 def _is_number(text: str) -> bool:
+    """Of a number or of an interval."""
     try:
-        float(text)
+        for part in text.split(" to "):
+            float(part)
     except ValueError:
         return False
     return True
@@ -321,12 +360,99 @@ def _pair_tables(calibrate: Mapping[str, Any]) -> list[Table]:
         rows = []
         for name, entry in identified.items():
             factor, unit = (1e3, "mm") if entry["unit"] == "m" else (math.degrees(1.0), "deg")
-            rows.append((name, f"{entry['value'] * factor:.5f}", f"{entry['standard_error'] * factor:.5f}", unit))
+            other = entry.get("by_tracker")
+            beside = "" if other is None else f"{other * factor:.5f}"
+            rows.append(
+                (name, f"{entry['value'] * factor:.5f}", f"{entry['standard_error'] * factor:.5f}", beside, unit)
+            )
         if rows:
             first, second = calibrate["arms"]
             title = f"Pair: base of {first} in the base of {second}, with {_METHOD_WORDS[method]}"
-            tables.append(Table(title, ("parameter", "value", "standard error", "unit"), tuple(rows)))
+            columns = ("parameter", "by distances", "standard error", "by the tracker frame", "unit")
+            tables.append(Table(title, columns, tuple(rows)))
     return tables
+
+
+def _parameter_tables(calibrate: Mapping[str, Any], model: CellModel) -> list[Table]:
+    """Those of ``calibrate --parameters`` with the nominal value of each parameter and how far it is from it."""
+    tables = []
+    for table, (name, arm) in zip(parameter_tables(calibrate), calibrate["arms"].items(), strict=True):
+        nominal = model.arms[name].nominal
+        published = dict(zip(parameter_names(nominal.joints), nominal.vector().tolist(), strict=True))
+        rows = []
+        for row, (parameter, entry) in zip(table.rows, arm["identified"].items(), strict=True):
+            factor = 1e3 if entry["unit"] == "m" else math.degrees(1.0)
+            delta = entry["value"] - published[parameter]
+            if entry["unit"] == "rad":
+                delta = math.remainder(delta, 2.0 * math.pi)
+            rows.append((parameter, f"{published[parameter] * factor:.5f}", row[1], f"{delta * factor:+.5f}", *row[2:]))
+        columns = ("parameter", "nominal", "value", "delta", "standard error", "unit")
+        tables.append(Table(table.title, columns, tuple(rows)))
+    return tables
+
+
+def _tracker_words(calibrate: Mapping[str, Any]) -> str:
+    """What the tracker's stated uncertainty alone would leave of each error."""
+    known = {name: arm.get("tracker_mm") for name, arm in calibrate["arms"].items()}
+    words = [
+        f"arm {name}: position {stated:.4f} mm, distance {distance_mm(stated, stated):.4f} mm"
+        for name, stated in known.items()
+        if stated
+    ]
+    together = distance_mm(*known.values()) if calibrate["pair"] else None
+    if together is not None:
+        words.append(f"pair: cooperative {together:.4f} mm")
+    return "; ".join(words)
+
+
+def _fact_table(calibrate: Mapping[str, Any]) -> Table:
+    """How the calibration went, an arm a column."""
+    columns = [_training_facts(arm) for arm in calibrate["arms"].values()]
+    rows = tuple((what, *(facts[what] for facts in columns)) for what in columns[0])
+    return Table("How the arms were calibrated", ("", *(f"arm {name}" for name in calibrate["arms"])), rows)
+
+
+def _network_tables(calibrate: Mapping[str, Any]) -> list[Table]:
+    """The networks that were compared before one was trained to the end."""
+    tables = []
+    for name, arm in calibrate["arms"].items():
+        tried = (arm.get("network") or {}).get("tried", [])
+        if tried:
+            shapes = tuple(
+                (str(place), _shape(entry), f"{entry['left_out_rms_mm']:.4f}")
+                for place, entry in enumerate(tried, start=1)
+            )
+            title = f"Arm {name}: networks tried inside the training split"
+            tables.append(Table(title, ("number", "inputs, hidden layers", "left-out rms [mm]"), shapes))
+    return tables
+
+
+def _shape(network: Mapping[str, Any]) -> str:
+    words = {"sincos": "sines and cosines", "angles": "scaled angles"}
+    turning = ", turning with joint 1" if network.get("turning") else ""
+    return f"{words[network['inputs']]}, {' + '.join(str(width) for width in network['hidden'])}{turning}"
+
+
+def _training_facts(arm: Mapping[str, Any]) -> dict[str, str]:
+    network, repeats = arm.get("network"), arm.get("repeatability_mm")
+    stated, excess = arm.get("tracker_mm"), arm.get("excess_mm")
+    if network is None:
+        about = left_out = "none trained"
+    else:
+        about = f"{_shape(network)}; {'used' if network['used'] else 'not used, as it did not help on left-out folds'}"
+        left_out = f"{network['left_out_rms_mm']:.4f}, without {network['without_rms_mm']:.4f}"
+    return {
+        "parameters identified": str(arm["rank"]),
+        "iterations": str(arm["iterations"]),
+        "condition of the scaled Jacobian": "" if arm["condition"] is None else f"{arm['condition']:.1f}",
+        "tracker's stated uncertainty, rms length [mm]": "not stated" if not stated else f"{stated:.4f}",
+        "scatter of a coordinate beyond it [mm]": "" if excess is None else f"{excess:.4f}",
+        "position repeatability, mean and RP [mm]": (
+            "no stop was repeated" if repeats is None else f"{repeats['mean']:.4f}, {repeats['rp']:.4f}"
+        ),
+        "network": about,
+        "network, rms on left-out folds [mm]": left_out,
+    }
 
 
 def _merged_tables(calibrate: Mapping[str, Any]) -> list[Table]:
@@ -352,15 +478,16 @@ def _base_table(model: CellModel) -> Table:
 
 
 def _provenance(profile: Profile, results: _Results, readings: Mapping[str, Readings]) -> list[tuple[str, str]]:
-    origin = results.calibrate["provenance"]
+    origin, arms = results.calibrate["provenance"], results.calibrate["arms"].values()
     settings = profile.calibration
     lines = [
         ("Profile", profile.name),
+        ("SHA-256 of the profile", hashlib.sha256(profile_to_json(profile).encode("utf-8")).hexdigest()),
         ("Seed of splits and draws", str(origin["seed"])),
         *([] if profile.plant is None else [("Seed of the simulated cell", str(profile.plant.seed))]),
-        ("Calibrated by", f"{origin['program']}, numpy {origin['numpy']}"),
+        ("Calibrated by", _programs(origin, torch_used=any(arm.get("network") for arm in arms))),
         ("Calibrated at", origin["written"]),
-        ("Page made by", f"cellapp {cellapp.__version__}"),
+        ("Page made by", f"cellapp {cellapp.__version__}, Python {platform.python_version()}, numpy {np.__version__}"),
     ]
     for name, arm in readings.items():
         splits = results.calibrate["arms"][name]["splits"]
@@ -383,60 +510,184 @@ def _provenance(profile: Profile, results: _Results, readings: Mapping[str, Read
     return lines
 
 
+def _programs(origin: Mapping[str, Any], *, torch_used: bool) -> str:
+    words = [origin["program"]]
+    words += [f"{shown} {origin[key]}" for key, shown in (("python", "Python"), ("numpy", "numpy")) if key in origin]
+    if "torch" in origin:
+        words.append(f"torch {origin['torch']}")
+    elif torch_used:
+        words.append("torch in a version that was not noted")
+    return ", ".join(words)
+
+
+def _hashes(run: RunFile, readings: Mapping[str, Readings]) -> list[tuple[str, str]]:
+    calibration = (run.folder / CALIBRATION_FILE).read_bytes()
+    return [
+        *((f"SHA-256 of the readings of arm {name}", _readings_hash(arm)) for name, arm in readings.items()),
+        (f"SHA-256 of {CALIBRATION_FILE}", hashlib.sha256(calibration).hexdigest()),
+    ]
+
+
+def _readings_hash(readings: Readings) -> str:
+    """Of the names and the numbers, little-endian, of every array that was measured; neither splits nor extras."""
+    digest = hashlib.sha256()
+    for entry in fields(readings):
+        values = getattr(readings, entry.name)
+        if isinstance(values, np.ndarray):
+            digest.update(f"{entry.name} {values.shape}\n".encode())
+            digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
+    return digest.hexdigest()
+
+
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _draw(
-    results: _Results, model: CellModel, readings: Mapping[str, Readings]
-) -> tuple[list[_Drawing], list[_Drawing], list[_Drawing]]:
-    """Figures of accuracy, of targets and of the cell."""
+def _draw(results: _Results, model: CellModel, readings: Mapping[str, Readings]) -> _Drawings:
     from cellapp.reporting import figures  # loads matplotlib, which nothing else needs
 
-    accuracy, targets = [], []
+    drawn = _Drawings([], _pair_drawings(results.calibrate), [], [], _cell_drawings(model, readings))
     for number, (name, arm) in enumerate(model.arms.items(), start=1):
         held_out = readings[name].take(readings[name].in_split("validate"))
-        errors = _errors_mm(arm, results.calibrate["arms"][name], held_out, with_effects=results.discover is not None)
+        calibrated = results.calibrate["arms"][name]
+        errors = _errors_mm(arm, calibrated, held_out, with_effects=results.discover is not None)
+        if "network" in calibrated["validate"] and "network" not in errors:
+            stored = _stored_network_errors(results.calibrate["pair"], name, held_out)
+            if stored is not None:
+                errors["network"] = stored
+        errors = {stage: errors[stage] for stage in _STAGE_WORDS if stage in errors}
         floor = _noise_floor_mm(held_out)
         floor_line = () if floor is None else (("floor", f"noise floor, {floor:.3f} mm"),)
         marked: tuple[tuple[str, str], ...] = floor_line
         legend = tuple((stage, _STAGE_WORDS[stage]) for stage in errors)
+        if "network" in calibrated["validate"] and "network" not in errors:
+            marked = (*marked, ("", "network: only in the table, the effects took its place"))
         if "effects" not in errors:
             why = "not looked for yet" if results.discover is None else "none was found"
-            marked = (*floor_line, ("", f"no effects: {why}"))
+            marked = (*marked, ("", f"no effects: {why}"))
         svg = figures.error_figure(f"errors{number}", held_out.configuration, errors, floor)
-        accuracy.append(_Drawing(svg, f"Arm {name}: position error of each held-out configuration", (*legend, *marked)))
-        fitted = {stage: values for stage, values in errors.items() if stage != "nominal"}
-        svg = figures.residual_figure(f"residuals{number}", fitted, floor)
-        caption = f"Arm {name}: how large the remaining errors are"
-        accuracy.append(_Drawing(svg, caption, (*legend[1:], *marked)))
+        caption = f"Arm {name}: position error of each held-out configuration"
+        drawn.accuracy.append(_Drawing(svg, caption, (*legend, *marked)))
+        svg = figures.residual_figure(f"residuals{number}", errors, floor)
+        caption = f"Arm {name}: how often which position error remains"
+        drawn.accuracy.append(_Drawing(svg, caption, (*legend, *marked)))
+        drawn.vectors.extend(_vector_drawings(number, name, arm, calibrated, held_out))
         measured = [] if results.verify is None else _targets_of(results.verify, name)
         if measured:
             before = np.array([target["nominal_mm"] for target in measured])
             after = np.array([target["compensated_mm"] for target in measured])
             svg = figures.target_figure(f"targets{number}", before, after, floor)
             ways = (("before", "uncompensated"), ("effects", "compensated"))
-            targets.append(_Drawing(svg, f"Arm {name}: measured error at new targets", (*ways, *floor_line)))
-    return accuracy, targets, _cell_drawings(model, readings)
+            drawn.targets.append(_Drawing(svg, f"Arm {name}: measured error at new targets", (*ways, *floor_line)))
+    return drawn
+
+
+def _pair_drawings(calibrate: Mapping[str, Any]) -> list[_Drawing]:
+    """Cooperative errors by method, of results that keep them stop by stop."""
+    from cellapp.reporting import figures
+
+    pair = calibrate["pair"]
+    kept = {method: pair[method]["held_out"] for method in _METHOD_COLOURS if "held_out" in pair.get(method, {})}
+    if not kept:
+        return []
+    errors = {_METHOD_COLOURS[method]: np.array(entry["cooperative_mm"]) for method, entry in kept.items()}
+    stops = np.array(next(iter(kept.values()))["configuration"], dtype=np.int64)
+    known = [arm.get("tracker_mm") for arm in calibrate["arms"].values()]
+    floor = distance_mm(*known)
+    legend = [(_METHOD_COLOURS[method], f"{method}: {_METHOD_WORDS[method]}") for method in kept]
+    if floor is not None:
+        legend.append(("floor", f"noise floor, {floor:.3f} mm"))
+    label = "cooperative error [mm]"
+    return [
+        _Drawing(
+            figures.error_figure("pair-errors", stops, errors, floor, label),
+            "Pair: cooperative error of each held-out stop",
+            tuple(legend),
+        ),
+        _Drawing(
+            figures.residual_figure("pair-residuals", errors, floor, label),
+            "Pair: how often which cooperative error remains",
+            tuple(legend),
+        ),
+    ]
+
+
+def _vector_drawings(
+    number: int, name: str, arm: ArmModel, calibrated: Mapping[str, Any], held_out: Readings
+) -> list[_Drawing]:
+    """What the identified geometry leaves, as vectors in the tracker frame and in the base frame."""
+    from cellapp.reporting import figures
+
+    shown = held_out.take(_thinned(len(held_out), _MOST_ARROWS))
+    geometry = _geometry_stage(arm.nominal, calibrated["identified"])
+    left_M = shown.p_M - smr_positions(geometry, shown.q)
+    T_B_M = invert(geometry.T_M_B())
+    left_B = left_M @ T_B_M[:3, :3].T
+    length = figures.scale_length_mm(left_M)
+    how_many = f"{len(shown)} of {len(held_out)} held-out configurations"
+    legend = (("geometry", "measured less computed position"), ("", how_many))
+    return [
+        _Drawing(
+            figures.vector_figure(f"vectors-tracker{number}", shown.p_M, left_M, length),
+            f"Arm {name}: residuals of the geometry in the tracker frame",
+            legend,
+        ),
+        _Drawing(
+            figures.vector_figure(f"vectors-base{number}", apply(T_B_M, shown.p_M), left_B, length),
+            f"Arm {name}: residuals of the geometry in its base frame",
+            legend,
+        ),
+    ]
+
+
+def _thinned(n: int, most: int) -> NDArray[np.intp]:
+    """At most ``most`` of n rows, evenly spread."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.intp))
 
 
 def _cell_drawings(model: CellModel, readings: Mapping[str, Readings]) -> list[_Drawing]:
     from cellapp.reporting import figures
 
     level = _levelled(next(iter(model.arms.values())).up_M)
-    arms = [
-        figures.ArmInCell(readings[name].p_M @ level.T, level @ arm.geometry.T_M_B()[:3, 3])
-        for name, arm in model.arms.items()
-    ]
+    stops = _typical_rows(readings)
+    arms = []
+    for name, arm in model.arms.items():
+        here = readings[name]
+        typical = here.take([stops[name]])
+        origins = frame_poses(arm.geometry, typical.q)[1][:, 0]
+        arms.append(
+            figures.ArmInCell(
+                here.p_M[_thinned(len(here), _MOST_POINTS)] @ level.T,
+                level @ origins[0],
+                np.vstack([origins, smr_positions(arm.geometry, typical.q)]) @ level.T,
+            )
+        )
     sideways = np.abs(np.mean([arm.base for arm in arms], axis=0))
     across = int(np.argmax(sideways[:2]))  # from the side, the way from the tracker to the arms should be seen in full
-    legend = (
-        *((f"arm{1 + place % figures.ARM_COLOURS}", f"arm {name}") for place, name in enumerate(model.arms)),
-        ("", "dots: measured SMR positions; squares: bases; triangle: tracker"),
-    )
+    names = [(f"arm{1 + place % figures.ARM_COLOURS}", f"arm {name}") for place, name in enumerate(model.arms)]
+    marks = "dots: measured SMR positions; squares: bases; triangle: tracker"
+    if any(len(arm) > _MOST_POINTS for arm in readings.values()):
+        marks += f"; {_MOST_POINTS} positions of an arm are drawn"
+    legend = (*names, ("", marks))
+    space = (*names, ("", f"lines: an arm's links at a measured stop, up to its SMR; dotted: line of sight; {marks}"))
     return [
+        _Drawing(figures.space_figure("cell-space", arms), "The cell in space", space, "wide"),
         _Drawing(figures.cell_figure("cell-top", arms, 0, 1), "The cell from above", legend),
         _Drawing(figures.cell_figure("cell-side", arms, across, 2), "The cell from the side", legend),
     ]
+
+
+def _typical_rows(readings: Mapping[str, Readings]) -> dict[str, int]:
+    """A row of each arm whose joints are near the middle of all; of one stop of all arms, if they share any."""
+    off = {name: np.linalg.norm(arm.q - np.median(arm.q, axis=0), axis=1) for name, arm in readings.items()}
+    rows = {name: int(np.argmin(values)) for name, values in off.items()}
+    common = set.intersection(*(set(arm.configuration.tolist()) for arm in readings.values()))
+    if not common:
+        return rows
+    places = {
+        name: {stop: row for row, stop in enumerate(arm.configuration.tolist())} for name, arm in readings.items()
+    }
+    best = min(sorted(common), key=lambda stop: sum(float(off[name][places[name][stop]]) for name in off))
+    return {name: places[name][best] for name in readings}
 
 
 def _levelled(up_M: Array) -> Array:
@@ -452,14 +703,28 @@ def _levelled(up_M: Array) -> Array:
 def _errors_mm(
     arm: ArmModel, calibrated: Mapping[str, Any], held_out: Readings, *, with_effects: bool
 ) -> dict[str, Array]:
-    """Position errors (n,) [mm] by stage; effects only where some were found."""
+    """Position errors (n,) [mm] by stage; network and effects only where the model has them."""
     computed = {
         "nominal": smr_positions(arm.nominal, held_out.q),
         "geometry": smr_positions(_geometry_stage(arm.nominal, calibrated["identified"]), held_out.q),
     }
+    if arm.network is not None and not arm.effects:
+        computed["network"] = arm.predict(held_out.q, held_out.approach, held_out.payload_kg)
     if with_effects and arm.effects:
         computed["effects"] = arm.predict(held_out.q, held_out.approach, held_out.payload_kg)
     return {stage: position_errors(held_out.p_M, points) * 1e3 for stage, points in computed.items()}
+
+
+def _stored_network_errors(pair: Mapping[str, Any], name: str, held_out: Readings) -> Array | None:
+    """Position errors (n,) [mm] with the network, which effects replace in the model, as the pair's stops keep them.
+
+    None where those are not the arm's held-out configurations.
+    """
+    kept = pair.get("proposed", {}).get("held_out")
+    if kept is None or sorted(kept["configuration"]) != sorted(held_out.configuration.tolist()):
+        return None
+    of_stop = dict(zip(kept["configuration"], kept["position_mm"][name], strict=True))
+    return np.array([of_stop[stop] for stop in held_out.configuration.tolist()])
 
 
 def _geometry_stage(nominal: Geometry, identified: Mapping[str, Mapping[str, Any]]) -> Geometry:

@@ -43,6 +43,71 @@ def calibration_tables(result: Mapping[str, Any]) -> list[Table]:
     return tables
 
 
+def detailed_tables(result: Mapping[str, Any]) -> list[Table]:
+    """``calibration_tables`` for where there is room: with percentiles, the 95 % interval of each mean and the tracker.
+
+    The last column is how many times the root mean square is what the tracker's stated uncertainty alone would leave.
+    """
+    columns = ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max", "n", "rms / tracker")
+    known = {name: arm.get("tracker_mm") for name, arm in result["arms"].items()}
+    tables = []
+    for table, (name, arm) in zip(calibration_tables(result), result["arms"].items(), strict=False):
+        rows = []
+        for stage in STAGES:
+            for measure, summary in arm["validate"].get(stage, {}).items():
+                # the distance between two points has noise along one direction from each
+                stated = known[name] or None
+                alone = stated if measure == "position_mm" else distance_mm(stated, stated)
+                rows.append((f"{stage}, {measure[:-3]}", *_details(summary, alone)))
+        tables.append(Table(table.title, ("stage, measure", *columns), tuple(rows)))
+    if result["pair"]:
+        alone = distance_mm(*known.values())
+        rows = [
+            (method, *_details(result["pair"][method]["cooperative_mm"], alone))
+            for method in METHODS
+            if method in result["pair"]
+        ]
+        tables.append(Table(calibration_tables(result)[-1].title, ("method", *columns), tuple(rows)))
+    return tables
+
+
+def transform_tables(result: Mapping[str, Any]) -> list[Table]:
+    """Either way to the inter-base transform on the same held-out stops; nothing where there is no pair."""
+    rows = []
+    for method in METHODS:
+        for way, summary in result["pair"].get(method, {}).get("by_transform_mm", {}).items():
+            numbers = (f"{summary[key]:.4f}" for key in ("rms", "std", "p50", "p95", "max"))
+            words = "distances alone" if way == "distances" else "the tracker frame"
+            mean = f"{summary['mean']:.4f}"
+            rows.append((f"{method}, by {words}", mean, _mean_interval(summary), *numbers, str(summary["n"])))
+    if not rows:
+        return []
+    columns = ("method, transform", "mean", "95 % of mean", "rms", "std", "p50", "p95", "max", "n")
+    return [Table("Pair: cooperative errors by either transform [mm]", columns, tuple(rows))]
+
+
+def distance_mm(first: float | None, second: float | None) -> float | None:
+    """Root mean square error [mm] of a distance, from the root mean square lengths of its two points' noise [mm].
+
+    None where either is unknown.
+    """
+    return None if not first or not second else math.sqrt((first**2 + second**2) / 3.0)
+
+
+def _details(summary: Mapping[str, Any], alone_mm: float | None) -> tuple[str, ...]:
+    mean, rms, std, largest, n = _numbers(summary)
+    middle, high = (f"{summary[key]:.4f}" if key in summary else "" for key in ("p50", "p95"))
+    ratio = "" if alone_mm is None else f"{summary['rms'] / alone_mm:.1f}"
+    return mean, _mean_interval(summary), rms, std, middle, high, largest, n, ratio
+
+
+def _mean_interval(summary: Mapping[str, Any]) -> str:
+    if "mean_ci95" not in summary:
+        return ""
+    low, high = summary["mean_ci95"]
+    return f"{low:.4f} to {high:.4f}"
+
+
 def parameter_tables(result: Mapping[str, Any]) -> list[Table]:
     """Identified parameters with standard errors, one table an arm; from the object of ``calibrate --json``."""
     tables = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import subprocess
@@ -22,10 +23,17 @@ from cellapp.compensation.push import Verification, Verified, Way
 from cellapp.discovery.discover import discover_run
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
-from cellapp.profile import Discovery, NoDriver, Profile, Splits, load_profile
+from cellapp.profile import Discovery, NoDriver, Profile, Splits, load_profile, profile_to_json
 from cellapp.reporting import figures
 from cellapp.reporting.page import page_text, write_page
-from cellapp.reporting.tables import all_tables, discovery_tables, parameter_tables
+from cellapp.reporting.tables import (
+    all_tables,
+    detailed_tables,
+    discovery_tables,
+    distance_mm,
+    parameter_tables,
+    transform_tables,
+)
 from cellapp.run import Readings, RunFile
 from tests.arms import STATION, true_geometry
 
@@ -166,7 +174,8 @@ def results_of(run: RunFile) -> dict[str, Any]:
 
 def test_is_well_formed(page: Page) -> None:
     assert page.faults == []
-    assert [tag for tag, _ in page.elements].count("svg") == 8  # two an arm, targets an arm, the cell twice
+    # errors, histogram, two of vectors and targets of each arm; two of the pair; three of the cell
+    assert [tag for tag, _ in page.elements].count("svg") == 15
 
 
 def test_needs_nothing_else(page: Page, full_text: str) -> None:
@@ -240,21 +249,28 @@ def test_figures_show_what_the_tables_say(full: RunFile, monkeypatch: pytest.Mon
     floors: list[float | None] = []
     real = figures.error_figure
 
-    def recording(key: str, configurations: Any, errors_mm: Any, floor_mm: float | None) -> str:
+    def recording(key: str, configurations: Any, errors_mm: Any, floor_mm: float | None, *label: str) -> str:
         drawn.append(errors_mm)
         floors.append(floor_mm)
-        return real(key, configurations, errors_mm, floor_mm)
+        return real(key, configurations, errors_mm, floor_mm, *label)
 
     monkeypatch.setattr(figures, "error_figure", recording)
     page_text(full, NOON)
-    arms = results_of(full)["calibrate"]["arms"]
-    assert len(drawn) == len(arms)
-    for errors, arm in zip(drawn, arms.values()):
-        assert list(errors) == ["nominal", "geometry", "effects"]
+    calibrate = results_of(full)["calibrate"]
+    pair, *arms = drawn  # the pair is drawn first
+    assert len(arms) == len(calibrate["arms"])
+    for errors, arm in zip(arms, calibrate["arms"].values()):
+        assert list(errors) == list(arm["validate"])
+        assert {"nominal", "geometry", "effects"} <= set(errors)
         for stage, values in errors.items():
             assert len(values) == 20
             assert values.mean() == pytest.approx(arm["validate"][stage]["position_mm"]["mean"], rel=1e-9)
-    assert floors == pytest.approx([FLOOR_MM, FLOOR_MM])
+    methods = [method for method in calibrate["pair"] if method != "nominal"]
+    assert {"method_1", "effects"} <= set(methods)
+    assert len(pair) == len(methods)
+    for values, method in zip(pair.values(), methods):
+        assert values.mean() == pytest.approx(calibrate["pair"][method]["cooperative_mm"]["mean"], rel=1e-9)
+    assert floors == pytest.approx([FLOOR_MM * np.sqrt(2.0 / 3.0), FLOOR_MM, FLOOR_MM])
 
 
 def test_same_run_same_bytes_but_for_the_time(full: RunFile, full_text: str) -> None:
@@ -278,7 +294,7 @@ def test_says_what_is_missing_and_how_to_get_it(single: RunFile) -> None:
     page = Page(page_text(single, NOON))
     text = page.text
     assert page.faults == []
-    assert [tag for tag, _ in page.elements].count("svg") == 4
+    assert [tag for tag, _ in page.elements].count("svg") == 7  # errors, histogram, two of vectors; three of the cell
     assert "cellapp discover DIR" in text
     assert "the profile names no devices" in text
     assert "cellapp push DIR TARGETS --verify" in text
@@ -348,6 +364,99 @@ def test_page_that_cannot_be_written(single: RunFile) -> None:
     with pytest.raises(InputError, match=r"report\.html: cannot be written"):
         write_page(single)
     assert not list(single.folder.glob("*.part"))
+
+
+def test_errors_stand_beside_their_intervals_and_the_tracker(full: RunFile, page: Page) -> None:
+    calibrate = results_of(full)["calibrate"]
+    tables = detailed_tables(calibrate)
+    assert len(tables) == len(calibrate["arms"]) + 1
+    cells = set(page.texts)
+    for table in (*tables, *transform_tables(calibrate)):
+        assert table.title in cells
+        for row in table.rows:
+            assert {cell for cell in (*table.columns, *row) if cell} <= cells
+    summary = calibrate["pair"]["effects"]["cooperative_mm"]
+    low, high = summary["mean_ci95"]
+    shown = {row[0]: dict(zip(tables[-1].columns, row)) for row in tables[-1].rows}["effects"]
+    assert shown["95 % of mean"] == f"{low:.4f} to {high:.4f}"
+    assert shown["p95"] == f"{summary['p95']:.4f}"
+    assert float(shown["rms / tracker"]) == pytest.approx(summary["rms"] / (FLOOR_MM * np.sqrt(2.0 / 3.0)), abs=0.051)
+
+
+def test_tracker_column_is_empty_where_no_uncertainty_is_stated(single: RunFile) -> None:
+    result = results_of(single)["calibrate"]
+    result["arms"]["only"]["tracker_mm"] = None
+    (table,) = detailed_tables(result)
+    assert {row[-1] for row in table.rows} == {""}
+    single.write_result("calibrate", json.dumps(result))
+    assert "The readings state no uncertainty" in page_text(single, NOON)
+
+
+def test_distance_noise_is_that_of_two_points() -> None:
+    rng = np.random.default_rng(3)
+    first, second = rng.normal(0.0, 0.02, (20_000, 3)), rng.normal(0.0, 0.05, (20_000, 3))
+    lengths = [float(np.sqrt(np.mean(np.sum(noise**2, axis=1)))) for noise in (first, second)]
+    apart = np.array([1000.0, 0.0, 0.0])
+    errors = np.linalg.norm(apart + first - second, axis=1) - 1000.0
+    assert distance_mm(*lengths) == pytest.approx(np.sqrt(np.mean(errors**2)), rel=0.03)
+    assert distance_mm(0.1, None) is None
+
+
+def test_parameters_show_how_far_they_are_from_nominal(single: RunFile) -> None:
+    text = page_text(single, NOON)
+    identified = results_of(single)["calibrate"]["arms"]["only"]["identified"]
+    nominal = nominal_arm(single.profile.arms["only"]).rows[1, 2]
+    cells = [f"{value * 1e3:.5f}" for value in (nominal, identified["a2"]["value"])]
+    delta = f"{(identified['a2']['value'] - nominal) * 1e3:+.5f}"
+    expected = "".join(f'<td class="number">{cell}</td>' for cell in (*cells, delta))
+    assert f'<tr><th scope="row">a2</th>{expected}' in text
+
+
+def test_inter_base_transform_by_either_way(full: RunFile, page: Page) -> None:
+    for method in results_of(full)["calibrate"]["pair"].values():
+        for entry in method["identified"].values():
+            factor = 1e3 if entry["unit"] == "m" else 180.0 / np.pi
+            for key in ("value", "standard_error", "by_tracker"):
+                assert f"{entry[key] * factor:.5f}" in page.texts
+
+
+def test_provenance_names_its_files_by_their_hashes(full: RunFile, page: Page) -> None:
+    profile = hashlib.sha256(profile_to_json(full.profile).encode()).hexdigest()
+    calibration = hashlib.sha256((full.folder / CALIBRATION_FILE).read_bytes()).hexdigest()
+    assert profile in page.texts
+    assert calibration in page.texts
+    assert len([text for text in page.texts if re.fullmatch(r"[0-9a-f]{64}", text)]) == 4
+
+
+def test_other_readings_have_another_hash(single: RunFile, tmp_path: Path) -> None:
+    def hash_on(run: RunFile) -> str:
+        texts = Page(page_text(run, NOON)).texts
+        return texts[texts.index("SHA-256 of the readings of arm only") + 1]
+
+    before = hash_on(single)
+    with RunFile.create(tmp_path / "other", single.profile) as other:
+        fill(other, sigma_m=21e-6)
+        calibrate_run(other)
+        assert re.fullmatch(r"[0-9a-f]{64}", hash_on(other))
+        assert hash_on(other) != before
+    assert hash_on(single) == before
+
+
+def test_arrows_have_a_round_scale() -> None:
+    vectors = np.array([[3.0e-4, 0.0, 0.0]] * 9 + [[0.0, 9.0e-4, 0.0]])
+    assert figures.scale_length_mm(vectors) == pytest.approx(0.2)
+    assert figures.scale_length_mm(np.zeros((2, 3))) > 0.0
+    assert "0.2 mm" in figures.vector_figure("a", np.eye(3), vectors[:3], 0.2)
+
+
+def test_arms_in_space_are_drawn_wherever_they_hang() -> None:
+    for base in ([3.0, 1.0, -1.0], [0.0, 0.0, 2.0], [-2.0, 0.0, 0.0]):
+        chain = np.array([base, [base[0], base[1], base[2] + 1.0]])
+        svg = figures.space_figure("a", [figures.ArmInCell(chain + 0.1, chain[0], chain)])
+        (box,) = re.findall(r'viewBox="([^"]*)"', svg)
+        numbers = [float(number) for number in box.split()]
+        assert min(numbers[2:]) > 100.0
+        assert "nan" not in svg.lower()
 
 
 def test_perfect_model_can_be_drawn() -> None:
