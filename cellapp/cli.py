@@ -58,13 +58,13 @@ def run(
     json_file: JsonOption = None,
 ) -> None:
     """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report."""
-    from cellapp.reporting.tables import all_tables
+    from cellapp.reporting.tables import all_tables, tracker_sentences
     from cellapp.whole import run_whole
 
     with _Job(json_file) as job:
         outcome = run_whole(profile, folder, job.listen, job.cancel)
         job.show(all_tables(outcome.results))
-        job.say(*_sentences(outcome.results), *outcome.notes)
+        job.say(*_sentences(outcome.results), *tracker_sentences(outcome.results["calibrate"]), *outcome.notes)
         job.say(f"run: {outcome.folder}   report: {outcome.folder / 'report.html'}")
         job.result({"schema": "cellapp-run", "version": 1, "run": str(outcome.folder), **outcome.results})
         _check_verified(outcome.results)
@@ -175,7 +175,7 @@ def calibrate(
 ) -> None:
     """Identify arms and pair, evaluate on held-out stops, write calibration.json."""
     from cellapp.calibration.calibrate import calibrate_run
-    from cellapp.reporting.tables import calibration_tables, parameter_tables
+    from cellapp.reporting.tables import calibration_tables, parameter_tables, tracker_sentences
 
     with _Job(json_file) as job, _open_run(folder, write=True) as opened:
         result = calibrate_run(opened, job.listen, job.cancel).as_dict()
@@ -183,7 +183,7 @@ def calibrate(
         if parameters:
             job.show(parameter_tables(result))
             job.say(*_merged(result))
-        job.say(*result["notes"])
+        job.say(*tracker_sentences(result), *result["notes"])
         job.result(result)
 
 

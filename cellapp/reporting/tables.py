@@ -207,3 +207,19 @@ def paper_tables(result: Mapping[str, Any]) -> list[Table]:
                 shown.append((f"{name}, {stage}", f"{values[len(values) // 2]:.4f}", f"{values[-1]:.4f}"))
         tables.append(Table(title, ("arm, model", "median", "worst"), tuple(shown)))
     return tables
+
+
+def tracker_sentences(result: Mapping[str, Any]) -> list[str]:
+    """How near each arm comes to the tracker's own uncertainty; from the object of ``calibrate --json``."""
+    sentences = []
+    for name, arm in result["arms"].items():
+        if arm["tracker_mm"] is None:
+            sentences.append(f"arm {name}: the readings state no uncertainty to compare with")
+            continue
+        stage = next(stage for stage in reversed(STAGES) if stage in arm["validate"])
+        rms = arm["validate"][stage]["position_mm"]["rms"]
+        sentences.append(
+            f"arm {name}: {stage} leaves {rms:.4f} mm rms, {rms / arm['tracker_mm']:.1f} times the tracker's own"
+            f" {arm['tracker_mm']:.4f} mm"
+        )
+    return sentences

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.calibration.evaluation import distance_errors, evaluate, position_errors, summarise
+from cellapp.calibration.evaluation import (
+    distance_errors,
+    distance_summary,
+    evaluate,
+    position_errors,
+    repeatability,
+    summarise,
+)
 from cellapp.calibration.splits import draw_splits, plan_splits
 
 
@@ -60,3 +67,38 @@ def test_a_rigid_motion_changes_no_distance(seed):
     p = rng.normal(size=(6, 3))
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     assert distance_errors(p, p @ rotation.T + rng.normal(size=3)).max() < 1e-12
+
+
+def test_the_bootstrap_interval_holds_the_mean_about_as_often_as_it_says():
+    held = 0
+    for seed in range(300):
+        errors = np.random.default_rng(seed).exponential(1e-3, 100)
+        low, high = summarise(errors).mean_ci95
+        held += low <= 1.0 <= high
+    assert 0.90 < held / 300 < 0.98
+
+
+def test_distances_share_points_and_their_interval_knows_it():
+    rng = np.random.default_rng(0)
+    measured = rng.normal(size=(60, 3))
+    computed = measured + rng.normal(0.0, 1e-3, (60, 3))
+    summary = distance_summary(measured, computed)
+    assert summary.n == 60 * 59 // 2
+    low, high = summary.mean_ci95
+    assert low < summary.mean < high
+    as_if_independent = summarise(distance_errors(measured, computed)).mean_ci95
+    assert high - low > 1.5 * (as_if_independent[1] - as_if_independent[0])
+    assert summary.p50 < summary.p95 < summary.max
+
+
+def test_repeatability_is_that_of_the_repeats_alone():
+    rng = np.random.default_rng(0)
+    q = np.repeat(rng.uniform(-3, 3, (40, 6)), 10, axis=0)
+    p_M = np.repeat(rng.normal(size=(40, 3)), 10, axis=0) + rng.normal(0.0, 20e-6, (400, 3))
+    found = repeatability(q, p_M)
+    assert found is not None
+    assert found["n"] == 400
+    # mean length of three normal numbers is 1.596 sigma; the barycentre of ten takes a root of 0.9 off
+    assert found["mean"] == pytest.approx(1.596 * 0.020 * np.sqrt(0.9), rel=0.05)
+    assert found["rp"] > found["mean"]
+    assert repeatability(rng.uniform(-3, 3, (40, 6)), p_M[:40]) is None

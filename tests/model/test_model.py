@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,17 @@ import pytest
 from cellapp.effects import EFFECTS, EffectTerm
 from cellapp.errors import InputError
 from cellapp.kinematics.statics import Bodies
-from cellapp.model import ArmModel, CellModel
+from cellapp.model import ArmModel, CellModel, ResidualNetwork
 from tests.arms import OFF_AXIS, STATION, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
+
+
+def network(rng):
+    """A committee of two with random weights: 12 inputs, 4 hidden, 3 outputs."""
+    members = tuple(
+        ((rng.normal(size=(4, 12)), rng.normal(size=4)), (rng.normal(size=(3, 4)), rng.normal(size=3)))
+        for _ in range(2)
+    )
+    return ResidualNetwork("sincos", np.full(6, -2.5), np.full(6, 2.5), np.full(6, 0.4), True, 1e-4, members)
 
 
 def cell_model():
@@ -27,6 +37,7 @@ def cell_model():
         bodies=Bodies(UR10_MASSES, UR10_CENTERS, 1.5, np.array([0.0, 0.01, 0.08])),
         up_M=np.array([0.0, 0.0, 1.0]),
         effects=terms,
+        network=network(rng),
         identified=("x0", "compliance2"),
         covariance=np.array([[1e-12, 1e-15], [1e-15, 1e-16]]),
     )
@@ -45,6 +56,10 @@ def test_a_saved_model_predicts_what_it_predicted(tmp_path):
     )
     np.testing.assert_array_equal(loaded.arms["left"].covariance, model.arms["left"].covariance)
     assert loaded.to_json() == model.to_json()
+    bare = replace(model.arms["left"], network=None)
+    gap = model.predict("left", q, approach, payload) - bare.predict(q, approach, payload)
+    rotation = bare.geometry.T_M_B()[:3, :3]  # the network speaks in the base frame
+    np.testing.assert_allclose(gap, model.arms["left"].network.correct(q) @ rotation.T, atol=1e-15)
 
 
 def test_effects_move_the_prediction_and_depend_on_what_they_should():
