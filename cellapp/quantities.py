@@ -27,7 +27,6 @@ _UNITS: dict[str, dict[str, float]] = {
     "angular speed": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
     "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180.0},
     "relative length": {"m/m": 1.0, "mm/m": 1e-3, "um/m": 1e-6, "ppm": 1e-6},
-    "stiffness": {"Nm/rad": 1.0},
     "temperature": {"degC": 1.0},
 }
 _WRITTEN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S+)\s*")
@@ -73,5 +72,4 @@ Time = Annotated[float, _quantity("time")]
 AngularSpeed = Annotated[float, _quantity("angular speed")]
 AngularAcceleration = Annotated[float, _quantity("angular acceleration")]
 RelativeLength = Annotated[float, _quantity("relative length")]
-Stiffness = Annotated[float, _quantity("stiffness")]
 Temperature = Annotated[float, _quantity("temperature")]
