@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -375,7 +375,8 @@ def identify_with_excess(
     """``identify``, and where the readings scatter more than they state, again with that scatter in the weights.
 
     A model that lacks physics leaves errors far above the tracker's; weighing by the tracker's alone would then let few
-    readings decide. Returns the identification and the excess standard deviation [m] of a coordinate.
+    readings decide. Returns the identification (iterations and steps of all rounds) and the excess standard
+    deviation [m] of a coordinate.
     """
     settings = {"prior_mean": start, **settings}
     found = identify(start, q, p_M, sigma=sigma, **settings)
@@ -388,7 +389,11 @@ def identify_with_excess(
         tau_squared = excess_variance(found.residuals, sigma, found.degrees_of_freedom)
         if abs(tau_squared - before) <= 0.01 * tau_squared:
             break
-        found = identify(found.geometry, q, p_M, sigma=with_excess(sigma, tau_squared), **settings)
+        earlier = found
+        found = identify(earlier.geometry, q, p_M, sigma=with_excess(sigma, tau_squared), **settings)
+        found = replace(
+            found, iterations=earlier.iterations + found.iterations, steps=(*earlier.steps, *found.steps)
+        )
     return found, math.sqrt(tau_squared)
 
 

@@ -7,7 +7,13 @@ import pytest
 from scipy.stats import chi2
 
 from cellapp.calibration import identification
-from cellapp.calibration.identification import EffectColumns, TooFewReadings, identify, start_from_nominal
+from cellapp.calibration.identification import (
+    EffectColumns,
+    TooFewReadings,
+    identify,
+    identify_with_excess,
+    start_from_nominal,
+)
 from cellapp.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
 from cellapp.kinematics.chain import Turns, jacobian, nominal_geometry, smr_positions
 from drivers.plant import GeometryErrors
@@ -235,3 +241,25 @@ def test_a_plant_of_another_make_is_fitted_to_below_a_nanometre_without_noise():
         start = start_from_nominal(nominal_geometry(UR5, OFF_AXIS), q, p_M, tool_unknown=False)
         found = identify(start, q, p_M, tolerance=1e-12)
         assert np.abs(found.residuals).max() < 1e-9
+
+
+def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
+    # half of the readings state 2 um, half 40 um; all really scatter by 0.3 mm of unmodelled physics
+    nominal, truth, q, p_M = measured(UR10, OFF_AXIS, seed=16, n=300, sigma=0.3e-3)
+    sigma = np.where(np.arange(300) % 2 == 0, 2e-6, 40e-6)
+    start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
+    trusting = identify(start, q, p_M, sigma=sigma)
+    found, excess = identify_with_excess(start, q, p_M, sigma=sigma)
+    assert excess == pytest.approx(0.3e-3, rel=0.1)
+    assert found.scale == pytest.approx(1.0, abs=0.02)
+    assert found.iterations == len(found.steps) > trusting.iterations
+    new = np.random.default_rng(17).uniform(-3, 3, (300, 6))
+
+    def error(geometry):
+        return np.linalg.norm(smr_positions(geometry, new) - smr_positions(truth, new), axis=1).mean()
+
+    assert error(found.geometry) < 0.85 * error(trusting.geometry)
+    # where the statement is right, nothing is added
+    nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=18, n=300)
+    start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
+    assert identify_with_excess(start, q, p_M, sigma=np.full(300, SIGMA))[1] == 0.0
