@@ -14,9 +14,9 @@ import numpy as np
 
 from cellapp.collection.cell import build_plant
 from cellapp.errors import InputError
-from cellapp.planning.bodies import place, self_clearance
+from cellapp.planning.bodies import place
 from cellapp.planning.cell_bodies import cell_bodies, home_positions
-from cellapp.planning.safety import CellBodies, clear_of_floor_and_ceiling, refuse_stop, visible
+from cellapp.planning.safety import CellBodies, clear_alone, refuse_stop, visible
 from cellapp.profile import Arm, Profile, UrArmDriver
 from drivers.arms.protocol import ArmError
 from drivers.arms.ur import UrProbe, probe_ur
@@ -242,7 +242,7 @@ def _visibility(cell: CellBodies, profile: Profile, name: str) -> Finding:
     low, high = np.where(low <= high, low, body.limits[:, 0]), np.where(low <= high, high, body.limits[:, 1])
     q = np.random.default_rng([profile.seed, 0xD0C]).uniform(low, high, size=(_DRAWS, len(low)))
     at = place(body, q)
-    clear = clear_of_floor_and_ceiling(cell, at) & (self_clearance(at) > 0.01)
+    clear = clear_alone(cell, at)
     share = float((visible(cell, name, q) & clear).mean())
     seen = f"the tracker sees it in {share:.1%} of {_DRAWS} random configurations that the arm may take"
     if share >= _FEW_SEEN:

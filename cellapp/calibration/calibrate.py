@@ -175,13 +175,22 @@ def ensure_splits(run: RunFile) -> tuple[str, ...]:
                 known[number] = word
     if known:
         return ()
+    drawn, notes = profile_splits(profile, readings)
+    for name, words in drawn.items():
+        run.assign_splits(name, words)
+    return notes
+
+
+def profile_splits(
+    profile: Profile, readings: Mapping[str, Readings]
+) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
+    """A split for each reading of each arm as the profile asks for and its seed draws it, and notes."""
     splits = profile.splits
     numbers = np.concatenate([arm.configuration for arm in readings.values()])
     validate = None if splits.validate_ == "rest" else splits.validate_
     drawn, notes = draw_splits(numbers, splits.identify, splits.train, validate, profile.seed)
-    for name, arm in readings.items():
-        run.assign_splits(name, [drawn[number] for number in arm.configuration.tolist()])
-    return notes
+    words = {name: tuple(drawn[number] for number in arm.configuration.tolist()) for name, arm in readings.items()}
+    return words, notes
 
 
 def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmCalibration, list[str]]:

@@ -267,7 +267,7 @@ def identify(
         turns=Turns.of(q),
         q=q,
         measured=np.ascontiguousarray(p_M.T),
-        white=None if sigma is None else _whitener(sigma),
+        white=None if sigma is None else whitener(sigma),
         offsets=None if effects is None else effects.joint_offsets,
     )
     chosen, ready = _choose(parameter_set, start, rows)
@@ -571,7 +571,11 @@ def _covariance(normal: _Normal, used: int, precision: Array, k: int) -> tuple[A
     return inverse * inner * inner[:, None], math.sqrt(variance), freedom
 
 
-def _whitener(sigma: Array) -> Array:
+def whitener(sigma: Array) -> Array:
+    """What turns errors of points into units of their standard uncertainty.
+
+    Of sigmas (n,) [m]: (n,) [1/m]; of covariances (n, 3, 3) [m^2]: lower triangular (3, 3, n) [1/m].
+    """
     if sigma.ndim == 1:
         return np.asarray(1.0 / sigma)
     return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(sigma)).transpose(1, 2, 0))

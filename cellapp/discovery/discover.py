@@ -20,6 +20,7 @@ from cellapp.calibration.identification import (
     Identification,
     excess_variance,
     identify,
+    whitener,
     with_excess,
 )
 from cellapp.calibration.parameters import ParameterSet
@@ -432,9 +433,8 @@ def _whitening(sigma: Array | None, n: int) -> Array:
     """What turns errors of each point into units of their standard uncertainty, (3, 3, n) [1/m]."""
     if sigma is None:
         return np.ascontiguousarray(np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n)))
-    if sigma.ndim == 1:
-        return np.asarray(np.eye(3)[:, :, None] / sigma)
-    return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(sigma)).transpose(1, 2, 0))
+    white = whitener(sigma)
+    return np.asarray(np.eye(3)[:, :, None] * white) if white.ndim == 1 else white
 
 
 def _extended(basis: Array, groups: Sequence[tuple[Candidate, tuple[int, ...]]]) -> Array:

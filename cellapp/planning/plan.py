@@ -9,9 +9,9 @@ import numpy as np
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.bodies import place, self_clearance
+from cellapp.planning.bodies import place
 from cellapp.planning.cell_bodies import cell_bodies, home_positions
-from cellapp.planning.safety import CellBodies, clear_of_floor_and_ceiling, refuse_motion, visible
+from cellapp.planning.safety import CellBodies, clear_alone, refuse_motion, visible
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import RunFile
@@ -111,7 +111,7 @@ class _Pool:
             q = self._rng.uniform(self._low, self._high, size=(_BATCH, len(self._low)))
             q = q[visible(self._cell, self._name, q)]
             bodies = place(self._cell.arms[self._name], q)
-            clear = clear_of_floor_and_ceiling(self._cell, bodies) & (self_clearance(bodies) > 0.01)
+            clear = clear_alone(self._cell, bodies)
             self._ready = list(q[clear])
             empty += 1
             if empty > _MOST_BATCHES:

@@ -123,10 +123,10 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
     return ""
 
 
-def clear_of_floor_and_ceiling(cell: CellBodies, placed: Placed) -> np.ndarray:
-    """Whether bodies keep the cell's clearance from floor and ceiling, shape (n,) bool."""
+def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
+    """Whether an arm is clear of floor, ceiling and itself, other arms left aside, shape (n,) bool."""
     heights = np.minimum(floor_clearance(placed, cell.floor), ceiling_clearance(placed, cell.ceiling))
-    return np.asarray(heights > cell.clearance)
+    return np.asarray((heights > cell.clearance) & (self_clearance(placed) > _SELF_CLEARANCE))
 
 
 def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] | None = None) -> np.ndarray:
@@ -209,7 +209,7 @@ __all__ = [
     "CellBodies",
     "TrackerField",
     "between_arms",
-    "clear_of_floor_and_ceiling",
+    "clear_alone",
     "predicted_smr",
     "refuse_motion",
     "refuse_stop",

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.calibration.splits import draw_splits
+from cellapp.calibration.calibrate import profile_splits
 from cellapp.collection.cell import build_plant
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.cell_bodies import home_positions
@@ -36,16 +36,5 @@ def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dic
             p_M=points,
             covariance_M=covariance,
         )
-    return with_splits(profile, readings)
-
-
-def with_splits(profile: Profile, readings: Mapping[str, Readings]) -> dict[str, Readings]:
-    """The readings with splits drawn as a run would draw them."""
-    splits = profile.splits
-    numbers = np.concatenate([arm.configuration for arm in readings.values()])
-    validate = None if splits.validate_ == "rest" else splits.validate_
-    drawn, _ = draw_splits(numbers, splits.identify, splits.train, validate, profile.seed)
-    return {
-        name: replace(arm, split=tuple(drawn[number] for number in arm.configuration.tolist()))
-        for name, arm in readings.items()
-    }
+    splits, _ = profile_splits(profile, readings)
+    return {name: replace(arm, split=splits[name]) for name, arm in readings.items()}
