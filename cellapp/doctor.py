@@ -12,14 +12,15 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.collection.cell import build_plant
+from cellapp.collection.cell import build_plant, ur_expectation
 from cellapp.errors import InputError
 from cellapp.planning.bodies import place
 from cellapp.planning.cell_bodies import cell_bodies, home_positions
 from cellapp.planning.safety import CellBodies, clear_alone, refuse_stop, visible
 from cellapp.profile import Arm, Profile, UrArmDriver
 from drivers.arms.protocol import ArmError
-from drivers.arms.ur import UrProbe, probe_ur
+from drivers.arms.ur_checks import checks
+from drivers.arms.ur_probe import UrProbe, probe_ur
 
 Status = Literal["ok", "warning", "failed"]
 Probe = Callable[[str, float], UrProbe]
@@ -30,16 +31,6 @@ LONGEST_PROBE_S = 5.0
 _DRAWS = 2000
 _FEW_SEEN = 0.002
 _OLDEST_PYTHON, _FIRST_UNTRIED_PYTHON = (3, 11), (3, 13)
-_SAFETY_REMEDY = {
-    "REDUCED": "it obeys the reduced limits; leave the area that triggers them, or expect slower motion",
-    "PROTECTIVE_STOP": "go to the arm, see what stopped it, clear the cause, then enable the robot on the pendant",
-    "RECOVERY": "a limit is exceeded: jog the arm back inside on the pendant",
-    "SAFEGUARD_STOP": "close the guard or clear the light curtain, then reset the safeguard",
-    "SYSTEM_EMERGENCY_STOP": "an emergency stop of the cell is pressed: find out why, release it, power the arm on",
-    "ROBOT_EMERGENCY_STOP": "the pendant's emergency stop is pressed: find out why, release it, power the arm on",
-    "VIOLATION": "a safety limit was violated: read the pendant's log, then restart the safety system there",
-    "FAULT": "the safety system is at fault: read the pendant's log, then restart it there",
-}
 
 
 @dataclass(frozen=True)
@@ -104,99 +95,23 @@ def _arm(name: str, arm: Arm, hosts: Mapping[str, UrArmDriver], asked: Mapping[s
                 said = asked[name].result()
             except ArmError as error:
                 return [*findings, Finding(f"{subject}: link", "failed", str(error))]
-            return findings + _ur(subject, arm, driver, said)
+            try:
+                return findings + _ur(name, arm, driver, said)
+            except InputError as error:
+                return [*findings, Finding(f"{subject}: type", "failed", str(error))]
 
 
-def _ur(subject: str, arm: Arm, driver: UrArmDriver, said: UrProbe) -> list[Finding]:
+def _ur(name: str, arm: Arm, driver: UrArmDriver, said: UrProbe) -> list[Finding]:
+    subject = f"arm {name}"
     at = f"{said.series} controller at {said.host}, PolyScope {said.software}"
-    findings = [
-        Finding(f"{subject}: link", "ok", at),
-        Finding(f"{subject}: model", *_model(arm.type.model, said)),
-        Finding(f"{subject}: serial", *_serial(driver.serial, said.serial)),
-        Finding(f"{subject}: safety", *_safety(said)),
-        Finding(f"{subject}: robot mode", *_robot_mode(said.robot_mode)),
-    ]
-    if said.series != "CB3":
-        findings.append(Finding(f"{subject}: remote control", *_remote_control(said.remote_control)))
-    findings.append(Finding(f"{subject}: program", *_program(said.program_running)))
-    findings += [Finding(f"{subject}: port {port}", *_port(open_)) for port, open_ in said.ports.items()]
-    findings.append(Finding(f"{subject}: kinematics", *_kinematics(said)))
-    cannot = "this version can examine a UR controller but not move its arm; 'collect' would be refused"
-    findings.append(Finding(f"{subject}: motion", "failed", cannot))
-    return findings
-
-
-def _model(expected: str, said: UrProbe) -> tuple[Status, str]:
-    if said.full_model is None:
-        return "warning", f"the controller does not tell its model; check that it is a {expected}"
-    if said.full_model.casefold() == expected.strip().casefold():
-        return "ok", said.full_model
-    return "failed", (
-        f"the controller drives a {said.full_model}, the profile names a {expected}; check driver.host (are the arms"
-        " swapped?) and type"
-    )
-
-
-def _serial(expected: str | None, reported: str | None) -> tuple[Status, str]:
-    if reported is None:
-        known = f"{expected} could not be compared" if expected else "it cannot be compared"
-        return "warning", f"the controller does not tell its serial number (PolyScope before 3.12 or 5.6?); {known}"
-    if expected is None:
-        return "warning", f'{reported}; not in the profile: add driver.serial: "{reported}" to be sure of the right arm'
-    if expected.strip() == reported:
-        return "ok", reported
-    return "failed", f"the controller's is {reported}, the profile says {expected}; check driver.host and driver.serial"
-
-
-def _safety(said: UrProbe) -> tuple[Status, str]:
-    mode = said.safety_mode
-    if mode is None:
-        return "failed", "the controller does not tell its safety mode; look at the pendant"
-    if mode == "NORMAL":
-        if said.safety_status not in (None, "NORMAL"):
-            return "failed", f"mode NORMAL, but status {said.safety_status}; look at the pendant"
-        return "ok", "NORMAL"
-    remedy = _SAFETY_REMEDY.get(mode, "look at the pendant")
-    return "warning" if mode == "REDUCED" else "failed", f"{mode}: {remedy}"
-
-
-def _robot_mode(mode: str | None) -> tuple[Status, str]:
-    if mode == "RUNNING":
-        return "ok", "RUNNING: powered, brakes released"
-    if mode is None:
-        return "failed", "the controller does not tell its mode; look at the pendant"
-    return "failed", f"{mode}, needed is RUNNING; power the arm on and release its brakes on the pendant"
-
-
-def _remote_control(remote: bool | None) -> tuple[Status, str]:
-    if remote is None:
-        return "warning", "the controller does not tell (PolyScope before 5.6?); see that its pendant shows Remote"
-    if remote:
-        return "ok", "on"
-    return "failed", "off; enable it (Settings > System > Remote Control), then switch the pendant from Local to Remote"
-
-
-def _program(running: bool | None) -> tuple[Status, str]:
-    if running is None:
-        return "warning", "the controller does not tell whether a program runs; look at the pendant"
-    if running:
-        return "warning", "a program runs, and the arm may move; stop it on the pendant before a job"
-    return "ok", "none runs"
-
-
-def _port(is_open: bool) -> tuple[Status, str]:
-    if is_open:
-        return "ok", "accepts a connection"
-    return "failed", "no connection; check the network's firewall and, on e-Series, Settings > Security > Services"
-
-
-def _kinematics(said: UrProbe) -> tuple[Status, str]:
-    found = said.kinematics
-    if found is None:
-        return "warning", f"the controller's own D-H could not be read: {said.kinematics_note}"
-    checksums = " ".join(f"{value:08x}" for value in found.checksums)
-    kind = "calibrated D-H" if found.status else "D-H without a calibration"
-    return "ok", f"{kind} read, checksums {checksums}"
+    found = checks(ur_expectation(name, arm, driver), said)
+    findings = [Finding(f"{subject}: link", "ok", at)]
+    findings += [Finding(f"{subject}: {check.subject}", check.status, check.text) for check in found]
+    against = [check.subject for check in found if check.status == "failed"]
+    if against:
+        text = f"would be refused because of {', '.join(against)}; nothing was tried"
+        return [*findings, Finding(f"{subject}: motion", "failed", text)]
+    return [*findings, Finding(f"{subject}: motion", "ok", "nothing stands against it; nothing was tried")]
 
 
 # -- where the arms stand ---------------------------------------------------------------------------------------------

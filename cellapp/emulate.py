@@ -1,4 +1,4 @@
-"""The verb: stand in for the UR controllers of a profile, so that ``doctor`` can be tried without them."""
+"""The verb: stand in for the UR controllers of a profile and move its simulated cell, for any client to try."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
+from cellapp.collection.cell import build_plant
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Arm, Profile
 from cellapp.progress import CancelToken
-from drivers.emulators.ur_dashboard import (
-    DASHBOARD_PORT,
-    PRIMARY_PORT,
+from drivers.emulators.ur_controller import (
+    STANDARD_PORTS,
+    Addresses,
+    ControllerConfig,
     Personality,
-    UrDashboardEmulator,
+    UrControllerServer,
 )
 
 _STEP_S = 0.2
@@ -23,18 +25,26 @@ _CB3_MODELS = ("UR3", "UR5", "UR10")
 
 @dataclass(frozen=True)
 class EmulatedArm:
-    """Which arm is stood in for, by which controller, and where that listens."""
+    """Which arm is stood in for, by which controller, and where that listens.
+
+    ``control_port`` on 127.0.0.1 takes faults and the operator's actions on command; see
+    ``drivers/emulators/ur_controller/control.py``.
+    """
 
     arm: str
     controller: Personality
     host: str
-    dashboard_port: int
-    primary_port: int
+    dashboard_port: int = STANDARD_PORTS["dashboard"]
+    primary_port: int = STANDARD_PORTS["primary"]
+    script_port: int = STANDARD_PORTS["script"]
+    rtde_port: int = STANDARD_PORTS["rtde"]
+    control_port: int = 0
 
     def __str__(self) -> str:
         return (
             f"arm {self.arm}: {self.controller.model} ({self.controller.series}), serial {self.controller.serial},"
-            f" at {self.host}: dashboard {self.dashboard_port}, primary {self.primary_port}"
+            f" at {self.host}: dashboard {self.dashboard_port}, primary {self.primary_port}, script"
+            f" {self.script_port}, RTDE {self.rtde_port}; faults on command at 127.0.0.1:{self.control_port}"
         )
 
 
@@ -66,7 +76,7 @@ def emulated_arms(profile: Profile) -> list[EmulatedArm]:
             " with a loopback address such as 127.0.0.2 for its host"
         )
     return [
-        EmulatedArm(name, _controller(name, arm, number), hosts[name], DASHBOARD_PORT, PRIMARY_PORT)
+        EmulatedArm(name, _controller(name, arm, number), hosts[name])
         for number, (name, arm) in enumerate(profile.arms.items(), start=1)
         if name in hosts
     ]
@@ -77,36 +87,75 @@ def emulate(
     cancel: CancelToken,
     announce: Callable[[Sequence[EmulatedArm]], None],
     arms: Sequence[EmulatedArm] | None = None,
+    pace: float = 1.0,
 ) -> None:
     """Stand in for the controllers of a profile until ``cancel``; all ports are free again when this returns.
 
+    The arms move the simulated cell where the profile has a section ``plant``; elsewhere joints alone.
+
     ``announce`` is called once, when all listen, with the addresses. ``arms`` replaces what ``emulated_arms`` would
-    choose; a port 0 in it takes a free one.
+    choose; a port 0 in it takes a free one. ``pace`` is how many seconds pass in the cell for each second of wall time.
 
     Raises
     ------
     InputError
-        As ``emulated_arms``.
+        As ``emulated_arms``, and if ``pace`` is not between 0 and 1000.
     HardwareError
         If a port is in use or an address cannot be had.
     """
     chosen = emulated_arms(profile) if arms is None else arms
+    plant = None if profile.plant is None else build_plant(profile)
+    controllers = [_config(arm, profile.arms[arm.arm]) for arm in chosen]
+    try:
+        server = UrControllerServer(controllers, plant, pace)
+    except ValueError as error:
+        raise InputError(f"profile {profile.name}: {error}") from error
     with ExitStack() as stack:
-        listening = []
-        for arm in chosen:
-            emulator = UrDashboardEmulator(arm.controller, arm.host, arm.dashboard_port, arm.primary_port)
-            try:
-                stack.enter_context(emulator)
-            except OSError as error:
-                raise HardwareError(
-                    f"arm {arm.arm}: {error.strerror}; see whether another emulator or simulator runs here. On macOS,"
-                    f" addresses other than 127.0.0.1 must be added first: ifconfig lo0 alias {arm.host}"
-                ) from error
-            dashboard, primary = emulator.dashboard_port, emulator.primary_port
-            listening.append(replace(arm, dashboard_port=dashboard, primary_port=primary))
-        announce(listening)
+        try:
+            stack.enter_context(server)
+        except OSError as error:
+            raise HardwareError(
+                f"{error.strerror}; see whether another emulator or simulator runs here. On macOS,"
+                " addresses other than 127.0.0.1 must be added first: ifconfig lo0 alias 127.0.0.2"
+            ) from error
+        announce([_listening(arm, server.addresses) for arm in chosen])
         while not cancel.wait(_STEP_S):  # in steps, so that Ctrl-C is heard
             pass
+
+
+def _listening(arm: EmulatedArm, addresses: Addresses) -> EmulatedArm:
+    ports = {name: number for name, (_, number) in addresses.arms[arm.arm].items()}
+    return replace(
+        arm,
+        dashboard_port=ports["dashboard"],
+        primary_port=ports["primary"],
+        script_port=ports["script"],
+        rtde_port=ports["rtde"],
+        control_port=addresses.control[1],
+    )
+
+
+def _config(emulated: EmulatedArm, arm: Arm) -> ControllerConfig:
+    joints = arm.type.joints
+    limits = tuple((joint.limit[0], joint.limit[1]) for joint in joints)
+    home = arm.home or tuple(min(max(0.0, low), high) for low, high in limits)
+    return ControllerConfig(
+        name=emulated.arm,
+        host=emulated.host,
+        personality=emulated.controller,
+        ports={
+            "dashboard": emulated.dashboard_port,
+            "primary": emulated.primary_port,
+            "script": emulated.script_port,
+            "rtde": emulated.rtde_port,
+        },
+        limits=limits,
+        speed=tuple(joint.speed for joint in joints),
+        acceleration=tuple(joint.acceleration for joint in joints),
+        home=home,
+        payload_mass=arm.payload.mass,
+        payload_center=arm.payload.center_of_mass,
+    )
 
 
 def _loopback(host: str) -> str | None:

@@ -169,12 +169,26 @@ class SimulatedArmDriver(Section):
 
 
 class UrArmDriver(Section):
-    """A UR controller. ``serial`` is compared before the first motion where it is given."""
+    """A UR controller. What is given of ``serial``, ``tcp`` and ``checksum`` is compared before the first motion."""
 
     kind: Literal["ur"]
     host: str
     serial: str | None = None
     timeout: Annotated[Time, Field(gt=0.0, le=60.0)] = 5.0
+    startup_timeout: Annotated[Time, Field(ge=1.0, le=120.0)] = 15.0
+    """For the client to connect and its program to start on the controller."""
+    watchdog_hz: Annotated[float, Field(strict=True, ge=1.0, le=25.0)] = 5.0
+    """The controller stops the arm when this computer falls silent for the inverse of it."""
+    tcp: tuple[ArmLength, ArmLength, ArmLength, Turn, Turn, Turn] | None = None
+    """Tool centre point set on the controller: position and rotation vector, as the pendant shows them."""
+    checksum: str | None = None
+    """Of the controller's calibrated D-H at the last calibration, as ``doctor`` shows it; a change warns."""
+    payload_tolerance: Annotated[Mass, Field(gt=0.0, le=10.0)] = 0.05
+    payload_center_tolerance: Annotated[ArmLength, Field(gt=0.0, le=0.5)] = 0.01
+    settle_time: Annotated[Time, Field(ge=0.02, le=60.0)] = 0.2
+    """The arm rests when no joint was faster than ``settle_speed`` nor left ``settle_window`` for so long."""
+    settle_speed: Annotated[AngularSpeed, Field(gt=0.0, le=0.1)] = 0.005
+    settle_window: Annotated[Angle, Field(gt=0.0, le=0.01)] = 2e-4
 
 
 class NoDriver(Section):
@@ -226,6 +240,52 @@ class LmfTrackerDriver(Section):
     timeout: Annotated[Time, Field(gt=0.0, le=120.0)] = 15.0
 
 
+_SOCKET_URL = re.compile(r"socket://(\[[0-9A-Fa-f:.]+\]|[^\s:/@?#\[\]]+):([0-9]{1,5})")
+
+
+class BridgeTrackerDriver(Section):
+    """A tracker served by ``cellapp tracker-bridge`` on another computer; see drivers/trackers/BRIDGE.md.
+
+    ``url`` is what pyserial takes: ``socket://host:port``, ``rfc2217://host:port``, ``/dev/ttyUSB0``, ``COM3``. The
+    shared token stands in the file ``token_file`` or in the environment variable named ``token_env``, never here.
+    """
+
+    kind: Literal["bridge"]
+    url: Annotated[str, Field(min_length=1)]
+    baud: Annotated[int, Field(strict=True, ge=300, le=4_000_000)] = 115200
+    token_file: str | None = None
+    token_env: Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=100)] | None = None
+    timeout: Annotated[Time, Field(ge=2.0, le=60.0)] = 5.0
+    reflector: Annotated[str, Field(max_length=60)] = ""
+    """The reflector type as the tracker's software names it; empty: what is selected there."""
+    accuracy: Literal["fast", "standard", "precise"] = "standard"
+
+    @field_validator("url")
+    @classmethod
+    def _a_port(cls, value: str) -> str:
+        scheme, found, _ = value.partition("://")
+        if found and scheme not in ("socket", "rfc2217", "spy", "alt", "hwgrep"):
+            raise ValueError(f"pyserial has no {scheme}; write socket://host:port, rfc2217://host:port, or a device")
+        if scheme == "socket" and found:
+            match = _SOCKET_URL.fullmatch(value)
+            if match is None or not 0 < int(match.group(2)) < 65536:
+                raise ValueError("expected socket://host:port, as socket://192.168.0.20:50960")
+        return value
+
+    @field_validator("token_file")
+    @classmethod
+    def _found_from_anywhere(cls, value: str | None) -> str | None:
+        if value is not None and not (value.startswith("~") or Path(value).is_absolute()):
+            raise ValueError("write an absolute path, or one that begins with ~: a run knows its profile's text alone")
+        return value
+
+    @model_validator(mode="after")
+    def _one_token(self) -> Self:
+        if self.token_file is not None and self.token_env is not None:
+            raise ValueError("token_env: the token comes from token_file already; keep one of them")
+        return self
+
+
 class PermissibleError(Section):
     """A maximum permissible error ``constant + proportional * distance``; half of it is one standard deviation."""
 
@@ -236,7 +296,9 @@ class PermissibleError(Section):
 class Tracker(Section):
     """The laser tracker, where it stands and what it can see. Its z axis points up, unless ``pose`` says otherwise."""
 
-    driver: Annotated[SimulatedTrackerDriver | LmfTrackerDriver | NoDriver, Field(discriminator="kind")]
+    driver: Annotated[
+        SimulatedTrackerDriver | LmfTrackerDriver | BridgeTrackerDriver | NoDriver, Field(discriminator="kind")
+    ]
     pose: Pose | None = None
     transverse: PermissibleError = PermissibleError(constant=15e-6, proportional=6e-6)
     range: PermissibleError = PermissibleError(constant=10e-6, proportional=0.3e-6)

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT, calibrate_run
+from cellapp.collection.cell import Cell
 from cellapp.collection.collect import collect_run
+from cellapp.collection.controllers import check_controllers
 from cellapp.compensation.compensate import as_dict as compensate_dict
 from cellapp.compensation.compensate import compensate
 from cellapp.compensation.push import push
@@ -124,9 +126,15 @@ def push_run(
     model = CellModel.load(run.folder / CALIBRATION_FILE)
     commands = compensate(run.profile, model, targets)
     run.write_result(COMPENSATE_RESULT, json.dumps(compensate_dict(commands)))
-    verification = push(run.profile, model, commands, listener, cancel, verify=verify)
+    notes: list[str] = []
+
+    def opened(cell: Cell) -> None:
+        notes.extend(check_controllers(run, cell))
+
+    verification = push(run.profile, model, commands, listener, cancel, verify=verify, opened=opened)
     run.write_result(VERIFY_RESULT if verify else PUSH_RESULT, json.dumps(verification.as_dict()))
-    return tuple(f"target {target.name}: {target.note}" for target in verification.targets if target.note)
+    notes += [f"target {target.name}: {target.note}" for target in verification.targets if target.note]
+    return tuple(notes)
 
 
 def stored_results(run: RunFile) -> dict[str, dict[str, Any]]:

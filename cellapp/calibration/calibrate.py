@@ -227,6 +227,7 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         nominal=nominal,
         bodies=bodies_of(arm),
         up_M=up_in_tracker(profile),
+        smr_normal=np.array(arm.smr.normal, dtype=np.float64),
         identified=identification.names,
         covariance=identification.covariance,
     )

@@ -19,8 +19,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.calibration.circumstances import circumstances
 from cellapp.calibration.evaluation import Summary, position_errors, summarise
 from cellapp.calibration.pair import PAIR_NAMES, PairIdentification, distances, identify_pair
+from cellapp.effects import Circumstances
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import Array, apply, invert, register, zyx_angles
 from cellapp.model import ArmModel, ResidualNetwork
@@ -149,19 +151,23 @@ def calibrate_pair(
 
 def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[str, tuple[Array, Array]]:
     """SMR positions (n, 3) of both arms in their own base frames, by method."""
+    left, right = both
+    known = (circumstances(left, (arms[1].model, right)), circumstances(right, (arms[0].model, left)))
 
-    def geometry_only(arm: CalibratedArm, r: Readings) -> Array:
+    def geometry_only(arm: CalibratedArm, r: Readings, known: Circumstances) -> Array:
         return smr_positions(arm.model.geometry.with_T_M_B(np.eye(4)), r.q)
 
-    def nominal(arm: CalibratedArm, r: Readings) -> Array:
+    def nominal(arm: CalibratedArm, r: Readings, known: Circumstances) -> Array:
         return smr_positions(arm.model.nominal.with_T_M_B(np.eye(4)), r.q)
 
-    def full(arm: CalibratedArm, r: Readings) -> Array:
-        return arm.model.in_base().predict(r.q, r.approach, r.payload_kg)
+    def full(arm: CalibratedArm, r: Readings, known: Circumstances) -> Array:
+        p_M = arm.model.predict(r.q, known=known)
+        return apply(np.asarray(invert(arm.model.geometry.T_M_B())), p_M)
 
-    def wrong_frame(arm: CalibratedArm, r: Readings) -> Array:
+    def wrong_frame(arm: CalibratedArm, r: Readings, known: Circumstances) -> Array:
         network = arm.tracker_trained
-        return geometry_only(arm, r) if network is None else geometry_only(arm, r) + network.correct(r.q)
+        p_B = geometry_only(arm, r, known)
+        return p_B if network is None else np.asarray(p_B + network.correct(r.q))
 
     ways = {"nominal": nominal}
     if any(arm.model.effects for arm in arms):
@@ -171,7 +177,7 @@ def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> di
         if any(arm.model.network is not None for arm in arms):
             ways |= {"method_2": wrong_frame, "proposed": full}
     return {
-        name: (way(arms[0], both[0]), way(arms[1], both[1])) for name, way in ways.items()
+        name: (way(arms[0], left, known[0]), way(arms[1], right, known[1])) for name, way in ways.items()
     }
 
 

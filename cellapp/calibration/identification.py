@@ -4,7 +4,7 @@
 
 by Gauss-Newton steps on scaled normal equations, damped only after a step that made things worse (Levenberg-Marquardt).
 Rows are taken in chunks, so that memory does not grow with the number of configurations. Linear effects of the joint
-positions (see ``EffectColumns``) are identified jointly with the geometry.
+positions and of the SMR (see ``EffectColumns``) are identified jointly with the geometry.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import lapack
 from scipy.optimize import brentq
 
@@ -53,18 +54,32 @@ class TooFewReadings(ValueError):
 
 @dataclass(frozen=True)
 class EffectColumns:
-    """Effects that are linear in their parameters and act as joint offsets: ``q_true = q + sum_m beta_m D_m(q, ...)``.
+    """Effects that are linear in their parameters: columns that turn a joint, then columns that shift the SMR.
 
     Attributes
     ----------
     names, units : tuple of str, length m
-    joint_offsets : array, shape (m, N, n)
-        Joint offset per unit of each parameter [rad].
+    joints : array, shape (k,), k <= m
+        Which joint each of the first k columns turns, from 0.
+    offsets : array, shape (k, n)
+        By how much per unit [rad].
+    shifts_M : array, shape (m - k, 3, n)
+        Shift of the SMR per unit of the other columns [m] in the tracker frame.
+    prior_sd : array, shape (m,), optional
+        Standard deviation of a prior about zero in each parameter's unit, infinite where there is none. It is believed
+        as it stands: the readings' own scatter is then taken as stated.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    joint_offsets: Array
+    joints: NDArray[np.intp]
+    offsets: Array
+    shifts_M: Array
+    prior_sd: Array | None = None
+
+    def take(self, rows: NDArray[np.intp]) -> EffectColumns:
+        """Those of some configurations."""
+        return replace(self, offsets=self.offsets[:, rows], shifts_M=self.shifts_M[:, :, rows])
 
 
 @dataclass(frozen=True)
@@ -163,7 +178,7 @@ class _Rows:
     q: Array
     measured: Array
     white: Array | None
-    offsets: Array | None
+    effects: EffectColumns | None
 
     @property
     def count(self) -> int:
@@ -174,9 +189,21 @@ class _Rows:
             yield first, min(first + _CHUNK, self.count)
 
     def turns_at(self, beta: Array, first: int, last: int) -> Turns:
-        if self.offsets is None:
+        if self.effects is None or not len(self.effects.joints):
             return self.turns.part(first, last)
-        return Turns.of(self.q[first:last] + np.tensordot(beta, self.offsets[:, :, first:last], axes=1).T)
+        turned = self.q[first:last].copy()
+        k = len(self.effects.joints)
+        for joint in np.unique(self.effects.joints):
+            chosen = np.flatnonzero(self.effects.joints == joint)
+            turned[:, joint] += beta[:k][chosen] @ self.effects.offsets[chosen, first:last]
+        return Turns.of(turned)
+
+    def shift_at(self, beta: Array, first: int, last: int) -> Array | None:
+        """What the effects that turn no joint add to the SMR positions, (3, last - first) [m]."""
+        if self.effects is None or not len(self.effects.shifts_M):
+            return None
+        shifts = self.effects.shifts_M[:, :, first:last]
+        return np.asarray(np.tensordot(beta[len(self.effects.joints) :], shifts, axes=1))
 
     def whiten(self, vectors: Array, first: int, last: int) -> Array:
         """Vectors (3, ..., n) in units of their standard uncertainty."""
@@ -252,7 +279,7 @@ def identify(
     robust : str
         ``huber`` or ``tukey`` weights on whole points, on a scale taken from the residuals themselves.
     effects : EffectColumns, optional
-        Joint effects identified jointly.
+        Identified jointly.
     tolerance : float
         Largest scaled step (metres at arm's length) at which the iteration ends.
     max_iterations : int
@@ -268,14 +295,15 @@ def identify(
         q=q,
         measured=np.ascontiguousarray(p_M.T),
         white=None if sigma is None else whitener(sigma),
-        offsets=None if effects is None else effects.joint_offsets,
+        effects=effects,
     )
     chosen, ready = _choose(parameter_set, start, rows)
     names, units = chosen.names, chosen.units
     extra = 0 if effects is None else len(effects.names)
     k = len(names) + extra
-    precision, mean = _priors(names, extra, chosen.columns, prior_sigma or {}, prior_mean or start)
+    precision, mean = _priors(names, effects, chosen.columns, prior_sigma or {}, prior_mean or start)
     believing = bool(precision.any())
+    curves = effects is not None and effects.prior_sd is not None  # their priors come with a noise, which is sigma
     if 3 * n + np.count_nonzero(precision) < k or (3 * n <= k and not believing):
         raise TooFewReadings(
             f"{n} readings give {3 * n} coordinates for {k} parameters; measure at least {k // 3 + 1} configurations"
@@ -292,7 +320,7 @@ def identify(
             best = _evaluate(start, rows, chosen, free, weights)
         # Beliefs weigh against what the readings scatter now, not against what the tracker alone would: far from the
         # solution they hold, near it they only keep what the data cannot tell.
-        variance = _variance(best.cost, _used(weights, n), k, precision) if believing else 1.0
+        variance = _variance(best.cost, _used(weights, n), k, precision) if believing and not curves else 1.0
         step = _step(best, variance, precision, mean - free, damping)
         size = float(np.max(np.abs(step) * best.lever))
         if size <= tolerance:  # the step is not taken, so that all that is reported belongs to one place
@@ -313,7 +341,7 @@ def identify(
         free, best = free + step, trial
 
     geometry, beta = _place(start, chosen, free)
-    covariance, scale, freedom = _covariance(best, _used(weights, n), precision, k)
+    covariance, scale, freedom = _covariance(best, _used(weights, n), precision, k, rescaled=not curves)
     return Identification(
         geometry=geometry,
         parameter_set=chosen,
@@ -439,7 +467,7 @@ def _choose(
     P, J = jacobian(start, some, candidates)
     gram = gram_matrix(J)
     chosen = identifiable_set(start, gram)
-    if rows.count > _CHUNK or rows.offsets is not None:
+    if rows.count > _CHUNK or rows.effects is not None:
         return chosen, None
     wanted_columns = set(chosen.columns)
     places = [place for place, c in enumerate(candidates) if c in wanted_columns]
@@ -447,11 +475,18 @@ def _choose(
 
 
 def _priors(
-    names: Sequence[str], extra: int, columns: tuple[int, ...], sigma: Mapping[str, float], mean: Geometry
+    names: Sequence[str],
+    effects: EffectColumns | None,
+    columns: tuple[int, ...],
+    sigma: Mapping[str, float],
+    mean: Geometry,
 ) -> tuple[Array, Array]:
     """Precision of each prior (0 where there is none) and the means, shape (k,)."""
-    precision = np.array([1.0 / sigma[name] ** 2 if name in sigma else 0.0 for name in names] + [0.0] * extra)
-    return precision, np.concatenate([mean.vector()[list(columns)], np.zeros(extra)])
+    precision = np.array([1.0 / sigma[name] ** 2 if name in sigma else 0.0 for name in names])
+    extra = np.zeros(0 if effects is None else len(effects.names))
+    if effects is not None and effects.prior_sd is not None:
+        extra = 1.0 / effects.prior_sd**2
+    return np.concatenate([precision, extra]), np.concatenate([mean.vector()[list(columns)], np.zeros(len(extra))])
 
 
 def _place(start: Geometry, chosen: ParameterSet, free: Array) -> tuple[Geometry, Array]:
@@ -480,6 +515,9 @@ def _evaluate(
         here = ready or _linearise(geometry, turns, chosen, rows, first, last)
         J = here.J
         r = np.subtract(rows.measured[:, first:last], here.P, out=residuals[:, first:last])
+        shift = rows.shift_at(beta, first, last)
+        if shift is not None:
+            r -= shift
         plain += here.gram
         if not plainly:
             J, r = rows.whiten(J, first, last), rows.whiten(r, first, last)
@@ -502,9 +540,11 @@ def _linearise(
     geometry: Geometry, turns: Turns, chosen: ParameterSet, rows: _Rows, first: int, last: int
 ) -> _Linear:
     P, J = jacobian(geometry, turns, chosen.columns)
-    if rows.offsets is not None:
+    effects = rows.effects
+    if effects is not None:
         _, by_joint = joint_jacobian(geometry, turns)
-        J = np.concatenate([J, np.einsum("mjn,cjn->cmn", rows.offsets[:, :, first:last], by_joint)], axis=1)
+        turned = effects.offsets[None, :, first:last] * by_joint[:, effects.joints]
+        J = np.concatenate([J, turned, effects.shifts_M[:, :, first:last].swapaxes(0, 1)], axis=1)
     return _Linear(P, J, gram_matrix(J))
 
 
@@ -553,15 +593,17 @@ def _robust_weights(rows: _Rows, normal: _Normal, robust: RobustName) -> Array:
     return np.asarray(np.where(u < _TUKEY, (1.0 - (np.minimum(u, _TUKEY) / _TUKEY) ** 2) ** 2, 0.0))
 
 
-def _covariance(normal: _Normal, used: int, precision: Array, k: int) -> tuple[Array, float, int]:
+def _covariance(
+    normal: _Normal, used: int, precision: Array, k: int, *, rescaled: bool
+) -> tuple[Array, float, int]:
     """Covariance (k, k), the scatter against the stated sigma, and the degrees of freedom.
 
-    Priors are beliefs and are not scaled by the scatter; the readings' part is.
+    Priors are beliefs and are not scaled by the scatter; the readings' part is, where it is to be ``rescaled``.
     """
     freedom = _freedom(used, k, precision)
     variance = _variance(normal.cost, used, k, precision)
     inner = 1.0 / normal.lever
-    A = (normal.A / variance + np.diag(precision)) * inner * inner[:, None]
+    A = (normal.A / (variance if rescaled else 1.0) + np.diag(precision)) * inner * inner[:, None]
     factor, failed = lapack.dpotrf(A, lower=1)
     if failed == 0 and np.diag(factor).min() > 1e-6 * np.diag(factor).max():
         lower = np.tril(lapack.dpotri(factor, lower=1)[0])

@@ -10,13 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.calibration.setup import pose_matrix
+from cellapp.collection.token import read_token
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Arm as ArmProfile
-from cellapp.profile import Profile
-from drivers.arms.protocol import Arm, ArmError
+from cellapp.profile import BridgeTrackerDriver, Profile, UrArmDriver
+from drivers.arms.protocol import Arm, ArmError, JointLimits
 from drivers.arms.simulated import SimulatedArm
+from drivers.arms.ur import UrArm, UrSettings
+from drivers.arms.ur_checks import JOINTS as UR_JOINTS
+from drivers.arms.ur_checks import UrExpectation
 from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
-from drivers.trackers.protocol import Tracker, TrackerError
+from drivers.trackers.bridge import BridgeTracker
+from drivers.trackers.protocol import Preparation, Tracker, TrackerError
 from drivers.trackers.simulated import SimulatedTracker
 
 ArmOpener = Callable[[str, ArmProfile, Plant | None], Arm]
@@ -45,9 +50,45 @@ def _simulated_tracker(profile: Profile, plant: Plant | None) -> Tracker:
 
 
 def _ur_arm(name: str, arm: ArmProfile, plant: Plant | None) -> Arm:
-    raise HardwareError(
-        f"arm {name}: this version can examine a UR controller ('cellapp doctor') but not move it;"
-        " nothing was moved. Use the simulated cell, or import readings measured elsewhere"
+    driver = arm.driver
+    if not isinstance(driver, UrArmDriver):
+        raise InputError(f"arms.{name}.driver: expected the settings of a UR controller, got those of {driver.kind}")
+    settings = UrSettings(
+        timeout_s=driver.timeout,
+        startup_s=driver.startup_timeout,
+        watchdog_hz=driver.watchdog_hz,
+        settle_s=driver.settle_time,
+        settle_speed=driver.settle_speed,
+        settle_position=driver.settle_window,
+    )
+    return UrArm(name, driver.host, ur_expectation(name, arm, driver), settings)
+
+
+def ur_expectation(name: str, arm: ArmProfile, driver: UrArmDriver) -> UrExpectation:
+    """What a profile says of an arm, as the UR driver and ``doctor`` compare it with its controller.
+
+    Raises
+    ------
+    InputError
+        If the arm's type has not six joints.
+    """
+    joints = arm.type.joints
+    if len(joints) != UR_JOINTS:
+        raise InputError(f"arms.{name}.type: {arm.type.model} has {len(joints)} joints, a UR arm has {UR_JOINTS}")
+    return UrExpectation(
+        model=arm.type.model,
+        serial=driver.serial,
+        checksum=driver.checksum,
+        limits=JointLimits(
+            position=np.array(arm.limits or tuple(joint.limit for joint in joints)),
+            speed=np.array([joint.speed for joint in joints]) * arm.speed_scale,
+            acceleration=np.array([joint.acceleration for joint in joints]) * arm.speed_scale,
+        ),
+        payload_kg=arm.payload.mass,
+        payload_center_m=np.array(arm.payload.center_of_mass),
+        tcp=None if driver.tcp is None else np.array(driver.tcp),
+        payload_slack_kg=driver.payload_tolerance,
+        payload_slack_m=driver.payload_center_tolerance,
     )
 
 
@@ -66,10 +107,23 @@ def _no_tracker(profile: Profile, plant: Plant | None) -> Tracker:
     raise InputError("tracker: its driver is 'none': readings of this profile come from 'cellapp import'")
 
 
+def _bridge_tracker(profile: Profile, plant: Plant | None) -> Tracker:
+    driver = profile.tracker.driver
+    assert isinstance(driver, BridgeTrackerDriver)
+    return BridgeTracker(
+        driver.url,
+        token=read_token(driver.token_file, driver.token_env),
+        timeout_s=driver.timeout,
+        baud=driver.baud,
+        preparation=Preparation(reflector=driver.reflector, accuracy=driver.accuracy),
+    )
+
+
 ARM_DRIVERS: Mapping[str, ArmOpener] = {"simulated": _simulated_arm, "ur": _ur_arm, "none": _no_arm}
 TRACKER_DRIVERS: Mapping[str, TrackerOpener] = {
     "simulated": _simulated_tracker,
     "lmf": _lmf_tracker,
+    "bridge": _bridge_tracker,
     "none": _no_tracker,
 }
 
@@ -85,16 +139,18 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
     HardwareError
         If a device cannot be reached or is not ready.
     """
-    plant = None if profile.plant is None else build_plant(profile, watch_clearance=watch_clearance)
+    kinds = {profile.tracker.driver.kind, *(arm.driver.kind for arm in profile.arms.values())}
+    # a section 'plant' may also describe a cell that 'cellapp emulate' simulates in another process
+    plant = build_plant(profile, watch_clearance=watch_clearance) if "simulated" in kinds else None
     arms = {name: ARM_DRIVERS[arm.driver.kind](name, arm, plant) for name, arm in profile.arms.items()}
     tracker = TRACKER_DRIVERS[profile.tracker.driver.kind](profile, plant)
     with ExitStack() as stack:
         for arm in arms.values():
+            stack.callback(_let_go, arm)
             try:
                 arm.connect()
             except ArmError as error:
                 raise HardwareError(str(error)) from error
-            stack.callback(_let_go, arm)
         try:
             tracker.connect()
             stack.callback(tracker.disconnect)

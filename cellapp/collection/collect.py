@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cellapp.collection.cell import open_cell
+from cellapp.collection.controllers import check_controllers
 from cellapp.collection.motion import MotionRefused, Mover
 from cellapp.errors import HardwareError, InputError
 from cellapp.planning.cell_bodies import cell_bodies, home_positions
@@ -53,6 +54,7 @@ def collect_run(
     bodies = cell_bodies(profile)
     earlier = max((float(run.readings(name).time_s.max()) for name in run.arms()), default=0.0) if done else 0.0
     with open_cell(profile, watch_clearance=watch_clearance) as cell:
+        notes += check_controllers(run, cell)
         mover = Mover(profile, cell, bodies)
         began: float | None = None
         missed = 0

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from cellapp.calibration.evaluation import Summary, summarise
-from cellapp.collection.cell import open_cell
+from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.motion import MotionRefused, Mover
 from cellapp.compensation.compensate import Command, arriving
 from cellapp.errors import InputError
@@ -96,8 +96,11 @@ def push(
     cancel: CancelToken | None = None,
     *,
     verify: bool,
+    opened: Callable[[Cell], object] = lambda cell: None,
 ) -> Verification:
     """Send every command to its arm, the other arms at home; with ``verify`` both ways and measured.
+
+    ``opened`` is called with the open cell before anything moves; what it raises ends the job.
 
     Raises
     ------
@@ -115,6 +118,7 @@ def push(
     verified: list[Verified] = []
     ways: tuple[Way, ...] = ("nominal", "compensated") if verify else ("compensated",)
     with open_cell(profile) as cell:
+        opened(cell)
         mover = Mover(profile, cell, bodies)
         mover.go_home()
         busy = ""

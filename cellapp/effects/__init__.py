@@ -1,6 +1,33 @@
 """The library of named physical effects. A new one is one new file and one line in ``registry``."""
 
-from cellapp.effects.effect import Effect, EffectColumn, EffectContext, EffectTerm, joint_offsets
+from cellapp.effects.effect import (
+    PLAIN,
+    Circumstances,
+    Effect,
+    EffectColumn,
+    EffectContext,
+    EffectTerm,
+    Law,
+    Moved,
+    joint_column,
+    moved_by,
+    shift_column,
+    varies,
+)
 from cellapp.effects.registry import EFFECTS
 
-__all__ = ["EFFECTS", "Effect", "EffectColumn", "EffectContext", "EffectTerm", "joint_offsets"]
+__all__ = [
+    "EFFECTS",
+    "PLAIN",
+    "Circumstances",
+    "Effect",
+    "EffectColumn",
+    "EffectContext",
+    "EffectTerm",
+    "Law",
+    "Moved",
+    "joint_column",
+    "moved_by",
+    "shift_column",
+    "varies",
+]

@@ -11,11 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.effects import EFFECTS, EffectContext, EffectTerm
-from cellapp.effects.effect import term_offsets
+from cellapp.effects import EFFECTS, Circumstances, EffectContext, EffectTerm, Law, Moved, moved_by
 from cellapp.errors import InputError
-from cellapp.kinematics.chain import Geometry, flange_poses, parameter_names, parameter_unit, smr_positions
-from cellapp.kinematics.statics import Bodies, gravity_torques
+from cellapp.kinematics.chain import (
+    Geometry,
+    Turns,
+    flange_poses,
+    joint_jacobian,
+    parameter_names,
+    parameter_unit,
+    smr_positions,
+)
+from cellapp.kinematics.statics import Bodies
 from cellapp.kinematics.transforms import Array
 from cellapp.model.network import ResidualNetwork
 
@@ -45,7 +52,10 @@ class ArmModel:
     identified : tuple of str, length k
         The parameters that were identified, effects last.
     covariance : array, shape (k, k), or None
-        Of the identified parameters, in their order and units.
+        Of the identified parameters, in their order and units; of the geometry and the effects before it where an
+        effect is a free curve.
+    smr_normal : array, shape (3,), or None
+        The way the SMR looks, in the flange frame.
     """
 
     geometry: Geometry
@@ -56,30 +66,86 @@ class ArmModel:
     network: ResidualNetwork | None = None
     identified: tuple[str, ...] = ()
     covariance: Array | None = None
+    smr_normal: Array | None = None
 
-    def context(self, q: Array, approach: Signs | None = None, payload_kg: Array | None = None) -> EffectContext:
-        """What effects depend on, at configurations ``q`` (n, N)."""
+    def context(
+        self,
+        q: Array,
+        approach: Signs | None = None,
+        payload_kg: Array | None = None,
+        known: Circumstances | None = None,
+    ) -> EffectContext:
+        """What effects depend on, at configurations ``q`` (n, N); ``known`` says more than the two before it."""
+        if known is None:
+            known = Circumstances(approach=approach, payload_kg=payload_kg)
         return EffectContext(
             q=q,
-            torques=gravity_torques(self.nominal, self.bodies, q, self.up_M, payload_kg),
-            approach=np.zeros(q.shape) if approach is None else approach.astype(np.float64),
+            known=known,
+            geometry=self.geometry,
+            bodies=self.bodies,
+            up_M=self.up_M,
+            smr_normal=self.smr_normal,
         )
 
-    def true_joints(self, q: Array, approach: Signs | None = None, payload_kg: Array | None = None) -> Array:
-        """Where the joints really stand when the controller reads ``q`` (n, N), after all known effects [rad]."""
-        if not self.effects:
-            return q
-        return q + term_offsets(self.effects, EFFECTS, self.context(q, approach, payload_kg))
+    def moved(
+        self,
+        q: Array,
+        approach: Signs | None = None,
+        payload_kg: Array | None = None,
+        known: Circumstances | None = None,
+    ) -> Moved:
+        """What all known effects do when the controller reads ``q`` (n, N)."""
+        return moved_by(self.effects, EFFECTS, self.context(q, approach, payload_kg, known))
 
-    def predict(self, q: Array, approach: Signs | None = None, payload_kg: Array | None = None) -> Array:
+    def true_joints(
+        self,
+        q: Array,
+        approach: Signs | None = None,
+        payload_kg: Array | None = None,
+        known: Circumstances | None = None,
+    ) -> Array:
+        """Where the joints really stand when the controller reads ``q`` (n, N), after all known effects [rad]."""
+        return q if not self.effects else q + self.moved(q, approach, payload_kg, known).joints
+
+    def predict(
+        self,
+        q: Array,
+        approach: Signs | None = None,
+        payload_kg: Array | None = None,
+        known: Circumstances | None = None,
+    ) -> Array:
         """SMR positions (n, 3) in the tracker frame [m] when the controller reads ``q`` (n, N) [rad].
 
         ``approach`` (n, N) are signs of the last motion, ``payload_kg`` (n,) the load; unknown where not given.
+        ``known`` takes the place of both and says more: times, temperatures, the other arm.
         """
-        p_M = smr_positions(self.geometry, self.true_joints(q, approach, payload_kg))
+        if self.effects:
+            moved = self.moved(q, approach, payload_kg, known)
+            p_M = smr_positions(self.geometry, q + moved.joints) + moved.shift_M
+        else:
+            p_M = smr_positions(self.geometry, q)
         if self.network is None:
             return p_M
         return np.asarray(p_M + self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T)
+
+    def uncertainty(self, q: Array) -> Array:
+        """Standard deviation (n,) [m] of the prediction at ``q`` (n, N) from what curves and network do not know.
+
+        Root mean square over the three coordinates. It grows where a joint range was never trained; what is common to
+        all of the room (geometry) is not in it, and curves of different joints are taken as independent.
+        """
+        variance = np.zeros(len(q))
+        by_joint: Array | None = None
+        for term in self.effects:
+            for joint, spread in term.spread.items():
+                if by_joint is None:
+                    _, by_joint = joint_jacobian(self.geometry, Turns.of(q))
+                around = np.linspace(-np.pi, np.pi, len(spread), endpoint=False)
+                sd = np.interp(q[:, joint], around, spread, period=2.0 * np.pi)
+                variance += sd**2 * np.einsum("cn,cn->n", by_joint[:, joint], by_joint[:, joint]) / 3.0
+        if self.network is not None:
+            variance += np.mean(self.network.spread(q) ** 2, axis=1)
+        return np.asarray(np.sqrt(variance))
 
     def flange(self, q: Array) -> tuple[Array, Array]:
         """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame."""
@@ -116,9 +182,16 @@ class CellModel:
     pair: tuple[str, str] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
-    def predict(self, arm: str, q: Array, approach: Signs | None = None, payload_kg: Array | None = None) -> Array:
+    def predict(
+        self,
+        arm: str,
+        q: Array,
+        approach: Signs | None = None,
+        payload_kg: Array | None = None,
+        known: Circumstances | None = None,
+    ) -> Array:
         """SMR positions (n, 3) of one arm in the tracker frame [m] at joint positions ``q`` (n, N) [rad]."""
-        return self.arms[arm].predict(np.asarray(q, dtype=np.float64), approach, payload_kg)
+        return self.arms[arm].predict(np.asarray(q, dtype=np.float64), approach, payload_kg, known)
 
     def to_json(self) -> str:
         """As readable text; floats in their shortest exact form, so that nothing is lost."""
@@ -224,6 +297,10 @@ def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
         "effects": [
             {
                 "effect": term.slug,
+                "law": term.law.name,
+                "constants": dict(term.law.constants),
+                "note": term.note,
+                "spread_rad": {str(joint + 1): values.tolist() for joint, values in term.spread.items()},
                 "parameters": {
                     name: {"value": value, "standard_error": error, "unit": unit}
                     for name, value, error, unit in zip(
@@ -236,6 +313,7 @@ def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
         "network": None if arm.network is None else arm.network.as_dict(),
         "identified": list(arm.identified),
         "covariance": None if arm.covariance is None else arm.covariance.tolist(),
+        "smr_normal": None if arm.smr_normal is None else arm.smr_normal.tolist(),
     }
 
 
@@ -253,6 +331,12 @@ def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
                 values=np.array([p["value"] for p in parameters.values()], dtype=np.float64),
                 standard_errors=np.array([p["standard_error"] for p in parameters.values()], dtype=np.float64),
                 units=tuple(p["unit"] for p in parameters.values()),
+                law=Law(entry.get("law", ""), {k: float(v) for k, v in entry.get("constants", {}).items()}),
+                note=entry.get("note", ""),
+                spread={
+                    int(joint) - 1: np.array(values, dtype=np.float64)
+                    for joint, values in entry.get("spread_rad", {}).items()
+                },
             )
         )
     return ArmModel(
@@ -269,4 +353,7 @@ def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
         network=None if content["network"] is None else ResidualNetwork.from_dict(content["network"]),
         identified=tuple(content["identified"]),
         covariance=None if content["covariance"] is None else np.array(content["covariance"], dtype=np.float64),
+        smr_normal=None
+        if content.get("smr_normal") is None
+        else np.array(content["smr_normal"], dtype=np.float64).reshape(3),
     )

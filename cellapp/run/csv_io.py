@@ -4,7 +4,8 @@ Columns (``N`` joints)::
 
     configuration, arm, q1..qN, x_m, y_m, z_m                          required, in every row
     time_s, approach1..approachN, payload_kg, temperature_c,           optional; an empty cell is a missing value
-    joint_temperature1..joint_temperatureN, sigma_m, split
+    joint_temperature1..joint_temperatureN, step1..stepN, dwell_s,
+    sigma_m, split
     sxx, sxy, sxz, syy, syz, szz                                       optional, all six or none
 
 A file without times gives NaN as time, not the row's number: order is no clock. All other columns are kept as text.
@@ -33,10 +34,10 @@ from cellapp.run.readings import SPLITS, Readings
 _LEADING = ("configuration", "arm", "time_s")
 _POINT = ("x_m", "y_m", "z_m")
 _COVARIANCE = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
-_SCALARS = ("payload_kg", "temperature_c", "sigma_m")
+_SCALARS = ("payload_kg", "temperature_c", "dwell_s", "sigma_m")
 _REQUIRED = ("configuration", "arm", *_POINT)
 _KNOWN = frozenset((*_LEADING, *_POINT, *_COVARIANCE, *_SCALARS, "split"))
-_PER_JOINT = re.compile(r"(q|approach|joint_temperature)([1-9][0-9]*)")
+_PER_JOINT = re.compile(r"(q|approach|joint_temperature|step)([1-9][0-9]*)")
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NOT_NUMBERS = re.compile(r"[^0-9.eE+\- ]")
@@ -273,6 +274,7 @@ def _read_arm(table: _Table, arm: str, joints: int, rows: Sequence[int], problem
     p_M = columns.numbers_of(_POINT)
     optional = {name: columns.optional(name) for name in ("time_s", *_SCALARS)}
     joint_temperature = columns.optional_of([f"joint_temperature{joint}" for joint in range(1, joints + 1)])
+    step = columns.optional_of([f"step{joint}" for joint in range(1, joints + 1)])
     approach = columns.approach([f"approach{joint}" for joint in range(1, joints + 1)])
     triangle = columns.optional_of(_COVARIANCE)
     split = columns.split()
@@ -293,6 +295,7 @@ def _read_arm(table: _Table, arm: str, joints: int, rows: Sequence[int], problem
         approach=approach,
         p_M=p_M,
         joint_temperature_c=joint_temperature,
+        step=step,
         covariance_M=covariance,
         split=split,
         extras=extras,
@@ -398,7 +401,7 @@ class _Columns:
 
 def _check_joint_columns(columns: _Columns, arm: str, joints: int) -> None:
     problems = columns.problems
-    numbered: dict[str, set[int]] = {"q": set(), "approach": set(), "joint_temperature": set()}
+    numbered: dict[str, set[int]] = {"q": set(), "approach": set(), "joint_temperature": set(), "step": set()}
     for name in columns.table.names:
         match = _PER_JOINT.fullmatch(name)
         if match:
@@ -522,6 +525,8 @@ def _columns(arms: Mapping[str, Readings], imported: Sequence[str]) -> list[str]
         *single(["payload_kg"], any(readings.payload_kg is not None for readings in rows)),
         *single(["temperature_c"], any(readings.temperature_c is not None for readings in rows)),
         *per_joint("joint_temperature", any(readings.joint_temperature_c is not None for readings in rows)),
+        *per_joint("step", any(readings.step is not None for readings in rows)),
+        *single(["dwell_s"], any(readings.dwell_s is not None for readings in rows)),
         *_POINT,
         *single(["sigma_m"], any(readings.sigma_m is not None for readings in rows)),
         *single(_COVARIANCE, any(readings.covariance_M is not None for readings in rows)),
@@ -550,6 +555,8 @@ def _text_rows(arm: str, readings: Readings, names: Sequence[str]) -> list[tuple
         texts[f"approach{joint + 1}"] = [str(sign) for sign in readings.approach[:, joint].tolist()]
         if readings.joint_temperature_c is not None:
             texts[f"joint_temperature{joint + 1}"] = _numbers(readings.joint_temperature_c[:, joint])
+        if readings.step is not None:
+            texts[f"step{joint + 1}"] = _numbers(readings.step[:, joint])
     if readings.covariance_M is not None:
         for name, row, column in zip(_COVARIANCE, *_UPPER, strict=True):
             texts[name] = _numbers(readings.covariance_M[:, row, column])

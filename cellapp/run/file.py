@@ -30,7 +30,7 @@ from cellapp.profile import Profile, profile_from_json, profile_to_json
 from cellapp.run.readings import SPLITS, Reading, Readings
 
 FILE_NAME = "run.sqlite"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 _APPLICATION_ID = 0x43656C6C  # "Cell"
 _UNFINISHED = FILE_NAME + ".new"
@@ -44,15 +44,17 @@ CREATE TABLE plan (arm TEXT NOT NULL, stop INTEGER NOT NULL, q TEXT NOT NULL, PR
 CREATE TABLE reading (
     arm TEXT NOT NULL, configuration INTEGER NOT NULL, time_s, q TEXT NOT NULL, approach TEXT NOT NULL,
     p_m TEXT NOT NULL, payload_kg, temperature_c, joint_temperature_c TEXT, covariance_m2 TEXT, sigma_m,
-    split TEXT, extras TEXT, PRIMARY KEY (arm, configuration)
+    split TEXT, extras TEXT, step TEXT, dwell_s, PRIMARY KEY (arm, configuration)
 );
 CREATE TABLE event (number INTEGER PRIMARY KEY, written TEXT NOT NULL, time_s, level TEXT NOT NULL, text TEXT NOT NULL);
 CREATE TABLE result (name TEXT PRIMARY KEY, written TEXT NOT NULL, text TEXT NOT NULL);
 """
 _READING_COLUMNS = (
     "configuration, time_s, q, approach, p_m, payload_kg, temperature_c,"
-    " joint_temperature_c, covariance_m2, sigma_m, split, extras"
+    " joint_temperature_c, covariance_m2, sigma_m, split, extras, step, dwell_s"
 )
+_SINCE_2 = ("step TEXT", "dwell_s")
+"""Columns that files of schema 1 lack: such a file is read with nothing in them, and gets them when it is written to."""
 
 
 @dataclass(frozen=True)
@@ -142,8 +144,10 @@ class RunFile:
                     connection.close()
                     connection = _connect(path, "rw")
                     connection.execute("PRAGMA synchronous=FULL")
-                    if connection.execute("BEGIN IMMEDIATE"):  # a file that cannot be written is found now
-                        connection.execute("ROLLBACK")
+                    connection.execute("BEGIN IMMEDIATE")  # a file that cannot be written is found now
+                    if connection.execute("PRAGMA user_version").fetchone()[0] == 1:
+                        _upgrade(connection)
+                    connection.execute("COMMIT")
             except BaseException:
                 connection.close()
                 raise
@@ -244,7 +248,7 @@ class RunFile:
             for arm, readings in batches.items():
                 try:
                     connection.executemany(
-                        f"INSERT INTO reading (arm, {_READING_COLUMNS}) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?)",
+                        f"INSERT INTO reading (arm, {_READING_COLUMNS}) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)",
                         ((arm, *row) for row in _rows(readings)),
                     )
                 except sqlite3.IntegrityError:
@@ -257,8 +261,11 @@ class RunFile:
         """All readings of one arm, ordered by configuration; n is 0 if there are none."""
         self._check_arm(arm)
         with self._reading() as connection:
+            columns = _READING_COLUMNS
+            if connection.execute("PRAGMA user_version").fetchone()[0] == 1:
+                columns = columns.removesuffix("step, dwell_s") + "NULL, NULL"
             rows = connection.execute(
-                f"SELECT {_READING_COLUMNS} FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
+                f"SELECT {columns} FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
             ).fetchall()
         return _from_rows(rows, self._joints(arm))
 
@@ -411,6 +418,14 @@ def _build(folder: Path, path: Path, profile: Profile, fill: Callable[[RunFile],
         connection.close()
 
 
+def _upgrade(connection: sqlite3.Connection) -> None:
+    """Give a file of schema 1 what it lacks; inside the caller's transaction."""
+    for column in _SINCE_2:
+        connection.execute(f"ALTER TABLE reading ADD COLUMN {column}")
+    connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))
+    connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+
+
 def _connect(path: Path, mode: str) -> sqlite3.Connection:
     return sqlite3.connect(
         f"{path.absolute().as_uri()}?mode={mode}",
@@ -542,6 +557,8 @@ def _one_row(configuration: int, reading: Reading) -> Readings:
         payload_kg=scalar(reading.payload_kg),
         temperature_c=scalar(reading.temperature_c),
         joint_temperature_c=row(reading.joint_temperature_c),
+        step=row(reading.step),
+        dwell_s=scalar(reading.dwell_s),
         covariance_M=row(reading.covariance_M),
         sigma_m=scalar(reading.sigma_m),
         split=None if reading.split is None else (reading.split,),
@@ -602,6 +619,8 @@ def _rows(readings: Readings) -> Iterator[tuple[Any, ...]]:
         _column(readings.sigma_m, n),
         readings.split or [None] * n,
         extras,
+        _vectors(readings.step, n),
+        _column(readings.dwell_s, n),
         strict=True,
     )
 
@@ -623,9 +642,9 @@ def _optional_column(values: Sequence[float | None]) -> NDArray[np.float64] | No
 
 def _from_rows(rows: Sequence[tuple[Any, ...]], joints: int) -> Readings:
     n = len(rows)
-    columns: Sequence[tuple[Any, ...]] = list(zip(*rows, strict=True)) if rows else [()] * 12
+    columns: Sequence[tuple[Any, ...]] = list(zip(*rows, strict=True)) if rows else [()] * 14
     configuration, time_s, q, approach, p_M, *optional = columns
-    payload, temperature, joint_temperature, upper, sigma, split, extras = optional
+    payload, temperature, joint_temperature, upper, sigma, split, extras, step, dwell = optional
     triangle = _optional_matrix(upper, 6)
     covariance = None
     if triangle is not None:
@@ -643,6 +662,8 @@ def _from_rows(rows: Sequence[tuple[Any, ...]], joints: int) -> Readings:
         payload_kg=_optional_column(payload),
         temperature_c=_optional_column(temperature),
         joint_temperature_c=_optional_matrix(joint_temperature, joints),
+        step=_optional_matrix(step, joints),
+        dwell_s=_optional_column(dwell),
         covariance_M=covariance,
         sigma_m=_optional_column(sigma),
         split=None if all(word is None for word in split) else tuple(split),

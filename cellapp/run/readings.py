@@ -31,6 +31,10 @@ class Reading:
         Payload [kg]; arm or ambient temperature [degC]; isotropic standard uncertainty of ``p_M`` [m].
     joint_temperature_c : array, shape (N,), or None
         Joint temperatures [degC].
+    step : array, shape (N,), or None
+        Each joint's last motion before the stop, with its sign [rad].
+    dwell_s : float or None
+        From rest to the measurement [s].
     covariance_M : array, shape (3, 3), or None
         Covariance of ``p_M`` [m^2]; of a matrix that is not quite symmetric the upper half is kept.
     split : str or None
@@ -46,6 +50,8 @@ class Reading:
     payload_kg: float | None = None
     temperature_c: float | None = None
     joint_temperature_c: _Floats | None = None
+    step: _Floats | None = None
+    dwell_s: float | None = None
     covariance_M: _Floats | None = None
     sigma_m: float | None = None
     split: str | None = None
@@ -74,6 +80,10 @@ class Readings:
         Payload [kg]; arm or ambient temperature [degC].
     joint_temperature_c : array, shape (n, N), or None
         Joint temperatures [degC].
+    step : array, shape (n, N), or None
+        Each joint's last motion before the stop, with its sign [rad].
+    dwell_s : array, shape (n,), or None
+        From rest to the measurement [s].
     covariance_M : array, shape (n, 3, 3), or None
         Covariance of ``p_M`` [m^2].
     sigma_m : array, shape (n,), or None
@@ -92,6 +102,8 @@ class Readings:
     payload_kg: _Floats | None = None
     temperature_c: _Floats | None = None
     joint_temperature_c: _Floats | None = None
+    step: _Floats | None = None
+    dwell_s: _Floats | None = None
     covariance_M: _Floats | None = None
     sigma_m: _Floats | None = None
     split: tuple[str | None, ...] | None = None
@@ -110,8 +122,9 @@ class Readings:
                 f"expected q (n, N), approach (n, N) and p_M (n, 3),"
                 f" got {self.q.shape}, {self.approach.shape} and {self.p_M.shape}"
             )
-        if self.joint_temperature_c is not None and self.joint_temperature_c.shape != self.q.shape:
-            raise ValueError(f"expected joint_temperature_c {self.q.shape}, got {self.joint_temperature_c.shape}")
+        for name, value in (("joint_temperature_c", self.joint_temperature_c), ("step", self.step)):
+            if value is not None and value.shape != self.q.shape:
+                raise ValueError(f"expected {name} {self.q.shape}, got {value.shape}")
         if self.covariance_M is not None and self.covariance_M.shape != (n, 3, 3):
             raise ValueError(f"expected covariance_M ({n}, 3, 3), got {self.covariance_M.shape}")
 

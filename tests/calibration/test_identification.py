@@ -179,19 +179,24 @@ def test_rows_in_chunks_give_the_same_result(monkeypatch):
     np.testing.assert_allclose(chunked.residuals, whole.residuals, atol=1e-9)
 
 
-def test_joint_effects_are_identified_with_the_geometry():
+def test_effects_are_identified_with_the_geometry():
     rng = np.random.default_rng(11)
     nominal = at_station(UR10, OFF_AXIS)
     truth = true_geometry(nominal, rng)
     q = rng.uniform(-3, 3, (300, 6))
-    offsets = np.zeros((2, 6, 300))
-    offsets[0, 1], offsets[1, 0] = np.sin(3.0 * q[:, 1]), np.cos(2.0 * q[:, 2])
-    p_M = smr_positions(truth, q + np.tensordot([2e-3, -1e-3], offsets, axes=1).T) + rng.normal(0, SIGMA, (300, 3))
+    offsets, shift = np.stack([np.sin(3.0 * q[:, 1]), np.cos(2.0 * q[:, 2])]), np.zeros((1, 3, 300))
+    shift[0, 2, 150:] = 1.0
+    turned = q.copy()
+    turned[:, 1] += 2e-3 * offsets[0]
+    turned[:, 0] -= 1e-3 * offsets[1]
+    p_M = smr_positions(truth, turned) + 5e-4 * shift[0].T + rng.normal(0, SIGMA, (300, 3))
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
-    found = identify(start, q, p_M, effects=EffectColumns(("one", "two"), ("rad", "rad"), offsets))
+    columns = EffectColumns(("one", "two", "step"), ("rad", "rad", "m"), np.array([1, 0]), offsets, shift)
+    found = identify(start, q, p_M, effects=columns)
     assert found.converged
-    np.testing.assert_allclose(found.effect_values, [2e-3, -1e-3], atol=5 * found.standard_errors[-2:].max())
-    assert found.standard_errors[-2:].max() < 5e-6
+    off = found.effect_values - [2e-3, -1e-3, 5e-4]
+    assert np.all(np.abs(off) < 5 * found.standard_errors[-3:])
+    assert found.standard_errors[-3:].max() < 5e-6
     assert found.scale == pytest.approx(SIGMA, rel=0.1)
 
 

@@ -344,6 +344,8 @@ def some_readings(draw: st.DrawFn, joints: int, extras: tuple[str, ...]) -> Read
         payload_kg=column(FINITE, n),
         temperature_c=column(FINITE, n),
         joint_temperature_c=column(FINITE, (n, joints)),
+        step=column(FINITE, (n, joints)),
+        dwell_s=column(FINITE, n),
         covariance_M=covariance,
         sigma_m=column(POSITIVE, n),
         split=tuple(split) if any(split) else None,

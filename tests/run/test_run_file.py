@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,8 @@ def test_every_bit_of_a_stop_comes_back(data: st.DataObject, tmp_path_factory: p
         payload_kg=optional(n),
         temperature_c=optional(n),
         joint_temperature_c=optional((n, 3)),
+        step=optional((n, 3)),
+        dwell_s=optional(n),
         covariance_M=covariance,
         sigma_m=optional(n),
         split=None if not any(split) else tuple(split),
@@ -418,7 +421,7 @@ def spoil_profile(path: Path) -> None:
         (spoil_header_only, "is cut off: 100 bytes of"),
         (spoil_cut, "is cut off: .* restore it from a copy"),
         (spoil_middle, "is damaged .* restore it from a copy"),
-        (spoil_newer, r"newer cellapp \(schema 99, this one knows up to 1\); install the newer"),
+        (spoil_newer, r"newer cellapp \(schema 99, this one knows up to 2\); install the newer"),
         (spoil_other, "is an SQLite file, but not one of cellapp's runs"),
         (spoil_tables, "is damaged .*no such table"),
         (spoil_profile, "holds a profile that this cellapp cannot read"),
@@ -526,3 +529,28 @@ def test_who_changes_nothing_leaves_every_byte_as_it_was(profile: Profile, folde
         assert run.stops_done() == set()
     assert (folder / "run.sqlite").read_bytes() == before
     assert list(files(folder)) == ["run.sqlite"]
+
+
+def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lacks(
+    profile: Profile, folder: Path
+) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(1, {"left": reading(1)})
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        connection.execute("ALTER TABLE reading DROP COLUMN step")
+        connection.execute("ALTER TABLE reading DROP COLUMN dwell_s")
+        connection.execute("UPDATE meta SET value = '1' WHERE key = 'version'")
+        connection.execute("PRAGMA user_version=1")
+        connection.commit()
+    before = (folder / "run.sqlite").read_bytes()
+    with RunFile.open(folder) as run:
+        assert run.readings("left").step is None
+    assert (folder / "run.sqlite").read_bytes() == before
+    with RunFile.open(folder, write=True) as run:
+        run.add_stop(2, {"left": replace(reading(2), step=np.array([0.1, -0.2]), dwell_s=1.5)})
+    with RunFile.open(folder) as run:
+        left = run.readings("left")
+        assert left.step is not None
+        assert left.dwell_s is not None
+        np.testing.assert_array_equal(left.step, [[np.nan, np.nan], [0.1, -0.2]])
+        np.testing.assert_array_equal(left.dwell_s, [np.nan, 1.5])

@@ -1,0 +1,75 @@
+"""From readings to what effects depend on: the last steps, the other arm, times and temperatures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellapp.effects import Circumstances
+from cellapp.kinematics.chain import frame_poses
+from cellapp.kinematics.statics import STANDARD_GRAVITY
+from cellapp.kinematics.transforms import Array
+from cellapp.model import ArmModel
+from cellapp.run import Readings
+
+_AGREE = 0.95
+"""Share of the known approach signs that the steps between successive stops must have to be taken for the last ones."""
+
+
+def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = None) -> Circumstances:
+    """What is known of the stops of one arm; ``other`` is the other arm's model and readings, where there is one.
+
+    Steps that were not logged are taken from the order in time of the stops, if they agree with the approach signs.
+    Where the other arm has no reading at a stop its values are NaN.
+    """
+    time_s = readings.time_s if np.isfinite(readings.time_s).any() else None
+    approach = readings.approach if np.any(readings.approach) else None
+    moment = other_q = None
+    if other is not None and len(other[1]):
+        model, theirs = other
+        rows = {number: row for row, number in enumerate(theirs.configuration.tolist())}
+        match = np.array([rows.get(number, -1) for number in readings.configuration.tolist()], dtype=np.intp)
+        there = match >= 0
+        if there.any():
+            payload = None if theirs.payload_kg is None else theirs.payload_kg[match[there]]
+            moment = np.full((len(readings), 3), np.nan)
+            moment[there] = base_moment(model, theirs.q[match[there]], payload)
+            other_q = np.full((len(readings), theirs.joints), np.nan)
+            other_q[there] = theirs.q[match[there]]
+    return Circumstances(
+        approach=approach,
+        step=readings.step if readings.step is not None else _steps(readings),
+        dwell_s=readings.dwell_s,
+        time_s=time_s,
+        payload_kg=readings.payload_kg,
+        air_c=readings.temperature_c,
+        joints_c=readings.joint_temperature_c,
+        other_moment_M=moment,
+        other_q=other_q,
+    )
+
+
+def base_moment(model: ArmModel, q: Array, payload_kg: Array | None = None) -> Array:
+    """Moment of gravity on an arm at ``q`` (n, N) about the origin of its base, in the tracker frame, (n, 3) [Nm]."""
+    rotations, origins = frame_poses(model.geometry, q)
+    bodies = model.bodies
+    payload = np.full(len(q), bodies.payload_mass)
+    if payload_kg is not None:
+        payload = np.where(np.isnan(payload_kg), payload, payload_kg)
+    centers = origins[1:] + np.einsum("inab,ib->ina", rotations[1:], bodies.centers)
+    moment = np.einsum("i,ina->na", bodies.masses, centers - origins[0])
+    moment += payload[:, None] * (origins[-1] + rotations[-1] @ bodies.payload_center - origins[0])
+    return np.cross(moment, -STANDARD_GRAVITY * model.up_M)
+
+
+def _steps(readings: Readings) -> Array | None:
+    """Last motions from one stop to the next in time; None where times or approach signs are missing or disagree."""
+    if len(readings) < 2 or not np.isfinite(readings.time_s).all() or not np.any(readings.approach):
+        return None
+    order = np.argsort(readings.time_s, kind="stable")
+    steps = np.zeros_like(readings.q)
+    steps[order[1:]] = np.diff(readings.q[order], axis=0)
+    known = (readings.approach != 0) & (steps != 0.0)
+    known[order[0]] = False
+    if not known.any() or np.mean(np.sign(steps[known]) == readings.approach[known]) < _AGREE:
+        return None
+    return steps

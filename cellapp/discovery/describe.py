@@ -1,0 +1,183 @@
+"""A data-driven term in words: channel, variables, its curve, and a short formula where one fits as well."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellapp.discovery.data import ArmData, Fit
+from cellapp.discovery.scan import Candidate, Follower, Seen, displacements, explained_by
+from cellapp.effects import EffectColumn, Law
+from cellapp.effects.unknown import channel_direction, values_of
+from cellapp.kinematics.transforms import Array
+
+_POINTS = 60
+
+
+@dataclass(frozen=True)
+class Description:
+    """What is known of an effect that has no name.
+
+    ``formula`` is empty where none of the short ones explains it as well as the curve; ``gain`` is the score of the
+    formula less that of the curve. ``curve`` is (variable, value of the term), in SI units, of one variable.
+    """
+
+    channel: str
+    variables: tuple[str, ...]
+    size_um: float
+    formula: str
+    gain: float | None
+    curve: tuple[tuple[float, float], ...]
+    sentence: str
+
+    def as_dict(self) -> Mapping[str, Any]:
+        """For JSON."""
+        return {
+            "channel": self.channel,
+            "variables": list(self.variables),
+            "size_um": self.size_um,
+            "formula": self.formula,
+            "gain_over_curve": self.gain,
+            "curve": [list(point) for point in self.curve],
+            "sentence": self.sentence,
+        }
+
+
+def describe(data: ArmData, fit: Fit, place: int) -> Description:
+    """Describe the data-driven part at ``place`` of a fitted choice."""
+    part = fit.choice[place]
+    channel, *variables = part.law.name.split("|")
+    begin = sum(len(p.names) for p in fit.choice[:place])
+    columns = fit.columns[begin : begin + len(part.names)]
+    values = fit.identification.effect_values[begin : begin + len(part.names)]
+    sums = np.zeros((len(data), 3))
+    curve_values = np.zeros(len(data))
+    for column, value in zip(columns, values.tolist(), strict=True):
+        if column.offset is not None:
+            curve_values += value * column.offset
+        elif column.shift_M is not None:
+            sums += value * column.shift_M
+    by_joint = columns[0].joint is not None
+    if by_joint:
+        signal = fit.signal(place).reshape(3, -1)
+        moved = np.linalg.norm(np.linalg.solve(fit.white.transpose(2, 0, 1), signal.T[:, :, None])[..., 0], axis=1)
+    else:
+        moved = np.linalg.norm(sums, axis=1)
+    size = float(np.sqrt(np.mean(moved**2)))
+    known = [values_of(data.context, name) for name in variables]
+    formula, gain = _formula(data, fit, place, channel, variables, known)
+    curve: tuple[tuple[float, float], ...] = ()
+    if len(variables) == 1 and by_joint:
+        order = np.argsort(known[0], kind="stable")
+        picked = order[np.linspace(0, len(order) - 1, min(_POINTS, len(order))).astype(np.intp)]
+        curve = tuple((float(known[0][i]), float(curve_values[i])) for i in picked)
+    depends = " and ".join(variables)
+    shape = f", about {formula}" if formula else ""
+    sentence = f"{channel} depends on {depends}{shape}; {size * 1e6:.0f} um rms at the SMR"
+    return Description(channel, tuple(variables), size * 1e6, formula, gain, curve, sentence)
+
+
+def _shapes(variables: list[str], known: list[Array]) -> list[tuple[str, Array]]:
+    """Short formulas to try, each with the free factor ``c`` left out: text and values (n, k) of its columns."""
+    shapes: list[tuple[str, Array]] = []
+
+    def add(text: str, *columns: Array) -> None:
+        stacked = np.stack(columns, axis=1)
+        if np.isfinite(stacked).all() and np.ptp(stacked, axis=0).max() > 0.0:
+            shapes.append((text, stacked))
+
+    def singles(v: str, x: Array) -> None:
+        add(f"c {v}", x)
+        add(f"c {v}^2", x**2)
+        add(f"c |{v}|", np.abs(x))
+        spread = float(np.ptp(x)) or 1.0
+        if v == "time":
+            for count in np.arange(0.5, 24.25, 0.25):
+                period = spread / float(count)
+                phase = 2.0 * np.pi * x / period
+                add(f"c sin(2 pi time / {period / 60.0:.3g} min + phase)", np.cos(phase), np.sin(phase))
+            for share in (0.05, 0.1, 0.2, 0.4, 0.8):
+                add(f"c exp(-time / {share * spread / 60.0:.3g} min)", np.exp(-(x - x.min()) / (share * spread)))
+            return
+        for k in range(1, 9):
+            add(f"c sin({k} {v} + phase)" if k > 1 else f"c sin({v} + phase)", np.cos(k * x), np.sin(k * x))
+        for k in range(1, 5):
+            label = f"{k} {v}" if k > 1 else v
+            add(f"c |sin({label})|", np.abs(np.sin(k * x)))
+            add(f"c |cos({label})|", np.abs(np.cos(k * x)))
+        for width in (0.1, 0.2, 0.4, 0.8):
+            add(f"c tanh({v} / {width * spread:.2g})", np.tanh((x - np.median(x)) / (width * spread)))
+
+    for v, x in zip(variables, known, strict=True):
+        singles(v, x)
+    if len(variables) == 2:
+        (v, w), (x, y) = variables, known
+        for a, b in ((1, 1), (1, -1), (1, 0.5), (0.5, 1), (1, -0.5), (0.5, -1), (2, 1), (1, 2)):
+            total = a * x + b * y
+            text = f"{a:g} {v} {'+' if b > 0 else '-'} {abs(b):g} {w}".replace("1 ", "")
+            add(f"c sin({text} + phase)", np.cos(total), np.sin(total))
+            for width in (0.3, 0.6, 1.0, 1.6):
+                add(f"c tanh(({text}) / {width:g})", np.tanh(total / width))
+        add(f"c {v} {w}", x * y)
+        for f, name in ((np.sin, "sin"), (np.cos, "cos")):
+            for g, other in ((np.sin, "sin"), (np.cos, "cos")):
+                add(f"c {name}({v}) {other}({w})", f(x) * g(y))
+    return shapes
+
+
+def _formula(
+    data: ArmData, fit: Fit, place: int, channel: str, variables: list[str], known: list[Array]
+) -> tuple[str, float | None]:
+    """The short formula that explains at least nearly as well as the curve for its number of parameters."""
+    if any(not np.isfinite(values).all() for values in known):
+        return "", None
+    begin = sum(len(p.names) for p in fit.choice[:place])
+    part = fit.choice[place]
+    basis = fit.columns[begin]
+    follower: Follower = fit.follower_without(place)
+    y = fit.residual + fit.signal(place)
+    MY = follower.without(y)
+    square = float(y @ MY)
+    direction = _direction(fit.columns[begin : begin + len(part.names)], data, part.law, channel)
+    candidates = []
+    shapes = _shapes(variables, known)
+    for text, values in shapes:
+        columns = tuple(
+            EffectColumn(
+                f"{text}#{k}",
+                "",
+                text,
+                -math.inf,
+                math.inf,
+                basis.where,
+                joint=basis.joint,
+                offset=values[:, k] if basis.joint is not None else None,
+                shift_M=None if direction is None else values[:, k, None] * direction,
+            )
+            for k in range(values.shape[1])
+        )
+        law = Law(text, {}, len(shapes))
+        candidates.append(Candidate("unknown", law, columns, displacements(columns, fit.by_joint, fit.white)))
+    if not candidates:
+        return "", None
+    own = fit.rows[len(fit.rows) - len(fit.columns) + begin :][: len(part.names)]
+    seen = Seen.of(candidates, follower)
+    best = seen.scores(MY, square)[0]
+    share = min(explained_by(own, follower, MY) / square, 1.0 - 1e-12)
+    curve_score = -len(y) * math.log1p(-share) - len(own) * math.log(len(y))
+    gain = best.value - curve_score
+    # as good as the curve in what it explains, or better for having fewer parameters
+    if gain < 0.0 and best.explained < 0.95 * share:
+        return "", gain
+    return best.candidate.law.name, gain
+
+
+def _direction(columns: tuple[EffectColumn, ...], data: ArmData, law: Law, channel: str) -> Array | None:
+    """Shift of the SMR (n, 3) per unit of a channel that turns no joint."""
+    if columns[0].joint is not None:
+        return None
+    return channel_direction(data.context, channel)

@@ -1,0 +1,98 @@
+"""The verb: serve the tracker that a profile names to a cell PC, over TCP or a serial port."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from cellapp.collection.cell import TRACKER_DRIVERS, build_plant
+from cellapp.collection.token import read_token
+from cellapp.errors import HardwareError, InputError
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken
+from drivers.trackers.bridge_server import TrackerService, is_loopback
+from drivers.trackers.bridge_wire import LOOPBACK_PORT
+
+_STEP_S = 0.2
+
+
+@dataclass(frozen=True)
+class ServedTracker:
+    """Which kind of tracker is served, and where; ``port`` is None where it is served on a serial port alone."""
+
+    kind: str
+    host: str
+    port: int | None
+    serial: str | None
+    guarded: bool
+
+    def __str__(self) -> str:
+        places = [f"{self.host} port {self.port}"] if self.port is not None else []
+        places += [self.serial] if self.serial is not None else []
+        guard = "with a token" if self.guarded else "without a token, for this machine alone"
+        if self.serial is not None and not self.guarded:
+            guard = "without a token"
+        return f"tracker ({self.kind}) at {' and '.join(places)}, {guard}"
+
+
+def serve_tracker(
+    profile: Profile,
+    cancel: CancelToken,
+    announce: Callable[[ServedTracker], None],
+    *,
+    host: str = "127.0.0.1",
+    port: int | None = LOOPBACK_PORT,
+    serial: str | None = None,
+    baud: int = 115200,
+    token_file: Path | None = None,
+    token_env: str | None = None,
+) -> None:
+    """Serve the profile's tracker until ``cancel``; all ports are free again when this returns.
+
+    ``announce`` is called once, when it listens. The tracker is connected to when a client first asks for it.
+
+    Parameters
+    ----------
+    host, port
+        Where to listen: this machine alone unless ``host`` says otherwise, which needs a token; port 0 takes a free
+        one, None does not listen.
+    serial, baud
+        A serial port to serve as well, by any name or URL that pyserial knows.
+    token_file, token_env
+        Where the shared token is: a file that nobody else may read, or an environment variable.
+
+    Raises
+    ------
+    InputError
+        If the profile names no tracker that can be served, or the token is missing where one is needed.
+    HardwareError
+        If the address is in use or cannot be had.
+    """
+    kind = profile.tracker.driver.kind
+    if kind in ("bridge", "none"):
+        raise InputError(
+            f"profile {profile.name}: tracker.driver is '{kind}'; to be served it must be one that this computer"
+            " reaches itself: 'lmf' or 'simulated'"
+        )
+    if port is None and serial is None:
+        raise InputError("tracker-bridge: nothing to serve on; give a port, a serial port, or both")
+    token = read_token(None if token_file is None else str(token_file), token_env)
+    if token is None and port is not None and not is_loopback(host):
+        raise InputError(
+            f"tracker-bridge: {host} is reachable from other machines: give a token (--token-file or --token-env), the"
+            " same here and on the cell PC, or listen on 127.0.0.1"
+        )
+    plant = build_plant(profile) if kind == "simulated" else None
+    tracker = TRACKER_DRIVERS[kind](profile, plant)
+    service = TrackerService(tracker, host=host, port=port, serial_url=serial, baud=baud, token=token)
+    try:
+        service.open()
+    except OSError as error:
+        raise HardwareError(f"tracker-bridge: {error.strerror}; see whether another one runs here") from error
+    try:
+        announce(ServedTracker(kind, service.host, service.port, serial, token is not None))
+        while not cancel.cancelled:  # in steps, so that Ctrl-C is heard
+            service.poll(_STEP_S)
+    finally:
+        service.close()

@@ -1,0 +1,111 @@
+"""Data of the simulated cell for blind trials: stops in a random order with the factors that tell effects apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cellapp.calibration.calibrate import profile_splits
+from cellapp.collection.cell import build_plant
+from cellapp.kinematics.transforms import Array
+from cellapp.planning.cell_bodies import home_positions
+from cellapp.profile import Profile
+from cellapp.run import Readings
+
+DURATION_S = 18000.0
+_DWELLS_S = (1.0, 8.0)
+_PAYLOAD_BLOCKS = 4
+_HEAVY_SHARE = 0.8
+_RATED_KG = {"UR3": 3.0, "UR5": 5.0, "UR10": 10.0}
+_JOINT_RISE_K = (6.0, 16.0)
+_WARM_UP_S = 3000.0
+_AIR_PERIODS_S = (4.0e3, 1.5e4, 4.0e4)
+_AIR_AMPLITUDE_K = 1.5
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How the readings scatter: ``gaussian``, or ``heavy`` tails (Student's t with 4 degrees of freedom, of the same
+
+    standard deviation), and the repeatability of the joints [rad].
+    """
+
+    kind: str = "gaussian"
+    repeatability: float = 0.0
+
+
+def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str, Any]]], seed: int) -> Profile:
+    """The profile with other hidden effects (arm -> effect -> parameters) and another true cell."""
+    assert profile.plant is not None
+    plain = {arm: {slug: dict(values) for slug, values in each.items()} for arm, each in effects.items()}
+    settings = profile.plant.model_copy(update={"effects": plain, "seed": seed})
+    return profile.model_copy(update={"plant": settings, "seed": seed})
+
+
+def blind_readings(
+    profile: Profile, plan: Mapping[str, Array], seed: int, noise: Noise | None = None
+) -> dict[str, Readings]:
+    """Readings of all arms at the stops of ``plan`` (name -> (n, N) [rad]) in an order drawn by ``seed``.
+
+    Arms go straight from stop to stop; the pause before measuring varies from 1 to 8 s, the load changes in four blocks
+    between the profile's and 80 % of the rated one, joints warm up, and the run lasts five hours.
+    """
+    noise = noise or Noise()
+    rng = np.random.default_rng([seed, 0xB11D])
+    plant = build_plant(profile)
+    n = len(next(iter(plan.values())))
+    order = rng.permutation(n)
+    stops = {name: q[order] for name, q in plan.items()}
+    time_s = np.sort(rng.uniform(0.0, DURATION_S, n))
+    dwell_s = np.exp(rng.uniform(*np.log(_DWELLS_S), n))
+    heavy = (np.arange(n) * _PAYLOAD_BLOCKS // n) % 2 == 1
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
+    waves = np.sin(2.0 * np.pi * time_s[:, None] / np.array(_AIR_PERIODS_S) + phases)
+    air = profile.plant.temperature + _AIR_AMPLITUDE_K * waves.mean(axis=1) if profile.plant is not None else waves[:, 0]
+    homes = home_positions(profile)
+    readings = {}
+    for place, (name, q) in enumerate(stops.items()):
+        arm = profile.arms[name]
+        step = np.diff(np.vstack([homes[name], q]), axis=0)
+        approach = np.sign(step).astype(np.int8)
+        rated = _RATED_KG.get(arm.type.model.strip().upper().removesuffix("E"), 5.0)
+        payload = np.where(heavy, _HEAVY_SHARE * rated, arm.payload.mass)
+        others = {other: rows for other, rows in stops.items() if other != name}
+        rise = rng.uniform(*_JOINT_RISE_K, q.shape[1]) * -np.expm1(-time_s[:, None] / _WARM_UP_S)
+        joints_c = air[:, None] + rise
+        stood = q + noise.repeatability * rng.standard_normal(q.shape)
+        exact = plant.smr_positions(
+            name,
+            stood,
+            approach=approach.astype(np.float64),
+            others=others,
+            time_s=time_s,
+            last_step=step,
+            since_rest_s=dwell_s,
+            payload=payload,
+            joints_c=joints_c,
+            air_c=air,
+        )
+        draw = np.random.default_rng([seed, place, 0x401])
+        points, covariance = plant.measure_positions(exact, draw)
+        if noise.kind == "heavy":
+            t = draw.standard_t(4, exact.shape) / np.sqrt(2.0)
+            points = exact + np.einsum("nab,nb->na", np.linalg.cholesky(covariance), t)
+        readings[name] = Readings(
+            configuration=np.arange(n),
+            time_s=time_s,
+            q=q,
+            approach=approach,
+            p_M=points,
+            payload_kg=payload,
+            temperature_c=air + 0.05 * draw.standard_normal(n),
+            joint_temperature_c=np.round(joints_c + 0.1 * draw.standard_normal(q.shape), 2),
+            step=step,
+            dwell_s=dwell_s,
+            covariance_M=covariance,
+        )
+    splits, _ = profile_splits(profile, readings)
+    return {name: replace(arm, split=splits[name]) for name, arm in readings.items()}

@@ -1,0 +1,186 @@
+"""Does the tracker bridge lose or double a measurement? Many of them over the real wire, with faults at random."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellapp.collection.cell import build_plant
+from cellapp.errors import HardwareError, InputError
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
+from drivers.trackers.bridge import BridgeTracker
+from drivers.trackers.protocol import Preparation, TargetLost, TrackerError, TrackerRefused
+
+SECOND_CLIENT = "second-client"
+ALL_FAULTS = (*FAULTS, SECOND_CLIENT)
+
+_SILENCE_S = 0.5
+_AVERAGING_S = 1.0
+_NEAR_M = 1e-3
+
+
+@dataclass(frozen=True)
+class BridgeTrial:
+    """What became of the measurements.
+
+    Attributes
+    ----------
+    asked, delivered : int
+        Measurements asked for, and those that came.
+    lost, doubled, strange : int
+        Those that never came; those that came twice, or that the tracker made without need; those of another nest.
+    outcomes : mapping
+        Fault -> how often it was caused.
+    recovery_s : mapping
+        Fault -> the longest that a measurement with it took [s].
+    undisturbed_s : float
+        Median time of one without any fault [s].
+    """
+
+    asked: int
+    delivered: int
+    lost: int
+    doubled: int
+    strange: int
+    outcomes: Mapping[str, int]
+    recovery_s: Mapping[str, float]
+    undisturbed_s: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """The object that ``--json`` writes."""
+        return {
+            "schema": "cellapp-trials-bridge",
+            "version": 1,
+            "asked": self.asked,
+            "delivered": self.delivered,
+            "lost": self.lost,
+            "doubled": self.doubled,
+            "strange": self.strange,
+            "faults": dict(self.outcomes),
+            "recovery_s": dict(self.recovery_s),
+            "undisturbed_s": self.undisturbed_s,
+        }
+
+
+def bridge_trial(
+    profile: Profile,
+    measurements: int = 1000,
+    every: int = 20,
+    seed: int = 0,
+    serial: tuple[str, str] | None = None,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> BridgeTrial:
+    """Measure nests through an emulated bridge over TCP, with a random fault in each group of ``every`` measurements.
+
+    ``serial`` names the two ends of a serial cable, the bridge's and the client's, to go over that instead.
+
+    Raises
+    ------
+    InputError
+        If the profile has no simulated cell.
+    HardwareError
+        If no connection comes about at all.
+    Cancelled
+    """
+    if measurements < every or every < 1:
+        raise InputError("trials bridge: there must be at least one group of measurements, of at least one each")
+    cancel = cancel or CancelToken()
+    rng = np.random.default_rng([seed, 0xB41D])
+    plant = build_plant(profile)
+    nests = _nests(profile)
+    names = list(nests)
+    kinds = rng.permutation(np.resize(np.array(ALL_FAULTS), measurements // every))  # each kind about equally often
+    faults = {group * every + int(rng.integers(every)): str(kind) for group, kind in enumerate(kinds)}
+    took: dict[str, list[float]] = {kind: [] for kind in ("", *ALL_FAULTS)}
+    times: list[float] = []
+    strange = lost = 0
+    with ExitStack() as stack:
+        emulator = stack.enter_context(
+            TrackerBridgeEmulator(
+                plant,
+                nests=nests,
+                reboot_s=0.3,
+                slow_s=1.6 * _SILENCE_S,
+                port=0 if serial is None else None,
+                serial_url=None if serial is None else serial[0],
+            )
+        )
+        url = emulator.url if serial is None else serial[1]
+        tracker = BridgeTracker(url, timeout_s=_SILENCE_S, preparation=Preparation())
+        stack.callback(tracker.disconnect)
+        try:
+            tracker.connect()
+        except TrackerError as error:
+            raise HardwareError(str(error)) from error
+        for number in range(measurements):
+            cancel.check()
+            listener(Progress("bridge", number, measurements, faults.get(number, "")))
+            nest = names[number % len(names)]
+            kind = faults.get(number, "")
+            began_s = time.monotonic()
+            if kind == SECOND_CLIENT:
+                _second_client(url)
+            elif kind:
+                emulator.fault(kind)
+            try:
+                point = tracker.measure(nests[nest], _AVERAGING_S)
+            except TargetLost:
+                if kind != "beam":
+                    lost += 1
+                    continue
+                point = tracker.measure(nests[nest], _AVERAGING_S)  # as collection does after a broken beam
+            except TrackerError:
+                lost += 1
+                continue
+            took[kind].append(time.monotonic() - began_s)
+            times.append(point.time_s)
+            strange += bool(np.linalg.norm(point.p_M - nests[nest]) > _NEAR_M)
+        forgotten = len(took["reboot"])  # made, and lost with the bridge's memory before anybody had seen it
+        doubled = len(times) - len(set(times)) + max(0, emulator.tracker.measured - forgotten - len(times))
+    listener(Progress("bridge", measurements, measurements, "done"))
+    return BridgeTrial(
+        asked=measurements,
+        delivered=len(times),
+        lost=lost,
+        doubled=doubled,
+        strange=strange,
+        outcomes={kind: len(took[kind]) for kind in ALL_FAULTS},
+        recovery_s={kind: max(took[kind]) for kind in ALL_FAULTS if took[kind]},
+        undisturbed_s=float(np.median(took[""])) if took[""] else float("nan"),
+    )
+
+
+def _second_client(url: str) -> None:
+    """Try to take the tracker while another client holds it. Over one serial cable there is no second client."""
+    if not url.startswith("socket://"):
+        return
+    other = BridgeTracker(url, timeout_s=_SILENCE_S)
+    try:
+        other.connect()
+    except TrackerRefused:
+        return
+    other.disconnect()
+    raise HardwareError(f"{url}: a second client was let in while the first one held the tracker")
+
+
+def _nests(profile: Profile) -> dict[str, np.ndarray]:
+    """Three nests in the tracker's field, nearer to it than the arms."""
+    low, high = profile.tracker.azimuth
+    middle = 0.5 * (low + high)
+    elevation = float(np.mean(profile.tracker.elevation))
+    distance = max(1.2 * profile.tracker.distance[0], 1.0)
+    nests = {}
+    for name, azimuth in (("a", middle - 0.3), ("b", middle), ("c", middle + 0.3)):
+        level = distance * np.cos(elevation)
+        nests[name] = np.array(
+            [level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)]
+        )
+    return nests
