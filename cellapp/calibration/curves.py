@@ -69,7 +69,14 @@ def waves(q: Array, cycles: int) -> Array:
 
 
 def find_curves(
-    q: Array, by_joint: Array, white: Array, basis: Array, residual: Array, joints: tuple[int, ...], cycles: int
+    q: Array,
+    by_joint: Array,
+    white: Array,
+    basis: Array,
+    residual: Array,
+    joints: tuple[int, ...],
+    cycles: int,
+    evaluations: int = _EVALUATIONS,
 ) -> Curves:
     """The curves' prior of greatest evidence.
 
@@ -87,6 +94,8 @@ def find_curves(
     joints : tuple of int
         Joints to give a curve, from 0.
     cycles : int
+    evaluations : int
+        At most so many evaluations of the evidence.
     """
     n = len(q)
     moved = np.einsum("acn,cjn->ajn", white, by_joint[:, list(joints)])
@@ -126,7 +135,7 @@ def find_curves(
     start = np.concatenate([np.zeros(count), np.full(count, math.log(_START_LENGTH)), [math.log(0.2)]])
     bounds = [(-9.0, 5.0)] * count + [(math.log(_LENGTHS[0]), math.log(_LENGTHS[1]))] * count + [(-9.0, 0.5)]
     found = minimize(
-        cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxfun": _EVALUATIONS, "ftol": 1e-7}
+        cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxfun": evaluations, "ftol": 1e-7}
     )
     amplitudes, lengths, noise = unpack(found.x)
     without = -0.5 * freedom * (math.log(start_noise) + 1.0)

@@ -109,6 +109,7 @@ class ArmData:
     stated: Array | None
     sigma: Array | None
     parameter_set: ParameterSet
+    stands: Array | None = None
     cache: dict[tuple[str, str], list[EffectColumn]] = field(default_factory=dict)
 
     @classmethod
@@ -131,11 +132,12 @@ class ArmData:
     @cached_property
     def context(self) -> EffectContext:
         """What effects may depend on, at the geometry of ``model``."""
-        return self.model.context(self.readings.q, known=self.known)
+        return replace(self.model.context(self.readings.q, known=self.known), stands=self.stands)
 
     def at(self, model: ArmModel) -> ArmData:
-        """The same with another geometry for what effects depend on."""
-        return replace(self, model=replace(model, effects=(), network=None), cache={})
+        """The same with another model for what effects depend on: its geometry, and where its joints really stand."""
+        stands = model.true_joints(self.readings.q, known=self.known) if model.effects else None
+        return replace(self, model=replace(model, effects=(), network=None), stands=stands, cache={})
 
     def columns(self, slug: str, law: Law, names: Sequence[str] | None = None) -> list[EffectColumn]:
         """Columns of a law, all or those of ``names`` in that order."""

@@ -54,20 +54,15 @@ def describe(data: ArmData, fit: Fit, place: int) -> Description:
     begin = sum(len(p.names) for p in fit.choice[:place])
     columns = fit.columns[begin : begin + len(part.names)]
     values = fit.identification.effect_values[begin : begin + len(part.names)]
-    sums = np.zeros((len(data), 3))
     curve_values = np.zeros(len(data))
     for column, value in zip(columns, values.tolist(), strict=True):
         if column.offset is not None:
             curve_values += value * column.offset
-        elif column.shift_M is not None:
-            sums += value * column.shift_M
     by_joint = columns[0].joint is not None
-    if by_joint:
-        signal = fit.signal(place).reshape(3, -1)
-        moved = np.linalg.norm(np.linalg.solve(fit.white.transpose(2, 0, 1), signal.T[:, :, None])[..., 0], axis=1)
-    else:
-        moved = np.linalg.norm(sums, axis=1)
-    size = float(np.sqrt(np.mean(moved**2)))
+    # only what geometry cannot follow has a size: a slow drift holds any amount of what the base pose takes back
+    seen = fit.follower_without(place).without(fit.signal(place)).reshape(3, -1)
+    moved = np.linalg.solve(fit.white.transpose(2, 0, 1), seen.T[:, :, None])[..., 0]
+    size = float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
     known = [values_of(data.context, name) for name in variables]
     formula, gain = _formula(data, fit, place, channel, variables, known)
     curve: tuple[tuple[float, float], ...] = ()

@@ -9,9 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from cellapp.calibration.curves import CYCLES, find_curves
+from cellapp.calibration.curves import CYCLES, Curves, find_curves
 from cellapp.discovery.data import ArmData, Choice, Fit, Part, whitening
-from cellapp.discovery.scan import Follower, Score, Seen, corrected_p, explained_by, null_maxima, threshold
+from cellapp.discovery.scan import (
+    Follower,
+    Score,
+    Seen,
+    corrected_p,
+    displacements,
+    explained_by,
+    null_maxima,
+    threshold,
+)
 from cellapp.effects import EFFECTS, Law
 from cellapp.effects.unknown import dictionary, pairs
 from cellapp.kinematics.transforms import Array
@@ -21,13 +30,13 @@ from cellapp.progress import CancelToken
 UNKNOWN = "unknown"
 _MOST_EFFECTS = 5
 _MOST_STEPS = 16
+_MOST_TERMS = 3
 _RIVAL = 10.0
 """Effects whose score is this near the winner's are in its answer set; what is not in the library must lead by it."""
 _SAME_CAUSE = 0.05
 """A later effect that depends on what an earlier one does and removes less than this share of what that one removed is
 more likely the rest of an imperfect law than a second cause."""
 _REACHED = 0.01
-_LINES_TO_CURVE = 3
 
 
 @dataclass(frozen=True)
@@ -77,35 +86,42 @@ class Search:
 
 
 def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken) -> Search:
-    """Look for effects among ``slugs`` and, beyond them, for what no effect of the library explains."""
+    """Look for effects among ``slugs`` and, beyond them, for what no effect of the library explains.
+
+    Where names alone do not reach the floor, a second way begins with what the library lacks, so that a name need not
+    stand for it; the better of both, by the Bayesian information criterion, is told.
+    """
     settings = data.profile.discovery
     weighed = data.weighed(())
     fit = weighed.fit(())
-    weighed = weighed.at(fit.model)
-    first = fit
-    seen = Seen.of(weighed.candidates(fit, slugs), fit.follower)
+    here = weighed.at(fit.model)
+    seen = Seen.of(here.candidates(fit, slugs), fit.follower)
     rng = np.random.default_rng([data.profile.seed, 0xD15C])
     maxima = null_maxima(seen, fit.follower, settings.null_simulations, rng)
     least = threshold(maxima, settings.false_alarm)
     engine = _Engine(data, tuple(slugs), maxima, least, cancel)
-    steps: list[Step] = []
-    choice: Choice = ()
-    refused: set[tuple[str, str]] = set()
-    here = weighed
-    for _ in range(_MOST_STEPS):
-        cancel.check()
-        step = engine.next_step(here, fit, seen if not choice else None, refused)
-        if step is None:
-            step = engine.beyond_library(here, fit)
-            if step is None:
-                break
-        choice = step.choice
-        here, fit = engine.refit(choice)
-        steps.append(replace(step, model=fit.model))
-        if len({part.slug for part in choice}) >= _MOST_EFFECTS and step.slug == UNKNOWN:
-            break
-    here, fit, reviewed, dropped = engine.review(here, fit)
-    return Search(here, first, fit, reviewed, tuple(steps), maxima, least, seen, dropped)
+    named = engine.named(_Way(here, fit), seen)
+    best = engine.reviewed_way(named)
+    if not engine.floor_reached(best):
+        further = engine.beyond_library(best)
+        ways = [best] if further is None else [best, engine.reviewed_way(engine.named(further, None))]
+        if best.fit.choice and further is not None:
+            first = engine.beyond_library(_Way(here, fit))
+            if first is not None:
+                ways.append(engine.reviewed_way(engine.named(first, None)))
+        best = min(ways, key=engine.criterion)
+    reviewed = tuple(engine.worth(best, place) for place in range(len(best.fit.choice)))
+    return Search(best.data, fit, best.fit, reviewed, best.steps, maxima, least, seen, best.dropped)
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """A place in the search: the fit there and how it was reached."""
+
+    data: ArmData
+    fit: Fit
+    steps: tuple[Step, ...] = ()
+    dropped: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -123,31 +139,84 @@ class _Engine:
         here = here.at(fit.model)
         return here, here.fit(choice)
 
-    def next_step(self, here: ArmData, fit: Fit, seen: Seen | None, refused: set[tuple[str, str]]) -> Step | None:
+    def taken(self, way: _Way, step: Step) -> _Way:
+        """The way after a step: refitted, and the constants of the laws improved."""
+        here, fit = self.refit(step.choice)
+        here, fit = self._improved(here, fit)
+        return _Way(here, fit, (*way.steps, replace(step, choice=fit.choice, model=fit.model)), way.dropped)
+
+    def named(self, way: _Way, seen: Seen | None) -> _Way:
+        """Go on with effects of the library while one passes."""
+        refused: set[tuple[str, str]] = set()
+        for _ in range(_MOST_STEPS):
+            self.cancel.check()
+            step = self._next_step(way, seen, refused)
+            if step is None:
+                break
+            way, seen = self.taken(way, step), None
+        return way
+
+    def criterion(self, way: _Way) -> float:
+        """Bayesian information criterion of a way, for the same weights: the stated uncertainty."""
+        residuals = way.fit.identification.residuals
+        white = whitening(way.data.stated, len(way.data))
+        total = float(np.sum(np.einsum("acn,nc->an", white, residuals) ** 2))
+        N = 3 * len(way.data)
+        price = float(np.sum(way.fit.follower.basis**2)) * math.log(N)
+        for part in way.fit.choice:
+            price += 2.0 * math.log(max(part.law.tried, 1)) + _RIVAL * (part.slug == UNKNOWN)
+        return N * math.log(total) + price
+
+    def _next_step(self, way: _Way, seen: Seen | None, refused: set[tuple[str, str]]) -> Step | None:
         """The best new effect or the best refinement of one that is there; None if nothing passes."""
+        here, fit = way.data, way.fit
         taken = {part.slug for part in fit.choice}
         if seen is None:
             left = [slug for slug in self.slugs if slug not in taken]
             seen = Seen.of(here.candidates(fit, left), fit.follower)
-        square = float(fit.residual @ fit.follower.without(fit.residual))
         MY = fit.follower.without(fit.residual)
-        found = best_of_each(seen.scores(MY, square))
+        square = float(fit.residual @ MY)
+        found = [
+            score
+            for score in best_of_each(seen.scores(MY, square))
+            if (score.slug, score.candidate.law.name) not in refused
+        ]
         refinement = self._refinement(here, fit)
-        new = next((score for score in found if (score.slug, score.candidate.law.name) not in refused), None)
-        best_new = -math.inf if new is None else new.value
+        best_new = found[0].value if found else -math.inf
         if refinement is not None and refinement[0] > max(best_new - _RIVAL, 0.0):
-            gain, step = refinement
-            return step
+            return refinement[1]
         for score in found:
             if score.value <= self.least or len(taken) >= _MOST_EFFECTS:
                 break
-            if (score.slug, score.candidate.law.name) in refused:
-                continue
             accepted = self._accept(here, fit, score, seen, MY, square)
             if accepted is not None:
                 return accepted
             refused.add((score.slug, score.candidate.law.name))
         return None
+
+    def _improved(self, here: ArmData, fit: Fit) -> tuple[ArmData, Fit]:
+        """Move the constants of the laws (onset, time constant, knee, width) to where they explain most."""
+        changed = False
+        for place, part in enumerate(fit.choice):
+            if part.slug == UNKNOWN or part.curves is not None:
+                continue
+            follower = fit.follower_without(place)
+            y = fit.residual + fit.signal(place)
+            MY = follower.without(y)
+            names = set(part.names)
+            law, value = part.law, float(explained_by(_own(fit, place), follower, MY))
+            for shrink in (1.0, 1.0, 0.5, 0.5, 0.25, 0.12):
+                for nearby in _nearby(law, here, shrink):
+                    columns = [c for c in here.columns(part.slug, nearby) if c.name in names]
+                    rows = displacements(columns, fit.by_joint, fit.white)
+                    trial = explained_by(rows, follower, MY)
+                    if trial > value * (1.0 + 1e-9):
+                        law, value = nearby, trial
+            if law is not part.law:
+                choice = (*fit.choice[:place], replace(part, law=law), *fit.choice[place + 1 :])
+                fit = here.fit(choice)
+                changed = True
+        return self.refit(fit.choice) if changed else (here, fit)
 
     def _accept(self, here: ArmData, fit: Fit, score: Score, seen: Seen, MY: Array, square: float) -> Step | None:
         """Try to add an effect: without the blocks where it would be impossible, and confirmed on readings left out."""
@@ -208,7 +277,7 @@ class _Engine:
             MY = follower.without(y)
             square = float(y @ MY)
             seen = Seen.of(here.candidates(fit, [part.slug]), follower)
-            own = _value(here, fit, place, seen, MY, square)
+            own = _value(fit, place, follower, MY, square)
             for score in seen.scores(MY, square)[:2]:
                 gain = score.value - own
                 same = score.candidate.law.name == part.law.name and set(score.names) == set(part.names)
@@ -233,78 +302,78 @@ class _Engine:
 
     # -- beyond the library ------------------------------------------------------------------------------------------
 
-    def beyond_library(self, here: ArmData, fit: Fit) -> Step | None:
-        """When nothing of the library passes any more: a free curve of the joints, or a data-driven term."""
-        if any(part.slug == UNKNOWN for part in fit.choice) or self._floor_reached(here, fit):
-            return None
-        return self._curve(here, fit) or self._data_driven(here, fit)
-
     @staticmethod
-    def _floor_reached(here: ArmData, fit: Fit) -> bool:
+    def floor_reached(way: _Way) -> bool:
         """Whether the scatter needs no more than the stated uncertainty; unknown is no."""
-        found = scatter(here, fit)
+        found = scatter(way.data, way.fit)
         return found is not None and found[1] > _REACHED
 
-    def _curve(self, here: ArmData, fit: Fit) -> Step | None:
-        """One free periodic curve a joint, where its evidence is above that of the lines found so far."""
+    def beyond_library(self, way: _Way) -> _Way | None:
+        """What nothing of the library explains: a data-driven term, or a free curve of the joints if that does better."""
+        driven = self.data_driven(way)
+        for _ in range(_MOST_TERMS - 1):  # a shift has three directions
+            if driven is None or self.floor_reached(driven):
+                break
+            further = self.data_driven(driven)
+            if further is None:
+                break
+            driven = further
+        curved = None if driven is not None and self.floor_reached(driven) else self._curve(way)
+        ways = [one for one in (curved, driven) if one is not None]
+        return min(ways, key=self.criterion) if ways else None
+
+    def _curve(self, way: _Way) -> _Way | None:
+        """One free periodic curve a joint beside the lines found so far, where its evidence pays for it."""
+        here, fit = way.data, way.fit
         if here.stated is None or any(part.curves is not None for part in fit.choice):
             return None
-        lines = next((i for i, part in enumerate(fit.choice) if part.slug == "transmission_error"), None)
-        y, follower, worth = fit.residual, fit.follower, 0.0
-        if lines is not None:
-            y = fit.residual + fit.signal(lines)
-            follower = fit.follower_without(lines)
-            MY = follower.without(y)
-            seen = Seen.of([here.candidate(fit, "transmission_error", fit.choice[lines].law)], follower)
-            worth = _value(here, fit, lines, seen, MY, float(y @ MY))
         # in units of the stated uncertainty, as the curves' noise is a factor on it
-        stated = replace(here, sigma=here.stated)
-        bare = stated.fit(tuple(part for i, part in enumerate(fit.choice) if i != lines))
+        bare = replace(here, sigma=here.stated).fit(fit.choice)
         residual = bare.follower.without(bare.residual)
         levers = np.sqrt(np.mean(np.sum(bare.by_joint**2, axis=0), axis=1))
         joints = tuple(j for j in range(here.readings.joints) if levers[j] > 0.05 * levers.max())
-        curves = find_curves(
-            here.readings.q, bare.by_joint, np.eye(3)[:, :, None] * np.ones(len(here)),
-            bare.follower.basis, residual, joints, CYCLES,
-        )
-        price = (2 * len(joints) + 1) * math.log(len(residual))
-        value = curves.evidence - price - worth
-        if value <= max(self.least, _RIVAL):
-            return None
-        matters = [
-            k for k, j in enumerate(curves.joints) if curves.amplitudes[k] * levers[j] > 0.3 * curves.noise
-        ]
-        if not matters:
-            return None
-        curves = replace(
-            curves,
-            joints=tuple(curves.joints[k] for k in matters),
-            lengths=curves.lengths[matters],
-            amplitudes=curves.amplitudes[matters],
-        )
-        constants: dict[str, float] = {"cycles": float(CYCLES)}
-        for j, length, amplitude in zip(
-            curves.joints, curves.lengths.tolist(), curves.amplitudes.tolist(), strict=True
-        ):
-            constants |= {f"length{j + 1}": length, f"amplitude{j + 1}": amplitude}
-        law = Law("curve", constants)
-        names = tuple(column.name for column in EFFECTS["transmission_error"].columns(here.context, law))
+        unit = np.ascontiguousarray(np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(here))))
+        for cycles, evaluations in ((40, 12), (CYCLES, 60)):
+            curves = find_curves(
+                here.readings.q, bare.by_joint, unit, bare.follower.basis, residual, joints, cycles, evaluations
+            )
+            # what the curves change of the noise's own share counts against the same noise
+            value = curves.evidence - (2 * len(joints) + 1) * math.log(len(residual))
+            if value <= max(self.least, _RIVAL):
+                return None
+            levers_of = [levers[j] for j in curves.joints]
+            joints = tuple(
+                j
+                for j, lever, amplitude in zip(curves.joints, levers_of, curves.amplitudes.tolist(), strict=True)
+                if amplitude * lever > 0.2 * curves.noise
+            )
+            if not joints:
+                return None
+        place = next((i for i, part in enumerate(fit.choice) if part.slug == "transmission_error"), None)
+        law, names = _curve_law(curves, here)
+        rest = fit.choice
+        if place is not None:  # lines beyond the curve's reach stay, free; those within it become part of the curve
+            names = (*names, *(name for name in fit.choice[place].names if name not in set(names)))
+            rest = fit.choice[:place] + fit.choice[place + 1 :]
         part = Part("transmission_error", law, names, curves=curves)
-        rest = tuple(p for i, p in enumerate(fit.choice) if i != lines)
         title = EFFECTS["transmission_error"].title
-        return Step(
+        step = Step(
             "transmission_error",
             f"{title}: a free curve a joint",
             value,
             corrected_p(self.maxima, value),
             (*rest, part),
         )
+        after = self.taken(way, step)
+        return after if self.criterion(after) < self.criterion(way) else None
 
-    def _data_driven(self, here: ArmData, fit: Fit) -> Step | None:
-        """The channel and the one or two variables that explain most of what is left."""
+    def data_driven(self, way: _Way) -> _Way | None:
+        """The channel and the one or two variables that explain most of what is left, added."""
+        here, fit = way.data, way.fit
+        taken = {part.law.name for part in fit.choice if part.slug == UNKNOWN}
         MY = fit.follower.without(fit.residual)
         square = float(fit.residual @ MY)
-        laws = [law for _, _, law in dictionary(here.context)]
+        laws = [law for _, _, law in dictionary(here.context) if law.name not in taken]
         best = self._best_law(here, fit, laws, MY, square)
         two_laws = list(pairs(here.context))
         if best is not None:
@@ -316,13 +385,11 @@ class _Engine:
             best = two
         if best is None or best.value <= self.least:
             return None
-        number_columns = list(best.chosen)
-        if here.confirmed(fit, best.candidate.B[number_columns], here.profile.discovery.folds) <= 0.0:
+        if here.confirmed(fit, best.candidate.B[list(best.chosen)], here.profile.discovery.folds) <= 0.0:
             return None
         part = Part(UNKNOWN, best.candidate.law, best.names)
-        return Step(
-            UNKNOWN, "a data-driven term added", best.value, corrected_p(self.maxima, best.value), (*fit.choice, part)
-        )
+        p_value = corrected_p(self.maxima, best.value)
+        return self.taken(way, Step(UNKNOWN, "a data-driven term added", best.value, p_value, (*fit.choice, part)))
 
     @staticmethod
     def _best_law(here: ArmData, fit: Fit, laws: Sequence[Law], MY: Array, square: float) -> Score | None:
@@ -340,29 +407,30 @@ class _Engine:
 
     # -- review ------------------------------------------------------------------------------------------------------
 
-    def review(self, here: ArmData, fit: Fit) -> tuple[ArmData, Fit, tuple[Reviewed, ...], tuple[str, ...]]:
-        """Drop what the others made superfluous or what is the rest of an imperfect law; find each one's rivals."""
-        dropped: list[str] = []
+    def reviewed_way(self, way: _Way) -> _Way:
+        """Drop what the others made superfluous, or what is likely the rest of an imperfect law."""
+        here, fit = way.data, way.fit
+        dropped = list(way.dropped)
         while True:
             self.cancel.check()
-            reviewed = [self._reviewed(here, fit, place) for place in range(len(fit.choice))]
+            values = [self._own_value(fit, place) for place in range(len(fit.choice))]
             weak = [
                 place
-                for place, one in enumerate(reviewed)
-                if one.score <= self.least and one.part.curves is None
+                for place, value in enumerate(values)
+                if value <= self.least and fit.choice[place].curves is None
             ]
-            if weak and len(fit.choice) > 1:
-                out = min(weak, key=lambda place: reviewed[place].score)
+            if weak:
+                out = min(weak, key=lambda place: values[place])
             elif (rest := self._rest_of_a_law(here, fit)) is not None:
                 out = rest
             else:
-                return here, fit, tuple(reviewed), tuple(dropped)
+                return _Way(here, fit, way.steps, tuple(dropped))
             dropped.append(fit.choice[out].slug)
             here, fit = self.refit(fit.choice[:out] + fit.choice[out + 1 :])
 
     def _rest_of_a_law(self, here: ArmData, fit: Fit) -> int | None:
         """A part that is likely what an imperfect law of another left over: same variables, small, floor not reached."""
-        if self._floor_reached(here, fit):
+        if self.floor_reached(_Way(here, fit)):
             return None
         removed = [float(np.sum(fit.follower_without(i).without(fit.signal(i)) ** 2)) for i in range(len(fit.choice))]
         for place, part in enumerate(fit.choice):
@@ -376,56 +444,92 @@ class _Engine:
                     return place
         return None
 
-    def _reviewed(self, here: ArmData, fit: Fit, place: int) -> Reviewed:
+    def _own_value(self, fit: Fit, place: int) -> float:
+        """The score of a part beside all others."""
+        follower = fit.follower_without(place)
+        MY = follower.without(fit.residual + fit.signal(place))
+        return _value(fit, place, follower, MY, float((fit.residual + fit.signal(place)) @ MY))
+
+    def worth(self, way: _Way, place: int) -> Reviewed:
+        """What a part is worth beside the others, and who could take its place."""
+        here, fit = way.data, way.fit
         part = fit.choice[place]
         follower = fit.follower_without(place)
         y = fit.residual + fit.signal(place)
         MY = follower.without(y)
         square = float(y @ MY)
+        value = _value(fit, place, follower, MY, square)
         if part.curves is not None:
-            value = part.curves.evidence
-            return Reviewed(part, value, corrected_p(self.maxima, value), ())
-        taken = {p.slug for p in fit.choice}
-        others = [slug for slug in self.slugs if slug not in taken]
-        own = here.candidate(fit, part.slug, part.law)
-        seen = Seen.of([own, *here.candidates(fit, others)], follower)
-        value = _value(here, fit, place, seen, MY, square)
+            return Reviewed(part, part.curves.evidence, corrected_p(self.maxima, part.curves.evidence), ())
         rivals = []
         if part.slug != UNKNOWN:
-            for score in best_of_each(seen.scores(MY, square, range(1, len(seen.candidates)))):
+            taken = {p.slug for p in fit.choice}
+            seen = Seen.of(here.candidates(fit, [slug for slug in self.slugs if slug not in taken]), follower)
+            for score in best_of_each(seen.scores(MY, square)):
                 if score.value > max(value - _RIVAL, 0.0):
-                    apart = self._told_apart(fit, place, seen, score, y)
-                    rivals.append(Rival(score.slug, score.value, apart))
+                    rivals.append(Rival(score.slug, score.value, self._told_apart(fit, place, seen, score, y)))
         return Reviewed(part, value, corrected_p(self.maxima, value), tuple(rivals))
 
     def _told_apart(self, fit: Fit, place: int, seen: Seen, rival: Score, y: Array) -> bool:
         """Whether the part still explains something after the rival has explained all it can."""
-        number = seen.candidates.index(rival.candidate)
-        B, _ = seen.part(number)
-        begin = len(fit.rows) - len(fit.columns) + sum(len(p.names) for p in fit.choice[:place])
+        B, _ = seen.part(seen.candidates.index(rival.candidate))
         kept = np.ones(len(fit.rows), dtype=bool)
-        kept[begin : begin + len(fit.choice[place].names)] = False
+        kept[_place_of(fit, place)] = False
         design = np.concatenate([fit.rows[kept], B[list(rival.chosen)]])
         precision = np.concatenate([fit.precision[kept], np.zeros(len(rival.chosen))])
         follower = Follower.of(np.ascontiguousarray(design.T), precision)
         MY = follower.without(y)
-        square = float(y @ MY)
-        own = fit.rows[begin : begin + len(fit.choice[place].names)]
-        explained = explained_by(own, follower, MY)
-        share = min(explained / square, 1.0 - 1e-12)
+        own = _own(fit, place)
+        share = min(explained_by(own, follower, MY) / float(y @ MY), 1.0 - 1e-12)
         N = len(y)
         return -N * math.log1p(-share) - len(own) * math.log(N) > self.least
 
 
-def _value(here: ArmData, fit: Fit, place: int, seen: Seen, MY: Array, square: float) -> float:
-    """The score of a part as it is, where ``MY`` and ``square`` are of the residual without it."""
-    part = fit.choice[place]
-    begin = len(fit.rows) - len(fit.columns) + sum(len(p.names) for p in fit.choice[:place])
-    own = fit.rows[begin : begin + len(part.names)]
-    follower = fit.follower_without(place)
+def _place_of(fit: Fit, place: int) -> slice:
+    """Where a part's rows are among all that was fitted."""
+    begin = len(fit.rows) - len(fit.columns) + sum(len(part.names) for part in fit.choice[:place])
+    return slice(begin, begin + len(fit.choice[place].names))
+
+
+def _own(fit: Fit, place: int) -> Array:
+    """A part's whitened columns (m, d)."""
+    return fit.rows[_place_of(fit, place)]
+
+
+def _nearby(law: Law, data: ArmData, shrink: float) -> list[Law]:
+    """Laws whose constants are a little different: an onset in a neighbouring pause, a time or size some 20 % away."""
+    found = []
+    for key, value in law.constants.items():
+        if key == "onset_s":
+            times = np.sort(np.asarray(data.known.time_s))
+            pauses = (times[1:] + times[:-1]) / 2.0
+            place = int(np.searchsorted(pauses, value))
+            around = range(max(place - 6, 7), min(place + 7, len(pauses) - 7))
+            found += [replace(law, constants={**law.constants, key: float(pauses[i])}) for i in around]
+        elif key.startswith(("tau", "knee", "width", "lag")):
+            for factor in (math.exp(-0.3 * shrink), math.exp(0.3 * shrink)):
+                found.append(replace(law, constants={**law.constants, key: value * factor}))
+    return found
+
+
+def _curve_law(curves: Curves, data: ArmData) -> tuple[Law, tuple[str, ...]]:
+    """The law ``curve`` with the prior's constants, and the names of its columns."""
+    constants: dict[str, float] = {"cycles": float(CYCLES)}
+    for joint, length, amplitude in zip(
+        curves.joints, curves.lengths.tolist(), curves.amplitudes.tolist(), strict=True
+    ):
+        constants |= {f"length{joint + 1}": length, f"amplitude{joint + 1}": amplitude}
+    law = Law("curve", constants)
+    return law, tuple(column.name for column in EFFECTS["transmission_error"].columns(data.context, law))
+
+
+def _value(fit: Fit, place: int, follower: Follower, MY: Array, square: float) -> float:
+    """The score of a part as it is, where ``follower``, ``MY`` and ``square`` are of the model without it."""
+    part, own = fit.choice[place], _own(fit, place)
     share = min(explained_by(own, follower, MY) / square, 1.0 - 1e-12)
     N = len(MY)
-    blocks = len({column.block for column in fit.columns[begin - (len(fit.rows) - len(fit.columns)) :][: len(own)]})
+    begin = sum(len(p.names) for p in fit.choice[:place])
+    blocks = len({column.block for column in fit.columns[begin : begin + len(own)]})
     many = part.slug == "transmission_error" and part.law.name == "lines"
     price = 2.0 * math.log(max(part.law.tried, 1)) * (blocks if many else 1)
     return -N * math.log1p(-share) - len(own) * math.log(N) - price

@@ -87,6 +87,8 @@ class EffectContext:
         Unit vector against gravity in the tracker frame.
     smr_normal : array, shape (3,), or None
         The way the SMR looks, in the flange frame.
+    stands : array, shape (n, N), or None
+        Where the joints really stand [rad], as far as known; loads act there. None is at ``q``.
     """
 
     q: Array
@@ -95,6 +97,7 @@ class EffectContext:
     bodies: Bodies
     up_M: Array
     smr_normal: Array | None = None
+    stands: Array | None = None
 
     @property
     def joints(self) -> int:
@@ -103,6 +106,11 @@ class EffectContext:
 
     def __len__(self) -> int:
         return len(self.q)
+
+    @property
+    def posture(self) -> Array:
+        """Where the joints really stand (n, N) [rad], as far as known."""
+        return self.q if self.stands is None else self.stands
 
     @cached_property
     def approach(self) -> Array:
@@ -126,12 +134,12 @@ class EffectContext:
     @cached_property
     def torques(self) -> Array:
         """Gravity torques (n, N) of the nominal bodies with the payload [Nm]."""
-        return gravity_torques(self.geometry, self.bodies, self.q, self.up_M, self.payload_kg)
+        return gravity_torques(self.geometry, self.bodies, self.posture, self.up_M, self.payload_kg)
 
     @cached_property
     def frames(self) -> tuple[Array, Array]:
         """All D-H frames, base first: rotations (N + 1, n, 3, 3), origins (N + 1, n, 3) [m] in the tracker frame."""
-        return frame_poses(self.geometry, self.q)
+        return frame_poses(self.geometry, self.posture)
 
     @cached_property
     def p_M(self) -> Array:
@@ -142,7 +150,7 @@ class EffectContext:
     @cached_property
     def joint_jacobian(self) -> Array:
         """Derivatives of the SMR position by the joints (3, N, n) [m/rad] in the tracker frame."""
-        return joint_jacobian(self.geometry, Turns.of(self.q))[1]
+        return joint_jacobian(self.geometry, Turns.of(self.posture))[1]
 
     @cached_property
     def base_twists(self) -> Array:
@@ -155,7 +163,7 @@ class EffectContext:
     def link_growth(self) -> Array:
         """What a unit strain of each link, of its a and its d, does to the SMR (N, n, 3) [m]."""
         d_and_a = tuple(6 + 5 * i + k for i in range(self.joints) for k in (1, 2))
-        _, J = jacobian(self.geometry, Turns.of(self.q), d_and_a)
+        _, J = jacobian(self.geometry, Turns.of(self.posture), d_and_a)
         grown = J * self.geometry.rows[:, 1:3].ravel()[:, None]
         return np.ascontiguousarray((grown[:, 0::2] + grown[:, 1::2]).transpose(1, 2, 0))
 

@@ -77,6 +77,23 @@ def times_known(context: EffectContext) -> bool:
     return known is not None and len(known) > 0 and bool(np.isfinite(known).all()) and float(np.ptp(known)) > 0.0
 
 
+def lagged(values: Array, time_s: Array, lag_s: float) -> Array:
+    """Values (n, k) at times (n,) behind a first-order lag that was settled at the first of them.
+
+    Between two times the input is their mean. Exact for the sampled input, by one cumulative sum.
+    """
+    order = np.argsort(time_s, kind="stable")
+    t = (time_s[order] - time_s[order[0]]) / max(lag_s, float(np.ptp(time_s)) / 500.0)
+    inputs = values[order]
+    steps = 0.5 * (inputs[1:] + inputs[:-1]) * np.diff(np.exp(t))[:, None]
+    out = np.empty_like(inputs)
+    out[0] = inputs[0]
+    out[1:] = (inputs[0] + np.cumsum(steps, axis=0)) * np.exp(-t[1:])[:, None]
+    found = np.empty_like(out)
+    found[order] = out
+    return found
+
+
 def filled(values: Array | None, instead: float | Array, rows: int) -> Array:
     """Values (n, ...) with ``instead`` where nobody knows."""
     if values is None:

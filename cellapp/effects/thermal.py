@@ -7,9 +7,11 @@ from collections.abc import Collection
 import numpy as np
 
 from cellapp.effects.effect import EffectColumn, EffectContext, Law, joint_column, shift_column, unknown_law, varies
-from cellapp.effects.history import filled, linear, span, times_known, warm_up, warm_up_laws
+from cellapp.effects.history import filled, lagged, linear, span, times_known, warm_up, warm_up_laws
 from cellapp.kinematics.transforms import Array
 
+LAGS = (150.0, 400.0, 900.0, 2000.0, 4500.0)
+"""With which links may follow their joints [s]."""
 _NOTICEABLE = 0.1
 """A link shorter than this share of the longest is not judged by itself."""
 
@@ -23,6 +25,9 @@ class ThermalGrowth:
         ``f = T - T_mean`` of the air [K], alpha in 1/K.
     joints, joints_links
         A link has the mean temperature of the joints at its two ends, against its own mean of the run [K].
+    conduction, conduction_links
+        A link follows, with a lag that is searched, the air and how much warmer than the air the joints at its ends are;
+        each with its own alpha [1/K]. Joint housings grow along their axes with their own temperature [m/K].
     warm_up, warm_up_links
         ``f = 1 - exp(-(t - first) / tau)``, alpha the whole strain [m/m]; tau is searched. Either sign: a cell that is
         switched on late warms up, one that was at work before cools down.
@@ -54,6 +59,15 @@ class ThermalGrowth:
         if known.joints_c is not None and varies(known.joints_c):
             means = joint_means(known.joints_c)
             laws += [Law("joints", means), Law("joints_links", means)]
+        if times_known(context) and known.joints_c is not None and varies(known.joints_c):
+            means = joint_means(known.joints_c)
+            air = known.air_c if known.air_c is not None and varies(known.air_c) else known.joints_c.mean(axis=1)
+            constants = {**means, "mean_c": float(np.nanmean(air))}
+            laws += [
+                Law(name, {**constants, "lag_s": lag}, len(LAGS))
+                for name in ("conduction", "conduction_links")
+                for lag in LAGS
+            ]
         if times_known(context):
             laws += [*warm_up_laws(context, "warm_up"), *warm_up_laws(context, "warm_up_links")]
         return laws
@@ -61,6 +75,8 @@ class ThermalGrowth:
     def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
         """One column, or one for each link of noticeable length; 0 at the run's mean where no temperature is known."""
         source = law.name.removesuffix("_links")
+        if source == "conduction":
+            return self._conduction(context, law, wanted)
         if source == "air":
             warmer = np.tile(above_mean(context.known.air_c, law, len(context))[:, None], context.joints)
         elif source == "joints":
@@ -79,6 +95,40 @@ class ThermalGrowth:
             shift_column(f"growth{i + 1}", unit, f"link {i + 1}", grown[i], lower, upper)
             for i in range(context.joints)
             if lengths[i] >= _NOTICEABLE * lengths.max() or (wanted is not None and f"growth{i + 1}" in wanted)
+        ]
+
+    @staticmethod
+    def _conduction(context: EffectContext, law: Law, wanted: Collection[str] | None) -> list[EffectColumn]:
+        """Columns of the lagged laws, each a block of its own; 0 at the run's means where nobody knows."""
+        known, n = context.known, len(context)
+        joints = above_joint_means(context, law)
+        air = above_mean(known.air_c, law, n)
+        warmer = joints - air[:, None]
+        ends = (warmer + np.column_stack([warmer[:, 1:], warmer[:, -1]])) / 2.0
+        if times_known(context) and known.time_s is not None:
+            behind = lagged(np.column_stack([ends, air]), known.time_s, law.constants["lag_s"])
+            ends, air = behind[:, :-1], behind[:, -1]
+        by_joints = context.link_growth * ends.T[:, :, None]
+        by_air = context.link_growth.sum(axis=0) * air[:, None]
+        rotations = context.frames[0]
+        housing = np.einsum("inc,ni->nc", rotations[:-1, :, :, 2], joints)
+        columns = [
+            shift_column("growth_air", "1/K", "all links", by_air, 0.0, 1e-4, "air"),
+            shift_column("growth_housings", "m/K", "all joints", housing, 0.0, 2e-5, "housings"),
+        ]
+        if law.name == "conduction":
+            return [
+                shift_column("growth_joints", "1/K", "all links", by_joints.sum(axis=0), 0.0, 1e-4, "joints"),
+                *columns,
+            ]
+        lengths = np.hypot(context.geometry.rows[:, 1], context.geometry.rows[:, 2])
+        return [
+            *(
+                shift_column(f"growth{i + 1}", "1/K", f"link {i + 1}", by_joints[i], 0.0, 1e-4)
+                for i in range(context.joints)
+                if lengths[i] >= _NOTICEABLE * lengths.max() or (wanted is not None and f"growth{i + 1}" in wanted)
+            ),
+            *columns,
         ]
 
 

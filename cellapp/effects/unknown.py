@@ -33,7 +33,7 @@ from cellapp.effects.history import filled, span, times_known
 from cellapp.kinematics.transforms import Array
 
 ORDER = 4
-TIME_ORDER = 9
+TIME_ORDER = 20
 PAIR_ORDER = 3
 _ROUNDING = 1e-6
 _LARGEST = 1e-2
@@ -45,8 +45,7 @@ _TRACKER = ("tracker radial", "tracker azimuth", "tracker elevation")
 class Unknown:
     """A data-driven term ``sum_k b_k f_k(v)`` in one channel, or ``sum_k b_k f_k(v, w)``; b in rad or m.
 
-    Of a joint angle v: cosine and sine of v to 4 v. Of time: linear, and cosine and sine of 1 to 9 half cycles over
-    the run. Of anything else: Legendre polynomials to order 4 on the range it had in the run, held beyond it. Of two
+    Of a joint angle v: cosine and sine of v to 4 v. Of time: linear, and cosine of 1 to 20 half cycles over the run. Of anything else: Legendre polynomials to order 4 on the range it had in the run, held beyond it. Of two
     variables: all such functions of total order up to 3. Constants: ``order``, ``low``, ``high`` and ``typical`` (what
     is taken where nobody knows: the end of the run for time, no step, the run's median dwell, its mean temperature, the
     nominal payload), ``center`` of an azimuth; with a ``2`` behind for the second variable.
@@ -271,7 +270,7 @@ def _unit(context: EffectContext, variable: str, constants: Mapping[str, float])
 def _of_time(x: Array, order: int) -> dict[str, Array]:
     functions = {"linear_time": 2.0 * x - 1.0}
     for k in range(1, order + 1):
-        functions[f"cos{k}_time"], functions[f"sin{k}_time"] = np.cos(np.pi * k * x), np.sin(np.pi * k * x)
+        functions[f"cos{k}_time"] = np.cos(np.pi * k * x)
     return functions
 
 

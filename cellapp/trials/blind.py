@@ -12,7 +12,7 @@ from cellapp.calibration.calibrate import profile_splits
 from cellapp.collection.cell import build_plant
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.cell_bodies import home_positions
-from cellapp.profile import Profile
+from cellapp.profile import Arm, Profile
 from cellapp.run import Readings
 
 DURATION_S = 18000.0
@@ -67,12 +67,10 @@ def blind_readings(
     air = profile.plant.temperature + _AIR_AMPLITUDE_K * waves.mean(axis=1) if profile.plant is not None else waves[:, 0]
     homes = home_positions(profile)
     readings = {}
+    loads = {name: np.where(heavy, _HEAVY_SHARE * _rated_kg(arm), arm.payload.mass) for name, arm in profile.arms.items()}
     for place, (name, q) in enumerate(stops.items()):
-        arm = profile.arms[name]
         step = np.diff(np.vstack([homes[name], q]), axis=0)
         approach = np.sign(step).astype(np.int8)
-        rated = _RATED_KG.get(arm.type.model.strip().upper().removesuffix("E"), 5.0)
-        payload = np.where(heavy, _HEAVY_SHARE * rated, arm.payload.mass)
         others = {other: rows for other, rows in stops.items() if other != name}
         rise = rng.uniform(*_JOINT_RISE_K, q.shape[1]) * -np.expm1(-time_s[:, None] / _WARM_UP_S)
         joints_c = air[:, None] + rise
@@ -82,10 +80,11 @@ def blind_readings(
             stood,
             approach=approach.astype(np.float64),
             others=others,
+            other_payloads={other: loads[other] for other in others},
             time_s=time_s,
             last_step=step,
             since_rest_s=dwell_s,
-            payload=payload,
+            payload=loads[name],
             joints_c=joints_c,
             air_c=air,
         )
@@ -100,7 +99,7 @@ def blind_readings(
             q=q,
             approach=approach,
             p_M=points,
-            payload_kg=payload,
+            payload_kg=loads[name],
             temperature_c=air + 0.05 * draw.standard_normal(n),
             joint_temperature_c=np.round(joints_c + 0.1 * draw.standard_normal(q.shape), 2),
             step=step,
@@ -109,3 +108,7 @@ def blind_readings(
         )
     splits, _ = profile_splits(profile, readings)
     return {name: replace(arm, split=splits[name]) for name, arm in readings.items()}
+
+
+def _rated_kg(arm: Arm) -> float:
+    return _RATED_KG.get(arm.type.model.strip().upper().removesuffix("E"), 5.0)

@@ -8,8 +8,11 @@ from drivers.plant.clearance import Clearance
 from drivers.plant.config import ArmConfig, CapsuleConfig, GeometryErrors, PlantConfig, TrackerConfig
 from drivers.plant.mechanism import gravity_torques
 from drivers.plant.plant import Plant, Target
+from drivers.plant.suggest import OUTSIDE, REALISTIC, suggest
 
 __all__ = [
+    "OUTSIDE",
+    "REALISTIC",
     "ArmConfig",
     "CapsuleConfig",
     "Clearance",
@@ -19,4 +22,5 @@ __all__ = [
     "Target",
     "TrackerConfig",
     "gravity_torques",
+    "suggest",
 ]

@@ -12,7 +12,7 @@ _AIR_SHARES = np.array([0.2, 0.3, 0.5])
 
 JOINT_TIME_CONSTANT_S = 2400.0
 JOINT_RISE_K = 20.0
-"""Rise above the air that a joint tends to when it turns at 1 rad/s without rest."""
+"""Rise above the air that a joint tends to when it turns at 1 rad/s without rest, over one that stands."""
 
 
 class Air:
@@ -28,7 +28,10 @@ class Air:
         return self._mean_c + _AIR_AMPLITUDE_K * (waves * _AIR_SHARES).sum(axis=1)
 
 
-def joint_rise(rise: Array, speed: Array, duration_s: float) -> Array:
-    """Rise above the air (N,) [K] after turning at the mean ``speed`` (N,) [rad/s] for a time: first order."""
-    end = JOINT_RISE_K * speed
+def joint_rise(rise: Array, speed: Array, duration_s: float, holding_k: float = 0.0) -> Array:
+    """Rise above the air (N,) [K] after turning at the mean ``speed`` (N,) [rad/s] for a time: first order.
+
+    ``holding_k`` is what a joint that stands tends to: its electronics, its brake, the current that holds it.
+    """
+    end = holding_k + JOINT_RISE_K * speed
     return end + (rise - end) * np.exp(-duration_s / JOINT_TIME_CONSTANT_S)

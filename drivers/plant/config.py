@@ -135,6 +135,7 @@ class GeometryErrors:
 
     ``length`` [m]: each axis line, sideways, in both directions. ``angle`` [rad]: its tilt, in both directions, and the
     joint zero. ``base_length``, ``base_angle``: the base pose; ``smr`` [m]: the SMR offset; each coordinate.
+    ``mass``: the mass of each body, as a share of the nominal one.
     """
 
     length: float = 0.0
@@ -142,6 +143,7 @@ class GeometryErrors:
     base_length: float = 0.0
     base_angle: float = 0.0
     smr: float = 0.0
+    mass: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +151,8 @@ class PlantConfig:
     """The whole simulated cell.
 
     ``repeatability`` [rad]: standard deviation of each joint's stop. ``noise``: whether the tracker has any.
-    ``floor`` [m]: height in C of the floor plane that the clearance witness watches.
+    ``floor`` [m]: height in C of the floor plane that the clearance witness watches. ``holding_k`` [K]: how much warmer
+    than the air a joint becomes by being switched on; real ones 5 to 15 K.
     """
 
     seed: int
@@ -160,6 +163,7 @@ class PlantConfig:
     temperature_c: float = 20.0
     noise: bool = True
     floor: float = 0.0
+    holding_k: float = 0.0
 
     def __post_init__(self) -> None:
         names = [arm.name for arm in self.arms]

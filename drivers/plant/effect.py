@@ -1,9 +1,9 @@
 """What a hidden effect of the simulated cell is, and how its parameters are read.
 
 An effect says how the arm departs from the ideal one in a given situation, without loads (``offset``) and under the
-loads of a posture (``bend``), what it remembers of the motions made (``begin``, ``moved``, ``approached``), and what
-the tracker sees of the SMR (``seen``). It overrides what it needs. The cell adds up all effects and repeats ``bend``
-until the loads of the deflected posture cause just that deflection.
+loads of a posture (``bend``), what it remembers of motions and temperatures (``begin``, ``moved``, ``warmed``, or all
+at once ``remembered``), and what the tracker sees of the SMR (``seen``). It overrides what it needs. The cell adds up
+all effects and repeats ``bend`` until the loads of the deflected posture cause just that deflection.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.mechanism import NO_DEFLECTION, Deflection, Posture
+from drivers.plant.mechanism import NO_DEFLECTION, Deflection, Load, Mechanism, Posture
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +41,12 @@ class Situation:
         Joint temperatures [degC].
     others : mapping
         Name of each other arm -> its undeflected posture at the same moment, in that arm's own base frame.
+    T_B_others : mapping
+        Name of each other arm -> what takes coordinates of its base frame into those of this arm's, (4, 4).
+    mechanism : Mechanism
+        The true, undeflected arm.
+    load : Load or None
+        What the flange carries; None is the mechanism's payload.
     """
 
     q: Array
@@ -51,6 +57,9 @@ class Situation:
     air_c: Array
     joints_c: Array
     others: Mapping[str, Posture]
+    T_B_others: Mapping[str, Array]
+    mechanism: Mechanism
+    load: Load | None = None
 
 
 class Effect:
@@ -64,8 +73,16 @@ class Effect:
         """Memory after each joint went straight to ``q`` (1, N)."""
         return memory
 
-    def approached(self, q: Array, approach: Array) -> Array | None:
-        """Memory (n, ...) of arms that came from afar to ``q`` (n, N) in the directions ``approach`` (n, N), or 0."""
+    def warmed(self, memory: Array | None, air_c: float, joints_c: Array, duration_s: float) -> Array | None:
+        """Memory after a time at the air temperature ``air_c`` and the joint temperatures ``joints_c`` (N,)."""
+        return memory
+
+    def remembered(self, situation: Situation) -> Array | None:
+        """Memory (n, ...) of arms of which no more is known than the situation tells.
+
+        A joint whose last step is zero came from afar in the direction of its approach; one that has none stands in the
+        middle of any play. The n situations are one history where their times differ.
+        """
         return None
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
@@ -89,35 +106,84 @@ class Parameters:
         self._values = values
         self.joints = joints
 
-    def only(self, *keys: str) -> None:
-        """Demand exactly these keys."""
+    def only(self, *keys: str, optional: tuple[str, ...] = ()) -> None:
+        """Demand these keys; allow the ``optional`` ones too and no other."""
+        named = ", ".join((*keys, *(f"{key} (optional)" for key in optional)))
         for key in self._values:
-            if key not in keys:
-                raise ValueError(f"{self._where}: there is no parameter '{key}'; its parameters are {', '.join(keys)}")
+            if key not in keys and key not in optional:
+                raise ValueError(f"{self._where}: there is no parameter '{key}'; its parameters are {named}")
         for key in keys:
             if key not in self._values:
-                raise ValueError(f"{self._where}: parameter '{key}' is missing; its parameters are {', '.join(keys)}")
+                raise ValueError(f"{self._where}: parameter '{key}' is missing; its parameters are {named}")
+
+    def together(self, *keys: str) -> bool:
+        """Whether these optional keys are there; it must be all or none."""
+        there = [key for key in keys if key in self._values]
+        if there and len(there) < len(keys):
+            raise ValueError(f"{self._where}: {', '.join(keys)} belong together, but only {', '.join(there)} is given")
+        return bool(there)
 
     def error(self, key: str, what: str) -> ValueError:
         """An error about one parameter, to be raised."""
         return ValueError(f"{self._where}: {key} {what}")
 
-    def numbers(self, key: str, count: int | None = None, *, above: float = -np.inf, least: float = -np.inf) -> Array:
-        """A list of ``count`` numbers (default: one a joint), each above ``above`` and at least ``least``."""
+    def unfit(self, what: str) -> ValueError:
+        """An error about the effect on this arm, to be raised."""
+        return ValueError(f"{self._where}: {what}")
+
+    def _list(self, key: str, count: int | None) -> list[Any]:
         count = self.joints if count is None else count
         value = self._values[key]
         if isinstance(value, np.ndarray):
             value = value.tolist()
         if not isinstance(value, list | tuple) or len(value) != count:
             raise self.error(key, f"must be a list of {count} numbers, not {value!r}")
-        for number in value:
-            if isinstance(number, bool) or not isinstance(number, Real) or np.isnan(float(number)):
-                raise self.error(key, f"must hold numbers in SI units, not {number!r}")
-            if float(number) <= above:
-                raise self.error(key, f"must be greater than {above:g}, not {float(number):g}")
-            if float(number) < least:
-                raise self.error(key, f"must be at least {least:g}, not {float(number):g}")
-        return np.array(value, dtype=np.float64)
+        return list(value)
+
+    def _number(self, key: str, value: Any, what: str, above: float, least: float) -> float:
+        if isinstance(value, bool) or not isinstance(value, Real) or not np.isfinite(float(value)):
+            raise self.error(key, f"must {what} in SI units, not {value!r}")
+        if float(value) <= above:
+            raise self.error(key, f"must be greater than {above:g}, not {float(value):g}")
+        if float(value) < least:
+            raise self.error(key, f"must be at least {least:g}, not {float(value):g}")
+        return float(value)
+
+    def numbers(self, key: str, count: int | None = None, *, above: float = -np.inf, least: float = -np.inf) -> Array:
+        """A list of ``count`` numbers (default: one a joint), each above ``above`` and at least ``least``."""
+        return np.array([self._number(key, value, "hold numbers", above, least) for value in self._list(key, count)])
+
+    def stiffnesses(self, key: str, count: int | None = None) -> Array:
+        """A list of ``count`` stiffnesses, each above 0; ``inf`` is what does not yield."""
+        values = self._list(key, count)
+        return np.array([v if v == np.inf else self._number(key, v, "hold numbers", 0.0, 0.0) for v in values])
+
+    def number(
+        self, key: str, *, above: float = -np.inf, least: float = -np.inf, default: float | None = None
+    ) -> float:
+        """One number, above ``above`` and at least ``least``; ``default`` where the key is missing."""
+        if default is not None and key not in self._values:
+            return default
+        return self._number(key, self._values[key], "be a number", above, least)
+
+    def stiffness(self, key: str) -> float:
+        """One stiffness, above 0; ``inf`` is what does not yield."""
+        value = self._values[key]
+        return float(np.inf) if value == np.inf else self._number(key, value, "be a number", 0.0, 0.0)
+
+    def whole(self, key: str, *, least: int) -> int:
+        """One whole number, at least ``least``."""
+        value = self._values[key]
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise self.error(key, f"must be a whole number from {least} up, not {value!r}")
+        return value
+
+    def choice(self, key: str, *words: str) -> str:
+        """One of some words."""
+        value = self._values.get(key)
+        if value not in words:
+            raise self.error(key, f"must be one of {', '.join(words)}, not {value!r}")
+        return str(value)
 
     def joint_numbers(self, key: str) -> np.ndarray:
         """A list of different joint numbers, counted from 1; returned counted from 0."""

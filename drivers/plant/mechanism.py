@@ -44,6 +44,14 @@ class Deflection:
 NO_DEFLECTION = Deflection()
 
 
+@dataclass(frozen=True, eq=False)
+class Load:
+    """What the flange carries at n stops: masses (n,) [kg], centres (n, 3) [m] in the flange frame."""
+
+    mass: Array
+    center: Array
+
+
 def _sum(one: Array | None, other: Array | None) -> Array | None:
     if one is None or other is None:
         return other if one is None else one
@@ -126,12 +134,10 @@ class Mechanism:
         return lines
 
     @cached_property
-    def _carried(self) -> tuple[Array, Array]:
-        """First moment and mass of each body, its load with it, as columns (N, 4, 1); mass beyond each joint (N,)."""
+    def _bodies(self) -> tuple[Array, Array]:
+        """First moment and mass of each body without a load, as columns (N, 4, 1); mass beyond each joint (N,)."""
         moments = np.concatenate([self.masses[:, None] * self.centers, self.masses[:, None]], axis=1)
-        load = carry(self.frames[-1], self.payload_center)
-        moments[-1] += self.payload_mass * np.append(load, 1.0)
-        return moments[:, :, None], np.cumsum(moments[::-1, 3])[::-1]
+        return moments[:, :, None], np.cumsum(self.masses[::-1])[::-1]
 
     def placements(self, q: Array, bend: Deflection) -> Array:
         """Motion in B (N, n, 4, 4) of each body from its place at zero, at the reported angles ``q`` (n, N).
@@ -160,13 +166,15 @@ class Mechanism:
 class Posture:
     """A mechanism at n sets of reported joint angles, bent as ``bend`` says; all in B, worked out when asked for.
 
-    ``gravity`` (3,) is the acceleration of free fall in B [m/s^2].
+    ``gravity`` (3,) is the acceleration of free fall in B [m/s^2]; ``load`` is what the flange carries, by default the
+    mechanism's payload.
     """
 
     mechanism: Mechanism
     q: Array
     gravity: Array
     bend: Deflection = NO_DEFLECTION
+    load: Load | None = None
 
     @cached_property
     def placements(self) -> Array:
@@ -193,17 +201,44 @@ class Posture:
         return lines[..., 0], lines[..., 1]
 
     @cached_property
+    def load_mass(self) -> Array:
+        """Mass that the flange carries, (n,) [kg]."""
+        if self.load is None:
+            return np.full(len(self.q), self.mechanism.payload_mass)
+        return self.load.mass
+
+    @cached_property
+    def load_moment(self) -> Array:
+        """Mass times place of what the flange carries, (n, 3) [kg m]."""
+        center = self.mechanism.payload_center if self.load is None else self.load.center
+        return self.load_mass[:, None] * carry(self.placements[-1] @ self.mechanism.frames[-1], center)
+
+    @cached_property
     def first_moments(self) -> Array:
         """Mass times place of each body, its load with it, (N, n, 3) [kg m]."""
-        return self._moved(self.placements, self.mechanism._carried[0])[..., 0]
+        moments = self._moved(self.placements, self.mechanism._bodies[0])[..., 0]
+        moments[-1] += self.load_moment
+        return moments
+
+    @cached_property
+    def masses_beyond(self) -> Array:
+        """Mass that each joint carries, (N, n) [kg]."""
+        return self.mechanism._bodies[1][:, None] + self.load_mass
 
     @cached_property
     def gravity_torques(self) -> Array:
         """Torque of gravity about each axis, (n, N) [Nm]; positive where gravity would increase the angle."""
         directions, points = self.axes
         arms = np.cumsum(self.first_moments[::-1], axis=0)[::-1]
-        arms -= self.mechanism._carried[1][:, None, None] * points
+        arms -= self.masses_beyond[..., None] * points
         # d . (r x g) = -(d [g]) . r
+        return -((directions @ cross_matrix(self.gravity)) * arms).sum(axis=-1).T
+
+    @cached_property
+    def load_torques(self) -> Array:
+        """The part of ``gravity_torques`` that is due to what the flange carries, (n, N) [Nm]."""
+        directions, points = self.axes
+        arms = self.load_moment - self.load_mass[:, None] * points
         return -((directions @ cross_matrix(self.gravity)) * arms).sum(axis=-1).T
 
     @cached_property
@@ -291,6 +326,12 @@ def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Gen
         zeros=mechanism.zeros + errors.angle * zeros,
         smr=mechanism.smr + errors.smr * smr,
     )
+
+
+def with_true_masses(mechanism: Mechanism, sd: float, rng: np.random.Generator) -> Mechanism:
+    """The mechanism with each body's mass off by its own share, normal with standard deviation ``sd``, at most 90 %."""
+    share = np.clip(sd * rng.standard_normal(len(mechanism.masses)), -0.9, 0.9)
+    return replace(mechanism, masses=mechanism.masses * (1.0 + share))
 
 
 def gravity_torques(arm: ArmConfig, q: Array) -> Array:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drivers.plant import effects as hidden
 from drivers.plant.clearance import Clearance, segment_distances
@@ -17,11 +18,13 @@ from drivers.plant.mechanism import (
     NO_DEFLECTION,
     STANDARD_GRAVITY,
     Deflection,
+    Load,
     Mechanism,
     Posture,
     combined,
     nominal,
     with_errors,
+    with_true_masses,
 )
 from drivers.plant.motion import Motion, braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
@@ -73,6 +76,15 @@ def _change(before: Deflection, after: Deflection) -> float:
     return largest
 
 
+def _as_shape(name: str, value: ArrayLike | None, default: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """``value``, or ``default`` where there is none, in the wanted shape."""
+    array = np.asarray(default if value is None else value, dtype=np.float64)
+    try:
+        return np.broadcast_to(array, shape)
+    except ValueError:
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape}") from None
+
+
 class Plant:
     """A cell with true geometry and hidden effects, drawn and switched on by a configuration.
 
@@ -98,7 +110,7 @@ class Plant:
             self._watch(np.zeros(1))
 
     def _true_arm(self, arm: ArmConfig, seed: np.random.SeedSequence) -> _Arm:
-        geometry, base, repeatability = (np.random.default_rng(s) for s in seed.spawn(3))
+        geometry, base, repeatability, masses = (np.random.default_rng(s) for s in seed.spawn(4))
         errors = self.config.errors
         effects = hidden.build(arm.name, arm.joints, arm.effects)
         sizes = np.repeat([errors.base_length, errors.base_angle], 3)
@@ -106,7 +118,7 @@ class Plant:
         assert arm.home is not None
         return _Arm(
             config=arm,
-            mechanism=with_errors(nominal(arm), errors, geometry),
+            mechanism=with_true_masses(with_errors(nominal(arm), errors, geometry), errors.mass, masses),
             T_C_B=T_C_B,
             T_M_B=self._T_M_C @ T_C_B,
             gravity=T_C_B[:3, :3].T @ np.array([0.0, 0.0, -STANDARD_GRAVITY]),
@@ -149,6 +161,10 @@ class Plant:
         """True SMR centre in the flange frame, (3,) [m]."""
         return self._arm(name).mechanism.smr.copy()
 
+    def _T_B_others(self, arm: _Arm) -> dict[str, Array]:
+        back = inverse(arm.T_C_B)
+        return {name: back @ other.T_C_B for name, other in self._arms.items() if other is not arm}
+
     # -- statics -----------------------------------------------------------------------------------------------------
 
     def _settle(
@@ -160,7 +176,7 @@ class Plant:
             fixed = combined((fixed, Deflection(joints=miss)))
         bent = start
         for _ in range(_EQUILIBRIUM_STEPS):
-            posture = Posture(arm.mechanism, situation.q, arm.gravity, combined((fixed, bent)))
+            posture = Posture(arm.mechanism, situation.q, arm.gravity, combined((fixed, bent)), situation.load)
             after = combined(effect.bend(situation, posture) for effect in arm.effects)
             if _change(bent, after) <= _EQUILIBRIUM_RAD:
                 return posture, after
@@ -177,6 +193,27 @@ class Plant:
             p_M = effect.seen(p_M, normal_M, situation)
         return p_M, normal_M
 
+    def _others(
+        self, arm: _Arm, given: Mapping[str, Array], n: int, loads: Mapping[str, Array] | None = None
+    ) -> dict[str, Posture]:
+        """The other arms at the joint angles ``given`` (n, N) with the loads ``loads`` (n,), or as they are now."""
+        loads = {} if loads is None else loads
+        return {
+            name: Posture(
+                other.mechanism,
+                np.broadcast_to(given.get(name, self._q(other)), (n, other.config.joints)),
+                other.gravity,
+                load=None
+                if name not in loads
+                else Load(
+                    _as_shape("other_payloads", loads[name], 0.0, (n,)),
+                    np.broadcast_to(other.mechanism.payload_center, (n, 3)),
+                ),
+            )
+            for name, other in self._arms.items()
+            if other is not arm
+        }
+
     def smr_positions(
         self,
         name: str,
@@ -184,41 +221,82 @@ class Plant:
         *,
         approach: Array | None = None,
         others: Mapping[str, Array] | None = None,
+        other_payloads: Mapping[str, Array] | None = None,
         time_s: Array | None = None,
+        last_step: Array | None = None,
+        since_rest_s: Array | None = None,
+        payload: Array | None = None,
+        payload_center: Array | None = None,
+        joints_c: Array | None = None,
+        air_c: Array | None = None,
     ) -> Array:
         """SMR centres (n, 3) in M of an arm at rest at ``q`` (n, N), with all effects, without noise or repeatability.
 
-        ``approach`` (n, N) is the sign of each joint's last motion, 0 or None in the middle of any play. ``others``
-        gives the joint angles (n, N) of other arms, ``time_s`` (n,) the times; by default they are as they are now.
+        Parameters
+        ----------
+        approach : array, shape (n, N)
+            Sign of each joint's last motion, 0 in the middle of any play; by default that of ``last_step``, else 0.
+        others : mapping
+            Joint angles (n, N) of other arms, by name; by default they are where they are now.
+        other_payloads : mapping
+            Loads (n,) [kg] of other arms, by name; by default what they carry now.
+        time_s : array, shape (n,)
+            The cell's clock [s]; by default all are now. Temperatures of different times are one history.
+        last_step : array, shape (n, N)
+            The last motion of each joint, with its sign [rad]; by default it is over, and came from afar.
+        since_rest_s : array, shape (n,)
+            Time at rest [s]; by default for ever.
+        payload, payload_center : arrays, shapes (n,), (n, 3) or (3,)
+            Load [kg] and its centre in the flange frame [m]; by default those that the arm carries now.
+        joints_c, air_c : arrays, shapes (n, N), (n,)
+            Temperatures [degC]; by default the air of the time and joints as much warmer as they are now.
+
+        Anything broadcasts to its shape. Raises ``ValueError`` where it does not, and for a negative load.
         """
         arm = self._arm(name)
         q = np.asarray(q, dtype=np.float64)
-        n = len(q)
-        approach = np.zeros_like(q) if approach is None else np.sign(np.asarray(approach, dtype=np.float64))
-        times = np.full(n, self._clock_s) if time_s is None else np.asarray(time_s, dtype=np.float64)
-        air = self._air.temperature_c(times)
-        given = {} if others is None else others
+        n, joints = len(q), arm.config.joints
+        step = _as_shape("last_step", last_step, np.zeros_like(q), (n, joints))
+        times = _as_shape("time_s", time_s, self._clock_s, (n,))
+        air = _as_shape("air_c", air_c, self._air.temperature_c(times), (n,))
+        mass, center = arm.mechanism.payload_mass, arm.mechanism.payload_center
+        load = Load(
+            _as_shape("payload", payload, mass, (n,)), _as_shape("payload_center", payload_center, center, (n, 3))
+        )
+        if (load.mass < 0.0).any():
+            raise ValueError(f"payload must be at least 0 kg, not {load.mass.min():g}")
         situation = Situation(
             q=q,
-            approach=approach,
-            last_step=np.zeros_like(q),
-            since_rest_s=np.full(n, np.inf),
+            approach=np.sign(_as_shape("approach", approach, step, (n, joints))),
+            last_step=step,
+            since_rest_s=_as_shape("since_rest_s", since_rest_s, np.inf, (n,)),
             time_s=times,
             air_c=air,
-            joints_c=air[:, None] + arm.rise,
-            others={
-                other.config.name: Posture(
-                    other.mechanism,
-                    np.broadcast_to(given.get(other.config.name, self._q(other)), (n, other.config.joints)),
-                    other.gravity,
-                )
-                for other in self._arms.values()
-                if other is not arm
-            },
+            joints_c=_as_shape("joints_c", joints_c, air[:, None] + arm.rise, (n, joints)),
+            others=self._others(arm, {} if others is None else others, n, other_payloads),
+            T_B_others=self._T_B_others(arm),
+            mechanism=arm.mechanism,
+            load=load,
         )
-        memories = [effect.approached(q, approach) for effect in arm.effects]
+        memories = [effect.remembered(situation) for effect in arm.effects]
         posture, _ = self._settle(arm, situation, memories, NO_DEFLECTION, None)
         return self._seen(arm, situation, posture)[0]
+
+    def joint_temperatures_during(self, name: str, q: Array, time_s: Array) -> Array:
+        """Joint temperatures (n, N) [degC] of an arm that is cold at time 0 and stands at ``q`` (n, N) at ``time_s``.
+
+        It is as warm as if each joint had turned evenly from each stop to the next; times (n,) must not decrease.
+        """
+        arm = self._arm(name)
+        q, time_s = np.asarray(q, dtype=np.float64), np.asarray(time_s, dtype=np.float64)
+        rise, found = np.zeros(arm.config.joints), np.empty_like(q)
+        waits = np.diff(time_s, prepend=0.0)
+        ways = np.abs(np.diff(q, axis=0, prepend=q[:1]))
+        for k, (wait, way) in enumerate(zip(waits, ways, strict=True)):
+            speed = way / wait if wait > 0.0 else np.zeros_like(way)
+            rise = joint_rise(rise, speed, wait, self.config.holding_k)
+            found[k] = rise
+        return self._air.temperature_c(time_s)[:, None] + found
 
     # -- time and motion ---------------------------------------------------------------------------------------------
 
@@ -302,16 +380,22 @@ class Plant:
                 last = min(max(ends), end_s)
                 count = int(np.ceil((last - self._clock_s) / _WATCH_STEP_S)) + 1
                 self._watch(np.linspace(self._clock_s, last, max(count, 2)))
+        air_c = self.air_temperature_c
         for arm in self._arms.values():
-            resting_s = duration_s
+            resting_s, cold = duration_s, arm.rise
             if arm.motion is not None:
                 turning_s = min(arm.motion.end_s, end_s) - self._clock_s
                 mean = np.abs(arm.motion.q_to - arm.motion.q_from) / arm.motion.duration_s
-                arm.rise = joint_rise(arm.rise, mean, turning_s)
+                arm.rise = joint_rise(arm.rise, mean, turning_s, self.config.holding_k)
                 resting_s -= turning_s
                 if arm.motion.end_s <= end_s:
                     self._arrive(arm, arm.motion.q_to, arm.motion.end_s)
-            arm.rise = joint_rise(arm.rise, np.zeros_like(arm.rise), resting_s)
+            arm.rise = joint_rise(arm.rise, np.zeros_like(arm.rise), resting_s, self.config.holding_k)
+            mean_c = air_c + 0.5 * (cold + arm.rise)
+            arm.memories = [
+                effect.warmed(memory, air_c, mean_c, duration_s)
+                for effect, memory in zip(arm.effects, arm.memories, strict=True)
+            ]
         self._clock_s = end_s
 
     # -- tracker -----------------------------------------------------------------------------------------------------
@@ -333,11 +417,9 @@ class Plant:
             time_s=np.array([self._clock_s]),
             air_c=np.array([self.air_temperature_c]),
             joints_c=(self.air_temperature_c + arm.rise)[None],
-            others={
-                other.config.name: Posture(other.mechanism, self._q(other)[None], other.gravity)
-                for other in self._arms.values()
-                if other is not arm
-            },
+            others=self._others(arm, {}, 1),
+            T_B_others=self._T_B_others(arm),
+            mechanism=arm.mechanism,
         )
         posture, arm.bent = self._settle(arm, situation, memories, arm.bent, arm.miss[None])
         p_M, normal_M = self._seen(arm, situation, posture)

@@ -91,7 +91,7 @@ def test_a_stop_on_the_way_counts_in_the_history(make_arm, make_plant):
 @pytest.mark.parametrize(
     ("effects", "message"),
     [
-        ({"gremlins": {}}, "arm left: there is no effect 'gremlins'; effects are backlash, encoder_"),
+        ({"gremlins": {}}, "arm left: there is no effect 'gremlins'; effects are backlash, base_drift"),
         ({"backlash": {"plays": [0] * 6}}, "arm left, effect backlash: there is no parameter 'plays'; its .* are play"),
         ({"backlash": {}}, "arm left, effect backlash: parameter 'play' is missing"),
         ({"backlash": [1]}, "arm left, effect backlash: expected its parameters by name"),

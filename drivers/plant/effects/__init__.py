@@ -8,12 +8,48 @@ from typing import Any
 from drivers.plant.effect import Effect, Parameters
 from drivers.plant.effects.backlash import backlash
 from drivers.plant.effects.encoder_eccentricity import encoder_eccentricity
+from drivers.plant.effects.friction_windup import friction_windup
+from drivers.plant.effects.joint_axis_wobble import joint_axis_wobble
 from drivers.plant.effects.joint_compliance import joint_compliance
+from drivers.plant.effects.link_bending import link_bending
+from drivers.plant.effects.payload_compliance import payload_compliance
+from drivers.plant.effects.peculiar import base_sway, crosstalk, draught, dress_pack, tool_sag, wrist_cable
+from drivers.plant.effects.pedestal import pedestal_compliance, pedestal_coupling
+from drivers.plant.effects.target_incidence import target_incidence
+from drivers.plant.effects.tracker import tracker_angle_error, tracker_distance_offset, tracker_scale
+from drivers.plant.effects.transmission_error import transmission_error
+from drivers.plant.effects.unsettled_measurement import unsettled_measurement
+from drivers.plant.effects.wandering import base_drift, base_step, target_slip, tracker_drift
+from drivers.plant.effects.warmth import joint_drift, thermal_growth
 
 FACTORIES: Mapping[str, Callable[[Parameters], Effect]] = {
     "backlash": backlash,
+    "base_drift": base_drift,
+    "base_step": base_step,
+    "base_sway": base_sway,
+    "crosstalk": crosstalk,
+    "draught": draught,
+    "dress_pack": dress_pack,
     "encoder_eccentricity": encoder_eccentricity,
+    "friction_windup": friction_windup,
+    "joint_axis_wobble": joint_axis_wobble,
     "joint_compliance": joint_compliance,
+    "joint_drift": joint_drift,
+    "link_bending": link_bending,
+    "payload_compliance": payload_compliance,
+    "pedestal_compliance": pedestal_compliance,
+    "pedestal_coupling": pedestal_coupling,
+    "target_incidence": target_incidence,
+    "target_slip": target_slip,
+    "thermal_growth": thermal_growth,
+    "tool_sag": tool_sag,
+    "tracker_angle_error": tracker_angle_error,
+    "tracker_distance_offset": tracker_distance_offset,
+    "tracker_drift": tracker_drift,
+    "tracker_scale": tracker_scale,
+    "transmission_error": transmission_error,
+    "unsettled_measurement": unsettled_measurement,
+    "wrist_cable": wrist_cable,
 }
 
 

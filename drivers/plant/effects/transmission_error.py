@@ -1,0 +1,119 @@
+"""Strain-wave drives that do not turn evenly: a few lines from couplings, or a curve as rough as its teeth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.plant.config import Array
+from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.mechanism import Deflection
+
+
+def cardan(angle: Array, slant: Array) -> Array:
+    """What leads or lags behind a universal joint at a shaft ``angle`` whose far side is slanted by ``slant`` [rad].
+
+    ``tan(out) = tan(angle) / cos(slant)``: twice a turn, ``tan^2(slant / 2)`` high.
+    """
+    out: Array = np.arctan2(np.sin(angle), np.cos(angle) * np.cos(slant))
+    return (out - angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class StrainWaveGear(Effect):
+    """Motor, coupling, wave generator, gear of ratio N, output flange; each passes the turn on a little unevenly.
+
+    The motor stands at N times the reported angle. The coupling to the wave generator is eccentric, by a share of its
+    radius (N cycles a turn of the joint, ``eccentric / N`` high), and slanted (2 N cycles); behind the gear the
+    output is slanted (2 cycles). Published spectra have lines at just these [secondary]; sizes are estimates, 20 to
+    60 urad.
+    """
+
+    joints: np.ndarray
+    ratio: Array
+    eccentric: Array
+    eccentric_phase: Array
+    coupling_slant: Array
+    coupling_phase: Array
+    output_slant: Array
+    output_phase: Array
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        joint = situation.q[:, self.joints]
+        motor = self.ratio * joint
+        pin = motor + self.eccentric_phase
+        generator = motor + np.arctan2(self.eccentric * np.sin(pin), 1.0 + self.eccentric * np.cos(pin))
+        generator = generator + cardan(generator + self.coupling_phase, self.coupling_slant)
+        behind = generator / self.ratio
+        behind = behind + cardan(behind + self.output_phase, self.output_slant)
+        offsets = np.zeros_like(situation.q)
+        offsets[:, self.joints] = behind - joint
+        return Deflection(joints=offsets)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorCurve(Effect):
+    """Each joint has a smooth periodic error of its own, as found on a joint turned slowly past an autocollimator.
+
+    The curve passes through one random height per degree of a random process that holds only the wanted cycles.
+    """
+
+    joints: np.ndarray
+    curves: Array  # (joints, knots) [rad]
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        offsets = np.zeros_like(situation.q)
+        knots = self.curves.shape[1]
+        for row, joint in zip(self.curves, self.joints, strict=True):
+            turn = (situation.q[:, joint] / (2.0 * np.pi)) % 1.0 * knots
+            first = np.floor(turn).astype(int)
+            f = turn - first
+            before, left, right, after = (row[(first + k) % knots] for k in (-1, 0, 1, 2))
+            # Catmull and Rom's cubic: smooth through its knots
+            square = 2.0 * before - 5.0 * left + 4.0 * right - after
+            cube = 3.0 * (left - right) + after - before
+            offsets[:, joint] = left + 0.5 * f * (right - before + f * (square + f * cube))
+        return Deflection(joints=offsets)
+
+
+_KNOTS = 1440
+
+
+def _random_curve(rng: np.random.Generator, rms: float, lowest: int, highest: int) -> Array:
+    spectrum = np.zeros(_KNOTS // 2 + 1, dtype=np.complex128)
+    cycles = np.arange(lowest, highest + 1)
+    draws = rng.standard_normal((2, len(cycles)))
+    spectrum[cycles] = (draws[0] + 1j * draws[1]) / np.sqrt(cycles)
+    curve = np.fft.irfft(spectrum, _KNOTS)
+    scaled: Array = curve * (rms / np.sqrt((curve**2).mean()))
+    return scaled
+
+
+def transmission_error(parameters: Parameters) -> Effect:
+    """``mode`` lines or curve, ``joints``: numbers from 1.
+
+    lines: for each joint ``ratio``; ``eccentric`` [m/m] and ``coupling_slant`` [rad] of the wave generator's coupling,
+    ``output_slant`` [rad], each with its phase (``eccentric_phase``, ``coupling_phase``, ``output_phase``) [rad].
+    curve: ``rms`` [rad] of each joint, ``seed``, ``lowest`` and ``highest`` cycles a turn.
+    """
+    if parameters.choice("mode", "lines", "curve") == "curve":
+        parameters.only("mode", "joints", "rms", "seed", "lowest", "highest")
+        joints = parameters.joint_numbers("joints")
+        lowest, highest = parameters.whole("lowest", least=2), parameters.whole("highest", least=2)
+        if not lowest <= highest <= _KNOTS // 10:
+            raise parameters.error("highest", f"must be from lowest, {lowest}, to {_KNOTS // 10}, not {highest}")
+        sizes = parameters.numbers("rms", len(joints), least=0.0)
+        rng = np.random.default_rng(parameters.whole("seed", least=0))
+        return ErrorCurve(joints, np.array([_random_curve(rng, size, lowest, highest) for size in sizes]))
+    slants = ("coupling_slant", "output_slant")
+    phases = ("eccentric_phase", "coupling_phase", "output_phase")
+    parameters.only("mode", "joints", "ratio", "eccentric", *slants, *phases)
+    joints = parameters.joint_numbers("joints")
+    count = len(joints)
+    values = {key: parameters.numbers(key, count, least=0.0) for key in ("eccentric", *slants)}
+    for key, value in values.items():
+        if (value >= 1.0).any():
+            raise parameters.error(key, f"must be less than 1, not {value.max():g}")
+    values |= {key: parameters.numbers(key, count) for key in phases}
+    return StrainWaveGear(joints=joints, ratio=parameters.numbers("ratio", count, least=1.0), **values)

@@ -1,0 +1,259 @@
+"""Effects that turn joints, against energies, hand calculations and numbers worked out another way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cellapp.effects import EFFECTS, PLAIN, Circumstances, Law
+from cellapp.effects.periodic import LINES_MAX, prior_sd
+from tests.effects.cell import by_name, chain, context_of, knowing, offsets
+
+GRAVITY = 9.80665
+CONTEXT = context_of(12)
+
+
+def laws(slug, name, context=CONTEXT):
+    return [law for law in EFFECTS[slug].laws(context) if law.name == name]
+
+
+def columns(slug, law, context=CONTEXT):
+    return by_name(EFFECTS[slug].columns(context, law))
+
+
+def energy(row, joints, masses, payload):
+    """Potential energy [J] of bodies and payload, with the joints displaced."""
+    walked = chain(CONTEXT, row, joints=joints)
+    heights = [
+        CONTEXT.up_M @ (pose[:3, :3] @ center + pose[:3, 3])
+        for pose, center in zip(walked.frames[1:], CONTEXT.bodies.centers, strict=True)
+    ]
+    end = walked.frames[-1]
+    load = CONTEXT.up_M @ (end[:3, :3] @ CONTEXT.bodies.payload_center + end[:3, 3])
+    return GRAVITY * (masses @ np.array(heights) + payload * load)
+
+
+def torques(masses, payload):
+    """Falling slope of the energy by each joint (n, N) [Nm]; ``masses`` (N,), ``payload`` (n,)."""
+    h = 1e-5
+    return np.array(
+        [
+            [
+                -(energy(row, h * step, masses, payload[row]) - energy(row, -h * step, masses, payload[row])) / (2 * h)
+                for step in np.eye(6)
+            ]
+            for row in range(len(CONTEXT))
+        ]
+    )
+
+
+def test_compliance_follows_the_torque_of_arm_and_payload():
+    expected = torques(CONTEXT.bodies.masses, CONTEXT.known.payload_kg)
+    assert np.abs(expected).max() > 50.0
+    found = columns("joint_compliance", Law("linear"))
+    for j in range(6):
+        np.testing.assert_allclose(offsets(found[f"compliance{j + 1}"]), expected[:, j], atol=1e-5)
+
+
+def test_payload_compliance_follows_the_torque_of_the_payload_alone():
+    expected = torques(np.zeros(6), CONTEXT.known.payload_kg)
+    found = columns("payload_compliance", PLAIN)
+    for j in range(6):
+        np.testing.assert_allclose(offsets(found[f"payload_compliance{j + 1}"]), expected[:, j], atol=1e-5)
+
+
+def test_free_moments_are_the_torque_body_by_body_and_sum_to_all():
+    found = columns("joint_compliance", Law("free_moments"))
+    assert [name for name in found if name.startswith("moment5")] == ["moment5_5", "moment5_6"]
+    for i in range(6):
+        expected = torques(np.where(np.arange(6) == i, CONTEXT.bodies.masses, 0.0), CONTEXT.known.payload_kg * (i == 5))
+        for j in range(i + 1):
+            np.testing.assert_allclose(offsets(found[f"moment{j + 1}_{i + 1}"]), expected[:, j], atol=1e-5)
+    for j in range(6):
+        total = sum(offsets(found[f"moment{j + 1}_{i + 1}"]) for i in range(j, 6))
+        np.testing.assert_allclose(total, CONTEXT.torques[:, j], atol=1e-9)
+
+
+def test_a_body_without_mass_has_no_moment():
+    masses = CONTEXT.bodies.masses * np.array([1, 1, 0, 1, 1, 1])
+    context = replace(CONTEXT, bodies=replace(CONTEXT.bodies, masses=masses))
+    assert "moment2_3" not in columns("joint_compliance", Law("free_moments"), context)
+    assert "moment2_4" in columns("joint_compliance", Law("free_moments"), context)
+
+
+def test_an_upright_arm_has_no_torque_at_its_first_joint():
+    """Not even rounding errors, which a scan would take for a column like any other."""
+    axis = CONTEXT.geometry.T_M_B()[:3, 2]
+    upright = replace(CONTEXT, up_M=axis)
+    assert not offsets(columns("joint_compliance", Law("linear"), upright)["compliance1"]).any()
+
+
+def test_two_slopes_meet_at_the_knee():
+    stiffest = np.abs(CONTEXT.torques).max(axis=0)
+    found = laws("joint_compliance", "two_slope")
+    assert [law.constants["knee2"] / stiffest[1] for law in found] == pytest.approx([0.2, 0.35, 0.5, 0.65])
+    assert {law.tried for law in found} == {4}
+    law = found[2]
+    parts = columns("joint_compliance", law)
+    torque, knee = CONTEXT.torques[:, 1], law.constants["knee2"]
+    turned = 1e-5 * offsets(parts["compliance2"]) + 4e-6 * offsets(parts["soft2"])
+    inside = np.abs(torque) < knee
+    assert 0 < np.count_nonzero(inside) < len(torque)
+    np.testing.assert_allclose(turned[inside], 1.4e-5 * torque[inside])
+    np.testing.assert_allclose(turned[~inside], (1e-5 * torque + 4e-6 * knee * np.sign(torque))[~inside])
+
+
+def test_eccentricity_is_one_cycle_and_ovality_two():
+    found = columns("encoder_eccentricity", PLAIN)
+    np.testing.assert_allclose(offsets(found["cos1q4"]), np.cos(CONTEXT.q[:, 3]))
+    np.testing.assert_allclose(offsets(found["sin1q6"]), np.sin(CONTEXT.q[:, 5]))
+    found = columns("transmission_error", Law("two"))
+    assert list(found)[:2] == ["cos2q1", "sin2q1"]
+    assert {column.block for column in found.values()} == {f"joint {j}" for j in range(1, 7)}
+    np.testing.assert_allclose(offsets(found["sin2q5"]), np.sin(2.0 * CONTEXT.q[:, 4]))
+
+
+def test_every_line_is_a_block_that_pays_for_the_search():
+    (law,) = laws("transmission_error", "lines")
+    assert law.tried == LINES_MAX - 1 == 209
+    found = columns("transmission_error", law)
+    assert len(found) == 2 * 6 * 209
+    assert {found["cos101q3"].block, found["sin101q3"].block} == {"joint 3 line 101"}
+    assert len({column.block for column in found.values()}) == 6 * 209
+    for name, column in found.items():
+        wave, (cycles, joint) = name[:3], (int(text) for text in name[3:].split("q"))
+        expected = (np.cos if wave == "cos" else np.sin)(cycles * CONTEXT.q[:, joint - 1])
+        np.testing.assert_allclose(offsets(column), expected, atol=1e-12)
+
+
+def test_a_curve_has_the_cycles_of_the_joints_that_carry_a_prior():
+    law = Law("curve", {"cycles": 5.0, "length4": 0.3, "amplitude4": 1e-4})
+    found = columns("transmission_error", law)
+    assert list(found) == ["cos2q4", "sin2q4", "cos3q4", "sin3q4", "cos4q4", "sin4q4", "cos5q4", "sin5q4"]
+    assert {column.block for column in found.values()} == {"joint 4"}
+    assert not any(law.name == "curve" for law in EFFECTS["transmission_error"].laws(CONTEXT))
+
+
+@pytest.mark.parametrize(("length", "amplitude"), [(0.05, 1e-4), (0.3, 2e-4), (2.0, 5e-5)])
+def test_a_curves_prior_variances_sum_to_its_amplitude_squared(length, amplitude):
+    law = Law("curve", {"cycles": 210.0, "length1": length, "amplitude1": amplitude})
+    cosines = prior_sd(law, [f"cos{k}q1" for k in range(1, 4001)])
+    assert np.sum(cosines**2) == pytest.approx(amplitude**2, rel=1e-12)
+    np.testing.assert_array_equal(cosines[:50], prior_sd(law, [f"sin{k}q1" for k in range(1, 51)]))
+    assert (np.diff(cosines) < 0.0).all()
+
+
+def test_a_curves_prior_correlates_like_materns():
+    """On a circle much longer than the length the periodic process is the plain one with smoothness 5/2."""
+    length, lag = 0.15, np.array([0.0, 0.05, 0.1, 0.2, 0.4])
+    law = Law("curve", {"cycles": 210.0, "length2": length, "amplitude2": 1.0})
+    k = np.arange(1, 4001)
+    variance = prior_sd(law, [f"cos{n}q2" for n in k]) ** 2
+    found = np.cos(np.outer(lag, k)) @ variance
+    scaled = np.sqrt(5.0) * lag / length
+    plain = (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
+    mean = variance[0] * 0.5  # the constant, which is a joint zero, is not in the sum
+    np.testing.assert_allclose((found + mean) / (1.0 + mean), plain, atol=2e-3)
+
+
+def test_prior_of_each_joint_is_its_own():
+    law = Law("curve", {"cycles": 9.0, "length1": 0.2, "amplitude1": 1e-4, "length3": 0.2, "amplitude3": 3e-4})
+    one, three = prior_sd(law, ["cos7q1", "sin7q3"])
+    assert three == pytest.approx(3.0 * one)
+
+
+def test_a_joint_stays_half_the_play_behind():
+    found = columns("backlash", Law("constant"))
+    for j in range(6):
+        column = found[f"half_play{j + 1}"]
+        np.testing.assert_array_equal(offsets(column), -CONTEXT.known.approach[:, j])
+        assert (column.lower, column.unit) == (0.0, "rad")
+
+
+def test_hysteresis_saturates_with_the_step():
+    found = laws("backlash", "saturating")
+    assert [law.constants["width"] for law in found] == [0.02, 0.05, 0.1, 0.2, 0.4, 0.8]
+    assert {law.tried for law in found} == {6}
+    step = CONTEXT.known.step[:, 2]
+    np.testing.assert_allclose(
+        offsets(columns("backlash", found[3])["half_play3"]), -np.sign(step) * np.tanh(np.abs(step) / 0.2)
+    )
+    only_signs = knowing(CONTEXT, Circumstances(approach=CONTEXT.known.approach))
+    typical = np.median(np.abs(CONTEXT.known.step[:, 2]))
+    np.testing.assert_allclose(
+        offsets(columns("backlash", found[3], only_signs)["half_play3"]), -np.sign(step) * np.tanh(typical / 0.2)
+    )
+
+
+def test_an_unknown_approach_is_no_lost_motion():
+    nobody_knows = knowing(CONTEXT, Circumstances())
+    for slug in ("backlash", "friction_windup", "unsettled_measurement"):
+        for law in EFFECTS[slug].laws(CONTEXT):
+            for column in columns(slug, law, nobody_knows).values():
+                assert not offsets(column).any()
+
+
+def test_friction_winds_up_with_the_load():
+    signs, load = CONTEXT.known.approach[:, 1], np.abs(CONTEXT.torques[:, 1])
+    both = columns("friction_windup", Law("both"))
+    assert both["dry2"].block == both["windup2"].block == "joint 2"
+    np.testing.assert_allclose(offsets(both["dry2"]), -signs)
+    np.testing.assert_allclose(offsets(both["windup2"]), -signs * load)
+    alone = columns("friction_windup", Law("load"))
+    assert list(alone) == [f"windup{j}" for j in range(1, 7)]
+    np.testing.assert_allclose(offsets(alone["windup2"]), -signs * load)
+
+
+def test_an_unsettled_joint_lags_behind_its_motion():
+    step, dwell = CONTEXT.known.step[:, 0], CONTEXT.known.dwell_s
+    np.testing.assert_allclose(offsets(columns("unsettled_measurement", Law("step"))["lag1"]), -step)
+    found = laws("unsettled_measurement", "creep")
+    assert found[-1].constants["tau_s"] == pytest.approx(30.0)
+    for law in found:
+        expected = -step * np.exp(-dwell / law.constants["tau_s"])
+        np.testing.assert_allclose(offsets(columns("unsettled_measurement", law)["lag1"]), expected)
+    no_dwell = knowing(CONTEXT, Circumstances(step=CONTEXT.known.step))
+    np.testing.assert_allclose(
+        offsets(columns("unsettled_measurement", found[-1], no_dwell)["lag1"]), -step * np.exp(-np.median(dwell) / 30.0)
+    )
+
+
+def test_creep_that_is_over_before_any_reading_is_not_tried():
+    patient = replace(CONTEXT.known, dwell_s=CONTEXT.known.dwell_s + 20.0)
+    quick, slow = (
+        laws("unsettled_measurement", "creep"),
+        laws("unsettled_measurement", "creep", knowing(CONTEXT, patient)),
+    )
+    assert len(quick) == quick[0].tried == 8
+    assert 0 < len(slow) == slow[0].tried < 8
+    assert min(law.constants["tau_s"] for law in slow) > 2.0
+
+
+def test_joint_zeros_drift():
+    time = CONTEXT.known.time_s
+    (law,) = laws("joint_drift", "linear")
+    column = columns("joint_drift", law)["drift4"]
+    assert (column.unit, column.joint) == ("rad", 3)
+    np.testing.assert_allclose(offsets(column), (time - time[0]) / (time[-1] - time[0]))
+    for law in laws("joint_drift", "warm_up"):
+        expected = 1.0 - np.exp(-(time - time[0]) / law.constants["tau_s"])
+        np.testing.assert_allclose(offsets(columns("joint_drift", law)["drift4"]), expected)
+    (law,) = laws("joint_drift", "joint_temperature")
+    column = columns("joint_drift", law)["drift4"]
+    joints_c = CONTEXT.known.joints_c[:, 3]
+    assert column.unit == "rad/K"
+    np.testing.assert_allclose(offsets(column), joints_c - joints_c.mean())
+
+
+@given(late=st.floats(0.0, 1e6))
+def test_after_the_run_a_drift_stays_as_it_was_at_its_end(late):
+    (law,) = laws("joint_drift", "linear")
+    last = float(CONTEXT.known.time_s[-1])
+    context = replace(CONTEXT, q=CONTEXT.q[:1], known=Circumstances(time_s=np.array([last + late])))
+    assert offsets(columns("joint_drift", law, context)["drift1"])[0] == 1.0
+    now = replace(context, known=Circumstances())
+    assert offsets(columns("joint_drift", law, now)["drift1"])[0] == 1.0

@@ -1,0 +1,291 @@
+"""What holds for every effect and every law: names, shapes, units, the same columns and values on any other data."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellapp.effects import EFFECTS, Circumstances, EffectTerm, Law, moved_by
+from cellapp.effects.unknown import dictionary, pairs
+from tests.effects.cell import NOTHING, by_name, chain, context_of, knowing, rows_of
+
+CONTEXT = context_of()
+NAMED = [
+    (slug, law)
+    for slug, effect in EFFECTS.items()
+    for number, law in enumerate(effect.laws(CONTEXT))
+    if law.name != "onset" or number % 12 == 5
+]
+CURVE = Law("curve", {"cycles": 12.0, "length2": 0.3, "amplitude2": 1e-4, "length3": 0.5, "amplitude3": 2e-4})
+NAMED.append(("transmission_error", CURVE))
+DATA_DRIVEN = [("unknown", law) for _, _, law in dictionary(CONTEXT)[::7]]
+DATA_DRIVEN += [("unknown", law) for law in pairs(CONTEXT, "tool y")[::11]]
+ALL = NAMED + DATA_DRIVEN
+
+
+def label(value):
+    return value if isinstance(value, str) else f"{value.name}-{len(value.constants)}"
+
+
+def values_of(column):
+    return column.offset if column.joint is not None else column.shift_M
+
+
+def same(one, other):
+    """Whether two columns are the same but for their values."""
+    return replace(one, offset=None, shift_M=None) == replace(other, offset=None, shift_M=None)
+
+
+def test_the_vocabulary_is_complete_and_in_order():
+    assert list(EFFECTS) == [
+        "joint_compliance",
+        "payload_compliance",
+        "encoder_eccentricity",
+        "transmission_error",
+        "backlash",
+        "friction_windup",
+        "unsettled_measurement",
+        "joint_axis_wobble",
+        "thermal_growth",
+        "joint_drift",
+        "base_drift",
+        "base_step",
+        "target_slip",
+        "pedestal_compliance",
+        "pedestal_coupling",
+        "link_bending",
+        "tracker_scale",
+        "tracker_distance_offset",
+        "tracker_angle_error",
+        "target_incidence",
+        "unknown",
+    ]
+    words = {
+        *("q", "torque", "payload", "approach", "step", "dwell", "time", "temperature", "other_arm", "beam"),
+        "incidence",
+    }
+    for slug, effect in EFFECTS.items():
+        assert effect.slug == slug
+        assert effect.title
+        assert set(effect.look_alikes) <= set(EFFECTS) - {slug}
+        assert effect.variables <= words
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_columns_are_well_formed(slug, law):
+    columns = EFFECTS[slug].columns(CONTEXT, law)
+    assert columns
+    by_name(columns)
+    for column in columns:
+        assert column.block
+        assert column.where.split()[0] in ("joint", "link", "all", "base", "tool", "tracker")
+        assert column.lower < column.upper
+        assert column.lower <= 0.0 <= column.upper
+        values = values_of(column)
+        assert np.isfinite(values).all()
+        if column.joint is None:
+            assert column.offset is None
+            assert values.shape == (len(CONTEXT), 3)
+            assert column.unit in ("m", "rad", "m/m", "1/K", "rad/Nm", "m/Nm", "1/(N m^2)")
+        else:
+            assert column.shift_M is None
+            assert values.shape == (len(CONTEXT),)
+            assert column.where == f"joint {column.joint + 1}"
+            assert column.unit in ("rad", "rad/Nm", "rad/rad", "rad/K")
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_the_same_columns_and_values_on_any_other_data(slug, law):
+    """A law carries all that it took from its run: some of the stops, alone, give the values they had among all."""
+    columns = EFFECTS[slug].columns(CONTEXT, law)
+    rows = np.array([3, 17, 5])
+    for column, part in zip(columns, EFFECTS[slug].columns(rows_of(CONTEXT, rows), law), strict=True):
+        assert same(column, part)
+        np.testing.assert_allclose(values_of(part), values_of(column)[rows], rtol=1e-12, atol=1e-14)
+    for other in (knowing(CONTEXT, NOTHING), replace(knowing(CONTEXT, NOTHING), smr_normal=None)):
+        unknown = EFFECTS[slug].columns(other, law)
+        for column, part in zip(columns, unknown, strict=True):
+            assert same(column, part)
+            assert np.isfinite(values_of(part)).all()
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
+    known = CONTEXT.known
+    holed = {}
+    for name, values in vars(known).items():
+        holed[name] = np.array(values, dtype=np.float64)
+        holed[name][4] = 0.0 if name == "approach" else np.nan
+    some = EFFECTS[slug].columns(knowing(CONTEXT, Circumstances(**holed)), law)
+    full = EFFECTS[slug].columns(CONTEXT, law)
+    none = EFFECTS[slug].columns(knowing(CONTEXT, NOTHING), law)
+    rest = np.arange(len(CONTEXT)) != 4
+    for column, whole, bare in zip(some, full, none, strict=True):
+        np.testing.assert_allclose(values_of(column)[4], values_of(bare)[4], rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(values_of(column)[rest], values_of(whole)[rest], rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_wanted_columns_are_there_and_the_same(slug, law):
+    columns = by_name(EFFECTS[slug].columns(CONTEXT, law))
+    wanted = {min(columns), max(columns)}
+    some = by_name(EFFECTS[slug].columns(CONTEXT, law, wanted))
+    assert wanted <= set(some) <= set(columns)
+    for name, column in some.items():
+        assert same(column, columns[name])
+        np.testing.assert_allclose(values_of(column), values_of(columns[name]), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_a_law_survives_json(slug, law):
+    assert all(type(value) is float for value in law.constants.values())
+    again = Law(law.name, json.loads(json.dumps(dict(law.constants))), law.tried)
+    assert again == law
+    assert law.tried >= 1
+
+
+def test_no_two_effects_share_a_parameter_name():
+    """They are identified together, by name."""
+    owner: dict[str, str] = {}
+    for slug, law in NAMED:
+        for column in EFFECTS[slug].columns(CONTEXT, law):
+            assert owner.setdefault(column.name, slug) == slug, column.name
+
+
+def test_data_driven_terms_have_names_of_their_own():
+    laws = [law for _, _, law in dictionary(CONTEXT)]
+    names = [column.name for law in laws for column in EFFECTS["unknown"].columns(CONTEXT, law)]
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize("slug", [slug for slug in EFFECTS if slug != "unknown"])
+def test_a_law_of_another_version_is_refused(slug):
+    effect = EFFECTS[slug]
+    if len(effect.laws(CONTEXT)) == 1 and effect.laws(CONTEXT)[0].name in ("", "orders"):
+        return  # there never was another
+    constants = effect.laws(CONTEXT)[0].constants
+    with pytest.raises(ValueError, match=f"effect {slug} has no law 'of tomorrow'"):
+        effect.columns(CONTEXT, Law("of tomorrow", constants))
+
+
+def test_units_are_per_unit_of_what_varies():
+    """Numbers that a person can check: 1e-5 rad/Nm times the torque; 20e-6 1/K of 0.612 m is 12 um a kelvin."""
+    torque = CONTEXT.torques[:, 1]
+    term = term_of("joint_compliance", Law("linear"), {"compliance2": 1e-5})
+    np.testing.assert_allclose(moved_by([term], EFFECTS, CONTEXT).joints[:, 1], 1e-5 * torque)
+    law = next(law for law in EFFECTS["thermal_growth"].laws(CONTEXT) if law.name == "air_links")
+    warm = replace(CONTEXT.known, air_c=np.full(len(CONTEXT), law.constants["mean_c"] + 1.0))
+    term = term_of("thermal_growth", law, {"growth2": 20e-6})
+    moved = moved_by([term], EFFECTS, knowing(CONTEXT, warm)).shift_M
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 20e-6 * 0.612, rtol=1e-3)
+
+
+def test_moved_by_adds_terms_up():
+    """Joint offsets enter the chain exactly, the rest is added to the SMR."""
+    bend = term_of("link_bending", Law("bending"), {"flexibility2": 1e-5})
+    play = term_of("backlash", Law("constant"), {"half_play1": 1e-4, "half_play3": 2e-4})
+    ripple = term_of("transmission_error", Law("lines"), {"sin100q3": 3e-5})
+    moved = moved_by([bend, play, ripple], EFFECTS, CONTEXT)
+    s, q = CONTEXT.approach, CONTEXT.q
+    expected = np.zeros(q.shape)
+    expected[:, 0], expected[:, 2] = -1e-4 * s[:, 0], -2e-4 * s[:, 2] + 3e-5 * np.sin(100.0 * q[:, 2])
+    np.testing.assert_allclose(moved.joints, expected, atol=1e-15)
+    bent = by_name(EFFECTS["link_bending"].columns(CONTEXT, Law("bending")))["flexibility2"].shift_M
+    np.testing.assert_allclose(moved.shift_M, 1e-5 * bent)
+
+
+def test_the_chain_of_these_tests_is_the_arm():
+    for row in range(3):
+        walked = chain(CONTEXT, row)
+        np.testing.assert_allclose(walked.smr, CONTEXT.p_M[row], atol=1e-12)
+        for i, pose in enumerate(walked.frames):
+            np.testing.assert_allclose(pose[:3, :3], CONTEXT.frames[0][i, row], atol=1e-12)
+
+
+# -- what the data lack ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("slug", "known", "words"),
+    [
+        ("payload_compliance", NOTHING, "no payloads"),
+        ("payload_compliance", Circumstances(payload_kg=np.full(40, 2.0)), "payload does not vary"),
+        ("backlash", NOTHING, "no approach signs"),
+        ("backlash", Circumstances(approach=np.zeros((40, 6), dtype=np.int8)), "no approach signs"),
+        ("backlash", Circumstances(approach=np.ones((40, 6))), "every joint was approached from one side only"),
+        ("friction_windup", NOTHING, "no approach signs"),
+        ("friction_windup", Circumstances(approach=-np.ones((40, 6))), "every joint was approached from one side only"),
+        ("unsettled_measurement", NOTHING, "no last steps"),
+        ("thermal_growth", NOTHING, "no temperatures and no times"),
+        ("thermal_growth", Circumstances(air_c=np.full(40, 20.0)), "no temperatures and no times"),
+        ("joint_drift", Circumstances(air_c=np.linspace(20, 22, 40)), "no times and no joint temperatures"),
+        ("base_drift", NOTHING, "no times"),
+        ("base_drift", Circumstances(time_s=np.full(40, np.nan)), "no times"),
+        ("base_step", Circumstances(time_s=np.zeros(40)), "no times"),
+        ("target_slip", NOTHING, "no times"),
+        ("pedestal_coupling", NOTHING, "the other arm's readings are not there"),
+        ("pedestal_coupling", Circumstances(other_moment_M=np.ones((40, 3))), "the other arm did not move"),
+    ],
+)
+def test_what_is_lacking_is_said(slug, known, words):
+    assert EFFECTS[slug].untestable(knowing(CONTEXT, known)) == words
+    assert EFFECTS[slug].untestable(CONTEXT) == ""
+
+
+def test_what_an_arm_lacks_is_said():
+    weightless = replace(
+        CONTEXT,
+        bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=0.0),
+        known=NOTHING,
+    )
+    assert EFFECTS["joint_compliance"].untestable(weightless) == "gravity turns no joint (no masses)"
+    assert EFFECTS["link_bending"].untestable(weightless) == "no masses"
+    assert EFFECTS["pedestal_compliance"].untestable(weightless) == "no masses"
+    blind = replace(CONTEXT, smr_normal=None)
+    assert EFFECTS["target_incidence"].untestable(blind) == "the way the SMR looks is not known"
+    always = ("encoder_eccentricity", "transmission_error", "joint_axis_wobble", "tracker_scale", "tracker_angle_error")
+    for slug in (*always, "tracker_distance_offset"):
+        assert EFFECTS[slug].untestable(knowing(CONTEXT, NOTHING)) == ""
+
+
+def test_few_readings_have_no_onset():
+    few = rows_of(CONTEXT, np.arange(15))
+    assert EFFECTS["base_step"].untestable(few) == "fewer than 16 readings"
+    assert EFFECTS["base_step"].laws(few) == []
+    assert EFFECTS["base_step"].untestable(rows_of(CONTEXT, np.arange(16))) == ""
+
+
+def test_laws_follow_what_is_known():
+    def names(slug, known):
+        return list(dict.fromkeys(law.name for law in EFFECTS[slug].laws(knowing(CONTEXT, known))))
+
+    known = CONTEXT.known
+    assert names("joint_compliance", NOTHING) == ["linear", "two_slope", "free_moments"]
+    assert names("transmission_error", NOTHING) == ["two", "lines"]
+    assert names("backlash", Circumstances(approach=known.approach)) == ["constant"]
+    assert names("backlash", known) == ["constant", "saturating"]
+    assert names("unsettled_measurement", Circumstances(step=known.step)) == ["step"]
+    assert names("unsettled_measurement", known) == ["step", "creep"]
+    assert names("thermal_growth", Circumstances(air_c=known.air_c)) == ["air", "air_links"]
+    assert names("thermal_growth", Circumstances(time_s=known.time_s)) == ["warm_up", "warm_up_links"]
+    assert names("thermal_growth", known) == [
+        *("air", "air_links", "joints", "joints_links", "warm_up", "warm_up_links")
+    ]
+    assert names("joint_drift", known) == ["linear", "warm_up", "joint_temperature"]
+    assert names("joint_drift", Circumstances(joints_c=known.joints_c)) == ["joint_temperature"]
+    assert names("base_drift", known) == ["linear", "warm_up", "quadratic"]
+    assert names("unknown", known) == []
+
+
+def term_of(slug, law, values):
+    return EffectTerm(
+        slug=slug,
+        names=tuple(values),
+        values=np.array(list(values.values())),
+        standard_errors=np.zeros(len(values)),
+        units=("",) * len(values),
+        law=law,
+    )

@@ -1,0 +1,366 @@
+"""Effects that move frames: every column against a chain that is displaced, heated or bent numerically."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cellapp.effects import EFFECTS, PLAIN, Circumstances, Law
+from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, transform
+from tests.effects.cell import EYE, by_name, chain, context_of, knowing, shifts, slope
+
+GRAVITY = 9.80665
+CONTEXT = context_of(10)
+RUN = context_of(60, seed=3)
+
+
+def laws(slug, name, context=CONTEXT):
+    return [law for law in EFFECTS[slug].laws(context) if law.name == name]
+
+
+def columns(slug, law, context=CONTEXT):
+    return by_name(EFFECTS[slug].columns(context, law))
+
+
+def each_row(moved, context=CONTEXT, h=1e-5):
+    """Derivative (n, 3) of ``moved(row, h)``, an SMR position."""
+    return np.array([slope(lambda x, row=row: moved(row, x), h) for row in range(len(context))])
+
+
+# -- wobble ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint", [1, 3, 6])
+@pytest.mark.parametrize(("letter", "axis"), [("x", EYE[0]), ("y", EYE[1])])
+@pytest.mark.parametrize(("wave", "function"), [("cos", np.cos), ("sin", np.sin)])
+def test_an_axis_tilts_twice_a_turn(joint, letter, axis, wave, function):
+    def moved(row, h):
+        return chain(CONTEXT, row, twist={joint - 1: h * function(2.0 * CONTEXT.q[row, joint - 1]) * axis}).smr
+
+    found = columns("joint_axis_wobble", PLAIN)
+    column = found[f"wobble_{letter}{joint}_{wave}"]
+    assert column.block == column.where == f"joint {joint}"
+    np.testing.assert_allclose(shifts(column), each_row(moved), atol=1e-9)
+    assert len(found) == 24
+
+
+# -- heat ------------------------------------------------------------------------------------------------------------
+
+
+def grown(strain_of):
+    """Derivative of the SMR by a strain (N,) of each row's links."""
+    return each_row(lambda row, h: chain(CONTEXT, row, strain=h * strain_of(row)).smr)
+
+
+def test_links_grow_with_the_air():
+    warmer = CONTEXT.known.air_c - CONTEXT.known.air_c.mean()
+    whole = columns("thermal_growth", laws("thermal_growth", "air")[0])
+    assert list(whole) == ["growth"]
+    assert (whole["growth"].lower, whole["growth"].upper, whole["growth"].unit) == (0.0, 1e-4, "1/K")
+    np.testing.assert_allclose(shifts(whole["growth"]), grown(lambda row: np.full(6, warmer[row])), atol=1e-9)
+    links = columns("thermal_growth", laws("thermal_growth", "air_links")[0])
+    assert list(links) == [f"growth{i}" for i in range(1, 7)]
+    for i in range(6):
+        np.testing.assert_allclose(
+            shifts(links[f"growth{i + 1}"]), grown(lambda row, i=i: warmer[row] * np.eye(6)[i]), atol=1e-9
+        )
+
+
+def test_links_grow_with_the_joints_at_their_ends():
+    joints = CONTEXT.known.joints_c - CONTEXT.known.joints_c.mean(axis=0)
+    ends = np.array([[(row[i] + row[min(i + 1, 5)]) / 2.0 for i in range(6)] for row in joints])
+    whole = columns("thermal_growth", laws("thermal_growth", "joints")[0])["growth"]
+    np.testing.assert_allclose(shifts(whole), grown(lambda row: ends[row]), atol=1e-9)
+    links = columns("thermal_growth", laws("thermal_growth", "joints_links")[0])
+    np.testing.assert_allclose(shifts(links["growth3"]), grown(lambda row: ends[row] * np.eye(6)[2]), atol=1e-9)
+
+
+def test_links_grow_while_warming_up():
+    found = laws("thermal_growth", "warm_up")
+    assert [law.constants["tau_s"] for law in found] == [900.0, 1800.0, 3600.0, 7200.0, 14400.0]
+    assert {law.tried for law in found} == {5}
+    time = CONTEXT.known.time_s
+    strain = 1.0 - np.exp(-(time - time[0]) / 3600.0)
+    column = columns("thermal_growth", found[2])["growth"]
+    assert column.unit == "m/m"
+    np.testing.assert_allclose(shifts(column), grown(lambda row: np.full(6, strain[row])), atol=1e-9)
+
+
+def test_a_link_too_short_to_be_judged_by_itself_has_no_column_but_grows_with_the_rest():
+    rows = CONTEXT.geometry.rows.copy()
+    rows[5, 1] = 0.02
+    context = replace(CONTEXT, geometry=replace(CONTEXT.geometry, rows=rows))
+    law = laws("thermal_growth", "air_links")[0]
+    assert "growth6" not in columns("thermal_growth", law, context)
+    assert "growth6" in by_name(EFFECTS["thermal_growth"].columns(context, law, {"growth6"}))
+
+
+# -- base and tool ---------------------------------------------------------------------------------------------------
+
+TWISTS = {
+    **{letter: lambda row, h, k=k: chain(RUN, row, shift={0: h * EYE[k]}).smr for k, letter in enumerate("xyz")},
+    **{
+        f"turn_{letter}": lambda row, h, k=k: chain(RUN, row, twist={0: h * EYE[k]}).smr
+        for k, letter in enumerate("xyz")
+    },
+}
+
+
+@pytest.mark.parametrize("way", TWISTS)
+def test_a_base_drifts_and_steps(way):
+    twisted = each_row(TWISTS[way], RUN)
+    time = RUN.known.time_s
+    along = ((time - time[0]) / (time[-1] - time[0]))[:, None]
+    found = columns("base_drift", laws("base_drift", "linear", RUN)[0], RUN)
+    assert {column.block for column in found.values()} == {"base"}
+    column = found[f"base_drift_{way}"]
+    assert column.unit == ("rad" if way.startswith("turn") else "m")
+    np.testing.assert_allclose(shifts(column), twisted * along, atol=1e-9)
+    bow = columns("base_drift", laws("base_drift", "quadratic", RUN)[0], RUN)[f"base_drift_{way}_bow"]
+    np.testing.assert_allclose(shifts(bow), twisted * 4.0 * along * (1.0 - along), atol=1e-9)
+    warm = laws("base_drift", "warm_up", RUN)[1]
+    expected = twisted * (1.0 - np.exp(-(time - time[0]) / 1800.0))[:, None]
+    np.testing.assert_allclose(shifts(columns("base_drift", warm, RUN)[f"base_drift_{way}"]), expected, atol=1e-9)
+    law = laws("base_step", "onset", RUN)[11]
+    column = columns("base_step", law, RUN)[f"base_step_{way}"]
+    np.testing.assert_allclose(shifts(column), twisted * (time >= law.constants["onset_s"])[:, None], atol=1e-9)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_target_slips_in_the_flange(axis):
+    moved = each_row(lambda row, h: chain(RUN, row, tool=h * EYE[axis]).smr, RUN)
+    law = laws("target_slip", "onset", RUN)[20]
+    column = columns("target_slip", law, RUN)[f"slip_{'xyz'[axis]}"]
+    assert column.block == column.where == "tool"
+    np.testing.assert_allclose(
+        shifts(column), moved * (RUN.known.time_s >= law.constants["onset_s"])[:, None], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("slug", ["base_step", "target_slip"])
+def test_after_an_onset_it_stays(slug):
+    law = EFFECTS[slug].laws(RUN)[0]
+    after = EFFECTS[slug].columns(knowing(RUN, Circumstances(time_s=np.full(60, 1e9))), law)
+    for time_s in (None, np.full(60, np.nan)):
+        for now, later in zip(EFFECTS[slug].columns(knowing(RUN, Circumstances(time_s=time_s)), law), after):
+            np.testing.assert_array_equal(shifts(now), shifts(later))
+            assert shifts(now).any()
+
+
+@given(st.lists(st.sampled_from([0.0, 1.0, 2.5, 7.0, 8.0, 100.0, 250.0]), min_size=1, max_size=60), st.integers(0, 400))
+def test_onsets_leave_readings_on_both_sides(moments, more):
+    time = np.array([*moments, *np.linspace(0.0, 300.0, more)])
+    q = np.zeros((len(time), 6))
+    found = EFFECTS["base_step"].laws(replace(RUN, q=q, known=Circumstances(time_s=time)))
+    assert len(found) <= 120
+    assert {law.tried for law in found} <= {len(found)}
+    onsets = np.array([law.constants["onset_s"] for law in found])
+    assert (np.diff(onsets) > 0.0).all()
+    for onset in onsets:
+        assert np.count_nonzero(time < onset) >= 8
+        assert np.count_nonzero(time >= onset) >= 8
+
+
+def test_onsets_reach_from_end_to_end():
+    time = np.arange(400.0) * 45.0
+    context = replace(RUN, q=np.zeros((400, 6)), known=Circumstances(time_s=time))
+    onsets = [law.constants["onset_s"] for law in EFFECTS["base_step"].laws(context)]
+    assert len(onsets) == 120
+    assert onsets[0] == 7.5 * 45.0
+    assert onsets[-1] == 391.5 * 45.0
+    assert np.diff(onsets).max() <= 4 * 45.0
+
+
+# -- pedestals -------------------------------------------------------------------------------------------------------
+
+
+def own_moment(row):
+    """Moment of gravity about the base's origin (3,) [Nm] in the tracker frame, body by body."""
+    walked = chain(CONTEXT, row)
+    origin = walked.frames[0][:3, 3]
+    loads = [
+        (mass, pose[:3, :3] @ center + pose[:3, 3])
+        for mass, pose, center in zip(CONTEXT.bodies.masses, walked.frames[1:], CONTEXT.bodies.centers, strict=True)
+    ]
+    end = walked.frames[-1]
+    loads.append((CONTEXT.known.payload_kg[row], end[:3, :3] @ CONTEXT.bodies.payload_center + end[:3, 3]))
+    return sum(np.cross(center - origin, -mass * GRAVITY * CONTEXT.up_M) for mass, center in loads)
+
+
+def about(point, turn):
+    """The arm as a whole turned by a small ``turn`` (3,) about a ``point`` (3,), both in the tracker frame."""
+    R = rotation_from_vector(turn)
+    return transform(R, point - R @ point)
+
+
+def test_a_pedestal_tilts_with_the_arms_moment():
+    def moved(row, h):
+        return chain(CONTEXT, row, outside=about(CONTEXT.geometry.T_M_B()[:3, 3], h * own_moment(row))).smr
+
+    found = columns("pedestal_compliance", Law("isotropic"))
+    assert list(found) == ["pedestal_tilt"]
+    np.testing.assert_allclose(shifts(found["pedestal_tilt"]), each_row(moved, h=1e-7), atol=1e-5)
+    parts = columns("pedestal_compliance", Law("tilt"))
+    assert [column.block for column in parts.values()] == ["base", "base"]
+    np.testing.assert_allclose(
+        sum(shifts(column) for column in parts.values()), shifts(found["pedestal_tilt"]), atol=1e-9
+    )
+
+
+def test_a_pedestal_tilts_each_way_with_its_own_moment():
+    """The arm's own x and y, made horizontal."""
+    axes = CONTEXT.geometry.T_M_B()[:3, :3]
+    x = axes[:, 0] - (axes[:, 0] @ CONTEXT.up_M) * CONTEXT.up_M
+    x /= np.linalg.norm(x)
+    y = np.cross(CONTEXT.up_M, x)
+    assert y @ axes[:, 1] > 0.99
+    for letter, way in (("x", x), ("y", y)):
+        for_one = [way * (own_moment(row) @ way) for row in range(len(CONTEXT))]
+        origin = CONTEXT.geometry.T_M_B()[:3, 3]
+        expected = each_row(
+            lambda row, h, o=origin, w=for_one: chain(CONTEXT, row, outside=about(o, h * w[row])).smr, h=1e-7
+        )
+        found = columns("pedestal_compliance", Law("tilt"))[f"pedestal_tilt_{letter}"]
+        np.testing.assert_allclose(shifts(found), expected, atol=1e-5)
+
+
+def test_a_pedestal_tilts_about_a_pivot_below():
+    height = 0.7
+    base = CONTEXT.geometry.T_M_B()
+    pivot = base[:3, 3] - height * base[:3, 2]
+    expected = each_row(lambda row, h: chain(CONTEXT, row, outside=about(pivot, h * own_moment(row))).smr, h=1e-7)
+    found = columns("pedestal_compliance", Law("pivot"))
+    assert [column.unit for column in found.values()] == ["rad/Nm", "rad/Nm", "m/Nm", "m/Nm"]
+    tilted = shifts(found["pedestal_tilt_x"]) + shifts(found["pedestal_tilt_y"])
+    swayed = shifts(found["pedestal_sway_x"]) + shifts(found["pedestal_sway_y"])
+    np.testing.assert_allclose(tilted + height * swayed, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("turn", [rotation_x(np.pi), rotation_x(np.pi / 2.0), rotation_y(np.pi / 2.0)])
+def test_a_pedestal_on_a_wall_or_under_a_ceiling(turn):
+    """All of the moment counts, however the arm is mounted."""
+    up = turn.T @ CONTEXT.geometry.T_M_B()[:3, 2]
+    context = replace(CONTEXT, up_M=up)
+    origin = context.geometry.T_M_B()[:3, 3]
+    moments = context.load_beyond(0)[1]
+    np.testing.assert_allclose(moments @ up, 0.0, atol=1e-9)
+    expected = np.cross(moments, context.p_M - origin)
+    np.testing.assert_allclose(
+        shifts(columns("pedestal_compliance", Law("isotropic"), context)["pedestal_tilt"]), expected, atol=1e-9
+    )
+
+
+def test_a_pedestal_tilts_with_the_other_arm():
+    other = CONTEXT.known.other_moment_M
+    above = other - other.mean(axis=0)
+    isotropic, tilt, general = EFFECTS["pedestal_coupling"].laws(CONTEXT)
+    assert [law.name for law in (isotropic, tilt, general)] == ["isotropic", "tilt", "general"]
+    level = CONTEXT.up_M
+    above = above - (above @ level)[:, None] * level
+    origin = CONTEXT.geometry.T_M_B()[:3, 3]
+    found = columns("pedestal_coupling", isotropic)
+    np.testing.assert_allclose(shifts(found["coupling"]), np.cross(above, CONTEXT.p_M - origin), atol=1e-9)
+    four = columns("pedestal_coupling", tilt)
+    assert list(four) == [f"coupling_tilt_{way}_{by}" for way in "xy" for by in "xy"]
+    both = shifts(four["coupling_tilt_x_x"]) + shifts(four["coupling_tilt_y_y"])
+    np.testing.assert_allclose(both, shifts(found["coupling"]), atol=1e-9)
+    ten = columns("pedestal_coupling", general)
+    assert len(ten) == 10
+    assert {column.block for column in ten.values()} == {"base"}
+    base = CONTEXT.geometry.T_M_B()[:3, :3]
+    x = base[:, 0] - (base[:, 0] @ level) * level
+    x /= np.linalg.norm(x)
+    np.testing.assert_allclose(
+        shifts(ten["coupling_shift_z_y"]), (above @ np.cross(level, x))[:, None] * base[:, 2], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        shifts(four["coupling_tilt_y_x"]),
+        (above @ x)[:, None] * np.cross(np.cross(level, x), CONTEXT.p_M - origin),
+        atol=1e-9,
+    )
+
+
+def test_where_the_other_arm_is_not_known_it_stands_as_on_average():
+    for law in EFFECTS["pedestal_coupling"].laws(CONTEXT):
+        for column in columns("pedestal_coupling", law, knowing(CONTEXT, Circumstances())).values():
+            assert not shifts(column).any()
+
+
+# -- beams -----------------------------------------------------------------------------------------------------------
+
+
+def beam_by_integration(row, link, *, torsion, own_weight, slices=4000):
+    """Shift of the SMR (3,) for EI = 1 (or GJ = 1): each slice of the beam turns all that is beyond it.
+
+    ``dP = int M_part(x) x (P - r(x)) dx``, M(x) the moment at x of every weight beyond x, added up body by body.
+    """
+    walked = chain(CONTEXT, row)
+    start, end = walked.frames[link - 1][:3, 3], walked.frames[link][:3, 3]
+    length = np.linalg.norm(end - start)
+    e = (end - start) / length
+    x = (np.arange(slices) + 0.5) / slices * length
+    r = start + x[:, None] * e
+    moment = np.zeros((slices, 3))
+    bodies = CONTEXT.bodies
+    for body in range(link, 6):
+        pose = walked.frames[body + 1]
+        center = pose[:3, :3] @ bodies.centers[body] + pose[:3, 3]
+        moment += np.cross(center - r, -bodies.masses[body] * GRAVITY * CONTEXT.up_M)
+    flange = walked.frames[-1]
+    load = flange[:3, :3] @ bodies.payload_center + flange[:3, 3]
+    moment += np.cross(load - r, -CONTEXT.known.payload_kg[row] * GRAVITY * CONTEXT.up_M)
+    if own_weight:
+        pose = walked.frames[link]
+        center = pose[:3, :3] @ bodies.centers[link - 1] + pose[:3, 3]
+        held = x < (center - start) @ e
+        moment += held[:, None] * np.cross(center - r, -bodies.masses[link - 1] * GRAVITY * CONTEXT.up_M)
+    along = (moment @ e)[:, None] * e
+    turned = along if torsion else moment - along
+    return np.cross(turned, walked.smr - r).sum(axis=0) * length / slices
+
+
+@pytest.mark.parametrize("link", [2, 3])
+@pytest.mark.parametrize("own_weight", [False, True])
+def test_a_link_bends_and_twists_as_a_beam(link, own_weight):
+    law = Law("bending_torsion_own_weight" if own_weight else "bending_torsion")
+    found = columns("link_bending", law)
+    for name, torsion in ((f"flexibility{link}", False), (f"torsion{link}", True)):
+        expected = [
+            beam_by_integration(row, link, torsion=torsion, own_weight=own_weight) for row in range(len(CONTEXT))
+        ]
+        column = found[name]
+        assert column.block == column.where == f"link {link}"
+        assert (column.lower, column.unit) == (0.0, "1/(N m^2)")
+        # a slice too many or too few under the link's own weight is 1/4000 of its moment
+        np.testing.assert_allclose(shifts(column), expected, atol=2e-2 if own_weight else 1e-4)
+        assert np.abs(expected).max() > 1.0
+
+
+def test_the_long_links_bend():
+    """Upper arm and forearm of a UR; the others are short and stiff."""
+    for arm in ("left", "right"):
+        context = context_of(5, arm=arm)
+        assert list(columns("link_bending", Law("bending"), context)) == ["flexibility2", "flexibility3"]
+        torsion = columns("link_bending", Law("bending_torsion"), context)
+        assert list(torsion) == ["flexibility2", "torsion2", "flexibility3", "torsion3"]
+
+
+def test_a_horizontal_cantilever_hangs_down():
+    """Textbook: F L^3 / 3 EI at the end of a beam with a load there, seen at the joint beyond."""
+    rows = CONTEXT.geometry.rows.copy()
+    rows[:] = 0.0
+    rows[0, 2] = 0.8
+    context = replace(
+        CONTEXT,
+        q=np.zeros((1, 6)),
+        known=Circumstances(),
+        geometry=replace(CONTEXT.geometry.with_T_M_B(np.eye(4)), rows=rows, tool=np.zeros(3)),
+        bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=10.0, payload_center=np.zeros(3)),
+        up_M=np.array([0.0, 0.0, 1.0]),
+    )
+    column = columns("link_bending", Law("bending"), context)["flexibility1"]
+    np.testing.assert_allclose(shifts(column), [[0.0, 0.0, -10.0 * GRAVITY * 0.8**3 / 3.0]], atol=1e-12)

@@ -1,0 +1,254 @@
+"""Data-driven terms: channels, variables, functions, and what is taken where nobody knows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellapp.effects import EFFECTS, Circumstances, Law
+from cellapp.effects.unknown import channels, dictionary, pairs, variables
+from cellapp.kinematics.transforms import rotation_z
+from tests.effects.cell import EYE, NOTHING, by_name, chain, context_of, knowing, offsets, shifts, slope
+
+CONTEXT = context_of(40)
+UNKNOWN = EFFECTS["unknown"]
+EVERY = (
+    *(f"q{j}" for j in range(1, 7)),
+    *(f"other q{j}" for j in range(1, 7)),
+    "time",
+    *(f"torque{j}" for j in range(1, 7)),
+    *(f"step{j}" for j in range(1, 7)),
+    *("dwell", "payload", "temperature", "range", "azimuth", "elevation", "incidence"),
+)
+
+
+def law_of(channel, variable, context=CONTEXT):
+    (law,) = [law for one, other, law in dictionary(context) if (one, other) == (channel, variable)]
+    return law
+
+
+def columns(law, context=CONTEXT):
+    return by_name(UNKNOWN.columns(context, law))
+
+
+def test_the_dictionary_is_every_channel_times_every_variable():
+    assert channels(6) == (
+        *(f"joint {j}" for j in range(1, 7)),
+        *(f"base {kind} {axis}" for kind in ("shift", "turn") for axis in "xyz"),
+        *("tool x", "tool y", "tool z", "tracker radial", "tracker azimuth", "tracker elevation"),
+    )
+    assert variables(CONTEXT) == EVERY
+    terms = dictionary(CONTEXT)
+    assert [(channel, name) for channel, name, _ in terms] == [(c, v) for c in channels(6) for v in EVERY]
+    assert all(law.name == f"{channel}|{name}" for channel, name, law in terms)
+
+
+def test_a_variable_that_is_not_known_or_does_not_vary_is_not_tried():
+    bare = replace(knowing(CONTEXT, NOTHING), smr_normal=None)
+    torques = tuple(f"torque{j}" for j in range(1, 7))
+    assert variables(bare) == (*EVERY[:6], *torques, "range", "azimuth", "elevation")
+    q = CONTEXT.q.copy()
+    q[:, 3] = 0.5
+    assert "q4" not in variables(replace(CONTEXT, q=q))
+    assert "payload" not in variables(knowing(CONTEXT, Circumstances(payload_kg=np.full(40, 1.0))))
+
+
+def moved_of(channel, context, row):
+    """The SMR of one stop as a function of the channel's size."""
+    kind, *rest = channel.split()
+    axis = EYE["xyz".index(rest[-1])] if rest[-1] in ("x", "y", "z") else None
+    if kind == "joint":
+        return lambda h: chain(context, row, joints=h * np.eye(6)[int(rest[0]) - 1]).smr
+    if kind == "base":
+        name = "shift" if rest[0] == "shift" else "twist"
+        return lambda h: chain(context, row, **{name: {0: h * axis}}).smr
+    if kind == "tool":
+        return lambda h: chain(context, row, tool=h * axis).smr
+    p = context.p_M[row]
+    rho = np.linalg.norm(p)
+    if rest == ["radial"]:
+        return lambda h: p * (1.0 + h / rho)
+    if rest == ["azimuth"]:
+        return lambda h: rotation_z(h) @ p
+    az, el = np.arctan2(p[1], p[0]), np.arcsin(p[2] / rho)
+    return lambda h: rho * np.array([np.cos(el + h) * np.cos(az), np.cos(el + h) * np.sin(az), np.sin(el + h)])
+
+
+@pytest.mark.parametrize("channel", channels(6))
+def test_a_channel_moves_what_it_says(channel):
+    law = law_of(channel, "q5")
+    found = columns(law)
+    prefix = channel.replace(" ", "_")
+    assert list(found) == [f"{prefix}.{wave}{m}_q5" for m in range(1, 5) for wave in ("cos", "sin")]
+    column = found[f"{prefix}.sin3_q5"]
+    assert {one.block for one in found.values()} == {channel}
+    assert column.unit == ("m" if channel.split()[0] == "tool" or "shift" in channel or "radial" in channel else "rad")
+    wave = np.sin(3.0 * CONTEXT.q[:, 4])
+    if channel.startswith("joint"):
+        assert column.joint == int(channel[-1]) - 1
+        np.testing.assert_allclose(offsets(column), wave)
+        return
+    for row in range(5):
+        expected = wave[row] * slope(moved_of(channel, CONTEXT, row))
+        np.testing.assert_allclose(shifts(column)[row], expected, atol=1e-8)
+
+
+def test_time_is_linear_and_half_cycles_over_the_run():
+    law = law_of("base shift x", "time")
+    time = CONTEXT.known.time_s
+    assert law.constants == {"order": 9.0, "low": time[0], "high": time[-1], "typical": time[-1]}
+    found = columns(law_of("joint 1", "time"))
+    assert len(found) == 19
+    x = (time - time[0]) / (time[-1] - time[0])
+    np.testing.assert_allclose(offsets(found["joint_1.linear_time"]), 2.0 * x - 1.0)
+    for k in range(1, 10):  # k cycles over twice the length of the run
+        np.testing.assert_allclose(
+            offsets(found[f"joint_1.cos{k}_time"]), np.cos(2.0 * np.pi * k * x / 2.0), atol=1e-12
+        )
+        np.testing.assert_allclose(
+            offsets(found[f"joint_1.sin{k}_time"]), np.sin(2.0 * np.pi * k * x / 2.0), atol=1e-12
+        )
+
+
+@pytest.mark.parametrize("variable", ["torque2", "step3", "dwell", "temperature", "range", "elevation", "incidence"])
+def test_other_variables_are_polynomials_on_their_range(variable):
+    """Orthogonal on -1 to 1, so what spans them is all polynomials to the fourth order, but for the constant."""
+    values = {
+        "torque2": CONTEXT.torques[:, 1],
+        "step3": CONTEXT.known.step[:, 2],
+        "dwell": CONTEXT.known.dwell_s,
+        "temperature": CONTEXT.known.air_c,
+        "range": np.linalg.norm(CONTEXT.p_M, axis=1),
+        "elevation": np.arcsin(CONTEXT.p_M[:, 2] / np.linalg.norm(CONTEXT.p_M, axis=1)),
+        "incidence": np.arccos(
+            np.einsum(
+                "na,na->n",
+                CONTEXT.frames[0][-1] @ CONTEXT.smr_normal,
+                -CONTEXT.p_M / np.linalg.norm(CONTEXT.p_M, axis=1)[:, None],
+            )
+        ),
+    }[variable]
+    law = law_of("joint 2", variable)
+    assert law.constants["low"] == pytest.approx(values.min())
+    assert law.constants["high"] == pytest.approx(values.max())
+    x = 2.0 * (values - values.min()) / (values.max() - values.min()) - 1.0
+    found = columns(law)
+    expected = [x, (3 * x**2 - 1) / 2, (5 * x**3 - 3 * x) / 2, (35 * x**4 - 30 * x**2 + 3) / 8]
+    for m, polynomial in enumerate(expected, 1):
+        np.testing.assert_allclose(offsets(found[f"joint_2.p{m}_{variable}"]), polynomial, atol=1e-9)
+
+
+def test_a_payload_of_two_values_is_a_straight_line():
+    found = columns(law_of("tool x", "payload"))
+    assert list(found) == ["tool_x.p1_payload"]
+    assert law_of("tool x", "payload").constants["typical"] == CONTEXT.bodies.payload_mass
+
+
+def test_beyond_its_range_a_variable_is_held_at_the_end():
+    law = law_of("joint 2", "temperature")
+    hot = knowing(CONTEXT, Circumstances(air_c=np.full(40, 80.0)))
+    for column in columns(law, hot).values():
+        np.testing.assert_allclose(offsets(column), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("variable", "known"),
+    [
+        ("time", Circumstances(time_s=np.full(40, CONTEXT.known.time_s[-1]))),
+        ("step3", Circumstances(step=np.zeros((40, 6)))),
+        ("dwell", Circumstances(dwell_s=np.full(40, np.median(CONTEXT.known.dwell_s)))),
+        ("payload", Circumstances(payload_kg=np.full(40, CONTEXT.bodies.payload_mass))),
+        ("temperature", Circumstances(air_c=np.full(40, CONTEXT.known.air_c.mean()))),
+    ],
+)
+def test_where_nobody_knows_the_usual_is_taken(variable, known):
+    law = law_of("joint 2", variable)
+    unknown, usual = columns(law, knowing(CONTEXT, NOTHING)), columns(law, knowing(CONTEXT, known))
+    for name, column in unknown.items():
+        np.testing.assert_allclose(offsets(column), offsets(usual[name]), atol=1e-12)
+
+
+def test_an_unknown_angle_of_the_other_arm_is_left_out():
+    law = law_of("joint 2", "other q3")
+    found = columns(law)
+    np.testing.assert_allclose(offsets(found["joint_2.cos2_other_q3"]), np.cos(2.0 * CONTEXT.known.other_q[:, 2]))
+    for column in columns(law, knowing(CONTEXT, NOTHING)).values():
+        assert not offsets(column).any()
+
+
+def test_azimuth_has_no_jump_where_the_tracker_counts_from_half_a_turn():
+    """The same cell seen by a tracker that is turned about its own axis gives the same columns."""
+    law = law_of("joint 2", "azimuth")
+    turned = np.eye(4)
+    middle = np.arctan2(CONTEXT.p_M[:, 1].mean(), CONTEXT.p_M[:, 0].mean())
+    turned[:3, :3] = rotation_z(np.pi - middle)
+    geometry = CONTEXT.geometry.with_T_M_B(turned @ CONTEXT.geometry.T_M_B())
+    across = replace(CONTEXT, geometry=geometry)
+    azimuth = np.arctan2(across.p_M[:, 1], across.p_M[:, 0])
+    assert np.ptp(azimuth) > 6.0, "the readings lie on both sides of the jump"
+    other = columns(law_of("joint 2", "azimuth", across), across)
+    for name, column in columns(law).items():
+        np.testing.assert_allclose(offsets(other[name]), offsets(column), atol=1e-6)
+
+
+def test_two_angles_make_all_waves_up_to_the_third_order():
+    (law,) = pairs(CONTEXT, "joint 4", {"q1", "q5"})
+    assert law.name == "joint 4|q1|q5"
+    found = columns(law)
+    v, w = CONTEXT.q[:, 0], CONTEXT.q[:, 4]
+    np.testing.assert_allclose(offsets(found["joint_4.sin(2*q1-q5)"]), np.sin(2.0 * v - w))
+    np.testing.assert_allclose(offsets(found["joint_4.cos(q1+q5)"]), np.cos(v + w))
+    np.testing.assert_allclose(offsets(found["joint_4.cos(3*q5)"]), np.cos(3.0 * w))
+    assert len(found) == 24
+    many = columns(law, context_of(200, seed=5))
+    design = np.column_stack([np.ones(200), *(offsets(column) for column in many.values())])
+    assert np.linalg.matrix_rank(design) == 25, "all of them differ"
+
+
+def test_two_other_variables_make_products_up_to_the_third_order():
+    (law,) = pairs(CONTEXT, "joint 4", {"torque2", "temperature"})
+    assert law.name == "joint 4|torque2|temperature"
+    first, second = law_of("joint 4", "torque2"), law_of("joint 4", "temperature")
+    a, b = columns(first), columns(second)
+    found = columns(law)
+    assert len(found) == 3 + 3 + 3
+    np.testing.assert_allclose(
+        offsets(found["joint_4.p1_torque2*p2_temperature"]),
+        offsets(a["joint_4.p1_torque2"]) * offsets(b["joint_4.p2_temperature"]),
+    )
+    (mixed,) = pairs(CONTEXT, "joint 4", {"q2", "temperature"})
+    found = columns(mixed)
+    np.testing.assert_allclose(
+        offsets(found["joint_4.sin2_q2*p1_temperature"]),
+        np.sin(2.0 * CONTEXT.q[:, 1]) * offsets(b["joint_4.p1_temperature"]),
+    )
+
+
+def test_pairs_of_one_channel_are_of_all_variables_and_of_all_channels_of_joint_angles():
+    of_one = pairs(CONTEXT, "tool z")
+    assert len(of_one) == len(EVERY) * (len(EVERY) - 1) / 2
+    of_all = pairs(CONTEXT)
+    assert len(of_all) == 15 * 18
+    assert {law.name.split("|")[0] for law in of_all} == set(channels(6))
+    assert all(name[0] == "q" for law in of_all for name in law.name.split("|")[1:])
+
+
+def test_a_curve_of_one_variable_can_be_found_again():
+    """A sag of |sin q5| of the tool and a 47 minute sway of the base are within a few per cent of their term's span."""
+    context = context_of(300, seed=8)
+    for channel, variable, truth in (
+        ("joint 1", "q5", np.abs(np.sin(context.q[:, 4]))),
+        ("joint 1", "time", np.sin(2.0 * np.pi * context.known.time_s / (47.0 * 60.0) / 2.0)),
+    ):
+        found = columns(law_of(channel, variable, context), context)
+        design = np.column_stack([np.ones(300), *(offsets(column) for column in found.values())])
+        left = truth - design @ np.linalg.lstsq(design, truth, rcond=None)[0]
+        assert np.std(left) < 0.15 * np.std(truth)
+
+
+@pytest.mark.parametrize("name", ["joint 9|q1", "nonsense|q1", "joint 1", "joint 1|q1|q2|q3"])
+def test_a_term_that_says_nothing_is_refused(name):
+    with pytest.raises(ValueError, match="effect unknown has no law"):
+        UNKNOWN.columns(CONTEXT, Law(name, {"order": 4.0}))
