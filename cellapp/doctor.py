@@ -12,15 +12,19 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.collection.cell import build_plant, ur_expectation
+from cellapp.collection.cell import air_sensor, build_plant, lmf_tracker, ur_expectation
+from cellapp.collection.token import read_token
 from cellapp.errors import InputError
 from cellapp.planning.bodies import place
 from cellapp.planning.cell_bodies import cell_bodies, home_positions
 from cellapp.planning.safety import CellBodies, clear_alone, refuse_stop, visible
-from cellapp.profile import Arm, Profile, UrArmDriver
+from cellapp.profile import Arm, BridgeTrackerDriver, Profile, UrArmDriver
 from drivers.arms.protocol import ArmError
 from drivers.arms.ur_checks import checks
 from drivers.arms.ur_probe import UrProbe, probe_ur
+from drivers.sensors.protocol import SensorError
+from drivers.trackers.bridge import BridgeTracker
+from drivers.trackers.protocol import TrackerError
 
 Status = Literal["ok", "warning", "failed"]
 Probe = Callable[[str, float], UrProbe]
@@ -58,6 +62,7 @@ def examine(profile: Profile, probe: Probe = probe_ur) -> list[Finding]:
         for name, arm in profile.arms.items():
             findings += _arm(name, arm, hosts, asked)
         findings.append(_tracker(profile))
+        findings += _sensors(profile)
     return findings + standing
 
 
@@ -169,6 +174,28 @@ def _visibility(cell: CellBodies, profile: Profile, name: str) -> Finding:
 # -- tracker ----------------------------------------------------------------------------------------------------------
 
 
+def _bridge(driver: BridgeTrackerDriver) -> Finding:
+    """Ask the tracker behind a bridge who it is; its head does not move for that."""
+    try:
+        token = read_token(driver.token_file, driver.token_env)
+    except InputError as error:
+        return Finding("tracker", "failed", str(error))
+    timeout = min(driver.timeout, LONGEST_PROBE_S)
+    tracker = BridgeTracker(driver.url, token=token, timeout_s=timeout, baud=driver.baud, patience_s=LONGEST_PROBE_S)
+    try:
+        tracker.connect()
+        found = tracker.identify()
+        unmet = tracker.unmet()
+    except TrackerError as error:
+        return Finding("tracker", "failed", str(error))
+    finally:
+        tracker.disconnect()
+    who = f"{found.model}, serial {found.serial}, {found.software}, behind the bridge at {driver.url}"
+    if unmet:
+        return Finding("tracker", "warning", f"{who}; before it measures: {'; '.join(unmet)}")
+    return Finding("tracker", "ok", f"{who}; ready")
+
+
 def _tracker(profile: Profile) -> Finding:
     driver = profile.tracker.driver
     match driver.kind:
@@ -176,11 +203,51 @@ def _tracker(profile: Profile) -> Finding:
             return Finding("tracker", "ok", "no device: readings come from a file")
         case "simulated":
             return Finding("tracker", "ok", "simulated; no hardware is touched")
+        case "bridge":
+            return _bridge(driver)
         case "lmf":
-            system = platform.system() or "an unknown system"
-            return Finding(
-                "tracker",
-                "failed",
-                f"the AT960 at {driver.address} was not asked: this version has no driver for Leica's LMF. LMF needs"
-                f" Windows in any case (this is {system}). Use the simulated cell, or import readings from a file",
-            )
+            return _lmf(profile)
+
+
+def _lmf(profile: Profile) -> Finding:
+    """Ask a tracker of Leica's; settings are applied, but its head does not move for that."""
+    try:
+        tracker = lmf_tracker(profile)
+    except InputError as error:
+        return Finding("tracker", "failed", str(error))
+    try:
+        tracker.connect()
+        found = tracker.identify()
+        unmet = tracker.unmet()
+        notices = tracker.notices()
+    except (TrackerError, ValueError) as error:
+        return Finding("tracker", "failed", str(error))
+    finally:
+        tracker.disconnect()
+    who = f"{found.model}, serial {found.serial}, {found.software}"
+    if unmet:
+        return Finding("tracker", "warning", f"{who}; before it measures: {'; '.join([*unmet, *notices])}")
+    if notices:
+        return Finding("tracker", "warning", f"{who}; {'; '.join(notices)}")
+    return Finding("tracker", "ok", f"{who}; ready")
+
+
+# -- sensors ----------------------------------------------------------------------------------------------------------
+
+
+def _sensors(profile: Profile) -> list[Finding]:
+    sensor = profile.sensors.air
+    if sensor is None:
+        return []
+    subject = "sensor air"
+    if sensor.kind == "simulated":
+        return [Finding(subject, "ok", "simulated; no hardware is touched")]
+    station = air_sensor(profile, None)
+    assert station is not None
+    try:
+        station.connect()
+        return [Finding(subject, "ok", f"{sensor.url}: {station.read()}")]
+    except SensorError as error:
+        return [Finding(subject, "failed", str(error))]
+    finally:
+        station.disconnect()

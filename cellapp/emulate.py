@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import ipaddress
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 from cellapp.collection.cell import build_plant
+from cellapp.collection.token import read_token
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Arm, Profile
 from cellapp.progress import CancelToken
+from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
 from drivers.emulators.ur_controller import (
     STANDARD_PORTS,
     Addresses,
@@ -18,6 +21,7 @@ from drivers.emulators.ur_controller import (
     Personality,
     UrControllerServer,
 )
+from drivers.plant import Plant
 
 _STEP_S = 0.2
 _CB3_MODELS = ("UR3", "UR5", "UR10")
@@ -46,6 +50,44 @@ class EmulatedArm:
             f" at {self.host}: dashboard {self.dashboard_port}, primary {self.primary_port}, script"
             f" {self.script_port}, RTDE {self.rtde_port}; faults on command at 127.0.0.1:{self.control_port}"
         )
+
+
+@dataclass(frozen=True)
+class EmulatedTracker:
+    """Where the tracker of the simulated cell is served over the bridge protocol."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"tracker: simulated, bridge protocol at {self.host} port {self.port}"
+
+
+def emulated_tracker(profile: Profile) -> EmulatedTracker | None:
+    """The stand-in for a tracker of kind ``bridge`` with a loopback ``socket://`` URL; None for any other."""
+    driver = profile.tracker.driver
+    if profile.plant is None or driver.kind != "bridge" or not driver.url.startswith("socket://"):
+        return None
+    host, _, port = driver.url.removeprefix("socket://").rpartition(":")
+    loopback = _loopback(host)
+    return None if loopback is None else EmulatedTracker(loopback, int(port))
+
+
+def _serve_tracker(
+    stack: ExitStack, profile: Profile, plant: Plant, server: UrControllerServer, tracker: EmulatedTracker
+) -> EmulatedTracker:
+    """Have the tracker look at what the controllers move; it waits for their clock and touches nothing without lock."""
+    driver = profile.tracker.driver
+    token = read_token(driver.token_file, driver.token_env) if driver.kind == "bridge" else None
+    bridge = TrackerBridgeEmulator(
+        plant, clock=threading.Condition(server.cell.lock), host=tracker.host, port=tracker.port, token=token
+    )
+    try:
+        stack.enter_context(bridge)
+    except OSError as error:
+        raise HardwareError(f"tracker: {error.strerror}; see whether another bridge runs here") from error
+    assert bridge.port is not None
+    return EmulatedTracker(bridge.host, bridge.port)
 
 
 def emulated_arms(profile: Profile) -> list[EmulatedArm]:
@@ -88,13 +130,17 @@ def emulate(
     announce: Callable[[Sequence[EmulatedArm]], None],
     arms: Sequence[EmulatedArm] | None = None,
     pace: float = 1.0,
+    tracker: EmulatedTracker | None = None,
+    announce_tracker: Callable[[EmulatedTracker], None] = lambda _: None,
 ) -> None:
     """Stand in for the controllers of a profile until ``cancel``; all ports are free again when this returns.
 
     The arms move the simulated cell where the profile has a section ``plant``; elsewhere joints alone.
 
     ``announce`` is called once, when all listen, with the addresses. ``arms`` replaces what ``emulated_arms`` would
-    choose; a port 0 in it takes a free one. ``pace`` is how many seconds pass in the cell for each second of wall time.
+    choose; a port 0 in it takes a free one. ``tracker`` and ``announce_tracker``, which is called first, likewise for
+    the tracker, which looks at the same cell. ``pace`` is how many seconds pass in the cell for each second of
+    wall time.
 
     Raises
     ------
@@ -104,6 +150,7 @@ def emulate(
         If a port is in use or an address cannot be had.
     """
     chosen = emulated_arms(profile) if arms is None else arms
+    seen_by = emulated_tracker(profile) if tracker is None else tracker
     plant = None if profile.plant is None else build_plant(profile)
     controllers = [_config(arm, profile.arms[arm.arm]) for arm in chosen]
     try:
@@ -118,6 +165,8 @@ def emulate(
                 f"{error.strerror}; see whether another emulator or simulator runs here. On macOS,"
                 " addresses other than 127.0.0.1 must be added first: ifconfig lo0 alias 127.0.0.2"
             ) from error
+        if seen_by is not None and plant is not None:
+            announce_tracker(_serve_tracker(stack, profile, plant, server, seen_by))
         announce([_listening(arm, server.addresses) for arm in chosen])
         while not cancel.wait(_STEP_S):  # in steps, so that Ctrl-C is heard
             pass

@@ -42,6 +42,7 @@ from cellapp.quantities import (
 
 _ARM_SCALE_M = 10.0
 _CELL_SCALE_M = 100.0
+_SERIAL_SCHEMES = ("socket", "rfc2217", "loop", "spy", "alt", "hwgrep")
 
 
 _VERSION = 1
@@ -232,12 +233,39 @@ class SimulatedTrackerDriver(Section):
     kind: Literal["simulated"]
 
 
+class Air(Section):
+    """Air that the tracker shall correct the refraction with instead of what its own station measures."""
+
+    temperature: Annotated[Temperature, Field(ge=-40.0, le=85.0)]
+    pressure_hpa: Annotated[float, Field(strict=True, ge=500.0, le=1200.0)]
+    humidity_percent: Annotated[float, Field(strict=True, ge=0.0, le=100.0)]
+
+
 class LmfTrackerDriver(Section):
-    """An AT960 through Leica's LMF, on the Windows PC it is wired to."""
+    """An AT960 through Leica's LMF, on the Windows PC it is wired to.
+
+    ``serial`` is compared at each connect where it is given. ``stationary`` says who decides how long is averaged: the
+    tracker by ``accuracy``, or ``tracker.averaging``. ``gravity`` levels the tracker.
+    """
 
     kind: Literal["lmf"]
-    address: str
+    address: Annotated[str, Field(min_length=1)]
+    """IP address or host name, or one of LMF's simulators such as AT960LRSimulator#1."""
+    serial: str | None = None
+    reflector: Annotated[str, Field(max_length=60)] = ""
+    """The reflector type as LMF names it, or its class such as RedRingReflector15; empty: what is selected there."""
+    accuracy: Literal["fast", "standard", "precise"] = "standard"
+    air: Air | None = None
+    library: Annotated[str, Field(min_length=1)] = "LMF.Tracker.Connection"
+    """Path of LMF.Tracker.Connection.dll, or its bare name where Python's path finds it."""
+    stationary: Literal["accuracy", "time"] = "accuracy"
+    power_lock: Annotated[bool, Field(strict=True)] = True
+    search_radius: Annotated[CellLength, Field(gt=0.0)] | None = None
+    wrong_target: Annotated[CellLength, Field(gt=0.0, le=1.0)] = 0.05
+    shaking: Annotated[Length, Field(gt=0.0, le=0.01)] = 100e-6
+    gravity: Annotated[bool, Field(strict=True)] = False
     timeout: Annotated[Time, Field(gt=0.0, le=120.0)] = 15.0
+    """Of all that Leica recommends no limit for, pointing and searching included."""
 
 
 _SOCKET_URL = re.compile(r"socket://(\[[0-9A-Fa-f:.]+\]|[^\s:/@?#\[\]]+):([0-9]{1,5})")
@@ -306,6 +334,74 @@ class Tracker(Section):
     elevation: tuple[Turn, Turn] = (math.radians(-55.0), math.radians(55.0))
     distance: tuple[CellLength, CellLength] = (1.0, 40.0)
     averaging: Annotated[Time, Field(gt=0.0, le=60.0)] = 1.0
+
+
+class SimulatedSensor(Section):
+    """The weather station of the simulated cell."""
+
+    kind: Literal["simulated"]
+
+
+class SensorUnits(Section):
+    """Units of a line that does not name them."""
+
+    temperature: Literal["degC", "degF", "K"] = "degC"
+    object_temperature: Literal["degC", "degF", "K"] = "degC"
+    pressure: Literal["hPa", "mbar", "kPa", "Pa", "bar", "mmHg", "inHg", "psi"] = "hPa"
+    humidity: Literal["%"] = "%"
+
+
+class SerialSensor(Section):
+    """A weather station over any pyserial URL, one line a reading: a known ``format``, or a ``pattern``.
+
+    The pattern must fit the whole line; its named groups are ``temperature`` and, where there are any, ``pressure``,
+    ``humidity``, ``object_temperature``, and each with ``_unit`` behind it where the line names the unit.
+    """
+
+    kind: Literal["serial"]
+    url: Annotated[str, Field(min_length=1)]
+    format: Literal["vaisala-ptu300"] | None = None
+    pattern: str | None = None
+    units: SensorUnits = SensorUnits()
+    poll: str | None = None
+    """What is sent to get a line, line end included; "" for a station that sends by itself; left out: as usual."""
+    poll_interval: Annotated[Time, Field(ge=0.1, le=3600.0)] = 5.0
+    baud: Annotated[int, Field(strict=True, ge=50, le=4_000_000)] | None = None
+    framing: Annotated[str, Field(pattern=r"^[5-8][NEO][12]$")] | None = None
+    max_age: Annotated[Time, Field(gt=0.0, le=3600.0)] = 60.0
+    timeout: Annotated[Time, Field(gt=0.0, le=60.0)] = 5.0
+
+    @field_validator("url")
+    @classmethod
+    def _a_kind_that_pyserial_opens(cls, value: str) -> str:
+        scheme, found, _ = value.partition("://")
+        if found and scheme not in _SERIAL_SCHEMES:
+            known = ", ".join(f"{name}://" for name in _SERIAL_SCHEMES)
+            raise ValueError(f"'{scheme}://' is not known; write a device such as /dev/ttyUSB0 or COM3, or {known}")
+        return value
+
+    @model_validator(mode="after")
+    def _one_format(self) -> Self:
+        if (self.format is None) == (self.pattern is None):
+            raise ValueError("format: give either format or pattern")
+        if self.pattern is not None:
+            try:
+                groups = set(re.compile(self.pattern).groupindex)
+            except re.error as error:
+                raise ValueError(f"pattern: no regular expression: {error}") from None
+            known = {name + end for name in SensorUnits.model_fields for end in ("", "_unit")}
+            if "temperature" not in groups:
+                raise ValueError("pattern: it has no group (?P<temperature>...)")
+            if groups - known:
+                unknown = ", ".join(sorted(groups - known))
+                raise ValueError(f"pattern: group {unknown} is not known; known are {', '.join(sorted(known))}")
+        return self
+
+
+class Sensors(Section):
+    """What measures the surroundings. Without ``air`` the tracker's own air temperature goes with the readings."""
+
+    air: Annotated[SimulatedSensor | SerialSensor, Field(discriminator="kind")] | None = None
 
 
 class Plan(Section):
@@ -403,6 +499,7 @@ class Profile(Section):
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     arms: Annotated[dict[str, Arm], Field(min_length=1)]
     tracker: Tracker
+    sensors: Sensors = Sensors()
     plan: Plan = Plan()
     splits: Splits = Splits()
     calibration: Calibration = Calibration()
@@ -416,6 +513,9 @@ class Profile(Section):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         simulated = [name for name, arm in self.arms.items() if arm.driver.kind == "simulated"]
+        air = self.sensors.air
+        if air is not None and air.kind == "simulated" and self.plant is None:
+            raise ValueError("sensors.air: a simulated station needs a section 'plant' that it measures")
         if (simulated or self.tracker.driver.kind == "simulated") and self.plant is None:
             raise ValueError("plant: simulated drivers need a section 'plant' that says what they simulate")
         if self.plant is not None:

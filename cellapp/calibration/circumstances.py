@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellapp.effects import Circumstances
+from cellapp.effects import Circumstances, Record
 from cellapp.kinematics.chain import frame_poses
 from cellapp.kinematics.statics import STANDARD_GRAVITY
 from cellapp.kinematics.transforms import Array
@@ -45,7 +45,19 @@ def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = 
         joints_c=readings.joint_temperature_c,
         other_moment_M=moment,
         other_q=other_q,
+        record=_record(readings),
     )
+
+
+def _record(readings: Readings) -> Record | None:
+    """The run's temperatures where times and joint temperatures are known throughout."""
+    joints_c, time_s = readings.joint_temperature_c, readings.time_s
+    if joints_c is None or not np.isfinite(joints_c).all() or not np.isfinite(time_s).all():
+        return None
+    air_c = readings.temperature_c
+    if air_c is None or not np.isfinite(air_c).all():
+        air_c = joints_c.mean(axis=1)
+    return Record(time_s, joints_c, air_c)
 
 
 def base_moment(model: ArmModel, q: Array, payload_kg: Array | None = None) -> Array:

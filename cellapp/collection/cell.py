@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,28 +13,44 @@ from cellapp.calibration.setup import pose_matrix
 from cellapp.collection.token import read_token
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Arm as ArmProfile
-from cellapp.profile import BridgeTrackerDriver, Profile, UrArmDriver
+from cellapp.profile import (
+    BridgeTrackerDriver,
+    LmfTrackerDriver,
+    Profile,
+    SerialSensor,
+    SimulatedSensor,
+    UrArmDriver,
+)
 from drivers.arms.protocol import Arm, ArmError, JointLimits
 from drivers.arms.simulated import SimulatedArm
 from drivers.arms.ur import UrArm, UrSettings
 from drivers.arms.ur_checks import JOINTS as UR_JOINTS
 from drivers.arms.ur_checks import UrExpectation
 from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
+from drivers.sensors.protocol import AirSensor, SensorError
+from drivers.sensors.serial_station import PRESETS, LineFormat, SerialStation
+from drivers.sensors.simulated import SimulatedAirSensor
 from drivers.trackers.bridge import BridgeTracker
+from drivers.trackers.lmf import ErrorLaw, LmfSettings, LmfTracker
 from drivers.trackers.protocol import Preparation, Tracker, TrackerError
 from drivers.trackers.simulated import SimulatedTracker
 
 ArmOpener = Callable[[str, ArmProfile, Plant | None], Arm]
 TrackerOpener = Callable[[Profile, Plant | None], Tracker]
+SensorOpener = Callable[[str, SimulatedSensor | SerialSensor, Plant | None], AirSensor]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """An open cell: connected arms by name, and the tracker. ``plant`` is there in simulation only."""
+    """An open cell: connected arms by name, the tracker, and the weather station where there is one.
+
+    ``plant`` is there in simulation only.
+    """
 
     arms: Mapping[str, Arm]
     tracker: Tracker
     plant: Plant | None
+    air: AirSensor | None = None
 
 
 def _simulated_arm(name: str, arm: ArmProfile, plant: Plant | None) -> Arm:
@@ -93,10 +109,43 @@ def ur_expectation(name: str, arm: ArmProfile, driver: UrArmDriver) -> UrExpecta
 
 
 def _lmf_tracker(profile: Profile, plant: Plant | None) -> Tracker:
-    raise HardwareError(
-        "tracker: this version has no driver for the AT960's LMF interface; nothing was moved."
-        " Use the simulated cell, or import readings measured elsewhere"
+    return lmf_tracker(profile)
+
+
+def lmf_tracker(profile: Profile) -> LmfTracker:
+    """The tracker of a profile whose driver is LMF, not connected yet. Raises ``InputError`` on a bad setting."""
+    tracker, driver = profile.tracker, profile.tracker.driver
+    if not isinstance(driver, LmfTrackerDriver):
+        raise InputError(f"tracker.driver: expected the settings of LMF, got those of {driver.kind}")
+    law = ErrorLaw(
+        transverse=(tracker.transverse.constant, tracker.transverse.proportional),
+        range=(tracker.range.constant, tracker.range.proportional),
     )
+    try:
+        settings = LmfSettings(
+            address=driver.address,
+            serial=driver.serial or "",
+            library=driver.library,
+            stationary=driver.stationary,
+            power_lock=driver.power_lock,
+            search_radius_m=driver.search_radius,
+            wrong_target_m=driver.wrong_target,
+            shaking_m=driver.shaking,
+            gravity=driver.gravity,
+            command_s=driver.timeout,
+            law=law,
+        )
+    except ValueError as error:
+        raise InputError(f"tracker.driver.{error}") from error
+    return LmfTracker(settings, lmf_preparation(driver))
+
+
+def lmf_preparation(driver: LmfTrackerDriver) -> Preparation:
+    """How a profile wants an LMF tracker set up."""
+    air = driver.air
+    if air is None:
+        return Preparation(reflector=driver.reflector, accuracy=driver.accuracy)
+    return Preparation(driver.reflector, driver.accuracy, air.temperature, air.pressure_hpa, air.humidity_percent)
 
 
 def _no_arm(name: str, arm: ArmProfile, plant: Plant | None) -> Arm:
@@ -119,6 +168,30 @@ def _bridge_tracker(profile: Profile, plant: Plant | None) -> Tracker:
     )
 
 
+def _simulated_sensor(name: str, sensor: SimulatedSensor | SerialSensor, plant: Plant | None) -> AirSensor:
+    if plant is None:
+        raise InputError(f"sensors.{name}: a simulated station needs the profile's section 'plant'")
+    return SimulatedAirSensor(plant)
+
+
+def _serial_sensor(name: str, sensor: SimulatedSensor | SerialSensor, plant: Plant | None) -> AirSensor:
+    if not isinstance(sensor, SerialSensor):
+        raise InputError(f"sensors.{name}: expected the settings of a serial station, got those of {sensor.kind}")
+    layout = PRESETS[sensor.format] if sensor.format else LineFormat(sensor.pattern or "")
+    layout = replace(layout, units=sensor.units.model_dump())
+    if sensor.poll is not None:
+        layout = replace(layout, poll=sensor.poll.encode())
+    return SerialStation(
+        sensor.url,
+        layout,
+        baud=sensor.baud,
+        framing=sensor.framing,
+        max_age_s=sensor.max_age,
+        poll_every_s=sensor.poll_interval,
+        timeout_s=sensor.timeout,
+    )
+
+
 ARM_DRIVERS: Mapping[str, ArmOpener] = {"simulated": _simulated_arm, "ur": _ur_arm, "none": _no_arm}
 TRACKER_DRIVERS: Mapping[str, TrackerOpener] = {
     "simulated": _simulated_tracker,
@@ -126,6 +199,13 @@ TRACKER_DRIVERS: Mapping[str, TrackerOpener] = {
     "bridge": _bridge_tracker,
     "none": _no_tracker,
 }
+SENSOR_DRIVERS: Mapping[str, SensorOpener] = {"simulated": _simulated_sensor, "serial": _serial_sensor}
+
+
+def air_sensor(profile: Profile, plant: Plant | None) -> AirSensor | None:
+    """The weather station that the profile names, not connected yet; None where it names none."""
+    sensor = profile.sensors.air
+    return None if sensor is None else SENSOR_DRIVERS[sensor.kind]("air", sensor, plant)
 
 
 @contextmanager
@@ -139,11 +219,14 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
     HardwareError
         If a device cannot be reached or is not ready.
     """
-    kinds = {profile.tracker.driver.kind, *(arm.driver.kind for arm in profile.arms.values())}
+    kinds: set[str] = {profile.tracker.driver.kind, *(arm.driver.kind for arm in profile.arms.values())}
+    if profile.sensors.air is not None:
+        kinds.add(profile.sensors.air.kind)
     # a section 'plant' may also describe a cell that 'cellapp emulate' simulates in another process
     plant = build_plant(profile, watch_clearance=watch_clearance) if "simulated" in kinds else None
     arms = {name: ARM_DRIVERS[arm.driver.kind](name, arm, plant) for name, arm in profile.arms.items()}
     tracker = TRACKER_DRIVERS[profile.tracker.driver.kind](profile, plant)
+    air = air_sensor(profile, plant)
     with ExitStack() as stack:
         for arm in arms.values():
             stack.callback(_let_go, arm)
@@ -154,12 +237,22 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
         try:
             tracker.connect()
             stack.callback(tracker.disconnect)
+            if isinstance(profile.tracker.driver, LmfTrackerDriver):  # its connect does not move the head
+                tracker.prepare(lmf_preparation(profile.tracker.driver))
             unmet = tracker.unmet()
         except TrackerError as error:
             raise HardwareError(str(error)) from error
+        except ValueError as error:  # a setting that this tracker does not have
+            raise InputError(str(error)) from error
         if unmet:
             raise HardwareError(f"tracker: not ready: {'; '.join(unmet)}")
-        yield Cell(arms, tracker, plant)
+        if air is not None:
+            stack.callback(air.disconnect)
+            try:
+                air.connect()
+            except SensorError as error:
+                raise HardwareError(str(error)) from error
+        yield Cell(arms, tracker, plant, air)
 
 
 def _let_go(arm: Arm) -> None:

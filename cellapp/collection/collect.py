@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Literal
+
 import numpy as np
 
 from cellapp.collection.cell import open_cell
@@ -12,6 +15,7 @@ from cellapp.planning.cell_bodies import cell_bodies, home_positions
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Reading, RunFile
 from drivers.arms.protocol import ArmState
+from drivers.sensors.protocol import AirSensor, SensorError
 from drivers.trackers.protocol import Point, TrackerError
 
 _MOST_MISSED_IN_A_ROW = 10
@@ -56,6 +60,7 @@ def collect_run(
     with open_cell(profile, watch_clearance=watch_clearance) as cell:
         notes += check_controllers(run, cell)
         mover = Mover(profile, cell, bodies)
+        air = None if cell.air is None else _Air(cell.air, run, notes)
         began: float | None = None
         missed = 0
         for place, stop in enumerate(left):
@@ -63,6 +68,7 @@ def collect_run(
             listener(Progress("collect", total - len(left) + place, total, f"stop {stop + 1}"))
             targets = {name: rows[stop] for name, rows in plan.items()}
             states = _go(mover, targets)
+            air_c = None if air is None else air.temperature_c(stop)
             rows: dict[str, Reading] = {}
             for name, state in states.items():
                 try:
@@ -74,7 +80,8 @@ def collect_run(
                     continue
                 if began is None:  # by the tracker's clock alone: controllers have their own
                     began = point.time_s - point.averaging_s - earlier
-                rows[name] = _reading(state, point, mover.approach(name), began)
+                temperature_c = point.temperature_c if air is None else air_c
+                rows[name] = _reading(state, point, mover.approach(name), began, temperature_c)
             missed = 0 if rows else missed + 1
             if missed >= _MOST_MISSED_IN_A_ROW:
                 raise HardwareError(f"the tracker saw no SMR at {missed} stops in a row; look at tracker and targets")
@@ -99,14 +106,44 @@ def _go(mover: Mover, targets: dict[str, np.ndarray]) -> dict[str, ArmState]:
         return mover.move(targets)
 
 
-def _reading(state: ArmState, point: Point, approach: np.ndarray, began: float) -> Reading:
+@dataclass
+class _Air:
+    """The weather station: its temperature goes with the readings, and none where it fails; that is noted once.
+
+    The tracker's own air temperature does not stand in: a change of thermometer would look like a change of the air.
+    """
+
+    sensor: AirSensor
+    run: RunFile
+    notes: list[str]
+    state: Literal["new", "well", "failed"] = "new"
+
+    def temperature_c(self, stop: int) -> float | None:
+        try:
+            reading = self.sensor.read()
+        except SensorError as error:
+            if self.state != "failed":
+                note = f"stop {stop + 1}: readings go without air temperature: {error}"
+                self.run.log("warning", note)
+                self.notes.append(note)
+            self.state = "failed"
+            return None
+        if self.state != "well":
+            self.run.log("info", f"stop {stop + 1}: {reading}")
+        self.state = "well"
+        return reading.temperature_c
+
+
+def _reading(
+    state: ArmState, point: Point, approach: np.ndarray, began: float, temperature_c: float | None
+) -> Reading:
     return Reading(
         q=state.q,
         p_M=point.p_M,
         time_s=point.time_s - began,
         approach=approach.copy(),
         payload_kg=state.payload_kg,
-        temperature_c=point.temperature_c,
+        temperature_c=temperature_c,
         joint_temperature_c=state.joint_temperature_c,
         covariance_M=point.covariance_M,
     )

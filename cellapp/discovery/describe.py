@@ -113,7 +113,7 @@ def _shapes(variables: list[str], known: list[Array]) -> list[tuple[str, Array]]
         (v, w), (x, y) = variables, known
         for a, b in ((1, 1), (1, -1), (1, 0.5), (0.5, 1), (1, -0.5), (0.5, -1), (2, 1), (1, 2)):
             total = a * x + b * y
-            text = f"{a:g} {v} {'+' if b > 0 else '-'} {abs(b):g} {w}".replace("1 ", "")
+            text = f"{_times(a, v)} {'+' if b > 0 else '-'} {_times(abs(b), w)}"
             add(f"c sin({text} + phase)", np.cos(total), np.sin(total))
             for width in (0.3, 0.6, 1.0, 1.6):
                 add(f"c tanh(({text}) / {width:g})", np.tanh(total / width))
@@ -122,6 +122,10 @@ def _shapes(variables: list[str], known: list[Array]) -> list[tuple[str, Array]]
             for g, other in ((np.sin, "sin"), (np.cos, "cos")):
                 add(f"c {name}({v}) {other}({w})", f(x) * g(y))
     return shapes
+
+
+def _times(factor: float, name: str) -> str:
+    return name if factor == 1 else f"{factor:g} {name}"
 
 
 def _formula(

@@ -21,7 +21,7 @@ from cellapp.discovery.scan import (
     null_maxima,
     threshold,
 )
-from cellapp.effects import EFFECTS, Law
+from cellapp.effects import EFFECTS, Law, Refinable
 from cellapp.effects.unknown import dictionary, pairs
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
@@ -31,6 +31,7 @@ UNKNOWN = "unknown"
 _MOST_EFFECTS = 5
 _MOST_STEPS = 16
 _MOST_TERMS = 3
+_MANY_LINES = 16
 _RIVAL = 10.0
 """Effects whose score is this near the winner's are in its answer set; what is not in the library must lead by it."""
 _SAME_CAUSE = 0.05
@@ -181,10 +182,12 @@ class _Engine:
             for score in best_of_each(seen.scores(MY, square))
             if (score.slug, score.candidate.law.name) not in refused
         ]
-        refinement = self._refinement(here, fit)
+        # before a second name is given, the law of the first is refined; without one it takes more to complicate it
         best_new = found[0].value if found else -math.inf
-        if refinement is not None and refinement[0] > max(best_new - _RIVAL, 0.0):
-            return refinement[1]
+        needed = max(best_new - _RIVAL, 0.0) if best_new > self.least else max(self.least, _RIVAL)
+        refinement = self._refinement(here, fit, needed)
+        if refinement is not None:
+            return refinement
         for score in found:
             if score.value <= self.least or len(taken) >= _MOST_EFFECTS:
                 break
@@ -266,9 +269,9 @@ class _Engine:
             current = Score(candidate, again.value, chosen, again.explained)
         return None
 
-    def _refinement(self, here: ArmData, fit: Fit) -> tuple[float, Step] | None:
-        """A better law, or more joints, for an effect that is there: the gain over what it has, and the step."""
-        best: tuple[float, Step] | None = None
+    def _refinement(self, here: ArmData, fit: Fit, needed: float) -> Step | None:
+        """A better law, or more joints, for an effect that is there, that gains more than ``needed``."""
+        best: Step | None = None
         for place, part in enumerate(fit.choice):
             if part.slug == UNKNOWN or part.curves is not None:
                 continue
@@ -276,28 +279,30 @@ class _Engine:
             y = fit.residual + fit.signal(place)
             MY = follower.without(y)
             square = float(y @ MY)
-            seen = Seen.of(here.candidates(fit, [part.slug]), follower)
+            candidates = here.candidates(fit, [part.slug])
+            if len(part.names) > _MANY_LINES:  # rather a curve than one line after the other
+                candidates = [one for one in candidates if len(one.columns) <= 2 * _MANY_LINES]
+            effect = EFFECTS[part.slug]
+            if isinstance(effect, Refinable):
+                further = effect.refinements(here.context, part.law, part.names)
+                candidates += [here.candidate(fit, part.slug, law) for law in further]
+            seen = Seen.of(candidates, follower)
             own = _value(fit, place, follower, MY, square)
-            for score in seen.scores(MY, square)[:2]:
+            for score in seen.scores(MY, square)[:3]:
                 gain = score.value - own
                 same = score.candidate.law.name == part.law.name and set(score.names) == set(part.names)
-                if same or gain <= max(self.least, _RIVAL) or (best is not None and gain <= best[0]):
+                if same or gain <= needed or (best is not None and gain <= best.score):
                     continue
                 without = replace(fit, choice=fit.choice[:place] + fit.choice[place + 1 :])
                 possible = self._plausible(here, without, score, seen, MY, square)
-                if possible is None or possible.value - own <= max(self.least, _RIVAL):
+                if possible is None or possible.value - own <= needed:
                     continue
                 refined = Part(part.slug, possible.candidate.law, possible.names)
                 choice = (*fit.choice[:place], refined, *fit.choice[place + 1 :])
                 words = refined.law.name.replace("_", " ") or "more of it"
-                step = Step(
-                    part.slug,
-                    f"{EFFECTS[part.slug].title}: {words}",
-                    possible.value - own,
-                    corrected_p(self.maxima, possible.value - own),
-                    choice,
-                )
-                best = (possible.value - own, step)
+                gain = possible.value - own
+                title = EFFECTS[part.slug].title
+                best = Step(part.slug, f"{title}: {words}", gain, corrected_p(self.maxima, gain), choice)
         return best
 
     # -- beyond the library ------------------------------------------------------------------------------------------
@@ -323,10 +328,19 @@ class _Engine:
         return min(ways, key=self.criterion) if ways else None
 
     def _curve(self, way: _Way) -> _Way | None:
-        """One free periodic curve a joint beside the lines found so far, where its evidence pays for it."""
-        here, fit = way.data, way.fit
-        if here.stated is None or any(part.curves is not None for part in fit.choice):
+        """One free periodic curve a joint, instead of the lines found so far or beside them, where it pays."""
+        if way.data.stated is None or any(part.curves is not None for part in way.fit.choice):
             return None
+        ways = [self._curve_beside(way, way)]
+        rest = tuple(part for part in way.fit.choice if part.slug != "transmission_error")
+        if len(rest) < len(way.fit.choice):
+            ways.append(self._curve_beside(_Way(*self.refit(rest)), way))
+        better = [one for one in ways if one is not None and self.criterion(one) < self.criterion(way)]
+        return min(better, key=self.criterion) if better else None
+
+    def _curve_beside(self, base: _Way, way: _Way) -> _Way | None:
+        """The curves that what ``base`` leaves asks for, added to it; the steps are those of ``way``."""
+        here, fit = base.data, base.fit
         # in units of the stated uncertainty, as the curves' noise is a factor on it
         bare = replace(here, sigma=here.stated).fit(fit.choice)
         residual = bare.follower.without(bare.residual)
@@ -364,8 +378,7 @@ class _Engine:
             corrected_p(self.maxima, value),
             (*rest, part),
         )
-        after = self.taken(way, step)
-        return after if self.criterion(after) < self.criterion(way) else None
+        return self.taken(replace(base, steps=way.steps, dropped=way.dropped), step)
 
     def data_driven(self, way: _Way) -> _Way | None:
         """The channel and the one or two variables that explain most of what is left, added."""

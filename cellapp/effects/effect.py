@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,15 @@ from numpy.typing import NDArray
 from cellapp.kinematics.chain import Geometry, Turns, frame_poses, jacobian, joint_jacobian
 from cellapp.kinematics.statics import Bodies, gravity_torques
 from cellapp.kinematics.transforms import Array
+
+
+@dataclass(frozen=True)
+class Record:
+    """Temperatures of a run: times (m,) [s], of joints (m, N) and air (m,) [degC]."""
+
+    time_s: Array
+    joints_c: Array
+    air_c: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +60,8 @@ class Circumstances:
         Moment of gravity on the other arm about the origin of its base, in the tracker frame [Nm].
     other_q : array, shape (n, K)
         Joint positions of the other arm [rad].
+    record : Record
+        Temperatures of the whole run, which what follows them slowly needs; not one a stop.
     """
 
     approach: Array | NDArray[np.int8] | None = None
@@ -62,12 +73,12 @@ class Circumstances:
     joints_c: Array | None = None
     other_moment_M: Array | None = None
     other_q: Array | None = None
+    record: Record | None = None
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Circumstances:
-        """Those of some stops."""
-        return replace(
-            self, **{name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-        )
+        """Those of some stops; the record stays whole."""
+        taken: dict[str, Any] = {k: v[rows] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, **taken)
 
 
 @dataclass(frozen=True)
@@ -312,6 +323,14 @@ class Effect(Protocol):
 
     def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
         """Columns of a law, the same ones whatever the data; with ``wanted`` at least those of these names."""
+
+
+@runtime_checkable
+class Refinable(Protocol):
+    """An effect that knows further laws once something of it was found."""
+
+    def refinements(self, context: EffectContext, law: Law, names: Collection[str]) -> list[Law]:
+        """Laws that are worth a try where ``law`` with the columns ``names`` was found."""
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ class JointCompliance:
                 assert stiff.offset is not None
                 knee = law.constants.get(f"knee{j + 1}", 0.0)
                 soft = np.clip(stiff.offset, -knee, knee)
-                columns += [stiff, joint_column(f"soft{j + 1}", "rad/Nm", j, soft, -1e-3, 1e-3)]
+                columns += [stiff, joint_column(f"soft{j + 1}", "rad/Nm", j, soft, -1e-3, 1e-3, f"knee {j + 1}")]
             return columns
         if law.name == "free_moments":
             return self._free_moments(context, wanted)

@@ -13,7 +13,13 @@ from cellapp.kinematics.transforms import Array
 
 _LONG = 0.3
 """A link shorter than this share of the longest does not bend noticeably: deflections grow with the third power."""
-_LAWS = ("bending", "bending_torsion", "bending_own_weight", "bending_torsion_own_weight")
+_LAWS = (
+    "bending",
+    "bending_torsion",
+    "bending_own_weight",
+    "bending_torsion_own_weight",
+    "bending_torsion_free_weight",
+)
 
 
 class LinkBending:
@@ -34,6 +40,8 @@ class LinkBending:
         1/GJ as well.
     bending_own_weight, bending_torsion_own_weight
         The link's own weight loads it too, where its centre of mass projects on the beam.
+    bending_torsion_free_weight
+        As much of its own weight as the data want, a block of its own: how the mass is spread along it is not known.
 
     Size: EI of 1e5 N m^2 (estimate) gives 0.2 to 0.4 mm on a UR10, 0.1 mm on a UR5. 54 % visible. Look-alikes: joint
     compliance explains 0.99 of what is visible, 0.96 with two payloads; readings of both encoders of a joint tell them
@@ -65,12 +73,17 @@ class LinkBending:
         lengths = np.hypot(context.geometry.rows[:, 1], context.geometry.rows[:, 2])
         columns = []
         for i in range(1, context.joints + 1):
-            names = f"flexibility{i}", f"torsion{i}"
+            names = f"flexibility{i}", f"torsion{i}", f"own_weight{i}"
             if lengths[i - 1] < _LONG * lengths.max() and (wanted is None or not {*names} & {*wanted}):
                 continue
             link = _Link.of(context, i)
             force, moment = context.load_beyond(i)
             bent, twisted = link.bent(force, moment, np.ones(len(context))), link.twisted(moment)
+            free = law.name.endswith("free_weight")
+            if free:
+                own = link.bent(*link.own_weight(context, i))
+                block = f"link {i} own weight"
+                columns.append(shift_column(f"own_weight{i}", "1/(N m^2)", f"link {i}", own, 0.0, 1e-3, block))
             if law.name.endswith("own_weight"):
                 own_force, own_moment, share = link.own_weight(context, i)
                 bent, twisted = (

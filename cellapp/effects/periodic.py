@@ -54,6 +54,9 @@ class TransmissionError:
     lines
         Any cycle counts from 2 to 210, each a block of its own: a strain-wave gear of ratio N has them at N and 2 N
         cycles a turn of its output and at the beats of its flexspline.
+    gear
+        2, N and 2 N cycles of any joint, N being the gear ratio in ``ratio``: proposed once a line was found, as drives
+        of one arm are alike.
     curve
         All counts from 2 to ``cycles`` under a prior that prefers smooth curves (``prior_sd``), for an error with too
         many components to name each. Not scanned: whoever finds that lines do not suffice proposes it.
@@ -76,6 +79,12 @@ class TransmissionError:
         """Two cycles; any lines."""
         return [Law("two"), Law("lines", tried=LINES_MAX - 1)]
 
+    def refinements(self, context: EffectContext, law: Law, names: Collection[str]) -> list[Law]:
+        """Gears that the lines found so far belong to."""
+        lines = {_parsed(name)[0] for name in names} - {2}
+        ratios = {n for line in lines for n in (line, line // 2 if line % 2 == 0 else 0) if n > 2}
+        return [Law("gear", {"ratio": float(ratio)}, LINES_MAX - 1) for ratio in sorted(ratios)]
+
     def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each cycle count of each joint; of a curve those of joints that have a ``length``."""
         joints: Collection[int] = range(context.joints)
@@ -84,6 +93,10 @@ class TransmissionError:
         if law.name == "lines":
             counts = range(2, LINES_MAX + 1)
             return _waves(context, dict.fromkeys(joints, counts) if wanted is None else _parsed_all(wanted), True)
+        if law.name == "gear":
+            ratio = round(law.constants["ratio"])
+            of_gear = sorted({2, ratio, 2 * ratio})
+            return _waves(context, dict.fromkeys(joints, of_gear) if wanted is None else _parsed_all(wanted), True)
         if law.name == "curve":
             counts = range(2, round(law.constants["cycles"]) + 1)
             curved = [j for j in joints if f"length{j + 1}" in law.constants] or joints

@@ -26,8 +26,8 @@ class ThermalGrowth:
     joints, joints_links
         A link has the mean temperature of the joints at its two ends, against its own mean of the run [K].
     conduction, conduction_links
-        A link follows, with a lag that is searched, the air and how much warmer than the air the joints at its ends are;
-        each with its own alpha [1/K]. Joint housings grow along their axes with their own temperature [m/K].
+        A link follows, with a lag that is searched, the air and how much warmer than the air the joints at its ends
+        are, each with its own alpha [1/K]. Joint housings grow along their axes with their own temperature [m/K].
     warm_up, warm_up_links
         ``f = 1 - exp(-(t - first) / tau)``, alpha the whole strain [m/m]; tau is searched. Either sign: a cell that is
         switched on late warms up, one that was at work before cools down.
@@ -59,7 +59,8 @@ class ThermalGrowth:
         if known.joints_c is not None and varies(known.joints_c):
             means = joint_means(known.joints_c)
             laws += [Law("joints", means), Law("joints_links", means)]
-        if times_known(context) and known.joints_c is not None and varies(known.joints_c):
+        if known.record is not None and times_known(context) and varies(known.joints_c):
+            assert known.joints_c is not None
             means = joint_means(known.joints_c)
             air = known.air_c if known.air_c is not None and varies(known.air_c) else known.joints_c.mean(axis=1)
             constants = {**means, "mean_c": float(np.nanmean(air))}
@@ -99,15 +100,22 @@ class ThermalGrowth:
 
     @staticmethod
     def _conduction(context: EffectContext, law: Law, wanted: Collection[str] | None) -> list[EffectColumn]:
-        """Columns of the lagged laws, each a block of its own; 0 at the run's means where nobody knows."""
+        """Columns of the lagged laws, each a block of its own; without a record, as if all had settled long ago."""
         known, n = context.known, len(context)
         joints = above_joint_means(context, law)
         air = above_mean(known.air_c, law, n)
         warmer = joints - air[:, None]
         ends = (warmer + np.column_stack([warmer[:, 1:], warmer[:, -1]])) / 2.0
-        if times_known(context) and known.time_s is not None:
-            behind = lagged(np.column_stack([ends, air]), known.time_s, law.constants["lag_s"])
-            ends, air = behind[:, :-1], behind[:, -1]
+        if known.record is not None and known.time_s is not None and np.isfinite(known.time_s).all():
+            record = known.record
+            mean = np.array([law.constants[f"mean_c{j + 1}"] for j in range(context.joints)])
+            air_then = record.air_c - law.constants["mean_c"]
+            warmer_then = record.joints_c - mean - air_then[:, None]
+            ends_then = (warmer_then + np.column_stack([warmer_then[:, 1:], warmer_then[:, -1]])) / 2.0
+            behind = lagged(np.column_stack([ends_then, air_then]), record.time_s, law.constants["lag_s"])
+            order = np.argsort(record.time_s, kind="stable")
+            now = np.column_stack([np.interp(known.time_s, record.time_s[order], one[order]) for one in behind.T])
+            ends, air = now[:, :-1], now[:, -1]
         by_joints = context.link_growth * ends.T[:, :, None]
         by_air = context.link_growth.sum(axis=0) * air[:, None]
         rotations = context.frames[0]

@@ -45,10 +45,11 @@ _TRACKER = ("tracker radial", "tracker azimuth", "tracker elevation")
 class Unknown:
     """A data-driven term ``sum_k b_k f_k(v)`` in one channel, or ``sum_k b_k f_k(v, w)``; b in rad or m.
 
-    Of a joint angle v: cosine and sine of v to 4 v. Of time: linear, and cosine of 1 to 20 half cycles over the run. Of anything else: Legendre polynomials to order 4 on the range it had in the run, held beyond it. Of two
-    variables: all such functions of total order up to 3. Constants: ``order``, ``low``, ``high`` and ``typical`` (what
-    is taken where nobody knows: the end of the run for time, no step, the run's median dwell, its mean temperature, the
-    nominal payload), ``center`` of an azimuth; with a ``2`` behind for the second variable.
+    Of a joint angle v: cosine and sine of v to 4 v. Of time: linear, and cosine of 1 to 20 half cycles over the run. Of
+    anything else: Legendre polynomials to order 4 on the range it had in the run, held beyond it. Of two variables: all
+    such functions of total order up to 3. Constants: ``order``, ``low``, ``high`` and ``typical`` (what is taken where
+    nobody knows: the end of the run for time, no step, the run's median dwell, its mean temperature, the nominal
+    payload), ``center`` of an azimuth; with a ``2`` behind for the second variable.
 
     It is not scanned like the named effects; ``dictionary`` and ``pairs`` list what there is to try. Sizes, bounds and
     look-alikes: whatever the data say; a term here imitates every named effect that has its channel and variable.
@@ -89,8 +90,8 @@ class Unknown:
 
 
 def channels(joints: int) -> tuple[str, ...]:
-    """All channels of an arm."""
-    return (*(f"joint {j}" for j in range(1, joints + 1)), *_TWISTS, *_TOOLS, *_TRACKER)
+    """All channels of an arm; a turn of the base about its z is an offset of joint 1."""
+    return (*(f"joint {j}" for j in range(1, joints + 1)), *_TWISTS[:-1], *_TOOLS, *_TRACKER)
 
 
 def variables(context: EffectContext) -> tuple[str, ...]:

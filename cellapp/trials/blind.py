@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -60,7 +61,7 @@ def blind_readings(
     order = rng.permutation(n)
     stops = {name: q[order] for name, q in plan.items()}
     time_s = np.sort(rng.uniform(0.0, DURATION_S, n))
-    dwell_s = np.exp(rng.uniform(*np.log(_DWELLS_S), n))
+    dwell_s = np.exp(rng.uniform(math.log(_DWELLS_S[0]), math.log(_DWELLS_S[1]), n))
     heavy = (np.arange(n) * _PAYLOAD_BLOCKS // n) % 2 == 1
     phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
     waves = np.sin(2.0 * np.pi * time_s[:, None] / np.array(_AIR_PERIODS_S) + phases)

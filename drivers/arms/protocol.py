@@ -6,19 +6,66 @@ Joint vectors are read from the controller, shape (N,), radians. No call blocks 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:  # only to say what is meant: a driver's own processes start without numpy
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
 class ArmIdentity:
-    """Who the arm is: what its controller says of itself."""
+    """Who the arm is: what its controller says of itself.
+
+    Attributes
+    ----------
+    dh_rows : array, shape (N, 4), or None
+        The calibrated D-H rows theta, d, a, alpha that the controller computes with [rad, m, m, rad], where it tells
+        them.
+    dh_checksum : str
+        What tells one factory calibration of the arm from another; empty where the controller has none.
+    """
 
     model: str
     serial: str
     software: str
+    dh_rows: NDArray[np.float64] | None = None
+    dh_checksum: str = ""
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """What the controller allows its joints.
+
+    Attributes
+    ----------
+    position : array, shape (N, 2)
+        Lowest and highest position [rad].
+    speed, acceleration : array, shape (N,)
+        [rad/s] and [rad/s^2].
+    """
+
+    position: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tool:
+    """What the controller believes the arm carries; None where it does not tell.
+
+    Attributes
+    ----------
+    payload_kg : float or None
+    payload_center_m : array, shape (3,), or None
+        Centre of mass of the payload in the flange frame [m].
+    tcp : array, shape (6,), or None
+        Tool centre point in the flange frame: position [m] and rotation vector [rad].
+    """
+
+    payload_kg: float | None
+    payload_center_m: NDArray[np.float64] | None
+    tcp: NDArray[np.float64] | None
 
 
 @dataclass(frozen=True)
@@ -41,6 +88,8 @@ class ArmState:
         Payload the controller believes in.
     joint_temperature_c : array, shape (N,), or None
         Joint temperatures where the controller gives them [degC].
+    robot_mode, safety_mode, program : str
+        In the controller's words; empty where it has none.
     """
 
     q: NDArray[np.float64]
@@ -50,6 +99,9 @@ class ArmState:
     reason: str
     payload_kg: float | None
     joint_temperature_c: NDArray[np.float64] | None
+    robot_mode: str = ""
+    safety_mode: str = ""
+    program: str = ""
 
 
 class ArmError(Exception):
@@ -66,6 +118,10 @@ class EmergencyStop(ArmError):
 
 class LinkLost(ArmError):
     """The controller no longer answers; the arm must be considered moving until it is seen at rest."""
+
+
+class NotInRemoteControl(ArmError):
+    """The controller takes no commands from outside: its pendant has the arm."""
 
 
 class LimitExceeded(ArmError):
@@ -88,10 +144,23 @@ class Arm(Protocol):
         """The arm's name in the profile."""
 
     def connect(self) -> None:
-        """Open the link. Raises ``LinkLost``."""
+        """Open the link, or open it anew after a fault; harmless when open. Nothing moves.
+
+        Raises ``LinkLost``, or why the arm would refuse to move: ``WrongRobot``, ``NotInRemoteControl``,
+        ``ProtectiveStop``, ``EmergencyStop``, ``LimitExceeded``, else ``ArmError``.
+        """
 
     def identify(self) -> ArmIdentity:
-        """Ask the controller who it is."""
+        """Who the controller says it is."""
+
+    def limits(self) -> JointLimits:
+        """What the controller allows its joints."""
+
+    def tool(self) -> Tool:
+        """What the controller believes the arm carries."""
+
+    def warnings(self) -> tuple[str, ...]:
+        """What a person should know of this arm though it would move; a sentence each."""
 
     def state(self) -> ArmState:
         """The state now; never an old one: raises ``LinkLost`` instead."""

@@ -11,9 +11,11 @@ from drivers.arms.protocol import (
     ArmState,
     ArmTimeout,
     EmergencyStop,
+    JointLimits,
     LimitExceeded,
     LinkLost,
     ProtectiveStop,
+    Tool,
 )
 from drivers.plant import Plant
 
@@ -62,6 +64,21 @@ class SimulatedArm:
         self._link()
         model = f"simulated, {self._config.joints} joints"
         return ArmIdentity(model=model, serial=f"SIM-{self._name}", software="simulated")
+
+    def limits(self) -> JointLimits:
+        """What the arm of the simulated cell may do."""
+        self._link()
+        return JointLimits(self._config.limits.copy(), self._config.speed.copy(), self._config.acceleration.copy())
+
+    def tool(self) -> Tool:
+        """What it carries; it has no tool centre point."""
+        self._link()
+        mass, center = self._plant.payload(self._name)
+        return Tool(payload_kg=mass, payload_center_m=center, tcp=None)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Nothing: there is no hardware to be stale."""
+        return ()
 
     def state(self) -> ArmState:
         """The state after one cycle of the controller."""

@@ -7,14 +7,31 @@ import pytest
 
 from drivers.arms.simulated import SimulatedArm
 from drivers.plant.optics import covariances, why_hidden
-from drivers.trackers.protocol import NotReady, TargetLost, TrackerLinkLost, Unstable
-from drivers.trackers.simulated import SimulatedTracker
+from drivers.trackers.protocol import (
+    Inclination,
+    NotReady,
+    Preparation,
+    TargetLost,
+    TrackerLinkLost,
+    Unstable,
+    WrongTarget,
+    measure_nests,
+)
+from drivers.trackers.simulated import (
+    FACE_CHANGE_S,
+    INITIALISE_S,
+    POINTING_S,
+    SETTLE_S,
+    Imperfections,
+    SimulatedTracker,
+    refractivity,
+)
 
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 
 
-def _ready(plant):
-    tracker = SimulatedTracker(plant)
+def _ready(plant, *wrong, **options):
+    tracker = SimulatedTracker(plant, *wrong, **options)
     tracker.connect()
     return tracker
 
@@ -174,3 +191,252 @@ def test_what_keeps_it_from_measuring_is_said(make_plant):
     tracker.disconnect()
     with pytest.raises(TrackerLinkLost):
         tracker.unmet()
+
+
+# -- line of sight -----------------------------------------------------------------------------------------------------
+
+NEST = np.array([0.8, 2.0, -0.4])
+ACROSS = np.array([0.0, 0.0, 1.0])
+
+
+def _capsule_of(plant, name):
+    """Ends (3,) in M and radius of the forearm of an arm at the zero position."""
+    arm = next(arm for arm in plant.config.arms if arm.name == name)
+    capsule = next(c for c in arm.capsules if c.frame == 3)
+    frame = np.eye(4)
+    for theta, d, a, alpha in arm.rows[:3]:
+        c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+        rows = [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+        frame = frame @ np.array(rows)
+    frame = plant.true_T_M_B(name) @ frame
+    return [frame[:3, :3] @ end + frame[:3, 3] for end in (capsule.start, capsule.end)], capsule.radius
+
+
+@pytest.mark.parametrize("off", [0.0, 0.9, 1.1])
+def test_a_body_in_the_beam_hides_what_is_behind_it(make_arm, make_plant, off):
+    plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
+    (start, end), radius = _capsule_of(plant, "right")
+    middle = 0.5 * (start + end)
+    beam = middle / np.linalg.norm(middle)
+    aside = np.cross(beam, end - start)
+    aside *= off * radius / np.linalg.norm(aside)  # the beam passes the axis at this distance
+    behind = 1.3 * (middle + aside)
+    tracker = _ready(plant, nests={"behind": behind, "before": 0.7 * behind})
+    assert tracker.measure(0.7 * behind, 1.0).p_M == pytest.approx(0.7 * behind)
+    if off < 1.0:
+        with pytest.raises(TargetLost, match="that of nest behind is there, but arm right stands in the beam"):
+            tracker.measure(behind, 1.0)
+    else:
+        assert tracker.measure(behind, 1.0).p_M == pytest.approx(behind)
+
+
+def test_an_arm_hides_its_own_smr(make_plant):
+    plant = make_plant()
+    tracker = _ready(plant)
+    tracker.measure(_smr(plant), 1.0)
+    plant.start_move("left", np.array([-2.3, -1.0, 0.7, 0.0, 0.0, 0.0]), SPEED, ACCELERATION)  # wrist behind the elbow
+    plant.advance(10.0)
+    with pytest.raises(TargetLost, match="that of arm left is there, but its own arm stands in the beam"):
+        tracker.measure(_smr(plant), 1.0)
+    plant.start_move("left", np.array([-2.3, -1.0, 1.7, 0.0, 0.0, 0.0]), SPEED, ACCELERATION)
+    plant.advance(10.0)
+    tracker.measure(_smr(plant), 1.0)
+
+
+def test_what_crosses_the_beam_while_it_measures_breaks_it(make_arm, make_plant):
+    plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
+    (start, end), _ = _capsule_of(plant, "right")
+    behind = 1.3 * 0.5 * (start + end)
+    plant.start_move("right", np.array([0.0, -1.5, 0, 0, 0, 0]), SPEED, ACCELERATION)
+    plant.advance(10.0)
+    tracker = _ready(plant, nests={"behind": behind})
+    tracker.measure(behind, 1.0)
+    plant.start_move("right", np.zeros(6), SPEED, ACCELERATION)
+    with pytest.raises(TargetLost, match="SMR of nest behind broke in mid-measurement: arm right stands"):
+        tracker.measure(behind, 5.0)
+
+
+# -- rest --------------------------------------------------------------------------------------------------------------
+
+
+def test_an_arm_that_has_only_just_stopped_still_shakes(make_plant):
+    plant = make_plant()
+    tracker = _ready(plant)
+    here = _smr(plant)
+
+    def arrive(before_s):
+        goal = np.array([0, 0, 0, 0, 0, 0.2 if plant.q("left")[5] == 0.0 else 0.0])
+        plant.start_move("left", goal, SPEED, ACCELERATION)
+        plant.advance(plant.rest_s("left") - plant.clock_s - before_s)
+
+    arrive(POINTING_S - 0.5 * SETTLE_S)
+    with pytest.raises(Unstable, match="the SMR of arm left moved while it was measured"):
+        tracker.measure(here, 1.0)
+    assert tracker.measure(here, 1.0).p_M == pytest.approx(_smr(plant))
+    arrive(POINTING_S - 1.5 * SETTLE_S)
+    assert tracker.measure(here, 1.0).p_M == pytest.approx(_smr(plant))
+
+
+# -- the tracker's own errors ------------------------------------------------------------------------------------------
+
+
+def test_without_imperfections_the_reading_is_the_truth_to_the_bit(make_plant):
+    tracker = _ready(make_plant(), nests={"n": NEST}, switched_on_s=0.0)
+    point = tracker.measure(NEST, 1.0)
+    assert np.array_equal(point.p_M, NEST)
+    assert (point.face, point.quality, point.pressure_hpa, point.humidity_percent) == (1, (), 1013.25, 50.0)
+    assert point.precision_M == pytest.approx(np.sqrt(np.diag(point.covariance_M)))
+
+
+def test_it_drifts_while_it_warms_up(make_plant):
+    plant = make_plant()
+    wrong = Imperfections(warm_up_rad=(0.0, 0.0, 1e-4), warm_up_m=30e-6, warm_up_s=1800.0)
+    tracker = _ready(plant, wrong, nests={"n": NEST}, switched_on_s=0.0)
+    distance, flat = np.linalg.norm(NEST), np.hypot(NEST[0], NEST[1])
+    for age_s in (10.0, 1800.0, 4 * 3600.0):
+        plant.advance(age_s - plant.clock_s - POINTING_S)
+        off = tracker.measure(NEST, 1.0).p_M - NEST
+        left = np.exp(-age_s / 1800.0)
+        along = off @ NEST / distance
+        assert along == pytest.approx(30e-6 * left, abs=2e-8)  # a turn by 1e-4 brings 1e-8 to the length
+        sideways = np.cross(ACROSS, NEST) / flat  # it turns about its standing axis
+        assert off @ sideways == pytest.approx(1e-4 * flat * left, abs=1e-8)
+    assert np.linalg.norm(off) < 0.4e-6 + 1e-4 * distance * np.exp(-8)
+
+
+def test_the_laser_must_be_warm(make_plant):
+    plant = make_plant()
+    tracker = _ready(plant, Imperfections(laser_s=300.0), nests={"n": NEST}, switched_on_s=0.0)
+    plant.advance(100.0)
+    assert tracker.unmet() == ["its laser is warming up, 200 s are left"]
+    with pytest.raises(NotReady, match="its laser is warming up, 200 s are left"):
+        tracker.measure(NEST, 1.0)
+    plant.advance(200.0)
+    tracker.measure(NEST, 1.0)
+
+
+def test_refraction_is_that_of_the_published_table():
+    normal = refractivity(20.0, 1013.25, 50.0)
+    assert normal == pytest.approx(271.4e-6, abs=0.2e-6)
+    assert refractivity(21.0, 1013.25, 50.0) - normal == pytest.approx(-0.95e-6, abs=0.02e-6)
+    assert refractivity(20.0, 1014.25, 50.0) - normal == pytest.approx(0.268e-6, abs=0.005e-6)
+    assert refractivity(20.0, 1013.25, 60.0) - normal == pytest.approx(-0.085e-6, abs=0.005e-6)
+
+
+def test_refraction_that_is_not_corrected_scales_the_cell(make_plant):
+    true = {"pressure_hpa": 940.0, "humidity_percent": 30.0}
+    plant = make_plant(temperature_c=28.0)
+    distance = np.linalg.norm(NEST)
+
+    def scale_ppm(tracker):
+        point = tracker.measure(NEST, 1.0)
+        assert np.cross(point.p_M, NEST) == pytest.approx(np.zeros(3), abs=1e-9)
+        return (np.linalg.norm(point.p_M) / distance - 1.0) * 1e6, point
+
+    with_station, point = scale_ppm(_ready(plant, Imperfections(**true), nests={"n": NEST}))
+    assert with_station == 0.0
+    assert (point.pressure_hpa, point.humidity_percent) == (940.0, 30.0)
+
+    blind = _ready(plant, Imperfections(**true, weather_station=False), nests={"n": NEST})
+    without, point = scale_ppm(blind)
+    # -0.95 ppm/K and 0.268 ppm/hPa from standard air: light is faster here than it believes
+    assert without == pytest.approx(-0.95 * 8.0 - 0.268 * 73.25 + 0.085 * 2.0, abs=1.5)
+    assert (point.temperature_c, point.pressure_hpa) == (20.0, 1013.25)
+    assert point.quality == ("no weather station: refraction was corrected for standard air",)
+
+    blind.prepare(Preparation(temperature_c=plant.air_temperature_c, pressure_hpa=940.0, humidity_percent=30.0))
+    by_hand, point = scale_ppm(blind)
+    assert by_hand == pytest.approx(0.0, abs=0.01)
+    assert point.quality == ()
+
+
+def test_the_two_faces_show_what_averaging_does_not(make_plant):
+    plant = make_plant()
+    wrong = Imperfections(collimation_rad=2e-5, index_rad=1e-5)
+    tracker = _ready(plant, wrong, nests={"n": NEST})
+    before = plant.clock_s
+    pair = tracker.measure_two_face(NEST, 1.0)
+    assert plant.clock_s - before == pytest.approx(2 * (POINTING_S + 1.0 + FACE_CHANGE_S))
+    assert (pair.first.face, pair.second.face) == (1, 2)
+    distance = np.linalg.norm(NEST)
+    assert pair.across_m == pytest.approx(2 * distance * np.hypot(2e-5, 1e-5), rel=1e-3)
+    assert pair.along_m == pytest.approx(0.0, abs=1e-9)
+    assert 0.5 * (pair.first.p_M + pair.second.p_M) == pytest.approx(NEST, abs=1e-8)
+    assert tracker.measure(NEST, 1.0).p_M == pytest.approx(pair.first.p_M, abs=1e-12)  # back in face 1
+    perfect = _ready(plant, nests={"n": NEST}).measure_two_face(NEST, 1.0)
+    assert (perfect.across_m, perfect.along_m) == (0.0, 0.0)
+
+
+def test_the_level_tells_that_it_was_bumped(make_plant):
+    tracker = _ready(make_plant(), Imperfections(tilt_rad=(1e-3, 2e-3)))
+    assert tracker.inclination() == Inclination((1e-3, 2e-3), 0.0, 15e-6)
+    assert not tracker.inclination().moved
+    tracker.bump(20e-6)
+    assert tracker.inclination().moved
+
+
+def test_its_clock_is_its_own(make_plant):
+    plant = make_plant()
+    tracker = _ready(plant, Imperfections(clock_offset_s=1e9, clock_rate=1e-4), nests={"n": NEST})
+    plant.advance(1000.0)
+    point = tracker.measure(NEST, 1.0)
+    assert point.host_time_s == plant.clock_s == pytest.approx(point.time_s + 0.5)
+    assert point.tracker_time_s == pytest.approx(1e9 + 1.0001 * plant.clock_s)
+
+
+# -- setting up, starting anew -----------------------------------------------------------------------------------------
+
+
+def test_after_a_restart_it_must_be_prepared(make_plant):
+    plant = make_plant()
+    tracker = _ready(plant, nests={"n": NEST})
+    tracker.prepare(Preparation(temperature_c=30.0))
+    assert plant.clock_s == 0.0  # nothing had to be initialised
+    assert tracker.measure(NEST, 1.0).temperature_c == 30.0
+    tracker.reboot(down_s=60.0)
+    for call in (tracker.unmet, tracker.connect, lambda: tracker.measure(NEST, 1.0), tracker.inclination):
+        with pytest.raises(TrackerLinkLost, match="down: the tracker is starting"):
+            call()
+    plant.advance(60.0)
+    with pytest.raises(TrackerLinkLost, match="connect first"):
+        tracker.unmet()
+    tracker.connect()
+    assert tracker.unmet() == ["it has not been initialised since it was switched on"]
+    with pytest.raises(NotReady, match="not been initialised"):
+        tracker.measure(NEST, 1.0)
+    before = plant.clock_s
+    tracker.prepare(Preparation())
+    assert plant.clock_s - before == pytest.approx(INITIALISE_S)
+    assert tracker.measure(NEST, 1.0).temperature_c != 30.0  # settings do not survive
+
+
+def test_settings_it_does_not_have_are_refused(make_plant):
+    tracker = _ready(make_plant())
+    with pytest.raises(ValueError, match=r"no reflector 'RRR 1.5 in'; it has 'simulated 1.5 in'"):
+        tracker.prepare(Preparation(reflector="RRR 1.5 in"))
+    for bad in ({"accuracy": "best"}, {"temperature_c": 293.0}, {"pressure_hpa": 1.0}, {"humidity_percent": 0.5e3}):
+        with pytest.raises(ValueError, match="tracker: "):
+            Preparation(**bad)
+
+
+def test_an_smr_too_far_from_where_one_was_expected_is_refused_where_asked_for(make_arm, make_plant):
+    plant = make_plant(make_arm(), make_arm("ur10", "right", 0.06))
+    tracker = _ready(plant, wrong_target_m=0.03)
+    left = _smr(plant, "left")
+    tracker.measure(left, 1.0)
+    tracker.covered.add("left")
+    with pytest.raises(WrongTarget, match="it locked an SMR 60 mm from where one was expected"):
+        tracker.measure(left, 1.0)
+
+
+def test_nests_tell_what_was_read_and_what_was_not(make_plant):
+    plant = make_plant()
+    nests = {"floor": NEST, "wall": np.array([0.8, 3.0, 0.1]), "gone": np.array([2.3, 2.0, -0.4])}
+    tracker = _ready(plant, nests={name: nests[name] for name in ("floor", "wall")})
+    points, missed = measure_nests(tracker, nests, 1.0)
+    assert {name: tuple(point.p_M) for name, point in points.items()} == {n: tuple(nests[n]) for n in ("floor", "wall")}
+    assert list(missed) == ["gone"]
+    assert isinstance(missed["gone"], TargetLost)
+    tracker.cut_link()
+    with pytest.raises(TrackerLinkLost):
+        measure_nests(tracker, nests, 1.0)

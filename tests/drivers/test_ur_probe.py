@@ -8,16 +8,26 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.arms.protocol import ArmError, LinkLost
-from drivers.arms.ur import UrProbe, open_ur_arm, parse_kinematics, probe_ur
-from drivers.emulators.ur_dashboard import Fault, Personality, UrDashboardEmulator, personality, robot_state
+from drivers.arms.protocol import LinkLost
+from drivers.arms.ur_probe import UrProbe, parse_robot_state, probe_ur
+from drivers.emulators.ur_controller import (
+    FREE_PORTS,
+    Control,
+    ControllerConfig,
+    Fault,
+    Personality,
+    UrControllerServer,
+    kinematics_info,
+    personality,
+)
 
 PATIENT_S = 10.0
 SHORT_S = 0.3
@@ -72,7 +82,28 @@ def dashboard_that_says(data: bytes) -> Iterator[int]:
         assert not thread.is_alive()
 
 
-def ask(emulator: UrDashboardEmulator, timeout_s: float = PATIENT_S) -> UrProbe:
+@dataclass(frozen=True)
+class Emulator:
+    """One emulated controller on free ports, and its control channel."""
+
+    control: Control
+    host: str
+    dashboard_port: int
+    primary_port: int
+
+    def fail(self, fault: Fault, port: str = "*") -> None:
+        self.control("arm", "fault", port, fault)
+
+
+@contextmanager
+def emulated(controller: Personality, **changes: Any) -> Iterator[Emulator]:
+    config = replace(ControllerConfig("arm", "127.0.0.1", controller, ports=FREE_PORTS), **changes)
+    with UrControllerServer([config]) as server, closing(server.control()) as control:
+        ports = server.addresses.arms["arm"]
+        yield Emulator(control, "127.0.0.1", ports["dashboard"][1], ports["primary"][1])
+
+
+def ask(emulator: Emulator, timeout_s: float = PATIENT_S) -> UrProbe:
     """Probe an emulator, with an open script port and a closed RTDE port."""
     with open_port() as script, closed_port() as rtde:
         return probe_ur(
@@ -105,7 +136,7 @@ def lost(dashboard_port: int, timeout_s: float = PATIENT_S, host: str = "127.0.0
     ids=["CB3", "e-Series"],
 )
 def test_a_controller_tells_who_and_how_it_is(controller: Personality, software: str, full_model: str) -> None:
-    with UrDashboardEmulator(controller) as emulator:
+    with emulated(controller) as emulator:
         said = ask(emulator)
     assert (said.software, said.series, said.full_model) == (software, controller.series, full_model)
     assert (said.model, said.serial) == (controller.model, controller.serial)
@@ -122,29 +153,28 @@ def test_a_controller_tells_who_and_how_it_is(controller: Personality, software:
 
 def test_only_questions_are_sent() -> None:
     for controller in (CB3, E_SERIES):
-        with UrDashboardEmulator(controller) as emulator:
+        with emulated(controller) as emulator:
             ask(emulator)
-            sent = set(emulator.received)
+            sent = set(emulator.control("arm", "received"))
         assert sent - QUESTIONS == set()
         assert {"PolyscopeVersion", "safetymode"} <= sent
 
 
 def test_states_other_than_ready_are_told_as_they_are() -> None:
-    stopped = replace(
-        E_SERIES, robot_mode="POWER_OFF", safety_mode="PROTECTIVE_STOP", remote_control=False, program_running=True
-    )
-    with UrDashboardEmulator(E_SERIES) as emulator:
-        emulator.personality = stopped
+    with emulated(E_SERIES, remote_control=False) as emulator:
+        emulator.control("arm", "protective", "now")
         said = ask(emulator)
-    assert (said.robot_mode, said.safety_mode) == ("POWER_OFF", "PROTECTIVE_STOP")
-    assert said.remote_control is False
-    assert said.program_running is True
+        assert (said.robot_mode, said.safety_mode) == ("RUNNING", "PROTECTIVE_STOP")
+        assert said.remote_control is False
+        emulator.control("arm", "estop")
+        said = ask(emulator)
+        assert (said.robot_mode, said.safety_mode) == ("POWER_OFF", "ROBOT_EMERGENCY_STOP")
 
 
 def test_calibrated_kinematics_come_with_their_checksums() -> None:
     rows = tuple((1e-4 * i, d + 1e-3 * i, a - 2e-4, alpha + 3e-5) for i, (_, d, a, alpha) in enumerate(CB3.rows))
     calibrated = replace(CB3, rows=rows, checksums=(1, 2, 3, 4, 5, 0xDEADBEEF), calibration_status=2)
-    with UrDashboardEmulator(calibrated) as emulator:
+    with emulated(calibrated) as emulator:
         found = ask(emulator).kinematics
     assert found is not None
     assert found.rows.tolist() == [list(row) for row in rows]
@@ -164,7 +194,7 @@ def test_calibrated_kinematics_come_with_their_checksums() -> None:
 def test_a_faulty_dashboard_is_named_in_bounded_time(fault: Fault, expected: str) -> None:
     timeout_s = SHORT_S if fault in ("silent", "trickle") else PATIENT_S
     began = time.monotonic()
-    with UrDashboardEmulator(CB3) as emulator:
+    with emulated(CB3) as emulator:
         emulator.fail(fault)
         message = lost(emulator.dashboard_port, timeout_s)
         assert time.monotonic() - began < PATIENT_S
@@ -185,8 +215,8 @@ def test_a_faulty_dashboard_is_named_in_bounded_time(fault: Fault, expected: str
     ],
 )
 def test_a_faulty_primary_port_costs_only_the_kinematics(fault: Fault, expected: str) -> None:
-    with UrDashboardEmulator(CB3) as emulator:
-        emulator.fail(fault, ["primary"])
+    with emulated(CB3) as emulator:
+        emulator.fail(fault, "primary")
         said = ask(emulator, 1.0)
         primary = emulator.primary_port
     assert said.model == "UR10"
@@ -196,8 +226,8 @@ def test_a_faulty_primary_port_costs_only_the_kinematics(fault: Fault, expected:
 
 
 def test_other_open_ports_are_named_when_the_dashboard_is_closed() -> None:
-    with UrDashboardEmulator(CB3) as emulator:
-        emulator.fail("refuse", ["dashboard"])
+    with emulated(CB3) as emulator:
+        emulator.fail("refuse", "dashboard")
         with pytest.raises(LinkLost, match=rf"Other UR ports .*\({emulator.primary_port}, \d+\).*switched on"):
             ask(emulator)
 
@@ -247,11 +277,6 @@ def test_a_timeout_must_be_a_time(timeout_s: float) -> None:
         probe_ur("127.0.0.1", timeout_s)
 
 
-def test_opening_an_arm_says_that_it_cannot() -> None:
-    with pytest.raises(ArmError, match=r"arm left at 192\.168\.0\.10: .*can examine a UR controller .* but not move"):
-        open_ur_arm("left", "192.168.0.10")
-
-
 # -- the primary interface's bytes ------------------------------------------------------------------------------------
 
 
@@ -259,7 +284,7 @@ def sub_package(kind: int, payload: bytes) -> bytes:
     return struct.pack(">IB", 5 + len(payload), kind) + payload
 
 
-KINEMATICS = robot_state(CB3)[5:]
+KINEMATICS = kinematics_info(CB3)
 
 
 def test_the_kinematics_sub_package_has_its_published_size_and_order() -> None:
@@ -269,13 +294,13 @@ def test_the_kinematics_sub_package_has_its_published_size_and_order() -> None:
 
 
 @given(
-    before=st.lists(st.tuples(st.integers(6, 255), st.binary(max_size=60)), max_size=5),
+    before=st.lists(st.tuples(st.integers(7, 255), st.binary(max_size=60)), max_size=5),
     appended=st.binary(max_size=20),
 )
 def test_unknown_sub_packages_and_appended_fields_are_skipped(before: list[tuple[int, bytes]], appended: bytes) -> None:
     longer = sub_package(5, KINEMATICS[5:] + appended)
-    found = parse_kinematics(b"".join(sub_package(kind, payload) for kind, payload in before) + longer)
-    assert found == parse_kinematics(KINEMATICS)
+    found = parse_robot_state(b"".join(sub_package(kind, payload) for kind, payload in before) + longer).kinematics
+    assert found == parse_robot_state(KINEMATICS).kinematics
     assert found is not None
     assert found.d[0] == 0.1273
 
@@ -283,10 +308,10 @@ def test_unknown_sub_packages_and_appended_fields_are_skipped(before: list[tuple
 @given(st.binary(max_size=400))
 def test_any_bytes_are_parsed_or_refused(state: bytes) -> None:
     try:
-        found = parse_kinematics(state)
+        found = parse_robot_state(state)
     except ValueError:
         return
-    assert found is None or len(state) >= 225
+    assert found.kinematics is None or len(state) >= 225
 
 
 @pytest.mark.parametrize(
@@ -301,65 +326,4 @@ def test_any_bytes_are_parsed_or_refused(state: bytes) -> None:
 )
 def test_broken_packages_are_refused(state: bytes, expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
-        parse_kinematics(state)
-
-
-# -- the emulator -----------------------------------------------------------------------------------------------------
-
-
-def talk(emulator: UrDashboardEmulator, *lines: str) -> list[str]:
-    """Greeting and answers of the dashboard; the connection is closed by ``quit``."""
-    with socket.create_connection((emulator.host, emulator.dashboard_port), PATIENT_S) as link:
-        link.sendall("".join(f"{line}\n" for line in (*lines, "quit")).encode())
-        with link.makefile("r", encoding="utf-8") as answers:
-            return answers.read().splitlines()
-
-
-def test_the_emulator_answers_line_by_line_and_refuses_what_it_does_not_do() -> None:
-    with UrDashboardEmulator(CB3) as emulator:
-        assert talk(emulator, "robotmode", "is in remote control", "stop", "load /a b.urp", "stopp", "running") == [
-            "Connected: Universal Robots Dashboard Server",
-            "Robotmode: RUNNING",
-            "could not understand: 'is in remote control'",
-            "Failed to execute: stop",
-            "Failed to execute: load /a b.urp",
-            "could not understand: 'stopp'",
-            "Program running: false",
-            "Disconnected",
-        ]
-        emulator.personality = E_SERIES
-        assert talk(emulator, "is in remote control", "safetystatus")[1:-1] == ["true", "Safetystatus: NORMAL"]
-
-
-def test_the_emulator_serves_two_clients_at_once() -> None:
-    with UrDashboardEmulator(CB3) as emulator:
-        address = (emulator.host, emulator.dashboard_port)
-        with socket.create_connection(address, PATIENT_S) as idle, idle.makefile("r") as lines:
-            assert lines.readline().startswith("Connected")
-            assert talk(emulator, "get robot model")[1] == "UR10"
-
-
-def test_the_emulator_leaves_nothing_behind_and_can_start_again() -> None:
-    emulator = UrDashboardEmulator(CB3)
-    for _ in range(2):
-        before = threading.active_count()
-        with emulator, socket.create_connection((emulator.host, emulator.primary_port), PATIENT_S):
-            assert ask(emulator).model == "UR10"
-        assert threading.active_count() == before
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection((emulator.host, emulator.dashboard_port), PATIENT_S)
-        emulator.close()
-
-
-def test_the_emulator_stays_on_this_machine_and_names_a_port_in_use() -> None:
-    with pytest.raises(ValueError, match="beyond_loopback"):
-        UrDashboardEmulator(CB3, host="0.0.0.0")
-    with open_port() as taken, pytest.raises(OSError, match=rf"cannot listen on 127\.0\.0\.1:{taken}"):
-        UrDashboardEmulator(CB3, primary_port=taken).start()
-
-
-def test_an_emulated_controller_has_a_known_model_and_six_joints() -> None:
-    with pytest.raises(ValueError, match="known are UR10, UR5"):
-        personality("CB3", "UR7", "1")
-    with pytest.raises(ValueError, match="six joints"):
-        replace(CB3, rows=CB3.rows[:5])
+        parse_robot_state(state)

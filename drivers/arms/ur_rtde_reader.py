@@ -1,0 +1,239 @@
+"""Reading a UR controller's state over RTDE with a plain socket: outputs only, nothing is ever written to it.
+
+It stands beside the RTDE client that moves the arm, for the moments when that one is in doubt or not wanted yet.
+Packets are ``size uint16, type uint8, payload``, big-endian; protocol version 2.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from drivers.arms.protocol import LinkLost
+from drivers.arms.ur_links import RTDE_PORT, Connection, left, resolve
+
+_HEADER = struct.Struct(">HB")
+_VERSION, _OUTPUTS, _START, _DATA = ord("V"), ord("O"), ord("S"), ord("U")
+_FREQUENCY_HZ = 125.0
+_MOST_PACKETS = 1000
+_FORMATS = {
+    "DOUBLE": "d",
+    "INT32": "i",
+    "UINT32": "I",
+    "UINT64": "Q",
+    "UINT8": "B",
+    "BOOL": "?",
+    "VECTOR3D": "3d",
+    "VECTOR6D": "6d",
+    "VECTOR6INT32": "6i",
+}
+_ALWAYS = ("timestamp", "actual_q", "actual_qd", "robot_mode", "safety_mode", "runtime_state")
+_LATER = ("target_speed_fraction", "payload", "payload_cog")
+"""Not every version of the software knows these."""
+_AT_REST_RAD_S = 0.005
+_AGAIN_AFTER_S = 0.1
+
+SAFETY_MODES = {
+    1: "NORMAL",
+    2: "REDUCED",
+    3: "PROTECTIVE_STOP",
+    4: "RECOVERY",
+    5: "SAFEGUARD_STOP",
+    6: "SYSTEM_EMERGENCY_STOP",
+    7: "ROBOT_EMERGENCY_STOP",
+    8: "VIOLATION",
+    9: "FAULT",
+}
+ROBOT_MODES = {
+    -1: "NO_CONTROLLER",
+    0: "DISCONNECTED",
+    1: "CONFIRM_SAFETY",
+    2: "BOOTING",
+    3: "POWER_OFF",
+    4: "POWER_ON",
+    5: "IDLE",
+    6: "BACKDRIVE",
+    7: "RUNNING",
+    8: "UPDATING_FIRMWARE",
+}
+PROGRAM_STATES = {0: "STOPPING", 1: "STOPPED", 2: "PLAYING", 3: "PAUSING", 4: "PAUSED", 5: "RESUMING"}
+
+
+@dataclass(frozen=True)
+class UrSample:
+    """One packet. ``q`` and ``qd``: six joints [rad], [rad/s]; None: this software does not tell.
+
+    ``robot_mode``, ``safety_mode`` and ``program`` are in the controller's words, e.g. RUNNING, NORMAL, PLAYING.
+    """
+
+    time_s: float
+    q: tuple[float, ...]
+    qd: tuple[float, ...]
+    robot_mode: str
+    safety_mode: str
+    program: str
+    speed_fraction: float | None
+    payload_kg: float | None
+    payload_center_m: tuple[float, ...] | None
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether no joint moves faster than encoders' noise."""
+        return max(map(abs, self.qd)) < _AT_REST_RAD_S
+
+
+def read_sample(link: Connection, deadline: float) -> UrSample:
+    """The first state on a new connection to the RTDE port.
+
+    Raises
+    ------
+    LinkLost
+        If none comes by the deadline, or what answers is no RTDE server.
+    """
+    return next(_samples(link, deadline))
+
+
+def wait_at_rest(host: str, timeout_s: float, *, port: int = RTDE_PORT, dwell_s: float = 0.05) -> UrSample:
+    """Watch the arm over a connection of its own until it has rested for ``dwell_s``. Returns the last state.
+
+    A controller that refuses or drops the connection is asked again until the time is over.
+
+    Raises
+    ------
+    LinkLost
+        If it cannot be seen, or was not at rest, within ``timeout_s``.
+    """
+    deadline = time.monotonic() + timeout_s
+    while True:
+        try:
+            return _watched_to_rest(host, deadline, port, dwell_s)
+        except LinkLost:
+            if left(deadline) < 2.0 * _AGAIN_AFTER_S:
+                raise
+            time.sleep(_AGAIN_AFTER_S)
+
+
+def _watched_to_rest(host: str, deadline: float, port: int, dwell_s: float) -> UrSample:
+    since: float | None = None
+    with Connection(host, resolve(host, deadline), port) as link:
+        for sample in _samples(link, deadline):
+            if not sample.at_rest:
+                since = None
+            elif since is None:
+                since = sample.time_s
+            elif sample.time_s - since >= dwell_s:
+                return sample
+            if time.monotonic() > deadline:
+                break
+    raise LinkLost(f"{host}: the arm still moves")
+
+
+def _samples(link: Connection, deadline: float) -> Iterator[UrSample]:
+    """States as they come."""
+    refusal = link.refusal(deadline)
+    if refusal:
+        raise LinkLost(f"{link.where}: no RTDE connection ({refusal})")
+    packets = _Packets(link, deadline)
+    if packets.ask(_VERSION, struct.pack(">H", 2)) != b"\x01":
+        raise LinkLost(f"{link.where}: the controller does not speak RTDE protocol 2")
+    names: tuple[str, ...] = _ALWAYS + _LATER
+    types = _recipe(packets, names)
+    if "NOT_FOUND" in types:
+        names = tuple(name for name, kind in zip(names, types, strict=True) if kind != "NOT_FOUND")
+        types = _recipe(packets, names)
+    missing = [name for name in _ALWAYS if name not in names]
+    unknown = [kind for kind in types if kind not in _FORMATS]
+    if missing or unknown:
+        raise LinkLost(f"{link.where}: the controller's RTDE does not tell {', '.join(missing or unknown)}")
+    if packets.ask(_START, b"") != b"\x01":
+        raise LinkLost(f"{link.where}: the controller did not start to send its state")
+    formats = [struct.Struct(f">{_FORMATS[kind]}") for kind in types]
+    expected = 1 + sum(part.size for part in formats)
+    while True:
+        payload = packets.next_of(_DATA)
+        if len(payload) != expected:
+            raise LinkLost(f"{link.where}: a state of {len(payload)} bytes came, expected {expected}")
+        values, at = {}, 1
+        for name, part in zip(names, formats, strict=True):
+            values[name] = part.unpack_from(payload, at)
+            at += part.size
+        yield _sample(link.where, values)
+
+
+def _recipe(packets: _Packets, names: Sequence[str]) -> list[str]:
+    """The types of the outputs asked for, in order."""
+    answer = packets.ask(_OUTPUTS, struct.pack(">d", _FREQUENCY_HZ) + ",".join(names).encode("ascii"))
+    types = answer[1:].decode("ascii", errors="replace").strip(",").split(",")
+    if len(types) != len(names):
+        raise LinkLost(f"{packets.where}: {len(types)} types came for {len(names)} RTDE outputs")
+    return types
+
+
+def _sample(where: str, values: Mapping[str, tuple[float, ...]]) -> UrSample:
+    numbers = [number for value in values.values() for number in value]
+    if not all(map(math.isfinite, numbers)):
+        raise LinkLost(f"{where}: the controller's state holds a value that is not a finite number")
+    fraction, payload = values.get("target_speed_fraction"), values.get("payload")
+    return UrSample(
+        time_s=values["timestamp"][0],
+        q=values["actual_q"],
+        qd=values["actual_qd"],
+        robot_mode=named(ROBOT_MODES, values["robot_mode"][0]),
+        safety_mode=named(SAFETY_MODES, values["safety_mode"][0]),
+        program=named(PROGRAM_STATES, values["runtime_state"][0]),
+        speed_fraction=None if fraction is None else fraction[0],
+        payload_kg=None if payload is None else payload[0],
+        payload_center_m=values.get("payload_cog"),
+    )
+
+
+def named(names: Mapping[int, str], code: float) -> str:
+    """The controller's word for a code, or the code itself where it is a new one."""
+    return names.get(int(code), f"UNKNOWN_{int(code)}")
+
+
+class _Packets:
+    """Packets from a connection, all before one deadline."""
+
+    def __init__(self, link: Connection, deadline: float) -> None:
+        self.where = link.where
+        self._link, self._deadline = link, deadline
+        self._held = bytearray()
+
+    def ask(self, kind: int, payload: bytes) -> bytes:
+        try:
+            self._link.send(_HEADER.pack(_HEADER.size + len(payload), kind) + payload, self._deadline)
+        except OSError as error:
+            raise LinkLost(f"{self.where}: the RTDE link broke ({error})") from error
+        return self.next_of(kind)
+
+    def next_of(self, wanted: int) -> bytes:
+        """The payload of the next packet of a type; the others are skipped."""
+        for _ in range(_MOST_PACKETS):
+            while True:
+                if len(self._held) >= _HEADER.size:
+                    size, kind = _HEADER.unpack_from(self._held)
+                    if size < _HEADER.size:
+                        raise LinkLost(f"{self.where}: what answers is no RTDE server")
+                    if len(self._held) >= size:
+                        break
+                self._more()
+            payload = bytes(self._held[_HEADER.size : size])
+            del self._held[:size]
+            if kind == wanted:
+                return payload
+        raise LinkLost(f"{self.where}: what answers is no RTDE server")
+
+    def _more(self) -> None:
+        try:
+            more = self._link.receive(self._deadline)
+        except OSError as error:
+            raise LinkLost(f"{self.where}: the RTDE link broke ({error})") from error
+        if more is None:
+            raise LinkLost(f"{self.where}: connected, but the RTDE port fell silent")
+        if not more:
+            raise LinkLost(f"{self.where}: the controller closed the RTDE connection")
+        self._held += more

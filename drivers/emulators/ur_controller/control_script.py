@@ -1,0 +1,202 @@
+"""What the control script of ur_rtde does on a controller, read from the registers it is spoken to through.
+
+A client writes a command and its arguments into input registers; the script, once a control period, carries it out and
+tells so in output registers. The script's state stays READY while a blocking motion runs, as the real one's does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivers.emulators.ur_controller import poses
+from drivers.emulators.ur_controller.controller import Controller, ScriptError
+
+_READY, _DONE = 1, 2
+_RUNNING_BIT = 1 << 15
+_IMMEDIATE = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
+"""Commands that are carried out in every cycle while they stand in the register, and leave the script READY."""
+_STOP = 255
+_KG_MOST = 50.0
+_NO_TOOL = (0.0,) * 6
+
+
+class ControlScript:
+    """The program that ur_rtde uploads, its registers beginning at ``int_offset`` and ``double_offset``."""
+
+    name = "rtde_control"
+
+    def __init__(self, int_offset: int, double_offset: int) -> None:
+        self._i, self._d = int_offset, double_offset
+        self._blocked = False
+        self._answered = False
+        self._next_move: tuple[Sequence[float], float, float] | None = None
+        self._asynchronous = False
+        self._thread = "none"
+        self._writes = 0
+        self._operation = 0
+
+    def begin(self, controller: Controller) -> None:
+        """Announce that it is ready, and that nothing asynchronous runs."""
+        self._progress(controller, running=False)
+        controller.set_output_int(self._i, _READY)
+
+    def cycle(self, controller: Controller) -> bool:
+        """Look at the command register once; False when it is told to end."""
+        self._advance(controller)
+        if self._blocked:
+            return True
+        command = controller.input_int(self._i)
+        if self._answered:
+            if command == 0:
+                self._answered = False
+                controller.set_output_int(self._i, _READY)
+            return True
+        if command == 0:
+            return True
+        if command == _STOP:
+            return False
+        if command in _IMMEDIATE:
+            self._immediate(controller, command)
+            controller.set_output_int(self._i, _READY)
+            return True
+        self._execute(controller, command)
+        if not self._blocked:
+            self._done(controller)
+        return True
+
+    # -- motion under way --------------------------------------------------------------------------------------------
+
+    def _advance(self, controller: Controller) -> None:
+        """Go on with a motion that waits for rest, runs, or has arrived."""
+        if self._thread == "starting":  # the thread runs from the cycle after the command was answered
+            self._thread = "running"
+            self._operation = (self._operation + 1) % 128
+            self._progress(controller, running=True)
+        if not controller.arrived():
+            return
+        if self._next_move is not None:
+            if self._asynchronous and self._thread != "running":
+                return
+            goal, self._next_move = self._next_move, None
+            controller.move(*goal)
+            if controller.moving:
+                return
+        if self._blocked:
+            self._blocked = False
+            self._done(controller)
+        elif self._thread == "running":
+            self._end_thread(controller)
+
+    def _done(self, controller: Controller) -> None:
+        controller.set_output_int(self._i, _DONE)
+        self._answered = True
+
+    def _progress(self, controller: Controller, *, running: bool) -> None:
+        """Write the asynchronous word: count of writes, operation, and whether it runs."""
+        self._writes = (self._writes + 1) % 128
+        word = self._writes << 16 | self._operation << 24 | (_RUNNING_BIT if running else 0)
+        controller.set_output_int(self._i + 2, word)
+
+    def _end_thread(self, controller: Controller) -> None:
+        if self._thread != "none":
+            self._thread = "none"
+            self._progress(controller, running=False)
+
+    # -- commands ----------------------------------------------------------------------------------------------------
+
+    def _doubles(self, controller: Controller, first: int, count: int) -> tuple[float, ...]:
+        return controller.input_doubles(self._d + first, count)
+
+    def _answer_int(self, controller: Controller, value: int) -> None:
+        controller.set_output_int(self._i + 1, value)
+
+    def _answer_doubles(self, controller: Controller, values: Sequence[float]) -> None:
+        controller.set_output_doubles(self._d, values)
+
+    def _immediate(self, controller: Controller, command: int) -> None:
+        match command:
+            case 26:
+                self._answer_doubles(controller, [controller.period_s])
+            case 27:
+                self._answer_doubles(controller, controller.q)
+            case 38:
+                self._answer_doubles(controller, (0.0,) * 6)
+            case 58:
+                self._answer_doubles(controller, controller.tool_pose(controller.q, _NO_TOOL))
+            case _:
+                raise ScriptError(f"command {command} of ur_rtde is not emulated")
+
+    def _execute(self, controller: Controller, command: int) -> None:
+        d = self._doubles
+        match command:
+            case 1:
+                self._move(controller)
+            case 8 | 20 | 21 | 56 | 57:
+                pass  # force sensor: there is none to set
+            case 15 | 16 | 33 | 34:
+                self._stop(controller, asynchronous=command >= 33 and controller.input_int(self._i + 1) == 1)
+            case 17 | 65:
+                mass, *center = d(controller, 0, 4)
+                self._payload(controller, mass, center, d(controller, 4, 6) if command == 65 else None)
+            case 29:
+                controller.tcp = d(controller, 0, 6)
+                controller.publish_load()
+            case 31:
+                controller.protective_stop("asked for by the program")
+            case 35:
+                controller.set_watchdog(d(controller, 0, 1)[0], self._i)
+            case 37:
+                q = d(controller, 0, 6)
+                inside = all(low <= v <= high for v, (low, high) in zip(q, controller.config.limits, strict=True))
+                self._answer_int(controller, int(inside))
+            case 39:
+                product = poses.composed(poses.frame(d(controller, 0, 6)), poses.frame(d(controller, 6, 6)))
+                self._answer_doubles(controller, poses.pose(product))
+            case 40:
+                self._answer_doubles(controller, controller.tcp)
+            case 43:
+                self._answer_doubles(controller, controller.tool_pose(controller.q, controller.tcp))
+            case 44:
+                self._answer_doubles(controller, controller.tool_pose(d(controller, 0, 6), d(controller, 6, 6)))
+            case 47:
+                self._answer_int(controller, int(controller.steady))
+            case 59:
+                controller.gravity = d(controller, 0, 3)
+            case _:
+                raise ScriptError(f"command {command} of ur_rtde is not emulated")
+
+    def _move(self, controller: Controller) -> None:
+        """``moveJ``: blocking, or in a thread of the script. An asynchronous motion under way is stopped first."""
+        *goal, speed, acceleration = self._doubles(controller, 0, 8)
+        self._asynchronous = controller.input_int(self._i + 1) == 1
+        if self._thread != "none" or controller.moving:
+            controller.brake()
+            self._end_thread(controller)
+        self._next_move = (goal, speed, acceleration)
+        if self._asynchronous:
+            self._thread = "starting"
+            return
+        self._blocked = True
+        self._advance(controller)
+
+    def _stop(self, controller: Controller, *, asynchronous: bool) -> None:
+        self._next_move = None
+        self._end_thread(controller)
+        controller.brake()
+        if asynchronous:
+            self._asynchronous = True
+            self._thread = "starting"
+        elif controller.moving:
+            self._blocked = True
+
+    def _payload(
+        self, controller: Controller, mass: float, center: Sequence[float], inertia: tuple[float, ...] | None
+    ) -> None:
+        if not 0.0 <= mass <= _KG_MOST:
+            raise ScriptError(f"set_payload: a mass of {mass!r} kg is not between 0 and {_KG_MOST:g} kg")
+        controller.payload_mass = mass
+        if any(center):  # all zero: the centre stays, as the script has it
+            controller.payload_center = tuple(center)
+        if inertia is not None:
+            controller.payload_inertia = inertia
+        controller.publish_load()

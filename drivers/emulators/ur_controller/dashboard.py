@@ -1,0 +1,114 @@
+"""The dashboard: a line in, a line out. The wording of refusals was not compared with a real controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.emulators.ur_controller.controller import Controller, Runtime, SafetyMode
+
+GREETING = "Connected: Universal Robots Dashboard Server"
+
+_LOCAL = "Failed to execute: {line}: the robot is in local control"
+_TOO_EARLY = (
+    "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
+)
+_REMOTE_ONLY = ("play", "load", "load installation", "power on", "brake release", "unlock protective stop")
+_PROGRAM_STATES = {
+    Runtime.STOPPED: "STOPPED",
+    Runtime.STOPPING: "STOPPED",
+    Runtime.PAUSING: "PAUSED",
+    Runtime.PAUSED: "PAUSED",
+}
+_ACKNOWLEDGED = {
+    "close popup": "closing popup",
+    "popup": "showing popup",
+    "addToLog": "Added log message",
+    "close safety popup": "closing safety popup",
+}
+_NOT_DONE_HERE = (
+    "load",
+    "load installation",
+    "shutdown",
+    "set operational mode",
+    "clear operational mode",
+    "setUserRole",
+)
+
+
+def answer(controller: Controller, line: str) -> str:
+    """Do what a line asks and say what came of it."""
+    told = _questions(controller).get(line)
+    if told is not None:
+        return told
+    commands = _commands(controller)
+    refused = f"Failed to execute: {line}"
+    if line in commands:
+        if line in _REMOTE_ONLY and not controller.obeys_outside:
+            return _LOCAL.format(line=line)
+        return commands[line]() or refused
+    for command, acknowledged in _ACKNOWLEDGED.items():
+        if _is(line, command):
+            if command == "addToLog":
+                controller.log.append(f"dashboard: {line[9:209]}")
+            return acknowledged
+    if any(_is(line, command) for command in _NOT_DONE_HERE):
+        return refused
+    return f"could not understand: '{line}'"
+
+
+def _is(line: str, command: str) -> bool:
+    return line == command or line.startswith(f"{command} ")
+
+
+def _questions(controller: Controller) -> dict[str, str]:
+    who = controller.config.personality
+    safety = _safety(controller)
+    known = {
+        "PolyscopeVersion": who.software,
+        "get robot model": who.model,
+        "get serial number": who.serial,
+        "robotmode": f"Robotmode: {controller.robot_mode.name}",
+        "safetymode": f"Safetymode: {safety}",
+        "running": f"Program running: {str(controller.running).lower()}",
+        "programState": f"{_PROGRAM_STATES.get(controller.runtime, 'PLAYING')} <unnamed>",
+        "get loaded program": "No program loaded",
+        "isProgramSaved": "true <unnamed>",
+        "quit": "Disconnected",
+    }
+    if who.series == "e-Series":
+        known |= {
+            "safetystatus": f"Safetystatus: {safety}",
+            "is in remote control": str(controller.remote_control).lower(),
+            "get operational mode": "NONE",
+        }
+    return known
+
+
+def _safety(controller: Controller) -> str:
+    return SafetyMode(controller.safety_mode).name
+
+
+def _commands(controller: Controller) -> dict[str, Callable[[], str]]:
+    """Command -> what does it; an empty answer is a refusal."""
+
+    def stop() -> str:
+        controller.stop_program("by the dashboard")
+        return "Stopped"
+
+    def power_off() -> str:
+        controller.power_off()
+        return "Powering off"
+
+    def restart_safety() -> str:
+        return "Restarting safety" if controller.safety_mode is SafetyMode.NORMAL else ""
+
+    return {
+        "stop": stop,
+        "pause": lambda: "Pausing program" if controller.pause_program() else "",
+        "play": lambda: "Starting program" if controller.resume_program() else "",
+        "power on": lambda: "Powering on" if controller.power_on() else "",
+        "brake release": lambda: "Brake releasing" if controller.release_brakes() else "",
+        "power off": power_off,
+        "unlock protective stop": lambda: "Protective stop releasing" if controller.unlock() else _TOO_EARLY,
+        "restart safety": restart_safety,
+    }

@@ -1,0 +1,235 @@
+"""Ports and connections that can be made to misbehave. One thread, one selector."""
+
+from __future__ import annotations
+
+import os
+import selectors
+import socket
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, get_args
+
+Fault = Literal["none", "silent", "refuse", "garbage", "flood", "trickle"]
+FAULTS: tuple[Fault, ...] = get_args(Fault)
+Ending = Literal["fin", "rst"]
+
+_GARBAGE = b"\x00\xff\x17 this is no robot \xfe\x80\n"
+_CHUNK = 65536
+_FLOOD = 4096
+_MOST_CLIENTS = 64
+_MOST_QUEUED = 1 << 20
+_MOST_STREAMED = 1 << 16
+_HIGHEST_FD = 1000  # select() takes no more than 1024
+_TRICKLE_S = 0.05
+
+
+class Session(Protocol):
+    """What answers on one connection."""
+
+    def received(self, data: bytes) -> None:
+        """Bytes from the client."""
+
+    def closed(self) -> None:
+        """The connection is gone."""
+
+
+@dataclass(eq=False)
+class Link:
+    """One connection to a port."""
+
+    port: Port
+    socket: socket.socket
+    session: Session | None = None
+    queued: bytearray = field(default_factory=bytearray)
+    leaving: bool = False
+    gone: bool = False
+
+    def send(self, data: bytes) -> None:
+        """Queue an answer; what the port's fault makes of it."""
+        match self.port.fault:
+            case "none":
+                self.port.push(self, data)
+            case "garbage":
+                self.port.push(self, _GARBAGE)
+            case "flood":
+                self.port.push(self, b"")
+            case _:
+                pass
+
+    def stream(self, data: bytes) -> None:
+        """Queue something that nobody asked for; a client that does not read misses it."""
+        if self.port.fault == "none" and len(self.queued) < _MOST_STREAMED:
+            self.port.push(self, data)
+        elif self.port.fault == "garbage":
+            self.port.push(self, _GARBAGE)
+
+    def leave(self) -> None:
+        """Close once all is sent."""
+        self.leaving = True
+        self.port.push(self, b"")
+
+
+class Port:
+    """One listening port, its connections and its present fault.
+
+    ``open_session`` makes what answers on a new connection.
+    """
+
+    def __init__(
+        self,
+        selector: selectors.BaseSelector,
+        host: str,
+        number: int,
+        open_session: Callable[[Link], Session],
+    ) -> None:
+        self._selector = selector
+        self.host = host
+        self.number = number
+        self._open_session = open_session
+        self._listening: socket.socket | None = None
+        self.links: list[Link] = []
+        self.fault: Fault = "none"
+        self._mend_at_s: float | None = None
+        self._trickle_at_s = 0.0
+
+    def listen(self) -> None:
+        """Take the port. Raises ``OSError`` that names the address."""
+        listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            if os.name == "posix":  # elsewhere it would share the port with whoever has it
+                listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind((self.host, self.number))
+            listening.listen(16)
+            listening.setblocking(False)
+        except OSError as error:
+            listening.close()
+            raise OSError(error.errno, f"cannot listen on {self.host}:{self.number}: {error.strerror}") from error
+        self.number = listening.getsockname()[1]
+        self._listening = listening
+        self._selector.register(listening, selectors.EVENT_READ, self)
+
+    def close(self) -> None:
+        """Drop all connections and give the port back."""
+        for link in list(self.links):
+            self.drop(link)
+        if self._listening is not None:
+            self._selector.unregister(self._listening)
+            self._listening.close()
+            self._listening = None
+
+    def fail(self, fault: Fault, until_s: float | None = None) -> None:
+        """Misbehave from now on, until ``until_s`` if given. Raises ``OSError`` if a refused port was taken since."""
+        if fault == "refuse":
+            self.close()
+        elif self._listening is None:
+            self.listen()
+        self.fault = fault
+        self._mend_at_s = until_s
+        for link in list(self.links):
+            self._watch(link)
+
+    def tick(self, now_s: float) -> None:
+        """Mend what is due and send what a fault sends by itself."""
+        if self._mend_at_s is not None and now_s >= self._mend_at_s:
+            with suppress(OSError):  # taken meanwhile: it stays refused
+                self.fail("none")
+        if self.fault == "trickle" and now_s >= self._trickle_at_s:
+            self._trickle_at_s = now_s + _TRICKLE_S
+            for link in list(self.links):
+                self.push(link, b"\x00")
+
+    def accept(self) -> None:
+        """Take a new connection."""
+        if self._listening is None:
+            return
+        try:
+            connection, _ = self._listening.accept()
+        except OSError:
+            return  # gone before it was greeted
+        if len(self.links) >= _MOST_CLIENTS or connection.fileno() > _HIGHEST_FD:
+            connection.close()
+            return
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        link = Link(self, connection)
+        self.links.append(link)
+        self._selector.register(connection, selectors.EVENT_READ, link)
+        self._watch(link)
+        link.session = self._open_session(link)
+
+    def attend(self, link: Link, events: int) -> None:
+        """Read and write what is there."""
+        if link.gone:
+            return
+        if events & selectors.EVENT_READ:
+            try:
+                data = link.socket.recv(_CHUNK)
+            except BlockingIOError:
+                data = None
+            except OSError:
+                data = b""
+            if data == b"":
+                self.drop(link)
+                return
+            if data and link.session is not None:
+                link.session.received(data)
+        if events & selectors.EVENT_WRITE and not link.gone:
+            self.push(link, b"")
+
+    def push(self, link: Link, data: bytes) -> None:
+        """Queue bytes and send what is taken at once."""
+        if link.gone:
+            return
+        flood = self.fault == "flood"
+        link.queued += data
+        if flood and len(link.queued) < _FLOOD:
+            link.queued += b"x" * _FLOOD
+        try:
+            sent = link.socket.send(link.queued) if link.queued else 0
+        except BlockingIOError:
+            sent = 0
+        except OSError:
+            self.drop(link)
+            return
+        del link.queued[:sent]
+        if len(link.queued) > _MOST_QUEUED or (link.leaving and not link.queued):
+            self.drop(link)
+            return
+        if link.queued or sent < len(data) or flood:
+            self._watch(link)
+
+    def _watch(self, link: Link) -> None:
+        """Wait for what this connection may do now; a silent one is not even read, as if its cable were cut."""
+        events = 0 if self.fault == "silent" else selectors.EVENT_READ
+        if link.queued or self.fault == "flood":
+            events |= selectors.EVENT_WRITE if self.fault != "silent" else 0
+        registered = link.socket in self._selector.get_map()
+        if events and registered:
+            self._selector.modify(link.socket, events, link)
+        elif events:
+            self._selector.register(link.socket, events, link)
+        elif registered:
+            self._selector.unregister(link.socket)
+
+    def drop(self, link: Link, ending: Ending = "fin") -> None:
+        """End a connection: an orderly end, or a reset."""
+        if link.gone:
+            return
+        link.gone = True
+        self.links.remove(link)
+        if link.socket in self._selector.get_map():
+            self._selector.unregister(link.socket)
+        with suppress(OSError):
+            if ending == "rst":
+                link.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            else:
+                while link.socket.recv(_CHUNK):  # unread bytes would turn the end into a reset
+                    pass
+        if ending == "fin":
+            with suppress(OSError):
+                link.socket.shutdown(socket.SHUT_WR)
+        link.socket.close()
+        if link.session is not None:
+            link.session.closed()

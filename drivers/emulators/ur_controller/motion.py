@@ -1,0 +1,156 @@
+"""What the controllers move: the joints of a plant, or joints alone; and the time that passes for them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.plant.motion import Motion, braked, travel
+
+Array = NDArray[np.float64]
+
+_ROOM_C = 20.0
+_STANDSTILL_S = 5.0
+
+
+class Motions(Protocol):
+    """The drives of all arms of a cell and their common clock. ``drivers.plant.Plant`` is one."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arms."""
+
+    @property
+    def clock_s(self) -> float:
+        """Time of the cell [s]."""
+
+    def advance(self, duration_s: float) -> None:
+        """Let time pass."""
+
+    def q(self, name: str) -> Array:
+        """Joint positions (6,) now [rad]."""
+
+    def moving(self, name: str) -> bool:
+        """Whether a motion is under way."""
+
+    def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
+        """Start a joint motion of an arm at rest, at most at ``speed`` and ``acceleration`` (6,)."""
+
+    def stop(self, name: str) -> None:
+        """Brake; harmless at rest."""
+
+    def joint_temperatures_c(self, name: str) -> Array:
+        """Joint temperatures (6,) now [degC]."""
+
+    def set_payload(self, name: str, mass: float, center: Array) -> None:
+        """Hang a load on the flange [kg, m]."""
+
+
+class FreeMotions:
+    """Joints without a cell around them: exact, weightless and always at room temperature."""
+
+    def __init__(self, homes: Mapping[str, Array], accelerations: Mapping[str, Array]) -> None:
+        self._q = {name: np.array(home, dtype=np.float64) for name, home in homes.items()}
+        self._accelerations = dict(accelerations)
+        self._motions: dict[str, Motion | None] = dict.fromkeys(self._q)
+        self._clock_s = 0.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arms."""
+        return tuple(self._q)
+
+    @property
+    def clock_s(self) -> float:
+        """Time since the start [s]."""
+        return self._clock_s
+
+    def advance(self, duration_s: float) -> None:
+        """Let time pass."""
+        self._clock_s += duration_s
+        for name, motion in self._motions.items():
+            if motion is not None and motion.end_s <= self._clock_s:
+                self._q[name], self._motions[name] = motion.q_to, None
+
+    def q(self, name: str) -> Array:
+        """Joint positions (6,) now [rad]."""
+        motion = self._motions[name]
+        return self._q[name].copy() if motion is None else motion.position(np.array([self._clock_s]))[0]
+
+    def moving(self, name: str) -> bool:
+        """Whether a motion is under way."""
+        return self._motions[name] is not None
+
+    def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
+        """Start a joint motion of an arm at rest."""
+        if self._motions[name] is not None:
+            raise ValueError(f"arm {name} is still moving")
+        self._motions[name] = travel(self._clock_s, self._q[name], np.array(q), speed, acceleration)
+
+    def stop(self, name: str) -> None:
+        """Brake as hard as the joints can."""
+        motion = self._motions[name]
+        if motion is not None:
+            self._q[name] = self.q(name)
+            self._motions[name] = braked(motion, self._clock_s, self._accelerations[name])
+
+    def joint_temperatures_c(self, name: str) -> Array:
+        """Room temperature (6,) [degC]."""
+        return np.full(6, _ROOM_C)
+
+    def set_payload(self, name: str, mass: float, center: Array) -> None:
+        """Nothing here weighs anything."""
+
+
+class PacedCell:
+    """A cell whose time passes at ``pace`` seconds for each second of wall time, shared by several threads.
+
+    The server of the controllers calls ``catch_up``; nobody else lets time pass. Whoever touches ``motions`` holds
+    ``lock`` while doing so, and lets go of it to wait: ``passed`` is a condition on the same lock, notified whenever
+    time has passed.
+    """
+
+    def __init__(self, motions: Motions, pace: float = 1.0) -> None:
+        self.motions = motions
+        self.pace = pace
+        self.lock = threading.RLock()
+        self.passed = threading.Condition(self.lock)
+        self._last_s: float | None = None
+
+    @property
+    def pace(self) -> float:
+        """Seconds of the cell for each second of wall time. Setting it raises ``ValueError`` unless in (0, 1000]."""
+        return self._pace
+
+    @pace.setter
+    def pace(self, pace: float) -> None:
+        if not 0.0 < pace <= 1000.0:
+            raise ValueError(f"pace: expected more than 0 and at most 1000 seconds of the cell a second, got {pace!r}")
+        self._pace = pace
+
+    def catch_up(self, now_s: float) -> None:
+        """Let the cell's time pass up to ``now_s`` on the wall's monotonic clock; the first call sets the start."""
+        with self.lock:
+            elapsed = 0.0 if self._last_s is None else now_s - self._last_s
+            if self._last_s is None or elapsed > 0.0:
+                self._last_s = now_s
+            if elapsed > 0.0:
+                self.motions.advance(elapsed * self.pace)
+                self.passed.notify_all()
+
+    def wait(self, duration_s: float) -> None:
+        """Wait until ``duration_s`` of the cell's time have passed; from any thread but the server's.
+
+        Raises ``TimeoutError`` where the cell's clock stands, because its server does not run.
+        """
+        with self.passed:
+            seen_s = self.motions.clock_s
+            end_s = seen_s + duration_s
+            while self.motions.clock_s < end_s:
+                if not self.passed.wait(_STANDSTILL_S) and seen_s == self.motions.clock_s:
+                    raise TimeoutError("the cell's clock stands: its server does not run")
+                seen_s = self.motions.clock_s

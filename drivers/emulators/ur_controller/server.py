@@ -1,0 +1,389 @@
+"""The loop that serves all controllers of a cell from one thread, and the ways to start it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import selectors
+import signal
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Self
+
+import numpy as np
+
+from drivers.emulators.ur_controller import dashboard, primary
+from drivers.emulators.ur_controller.control import Control, ControlSession, Emulated, obey
+from drivers.emulators.ur_controller.controller import Controller
+from drivers.emulators.ur_controller.links import Link, Port, Session
+from drivers.emulators.ur_controller.motion import FreeMotions, Motions, PacedCell
+from drivers.emulators.ur_controller.personality import ControllerConfig, PortName
+from drivers.emulators.ur_controller.rtde import RtdeServer, RtdeSession
+from drivers.emulators.ur_controller.script import Upload
+from drivers.plant import Plant, PlantConfig
+
+_LONGEST_LINE = 4096
+_PATIENCE_S = 10.0
+_START_S = 60.0
+_MOST_BEHIND = 5
+"""Control cycles that may be made up for; more are lost."""
+
+
+@dataclass(frozen=True)
+class Addresses:
+    """Where the controllers and the control channel listen: (host, port)."""
+
+    arms: Mapping[str, Mapping[PortName, tuple[str, int]]]
+    control: tuple[str, int]
+
+
+class _DashboardSession:
+    def __init__(self, arm: Controller, link: Link, received: deque[str]) -> None:
+        self._arm, self._link, self._log = arm, link, received
+        self._held = bytearray()
+        link.send(f"{dashboard.GREETING}\n".encode())
+
+    def received(self, data: bytes) -> None:
+        self._held += data
+        while not (self._link.leaving or self._link.gone) and (end := self._held.find(b"\n")) >= 0:
+            line = self._held[:end].decode("utf-8", errors="replace").strip()
+            del self._held[: end + 1]
+            self._log.append(line)
+            self._link.send(f"{dashboard.answer(self._arm, line)}\n".encode())
+            if line == "quit":
+                self._link.leave()
+        if len(self._held) > _LONGEST_LINE:
+            self._link.leave()
+
+    def closed(self) -> None:
+        pass
+
+
+class _ScriptSession:
+    """Takes programs; with ``greet``, on the primary port, the client is sent the robot state too."""
+
+    def __init__(self, arm: Controller, link: Link, *, greet: bool) -> None:
+        self._arm, self._upload = arm, Upload()
+        if greet:
+            link.send(primary.version_message(arm) + primary.first_state(arm))
+
+    def received(self, data: bytes) -> None:
+        for program in self._upload.take(data):
+            self._arm.upload(program)
+
+    def closed(self) -> None:
+        pass
+
+
+class _Arm(Emulated):
+    """One controller, its ports and when its next cycle and robot state are due."""
+
+    def __init__(self, controller: Controller, selector: selectors.BaseSelector) -> None:
+        config = controller.config
+        received: deque[str] = deque(maxlen=1000)
+        self._streams: dict[Link, RtdeSession] = {}
+        sessions: dict[PortName, Callable[[Link], Session]] = {
+            "dashboard": lambda link: _DashboardSession(controller, link, received),
+            "primary": lambda link: _ScriptSession(controller, link, greet=True),
+            "script": lambda link: _ScriptSession(controller, link, greet=False),
+            "rtde": self._open_rtde,
+        }
+        ports = {
+            name: Port(selector, config.host, config.ports[name], open_session)
+            for name, open_session in sessions.items()
+        }
+        super().__init__(controller, RtdeServer(controller), ports, received)
+        self.due_s = 0.0
+        self._state_due_s = 0.0
+
+    def _open_rtde(self, link: Link) -> RtdeSession:
+        session = RtdeSession(self.rtde, link.send, link.stream, lambda: link.port.drop(link))
+        self._streams[link] = session
+        return session
+
+    def cycle(self, now_s: float) -> None:
+        """One control cycle and what is streamed after it."""
+        controller = self.controller
+        self.due_s += controller.period_s
+        if now_s - self.due_s > _MOST_BEHIND * controller.period_s:
+            self.due_s = now_s + controller.period_s
+        controller.cycle(now_s)
+        for link, session in list(self._streams.items()):
+            if link.gone:
+                del self._streams[link]
+            else:
+                session.cycle()
+        if now_s >= self._state_due_s:
+            self._state_due_s = now_s + primary.PERIOD_S
+            port = self.ports["primary"]
+            if port.links:
+                state = primary.state(controller)
+                for link in list(port.links):
+                    link.stream(state)
+        for port in self.ports.values():
+            port.tick(now_s)
+
+
+class UrControllerServer:
+    """Controllers of one cell. In a ``with`` block they are served by a background thread; ``run`` serves them here.
+
+    Clients that hold the interpreter's lock while they connect (ur_rtde does) must be in another process: see
+    ``start_in_process``.
+
+    Attributes
+    ----------
+    cell : PacedCell
+        The motions, their clock and the lock. Another server in this process, such as a tracker's, runs in a thread of
+        its own, holds ``cell.lock`` while it touches the plant, and waits with ``cell.wait``.
+    """
+
+    def __init__(
+        self,
+        arms: Sequence[ControllerConfig],
+        plant: Motions | None = None,
+        pace: float = 1.0,
+        control_port: int = 0,
+    ) -> None:
+        """Prepare for ``arms`` that move ``plant`` (None: joints alone).
+
+        Raises ``ValueError`` if an arm is not in the plant, has another number of joints, or two share a name.
+        """
+        names = [arm.name for arm in arms]
+        if not arms or len(set(names)) != len(names):
+            raise ValueError(f"arms: expected one or more, each with its own name; got {', '.join(names) or 'none'}")
+        if plant is None:
+            homes = {arm.name: np.array(arm.home) for arm in arms}
+            plant = FreeMotions(homes, {arm.name: np.array(arm.acceleration) for arm in arms})
+        for name in names:
+            if name not in plant.names:
+                raise ValueError(f"arm {name}: the plant has no such arm; it has {', '.join(plant.names)}")
+            if len(plant.q(name)) != 6:
+                raise ValueError(f"arm {name}: the plant gives it {len(plant.q(name))} joints, a UR arm has 6")
+        self.cell = PacedCell(plant, pace)
+        # select() takes microseconds; epoll would round a cycle of 2 ms up to the next millisecond
+        self._selector = selectors.SelectSelector()
+        self._arms = {arm.name: _Arm(Controller(arm, plant), self._selector) for arm in arms}
+        self._control = Port(self._selector, "127.0.0.1", control_port, self._open_control)
+        self._wake: tuple[socket.socket, socket.socket] | None = None
+        self._thread: threading.Thread | None = None
+        self._closing = False
+        self._jobs: deque[tuple[Callable[[], object], threading.Event]] = deque()
+
+    def _open_control(self, link: Link) -> ControlSession:
+        return ControlSession(link.send, lambda line: obey(line, self._arms, self.cell, time.monotonic()))
+
+    # -- life --------------------------------------------------------------------------------------------------------
+
+    def open(self) -> Addresses:
+        """Take all ports. Raises ``OSError`` that names the arm and the address; then nothing is left open."""
+        if self._wake is not None:
+            raise RuntimeError("the emulator was started already")
+        self._closing = False
+        self._wake = socket.socketpair()
+        for end in self._wake:
+            end.setblocking(False)
+        self._selector.register(self._wake[1], selectors.EVENT_READ)
+        try:
+            for name, arm in self._arms.items():
+                for port in arm.ports.values():
+                    try:
+                        port.listen()
+                    except OSError as error:
+                        raise OSError(error.errno, f"arm {name}: {error.strerror}") from error
+            self._control.listen()
+        except OSError:
+            self._close()
+            raise
+        return self.addresses
+
+    @property
+    def addresses(self) -> Addresses:
+        """Where everything listens, once it does."""
+        arms = {
+            name: {known: (port.host, port.number) for known, port in arm.ports.items()}
+            for name, arm in self._arms.items()
+        }
+        return Addresses(arms, (self._control.host, self._control.number))
+
+    def __enter__(self) -> Self:
+        self.open()
+        self._thread = threading.Thread(target=self.run, name="UR controllers", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+        if self._thread is not None:
+            self._thread.join(_PATIENCE_S)
+            self._thread = None
+
+    def stop(self) -> None:
+        """Let ``run`` return; from any thread."""
+        self._closing = True
+        self._ring()
+
+    def _ring(self) -> None:
+        if self._wake is not None:
+            with suppress(OSError):  # full: it is awake already; closed: it is gone
+                self._wake[0].send(b"!")
+
+    def control(self) -> Control:
+        """A new connection to the control channel; close it."""
+        return Control(self.addresses.control)
+
+    def _close(self) -> None:
+        for arm in self._arms.values():
+            for port in arm.ports.values():
+                port.close()
+        self._control.close()
+        if self._wake is not None:
+            self._selector.unregister(self._wake[1])
+            for end in self._wake:
+                end.close()
+            self._wake = None
+
+    # -- loop --------------------------------------------------------------------------------------------------------
+
+    def run(self, stop_when_readable: Connection | None = None) -> None:
+        """Serve until ``stop``, or until ``stop_when_readable`` ends, then close all ports; call ``open`` before."""
+        if stop_when_readable is not None:
+            self._selector.register(stop_when_readable.fileno(), selectors.EVENT_READ, self.stop)
+        try:
+            now_s = time.monotonic()
+            self.cell.catch_up(now_s)
+            for arm in self._arms.values():
+                arm.due_s = now_s
+            while not self._closing:
+                due_s = min(arm.due_s for arm in self._arms.values())
+                ready = self._selector.select(max(0.0, due_s - time.monotonic()))
+                with self.cell.lock:
+                    for key, events in ready:
+                        self._attend(key, events)
+                    now_s = time.monotonic()
+                    if any(arm.due_s <= now_s for arm in self._arms.values()):
+                        self.cell.catch_up(now_s)
+                        for arm in self._arms.values():
+                            if arm.due_s <= now_s:
+                                arm.cycle(now_s)
+        finally:
+            self._close()
+            if stop_when_readable is not None:
+                self._selector.unregister(stop_when_readable.fileno())
+
+    def _attend(self, key: selectors.SelectorKey, events: int) -> None:
+        if isinstance(key.data, Link):
+            key.data.port.attend(key.data, events)
+        elif isinstance(key.data, Port):
+            key.data.accept()
+        elif key.data is not None:
+            key.data()
+        else:
+            assert isinstance(key.fileobj, socket.socket)
+            key.fileobj.recv(_LONGEST_LINE)
+
+
+def serve(
+    arms: Sequence[ControllerConfig],
+    plant: Motions | None = None,
+    pace: float = 1.0,
+    announce: Callable[[Addresses], None] = lambda _: None,
+    control_port: int = 0,
+) -> None:
+    """Serve in the foreground until interrupted; ``announce`` is called once, when all listen.
+
+    Raises ``OSError`` if a port is in use or an address cannot be had, ``ValueError`` as ``UrControllerServer``.
+    """
+    server = UrControllerServer(arms, plant, pace, control_port)
+    announce(server.open())
+    with suppress(KeyboardInterrupt):
+        server.run()
+
+
+# -- a process of its own ----------------------------------------------------------------------------------------------
+
+
+class EmulatorProcess:
+    """Controllers in a process of their own; ``close`` ends it, or use ``with``. It also ends when its parent does.
+
+    Attributes
+    ----------
+    addresses : Addresses
+    control : Control
+        The control channel; one thread at a time (``Control(addresses.control)`` opens another).
+    pid : int
+    """
+
+    def __init__(self, process: multiprocessing.process.BaseProcess, pipe: Connection, addresses: Addresses) -> None:
+        self._process, self._pipe = process, pipe
+        self.addresses = addresses
+        self.control = Control(addresses.control)
+        assert process.pid is not None
+        self.pid = process.pid
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the process; harmless when it has ended."""
+        self.control.close()
+        self._pipe.close()
+        self._process.join(_PATIENCE_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._process.close()
+
+
+def start_in_process(
+    arms: Sequence[ControllerConfig],
+    plant: PlantConfig | None = None,
+    pace: float = 1.0,
+) -> EmulatorProcess:
+    """Start controllers in a process of their own and return once all listen.
+
+    Raises ``OSError`` if a port is in use, ``ValueError`` for what ``UrControllerServer`` or ``Plant`` would refuse,
+    ``TimeoutError`` if the process does not come up.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(
+        target=_serve_in_process, args=(theirs, tuple(arms), plant, pace), name="UR controllers", daemon=True
+    )
+    process.start()
+    theirs.close()
+    try:
+        if not ours.poll(_START_S):
+            raise TimeoutError(f"the emulator's process did not come up within {_START_S:g} s")
+        told = ours.recv()
+    except (EOFError, TimeoutError) as error:
+        process.kill()
+        process.join()
+        ours.close()
+        raise TimeoutError(f"the emulator's process did not come up: {error or 'it ended'}") from error
+    if not isinstance(told, Addresses):
+        process.join(_PATIENCE_S)
+        ours.close()
+        raise told
+    return EmulatorProcess(process, ours, told)
+
+
+def _serve_in_process(
+    pipe: Connection, arms: Sequence[ControllerConfig], plant: PlantConfig | None, pace: float
+) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends when the pipe does, after whoever uses it
+    try:
+        server = UrControllerServer(arms, None if plant is None else Plant(plant), pace)
+        addresses = server.open()
+    except (OSError, ValueError) as error:
+        pipe.send(error)
+        return
+    pipe.send(addresses)
+    server.run(stop_when_readable=pipe)

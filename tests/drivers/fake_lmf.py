@@ -1,0 +1,690 @@
+"""A stand-in for LMF: its members' names, and its rules as far as its documents tell them.
+
+Value objects in place of numbers, units that are really applied, enumerations that are no integers, settings that are
+forgotten at a connect, events that come one by one on a thread of LMF's own while the command that caused them waits,
+``Selected`` that is null as soon as the beam breaks, exceptions with four fields, the names of its simulators. Whoever
+breaks a rule is written down in ``Room.broken_rules``.
+"""
+
+from __future__ import annotations
+
+import math
+import queue
+import re
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from drivers.trackers.lmf_objects import Lmf
+
+HANDLER_S = 0.5
+EVENT_S = 5.0
+_SIMULATOR = re.compile(r"(at930|at960|at40[123]|at500|ats600)(lr|mr)?simulator(#\d+)?")
+
+
+class NetException(Exception):
+    """System.Exception."""
+
+
+class ArgumentOutOfRangeException(NetException):
+    """What value objects with a range throw."""
+
+
+class LmfException(NetException):
+    """Number, title, description, solution."""
+
+    def __init__(self, number: int, title: str, description: str = "", solution: str = "") -> None:
+        super().__init__(f"{number} {title}")
+        self.Number, self.Title, self.Description, self.Solution = number, title, description, solution
+
+
+# -- enumerations -----------------------------------------------------------------------------------------------------
+
+
+class NetEnum:
+    """A .NET enumeration as pythonnet 3 shows it: its members are attributes of the class, and no integers."""
+
+    names: ClassVar[tuple[str, ...]]
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+
+    def __int__(self) -> int:
+        return self._number
+
+    def __str__(self) -> str:
+        return self.names[self._number]
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and int(other) == self._number
+
+    def __hash__(self) -> int:
+        return self._number
+
+
+def enumeration(name: str, *members: str) -> Any:
+    kind = type(name, (NetEnum,), {"names": members})
+    for number, member in enumerate(members):
+        setattr(kind, member, kind(number))
+    return kind
+
+
+ENUMERATIONS: dict[str, Any] = {
+    kind.__name__: kind
+    for kind in (
+        enumeration("ECoordinateType", "Spherical", "Cartesian", "Cylindrical"),
+        enumeration("ELengthUnit", "Meter", "Millimeter", "Micrometer", "Foot", "Yard", "Inch"),
+        enumeration("EAngleUnit", "Radian", "Millirad", "Degree", "Gon", "CC"),
+        enumeration("ETemperatureUnit", "Celsius", "Fahrenheit"),
+        enumeration("EPressureUnit", "mBar", "HPascal", "KPascal", "MmHg", "Psi", "InH2O", "InHg"),
+        enumeration("EAccuracy", "Precise", "Standard", "Fast"),
+        enumeration("EMeteoSource", "ManualMeteo", "LiveMeteo"),
+        enumeration("EMeasurementStatus", "ReadyToMeasure", "MeasurementInProgress", "NotReady", "Invalid"),
+        enumeration("EFlags", "AllOk", "AccuracyError", "OutOfSync"),
+    )
+}
+E = ENUMERATIONS
+_METRES = (1.0, 1e-3, 1e-6, 0.3048, 0.9144, 0.0254)
+_METRE_NAMES = ("m", "mm", "µm", "ft", "yd", "in")
+_RADIANS = (1.0, 1e-3, math.pi / 180.0, math.pi / 200.0, math.pi / 2e6)
+_RADIAN_NAMES = ("rad", "mrad", "°", "gon", "cc")
+
+
+# -- the room, and LMF's thread for events -----------------------------------------------------------------------------
+
+
+@dataclass
+class Room:
+    """What stands in front of the tracker, and what it will do next. The test writes here; LMF's tree reads.
+
+    ``targets``: SMRs by name -> (3,) [m] in M. ``hangs``: names of methods that wait for ``let_go``. ``throws``: name
+    of a method -> what its next call throws. ``deaf_to``: settings that keep what they have. ``kept``: what LMF keeps
+    from one connect to the next.
+    """
+
+    targets: dict[str, np.ndarray] = field(default_factory=dict)
+    serial: str = "750123"
+    initialised: bool = False
+    laser_on: bool = True
+    warmed_up: bool = True
+    quick_release: bool = True
+    air_sensor: bool = True
+    compatible: bool = True
+    level: bool = True
+    hidden: set[str] = field(default_factory=set)
+    hidden_in_face2: set[str] = field(default_factory=set)
+    hangs: set[str] = field(default_factory=set)
+    throws: dict[str, NetException] = field(default_factory=dict)
+    breaks_in_mid_measurement: bool = False
+    precision_m: float = 4e-6
+    face2_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    temperature_c: float = 21.5
+    number_accuracy: bool = False
+    bool_selectable: bool = True
+    deaf_to: set[str] = field(default_factory=set)
+    search_m: float = 0.1
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+    flags: str = "AllOk"
+    in_the_network: tuple[tuple[str, str, str], ...] = ()
+    let_go: threading.Event = field(default_factory=threading.Event)
+    entered: threading.Event = field(default_factory=threading.Event)
+    calls: list[str] = field(default_factory=list)
+    threads: list[threading.Thread] = field(default_factory=list)
+    broken_rules: list[str] = field(default_factory=list)
+    connected: list[str] = field(default_factory=list)
+    kept: dict[str, Any] = field(default_factory=dict)
+    measured: int = 0
+
+    def lmf(self) -> Lmf:
+        """LMF as the driver loads it."""
+        return Lmf(
+            Connection=lambda: Connection(self),
+            TrackerFinder=lambda: TrackerFinder(self),
+            enumeration=ENUMERATIONS.get,
+            thrown=(NetException,),
+        )
+
+    def command(self, name: str) -> None:
+        """Every method call of LMF passes here."""
+        self.calls.append(name)
+        if name in ("Connect", "Refresh"):
+            self.threads.append(threading.current_thread())
+        elif threading.current_thread() not in self.threads:
+            self.broken_rules.append(f"{name} came from another thread than the connection")
+        if threading.current_thread().name == "LMF events":
+            self.broken_rules.append(f"{name} was called from an event handler")
+        if name in self.hangs:
+            self.entered.set()
+            self.let_go.wait(30.0)
+        if name in self.throws:
+            raise self.throws.pop(name)
+
+
+class Event:
+    """A .NET event: handlers come and go with += and -=, and are called one by one on LMF's own thread."""
+
+    def __init__(self, name: str, room: Room, events: queue.SimpleQueue[Any]) -> None:
+        self.name, self._room, self._events, self.handlers = name, room, events, []
+
+    def __iadd__(self, handler: Callable[..., None]) -> Event:
+        self.handlers.append(handler)
+        return self
+
+    def __isub__(self, handler: Callable[..., None]) -> Event:
+        self.handlers.remove(handler)
+        return self
+
+    def fire(self, *arguments: Any, by_property: bool = False) -> None:
+        """Call the handlers and wait for them, as LMF's commands do."""
+        if by_property and self.handlers:
+            self._room.broken_rules.append(f"{self.name}: a property was set while somebody listens: deadlock")
+            return
+        done = threading.Event()
+        self._events.put((list(self.handlers), arguments, done))
+        if not done.wait(HANDLER_S):
+            self._room.broken_rules.append(f"{self.name}: a handler did not return at once")
+
+
+def deliver(events: queue.SimpleQueue[Any]) -> None:
+    while (item := events.get()) is not None:
+        handlers, arguments, done = item
+        for handler in handlers:
+            handler(*arguments)
+        done.set()
+
+
+# -- value objects ----------------------------------------------------------------------------------------------------
+
+
+class Net:
+    """An object of a .NET class: no attribute can be set that it does not have."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not name.startswith("_") and "_sealed" in self.__dict__ and not hasattr(self, name):
+            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+        super().__setattr__(name, value)
+
+    def seal(self) -> None:
+        self._sealed = True
+
+
+class ReadOnlyValue(Net):
+    """A value object that only LMF changes; ``read`` gives the value in the unit of the moment."""
+
+    def __init__(self, read: Callable[[], Any], unit: Callable[[], str] = lambda: "") -> None:
+        self._read, self._unit = read, unit
+        self.seal()
+
+    @property
+    def Value(self) -> Any:
+        return self._read()
+
+    @property
+    def UnitString(self) -> str:
+        return self._unit()
+
+    @property
+    def Precision(self) -> Any:
+        raise AttributeError("Precision")
+
+
+class StatisticValue(ReadOnlyValue):
+    """A coordinate of a stationary point."""
+
+    def __init__(self, read: Callable[[], float], unit: Callable[[], str], precision: Callable[[], float]) -> None:
+        super().__init__(read, unit)
+        self._precision = precision
+
+    @property
+    def Precision(self) -> float:
+        return self._precision()
+
+
+class Value(Net):
+    """A writable value object, of one type, perhaps with a range; ``deaf`` ones keep what they have."""
+
+    def __init__(
+        self,
+        value: Any,
+        *,
+        room: Room | None = None,
+        name: str = "",
+        span: tuple[float, float] | None = None,
+        unit: Callable[[], str] = lambda: "",
+        changed: Callable[[], None] = lambda: None,
+        number: bool = False,
+    ) -> None:
+        self._value, self._room, self._name, self._span, self._unit = value, room, name, span, unit
+        self._changed, self._number = changed, number
+        self.seal()
+
+    @property
+    def Value(self) -> Any:
+        return int(self._value) if self._number else self._value
+
+    @Value.setter
+    def Value(self, value: Any) -> None:
+        fits = isinstance(value, int if self._number else type(self._value))
+        if not fits and not (isinstance(self._value, float) and isinstance(value, int)):
+            raise TypeError(f"'{type(value).__name__}' value cannot be converted to {type(self._value).__name__}")
+        if self._span is not None and not self._span[0] <= value <= self._span[1]:
+            raise ArgumentOutOfRangeException(f"{self._name}: {value} is not in {self._span}")
+        if self._room is not None and self._name in self._room.deaf_to:
+            return
+        self._value = type(self._value)(value) if self._number else value
+        self._changed()
+
+    @property
+    def UnitString(self) -> str:
+        return self._unit()
+
+
+# -- the object tree --------------------------------------------------------------------------------------------------
+
+
+class Units(Net):
+    def __init__(self) -> None:
+        self._LengthUnit, self._AngleUnit = E["ELengthUnit"].Millimeter, E["EAngleUnit"].Degree
+        self._TemperatureUnit, self._PressureUnit = E["ETemperatureUnit"].Fahrenheit, E["EPressureUnit"].InHg
+        self.seal()
+
+
+def _plain_enumeration(name: str) -> property:
+    def read(self: Any) -> Any:
+        return getattr(self, f"_{name}")
+
+    def write(self: Any, value: Any) -> None:
+        if type(value) is not type(read(self)):
+            raise TypeError(f"{name}: '{type(value).__name__}' cannot be converted")
+        setattr(self, f"_{name}", value)
+
+    return property(read, write)
+
+
+for _name in ("LengthUnit", "AngleUnit", "TemperatureUnit", "PressureUnit"):
+    setattr(Units, _name, _plain_enumeration(_name))
+
+
+class Settings(Net):
+    CoordinateType = _plain_enumeration("CoordinateType")
+
+    def __init__(self) -> None:
+        self._CoordinateType = E["ECoordinateType"].Spherical
+        self._units = Units()
+        self.seal()
+
+    @property
+    def Units(self) -> Units:
+        return self._units
+
+
+class Profile(Net):
+    def __init__(self, tracker: Tracker, name: str) -> None:
+        self._tracker, self.Name = tracker, name
+
+    def Select(self) -> None:
+        self._tracker.room.command("Select profile")
+        if self._tracker.Measurement.MeasurementInProgress.Value:
+            raise LmfException(200001, "Measurement in progress")
+        self._tracker.Measurement.Profiles.Selected = self
+
+
+class StationaryMeasurementProfile(Profile):
+    def __init__(self, tracker: Tracker) -> None:
+        super().__init__(tracker, "Stationary")
+        self.Accuracy = Value(E["EAccuracy"].Fast, number=tracker.room.number_accuracy)
+        self.TwoFace = Value(True, room=tracker.room, name="TwoFace")
+        self.seal()
+
+
+class CustomStationaryMeasurementProfile(Profile):
+    def __init__(self, tracker: Tracker) -> None:
+        super().__init__(tracker, "Custom")
+        self.Time = Value(500.0, span=(100.0, 100_000.0), unit=lambda: "ms", changed=tracker.warn_of_property)
+        self.seal()
+
+
+class ContinuousTimeProfile(Profile):
+    pass
+
+
+class Collection(Net):
+    def __init__(self, items: list[Any]) -> None:
+        self._items, self.Selected, self.PreSelected = items, None, None
+        self.seal()
+
+    @property
+    def Count(self) -> int:
+        return len(self._items)
+
+    def __getitem__(self, index: int) -> Any:
+        return self._items[index]
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._items)
+
+
+class Target(Net):
+    def __init__(self, tracker: Tracker, name: str, product: str, selectable: bool = True) -> None:
+        self._tracker, self.Name, self.ProductName = tracker, name, product
+        self.IsSelectable = selectable if tracker.room.bool_selectable else ReadOnlyValue(lambda: selectable)
+        self.seal()
+
+    def Select(self) -> None:
+        self._tracker.room.command("Select target")
+        if "reflector" not in self._tracker.room.deaf_to:
+            self._tracker.Targets.PreSelected = self
+
+
+class RedRingReflector15(Target):
+    pass
+
+
+class BreakResistantReflector15(Target):
+    pass
+
+
+class TMac(Target):
+    pass
+
+
+class Precondition(Net):
+    def __init__(self, number: int, title: str, solution: str) -> None:
+        self.Number, self.Title, self.Description, self.Solution = number, title, "", solution
+
+
+class Measurement(Net):
+    """``Tracker.Measurement``."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+        self.MeasurementInProgress = Value(tracker.room.kept.get("busy", False))
+        self.Profiles = Collection([])
+        self.seal()
+
+    @property
+    def Status(self) -> Any:
+        missing = []
+        if not self._tracker.room.initialised:
+            missing.append(Precondition(300, "Tracker not initialized", "Initialize it."))
+        if self._tracker.Targets.Selected is None:
+            missing.append(Precondition(301, "No target locked", "Point at a reflector."))
+        status = Net()
+        status.Preconditions = missing
+        status.Value = E["EMeasurementStatus"].NotReady if missing else E["EMeasurementStatus"].ReadyToMeasure
+        return status
+
+    def StopMeasurement(self) -> None:
+        self._tracker.room.command("StopMeasurement")
+        self.MeasurementInProgress.Value = False
+
+    def MeasureStationary(self) -> Any:
+        tracker, room = self._tracker, self._tracker.room
+        room.command("MeasureStationary")
+        if self.Status.Preconditions:
+            raise LmfException(301, "Not ready", "Preconditions are not met.")
+        if room.breaks_in_mid_measurement:
+            tracker.lose()
+            raise LmfException(301, "Measurement aborted")
+        room.measured += 1
+        return StationaryMeasurement3D(tracker)
+
+
+class StationaryMeasurement3D(Net):
+    def __init__(self, tracker: Tracker) -> None:
+        room = tracker.room
+        units = tracker.Settings.Units
+        p_M = room.targets[tracker.locked].copy()
+        if tracker.face2:
+            p_M += room.face2_shift_m
+        cartesian = tracker.Settings.CoordinateType == E["ECoordinateType"].Cartesian
+        scale, name = _METRES[int(units.LengthUnit)], _METRE_NAMES[int(units.LengthUnit)]
+        distance = float(np.linalg.norm(p_M))
+        numbers = p_M / scale
+        if not cartesian:
+            angles = np.array([math.atan2(p_M[0], p_M[1]), math.acos(p_M[2] / distance)])
+            numbers = np.array([*(angles / _RADIANS[int(units.AngleUnit)]), distance / scale])
+        position = Net()
+        sigma = room.precision_m / math.sqrt(3.0) / scale
+        for axis, number in enumerate(numbers, start=1):
+            value = StatisticValue(lambda n=float(number): n, lambda: name, lambda: sigma)
+            setattr(position, f"Coordinate{axis}", value)
+        position.CoordinateType = tracker.Settings.CoordinateType
+        position.IsFace2 = tracker.face2
+        self.Position = position
+        celsius = units.TemperatureUnit == E["ETemperatureUnit"].Celsius
+        hpa = units.PressureUnit == E["EPressureUnit"].HPascal
+        meteo = tracker.MeteoStation
+        live = meteo.Source.Value == E["EMeteoSource"].LiveMeteo
+        t, p, h = (
+            (room.temperature_c, 1009.0, 41.0)
+            if live
+            else (meteo.ManualTemperature.Value, meteo.ManualPressure.Value, meteo.ManualHumidity.Value)
+        )
+        self.Temperature = ReadOnlyValue(lambda: t if celsius else t * 1.8 + 32.0)
+        self.Pressure = ReadOnlyValue(lambda: p if hpa else p / 33.8638866667)
+        self.Humidity = ReadOnlyValue(lambda: h)
+        self.Info = Net()
+        self.Info.FlagsWithWarnings = getattr(E["EFlags"], room.flags)
+        self.TimeStamp = Net()
+        self.TimeStamp.Ticks = 621_355_968_000_000_000 + room.measured * 10_000_000
+
+
+class Face(Net):
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+
+    @property
+    def IsFace1(self) -> ReadOnlyValue:
+        return ReadOnlyValue(lambda: not self._tracker.face2)
+
+    def Change(self) -> None:
+        self._tracker.room.command("Face.Change")
+        self._tracker.face2 = not self._tracker.face2
+        if self._tracker.face2 and self._tracker.locked in self._tracker.room.hidden_in_face2:
+            self._tracker.lose()
+
+
+class Monitoring(Net):
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+        self.Active = Value(False)
+        self._initial = tracker.room.tilt_rad
+        self.seal()
+
+    def Reset(self) -> None:
+        self._tracker.room.command("Monitoring.Reset")
+        self._initial = self._tracker.room.tilt_rad
+
+    @property
+    def Initial(self) -> Any:
+        return self._tilt(self._initial)
+
+    @property
+    def Current(self) -> Any:
+        return self._tilt(self._tracker.room.tilt_rad)
+
+    @property
+    def Threshold(self) -> ReadOnlyValue:
+        return self._tracker.angle(15e-6)
+
+    def _tilt(self, tilt: tuple[float, float]) -> Any:
+        both = Net()
+        both.X, both.Y = self._tracker.angle(tilt[0]), self._tracker.angle(tilt[1])
+        return both
+
+
+class InclinationSensor(Net):
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+        kept = tracker.room.kept
+
+        def keep() -> None:
+            kept["gravity"] = self.InclinedToGravity.Value
+
+        self.InclinedToGravity = Value(kept.get("gravity", False), changed=keep)
+        self.Monitoring = Monitoring(tracker)
+        self.CurrentInclinationToGravity = None
+        self.seal()
+
+    def GetInclinationToGravity(self) -> None:
+        self._tracker.room.command("GetInclinationToGravity")
+        tilt = Net()
+        x, y = self._tracker.room.tilt_rad
+        tilt.InclinationRotX, tilt.InclinationRotY = self._tracker.angle(x), self._tracker.angle(y)
+        self.CurrentInclinationToGravity = tilt
+
+
+class MeteoStation(Net):
+    def __init__(self, tracker: Tracker) -> None:
+        room = tracker.room
+        self.Source = Value(room.kept.get("meteo", E["EMeteoSource"].ManualMeteo))
+        self.ManualTemperature = Value(20.0, room=room, name="ManualTemperature", span=(-20.0, 60.0))
+        self.ManualPressure = Value(1013.25, room=room, name="ManualPressure", span=(500.0, 1200.0))
+        self.ManualHumidity = Value(50.0, room=room, name="ManualHumidity", span=(0.0, 100.0))
+        self.IsAirSensorConnected = ReadOnlyValue(lambda: room.air_sensor)
+        self.seal()
+
+
+class Tracker(Net):
+    """``LMF.Tracker.AT960Tracker`` or so, as it is right after a connect: nearly all settings are LMF's defaults."""
+
+    def __init__(self, room: Room, address: str) -> None:
+        self.room, self.address = room, address
+        self.locked, self.face2 = "", False
+        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        threading.Thread(target=deliver, args=(self._events,), name="LMF events", daemon=True).start()
+        self.Name, self.ProductName, self.SerialNumber = "cell tracker", "AT960-LR", room.serial
+        self.InstalledFirmware, self.ExpectedFirmware = "2.3.0.1", "2.3"
+        self.IsCompatibleWithInstalledFirmware = ReadOnlyValue(lambda: room.compatible)
+        self.Disconnected = Event("Disconnected", room, self._events)
+        self.ErrorArrived = Event("ErrorArrived", room, self._events)
+        self.WarningArrived = Event("WarningArrived", room, self._events)
+        self.Settings = Settings()
+        self.Targets = Collection(
+            [
+                RedRingReflector15(self, "RRR 1.5in", "Red Ring Reflector 1.5in"),
+                BreakResistantReflector15(self, "BRR 1.5in", "Break Resistant Reflector 1.5in"),
+                TMac(self, "T-Mac", "T-Mac", selectable=False),
+            ]
+        )
+        self.Targets.PreSelected = self.Targets[1]
+        self.Measurement = Measurement(self)
+        self.Measurement.Profiles = Collection(
+            [
+                ContinuousTimeProfile(self, "Continuous Time"),
+                StationaryMeasurementProfile(self),
+                CustomStationaryMeasurementProfile(self),
+            ]
+        )
+        self.Measurement.Profiles.Selected = self.Measurement.Profiles[0]
+        self.PowerLock = Net()
+        self.PowerLock.UsePowerLock = Value(False, changed=self.warn_of_property)
+        self.TargetSearch = Net()
+        self.TargetSearch.Radius = Value(5.0, unit=lambda: _METRE_NAMES[int(self.Settings.Units.LengthUnit)])
+        self.Face = Face(self)
+        self.Laser = Net()
+        self.Laser.IsOn = ReadOnlyValue(lambda: room.laser_on)
+        self.Laser.IsLaserWarmedUp = ReadOnlyValue(lambda: room.warmed_up)
+        self.QuickRelease = ReadOnlyValue(lambda: room.quick_release)
+        self.Compensations = Net()
+        self.Compensations.Selected = Net()
+        self.InclinationSensor = InclinationSensor(self) if room.level else None
+        self.MeteoStation = MeteoStation(self)
+        self.seal()
+
+    def angle(self, radians: float) -> ReadOnlyValue:
+        def unit() -> int:
+            return int(self.Settings.Units.AngleUnit)
+
+        return ReadOnlyValue(lambda: radians / _RADIANS[unit()], lambda: _RADIAN_NAMES[unit()])
+
+    def warn_of_property(self) -> None:
+        """Setting this property makes LMF tell something, and the setter waits until it is told."""
+        self.WarningArrived.fire(self, LmfException(7, "Setting changed"), by_property=True)
+
+    def warn(self, title: str) -> None:
+        self.WarningArrived.fire(self, LmfException(4711, title, "Something is not well.", "Look at it."))
+
+    def lose(self) -> None:
+        self.locked = ""
+        self.Targets.Selected = None
+
+    def Initialize(self) -> None:
+        self.room.command("Initialize")
+        self.room.initialised = True
+
+    def PositionTo(self, search: bool, relative: bool, p1: float, p2: float, p3: float) -> Any:
+        self.room.command("PositionTo")
+        if relative:
+            raise LmfException(5, "Relative moves need spherical coordinates")
+        if self.Settings.CoordinateType != E["ECoordinateType"].Cartesian:
+            raise LmfException(6, "This stand-in only points in Cartesian coordinates")
+        self.lose()
+        self.WarningArrived.fire(self, LmfException(8, "Head moved"))
+        wanted = np.array([p1, p2, p3]) * _METRES[int(self.Settings.Units.LengthUnit)]
+        if not search:
+            return None
+        seen = {name: p for name, p in self.room.targets.items() if name not in self.room.hidden}
+        near = min(seen, key=lambda name: float(np.linalg.norm(seen[name] - wanted)), default="")
+        if not near or np.linalg.norm(seen[near] - wanted) > self.room.search_m:
+            raise LmfException(9, "No target found")
+        self.locked = near
+        self.Targets.Selected = self.Targets[2] if near.startswith("T-Mac") else self.Targets.PreSelected
+        return self.Targets.Selected
+
+    def Disconnect(self) -> None:
+        self.room.command("Disconnect")
+        if self.address in self.room.connected:
+            self.room.connected.remove(self.address)
+        self._events.put(None)
+
+    def drop(self) -> None:
+        """The network fails: LMF tells it."""
+        self.Disconnected.fire(self, LmfException(1, "Connection lost"))
+
+
+class Connection:
+    """``LMF.Tracker.Connection``."""
+
+    def __init__(self, room: Room) -> None:
+        self._room = room
+
+    def Connect(self, address: str) -> Tracker:
+        room = self._room
+        room.command("Connect")
+        simulated = "simulator" in address.casefold()
+        if simulated and _SIMULATOR.fullmatch(address.casefold()) is None:
+            raise LmfException(2, "Unknown simulator", address)
+        if not simulated and address != "192.168.0.1":
+            raise LmfException(3, "Not reachable", f"No tracker at {address}.", "Check the cable.")
+        if address.casefold() in room.connected:
+            raise LmfException(10011, "Controller Already In Use")
+        tracker = Tracker(room, address.casefold())
+        room.connected.append(tracker.address)
+        room.kept["tracker"] = tracker
+        return tracker
+
+
+class TrackerFinder:
+    """``LMF.Tracker.TrackerFinder``."""
+
+    def __init__(self, room: Room) -> None:
+        self._room = room
+        self._found = Collection([])
+
+    def Refresh(self) -> None:
+        self._room.command("Refresh")
+        found = []
+        for address, model, serial in self._room.in_the_network:
+            info = Net()
+            info.IPAddress, info.Type, info.SerialNumber = address, model, serial
+            found.append(info)
+        self._found = Collection(found)
+
+    @property
+    def Trackers(self) -> Collection:
+        return self._found

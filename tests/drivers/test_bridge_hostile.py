@@ -1,0 +1,409 @@
+"""Whoever else speaks to the bridge, and however badly: the client that holds the tracker goes on measuring."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from contextlib import ExitStack, contextmanager
+
+import numpy as np
+import pytest
+
+from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
+from drivers.trackers import bridge_wire as wire
+from drivers.trackers.bridge import BridgeTracker
+from drivers.trackers.bridge_wire import Garbled
+from drivers.trackers.protocol import Preparation, TrackerLinkLost
+
+TOKEN = "correct horse battery staple"
+NEST = np.array([1.5, 2.0, -0.3])
+WAIT_S = 10.0
+
+
+@pytest.fixture
+def bridge(make_plant):
+    with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, hello_s=0.5, line_s=0.5) as served:
+        yield served
+
+
+@pytest.fixture
+def guarded(make_plant):
+    with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, hello_s=0.5, line_s=0.5, token=TOKEN) as served:
+        yield served
+
+
+@contextmanager
+def holder(bridge, **options):
+    tracker = BridgeTracker(bridge.url, timeout_s=1.0, preparation=Preparation(), **options)
+    tracker.connect()
+    try:
+        yield tracker
+    finally:
+        tracker.disconnect()
+
+
+class Raw:
+    """A connection that says what it likes."""
+
+    def __init__(self, bridge):
+        self._link = socket.create_connection((bridge.host, bridge.port), WAIT_S)
+        self._lines = self._link.makefile("rb")
+        self.number = 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._lines.close()
+        self._link.close()
+
+    def send(self, data):
+        self._link.sendall(data)
+
+    def say(self, word, **fields):
+        self.number += 1
+        self.send(wire.encode(self.number, word, fields))
+        return self
+
+    def hear(self):
+        """The next line, None when the bridge has hung up."""
+        try:
+            raw = self._lines.readline()
+        except ConnectionError:
+            return None
+        return wire.decode(raw) if raw else None
+
+    def ask(self, word, **fields):
+        """The answer to a command; what else is said meanwhile is passed over."""
+        self.say(word, **fields)
+        for _ in range(10_000):
+            line = self.hear()
+            if line is None or (line.sequence == self.number and line.word != "wait"):
+                return line
+        raise AssertionError("it does not stop talking")
+
+    def hung_up(self):
+        return any(self.hear() is None for _ in range(1000))
+
+
+def lets_in(raw):
+    assert raw.ask("sync", nonce="0123456789").fields["holding"] == "0"
+    assert raw.ask("hello", protocol="1", client="a-raw-client").word == "ok"
+    assert raw.ask("prepare").word == "ok"
+    return raw
+
+
+def measures(raw, id_):
+    x, y, z = (repr(float(value)) for value in NEST)
+    return raw.ask("measure", id=id_, x=x, y=y, z=z, averaging="1.0")
+
+
+def mutated(count, rng):
+    """Lines that were right once."""
+    good = [
+        wire.encode(5, "measure", {"id": "a-measurement", "x": "1.5", "y": "2.0", "z": "-0.3", "averaging": "1.0"}),
+        wire.encode(6, "hello", {"protocol": "1", "client": "another-client"}),
+        wire.encode(7, "halt"),
+        wire.encode(8, "bye"),
+        wire.encode(9, "sync", {"nonce": "0123456789"}),
+    ]
+    for _ in range(count):
+        line = bytearray(good[rng.integers(len(good))])
+        match rng.integers(5):
+            case 0:
+                del line[rng.integers(len(line) - 1) :]
+                line += b"\n"
+            case 1:
+                line[rng.integers(len(line) - 1)] ^= 1 << rng.integers(8)
+            case 2:
+                line = bytearray(rng.bytes(int(rng.integers(1, 200)))) + b"\n"
+            case 3:
+                start = rng.integers(len(line) - 2)
+                line[start : start + 2] = line[start + 1 : start - 1 : -1] if start else b"\x00\xff"
+            case _:
+                line = line[: rng.integers(1, len(line))] + line
+        yield bytes(line)
+
+
+def is_garbled(raw):
+    try:
+        wire.decode(raw)
+    except Garbled:
+        return True
+    return False
+
+
+def test_ten_thousand_damaged_lines_leave_the_holder_where_it_was(bridge):
+    rng = np.random.default_rng(0)
+    with Raw(bridge) as raw:
+        lets_in(raw)
+        first = measures(raw, "measurement-1")
+        done = bridge.tracker.measured
+        sent = 0
+        for line in mutated(10_000, rng):
+            parts = line.split(b"\n")[:-1]
+            if all(is_garbled(part) or not part for part in parts):  # the others happen to be right
+                raw.send(line)
+                sent += 1
+        assert sent > 9000
+        answer = raw.ask("sync", nonce="after-the-storm")
+        assert (answer.word, answer.fields["holding"]) == ("ok", "1")
+        assert bridge.tracker.measured == done
+        assert measures(raw, "measurement-1").fields == first.fields  # known already
+        assert measures(raw, "measurement-2").word == "ok"
+        assert bridge.tracker.measured == done + 1
+
+
+def test_ten_thousand_damaged_answers_leave_the_client_alive(make_plant):
+    """A relay that damages what the bridge says for a while: errors are clear, and the next good command works."""
+    rng = np.random.default_rng(1)
+    with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}) as bridge, ExitStack() as stack:
+        noise = list(mutated(10_000, rng))
+        listening = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        storm = threading.Event()
+
+        def relay():
+            while True:
+                try:
+                    here = listening.accept()[0]
+                except OSError:
+                    return
+                with here, socket.create_connection((bridge.host, bridge.port), WAIT_S) as there:
+                    carry(here, there)
+
+        def carry(here, there):
+            back = threading.Thread(target=lambda: copy(here, there))
+            back.start()
+            while True:
+                try:
+                    data = there.recv(4096)
+                    if not data:
+                        break
+                    if storm.is_set():
+                        here.sendall(b"".join(noise[:1000]))
+                        del noise[:1000]
+                        if not noise:
+                            storm.clear()
+                    here.sendall(data)
+                except OSError:
+                    break
+            for end in (here, there):
+                try:
+                    end.shutdown(socket.SHUT_RDWR)
+                except OSError:
+                    continue
+            back.join(WAIT_S)
+
+        def copy(source, sink):
+            while True:
+                try:
+                    data = source.recv(4096)
+                    sink.sendall(data) if data else sink.shutdown(socket.SHUT_WR)
+                except OSError:
+                    return
+                if not data:
+                    return
+
+        thread = threading.Thread(target=relay)
+        thread.start()
+        url = f"socket://127.0.0.1:{listening.getsockname()[1]}"
+        tracker = BridgeTracker(url, timeout_s=1.0, preparation=Preparation(), patience_s=60.0)
+        tracker.connect()
+        times = [tracker.measure(NEST, 1.0).time_s]
+        storm.set()
+        while storm.is_set():
+            times.append(tracker.measure(NEST, 1.0).time_s)
+        times.append(tracker.measure(NEST, 1.0).time_s)
+        assert sorted(set(times)) == times
+        assert bridge.tracker.measured == len(times)
+        tracker.disconnect()
+        listening.shutdown(socket.SHUT_RDWR)
+        listening.close()
+        thread.join(WAIT_S)
+
+
+def test_a_client_that_hears_only_nonsense_says_so():
+    rng = np.random.default_rng(2)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def babble():
+            for _ in range(20):
+                try:
+                    link = listening.accept()[0]
+                except OSError:
+                    return
+                with link:
+                    for line in mutated(500, rng):
+                        try:
+                            link.sendall(line)
+                        except OSError:
+                            break
+
+        thread = threading.Thread(target=babble)
+        thread.start()
+        tracker = BridgeTracker(f"socket://127.0.0.1:{listening.getsockname()[1]}", timeout_s=0.5)
+        with pytest.raises(TrackerLinkLost, match="see that the tracker's computer runs 'cellapp tracker-bridge'"):
+            tracker.connect()
+        listening.shutdown(socket.SHUT_RDWR)
+        thread.join(WAIT_S)
+        assert not thread.is_alive()
+
+
+def test_a_huge_line_is_refused_and_forgotten(bridge):
+    with Raw(bridge) as raw:
+        lets_in(raw)
+        raw.send(b"x" * 3_000_000)
+        line = raw.hear()
+        assert (line.sequence, line.fields["kind"]) == (0, "garbled")
+        assert "longer than 2048 bytes" in line.fields["text"]
+        raw.send(b"\n")
+        assert measures(raw, "measurement-1").word == "ok"
+        assert all(len(link.held) <= wire.LONGEST_LINE for link in bridge._links)
+
+
+def test_a_slow_sender_is_cut_off_and_disturbs_nobody(bridge):
+    with holder(bridge) as tracker, Raw(bridge) as slow:
+        slow.send(b"1 hel")
+        assert tracker.measure(NEST, 1.0).averaging_s == 1.0
+        assert slow.hung_up()
+        assert tracker.measure(NEST, 1.0).averaging_s == 1.0
+
+
+def test_a_holder_that_does_not_finish_its_line_keeps_the_tracker(bridge):
+    with Raw(bridge) as raw:
+        lets_in(raw)
+        raw.send(b"7 meas")
+        line = raw.hear()
+        assert "not finished within 0.5 s" in line.fields["text"]
+        assert measures(raw, "measurement-1").word == "ok"
+
+
+def test_two_hundred_connections_do_not_get_in_the_way(bridge):
+    with holder(bridge) as tracker, ExitStack() as stack:
+        crowd = [stack.enter_context(Raw(bridge)) for _ in range(200)]
+        for raw in crowd[::3]:
+            try:
+                raw.send(b"GET / HTTP/1.1\r\n\r\n")
+            except ConnectionError:
+                continue  # it has been thrown out already
+        for _ in range(5):
+            assert tracker.measure(NEST, 1.0).averaging_s == 1.0
+        assert len(bridge._links) < 80
+        bridge.fault("drop")  # and who lost its link finds its way back through the crowd
+        assert tracker.measure(NEST, 1.0).averaging_s == 1.0
+        assert all(raw.hung_up() for raw in crowd)
+
+
+def test_who_does_not_introduce_itself_gets_nothing(guarded):
+    with holder(guarded, token=TOKEN) as tracker:
+        with Raw(guarded) as raw:
+            for word in ("measure", "halt", "bye", "identify", "prepare", "ping", "nonsense", "auth"):
+                answer = raw.ask(word, id="0123456789")
+                assert (answer.word, answer.fields["kind"]) == ("error", "no-session")
+            assert raw.hung_up()
+        assert guarded.tracker.measured == 0
+        tracker.measure(NEST, 1.0)
+    assert guarded.tracker.measured == 1
+
+
+def test_the_token_cannot_be_talked_around(guarded):
+    client = "a-raw-client"
+
+    def challenge(raw, name=client):
+        return raw.ask("hello", protocol="1", client=name).fields["nonce"]
+
+    with holder(guarded, token=TOKEN) as tracker:
+        for case in ("wrong", "empty", "replayed", "other client", "the server's own", "without a challenge"):
+            with Raw(guarded) as raw, Raw(guarded) as other:
+                nonce = challenge(raw)
+                proofs = {
+                    "wrong": wire.proof("wrong horse battery staple", "client", client, nonce, "mine-mine"),
+                    "empty": "",
+                    "replayed": wire.proof(TOKEN, "client", client, challenge(other), "mine-mine"),
+                    "other client": wire.proof(TOKEN, "client", "somebody-else", nonce, "mine-mine"),
+                    "the server's own": wire.proof(TOKEN, "server", client, nonce, "mine-mine"),
+                    "without a challenge": wire.proof(TOKEN, "client", "", "", "mine-mine"),
+                }
+                target = raw
+                if case == "without a challenge":
+                    target = stranger = other
+                    stranger.ask("sync", nonce="0123456789")
+                answer = target.ask("auth", nonce="mine-mine", proof=proofs[case])
+                assert answer is None or answer.word == "error", case
+                assert target.ask("measure", id="0123456789") is None or case == "without a challenge"
+        assert guarded.tracker.measured == 0
+        tracker.measure(NEST, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("word", "fields", "kind", "text"),
+    [
+        ("measure", {}, "bad-field", "id is ''"),
+        ("measure", {"id": "short"}, "bad-field", "id is 'short'"),
+        ("measure", {"id": "long-enough"}, "bad-field", "the field 'x' is missing"),
+        ("measure", {"id": "long-enough", "x": "nan", "y": "0", "z": "0", "averaging": "1"}, "bad-field", "x is 'nan'"),
+        ("measure", {"id": "long-enough", "x": "1", "y": "0", "z": "0", "averaging": "0"}, "bad-field", "averaging is"),
+        ("measure", {"id": "long-enough", "x": "1", "y": "0", "z": "0", "averaging": "1e9"}, "bad-field", "averaging"),
+        ("prepare", {"accuracy": "sloppy"}, "bad-field", "accuracy is 'sloppy'"),
+        ("prepare", {"temperature": "295.15"}, "bad-field", "must lie between -40 and 85 degC"),
+        ("prepare", {"reflector": "of glass"}, "bad-field", "it has no reflector 'of glass'"),
+        ("hello", {"protocol": "1"}, "bad-field", "client is ''"),
+        ("hello", {"protocol": "2", "client": "a-raw-client"}, "version", "speaks version 1, not '2'"),
+        ("dance", {}, "unknown-command", "there is no command 'dance'"),
+        ("sync", {"nonce": "*"}, "bad-field", r"nonce is '*'"),
+    ],
+)
+def test_a_whole_line_that_makes_no_sense_is_answered_and_harmless(bridge, word, fields, kind, text):
+    with Raw(bridge) as raw:
+        lets_in(raw)
+        answer = raw.ask(word, **fields)
+        assert (answer.word, answer.fields["kind"]) == ("error", kind)
+        assert text in answer.fields["text"]
+        assert raw.ask("prepare").word == "ok"
+        assert measures(raw, "measurement-1").word == "ok"
+
+
+def test_a_measurement_needs_a_prepared_tracker(bridge):
+    with Raw(bridge) as raw:
+        assert raw.ask("hello", protocol="1", client="a-raw-client").word == "ok"
+        assert measures(raw, "measurement-1").fields["kind"] == "unprepared"
+        assert raw.ask("prepare").word == "ok"
+        assert measures(raw, "measurement-1").word == "ok"
+
+
+def test_a_client_that_never_reads_loses_its_link_but_not_the_bridge(bridge):
+    with Raw(bridge) as deaf:
+        lets_in(deaf)
+        line = wire.encode(99, "identify") + wire.encode(98, "sync", {"nonce": "0123456789"})
+        deaf._link.settimeout(WAIT_S)
+        try:
+            for _ in range(2000):
+                deaf.send(line * 50)
+        except OSError:
+            pass
+        else:
+            pytest.fail("it was never cut off")
+        with holder(bridge) as tracker:
+            assert tracker.measure(NEST, 1.0).averaging_s == 1.0
+
+
+def test_faults_are_commanded_from_another_connection(bridge):
+    with holder(bridge) as tracker, Raw(bridge) as operator:
+        assert operator.ask("fault", kind="garbage").word == "ok"
+        assert operator.ask("fault", kind="flood").fields["kind"] == "bad-field"
+        assert tracker.measure(NEST, 1.0).averaging_s == 1.0
+        assert bridge.tracker.measured == 1
+
+
+def test_results_are_kept_for_a_while_not_for_ever(bridge):
+    with Raw(bridge) as raw:
+        lets_in(raw)
+        first = measures(raw, "measurement-0")
+        for number in range(1, 64):
+            measures(raw, f"measurement-{number}")
+        assert measures(raw, "measurement-1").word == "ok"
+        assert bridge.tracker.measured == 64
+        for number in range(64, 80):
+            measures(raw, f"measurement-{number}")
+        assert len(bridge._kept) == 64
+        assert measures(raw, "measurement-0").fields["time"] != first.fields["time"]

@@ -1,0 +1,482 @@
+"""The bridge from end to end, over TCP and over a serial cable: what is asked for comes, once, whatever happens."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from drivers.arms.simulated import SimulatedArm
+from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
+from drivers.trackers.bridge import BridgeTracker
+from drivers.trackers.bridge_server import TrackerService
+from drivers.trackers.protocol import (
+    Halted,
+    Inclination,
+    NotReady,
+    Point,
+    Preparation,
+    TargetLost,
+    TrackerError,
+    TrackerIdentity,
+    TrackerLinkLost,
+    TrackerRefused,
+    TrackerTimeout,
+    Unstable,
+    WrongTarget,
+)
+from drivers.trackers.simulated import Imperfections, SimulatedTracker
+from tests.drivers.ptys import serial_cable
+
+TOKEN = "correct horse battery staple"
+QUICK_S = 0.3
+NEST = np.array([1.5, 2.0, -0.3])
+
+
+@contextmanager
+def client(url, **options) -> Iterator[BridgeTracker]:
+    tracker = BridgeTracker(url, **({"timeout_s": QUICK_S, "preparation": Preparation()} | options))
+    tracker.connect()
+    try:
+        yield tracker
+    finally:
+        tracker.disconnect()
+
+
+@contextmanager
+def over(kind, plant, **options):
+    """An emulated bridge and a client, over ``tcp`` or a ``serial`` cable."""
+    values = {"nests": {"n": NEST}, "reboot_s": 0.2, "slow_s": 1.5 * QUICK_S} | options
+    if kind == "tcp":
+        with TrackerBridgeEmulator(plant, **values) as bridge, client(bridge.url) as tracker:
+            yield bridge, tracker
+    else:
+        with (
+            serial_cable() as (theirs, ours),
+            TrackerBridgeEmulator(plant, port=None, serial_url=theirs, **values) as bridge,
+            client(ours, timeout_s=0.5) as tracker,
+        ):
+            yield bridge, tracker
+
+
+@pytest.mark.parametrize("kind", ["tcp", "serial"])
+def test_the_bridge_gives_what_the_tracker_itself_gives(kind, make_plant):
+    def all_of(tracker, plant):
+        smr = plant.targets()[0].p_M
+        tracker.prepare(Preparation(temperature_c=25.0))
+        pair = tracker.measure_two_face(NEST, 2.0)
+        return [tracker.measure(smr, 1.0), tracker.measure(NEST, 0.5), pair.first, pair.second]
+
+    wrong = Imperfections(collimation_rad=2e-5, tilt_rad=(1e-4, -2e-4), clock_offset_s=1e6)
+    direct_plant, plant = make_plant(noise=True), make_plant(noise=True)
+    direct = SimulatedTracker(direct_plant, wrong, nests={"n": NEST})
+    direct.connect()
+    with over(kind, plant, imperfections=wrong) as (_, tracker):
+        assert tracker.identify() == direct.identify()
+        assert tracker.unmet() == []
+        assert tracker.inclination() == direct.inclination() == Inclination((1e-4, -2e-4), 0.0, 15e-6)
+        for one, other in zip(all_of(direct, direct_plant), all_of(tracker, plant), strict=True):
+            for name in ("p_M", "covariance_M", "precision_M"):
+                assert np.array_equal(getattr(one, name), getattr(other, name)), name
+            rest = set(one.__dataclass_fields__) - {"p_M", "covariance_M", "precision_M"}
+            assert {name: getattr(one, name) for name in rest} == {name: getattr(other, name) for name in rest}
+    assert plant.clock_s == direct_plant.clock_s
+
+
+@pytest.mark.parametrize("kind", ["tcp", "serial"])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_neither_loses_nor_doubles_a_measurement(kind, fault, make_plant):
+    with over(kind, make_plant(noise=True)) as (bridge, tracker):
+        before = tracker.measure(NEST, 1.0)
+        bridge.fault(fault)
+        if fault == "beam":
+            with pytest.raises(TargetLost, match="that of nest n is there, but something covers it"):
+                tracker.measure(NEST, 1.0)
+        point = tracker.measure(NEST, 1.0)
+        after = tracker.measure(NEST, 1.0)
+        assert before.time_s < point.time_s < after.time_s
+        assert np.abs(point.p_M - NEST).max() < 1e-3
+        # only what a restarted bridge forgot has been made anew
+        assert bridge.tracker.measured == (4 if fault == "reboot" else 3)
+        assert tracker.unmet() == []
+
+
+def test_several_faults_one_after_the_other(make_plant):
+    with over("tcp", make_plant()) as (bridge, tracker):
+        for fault in ("garbage", "drop", "silence"):
+            bridge.fault(fault)
+        assert len({tracker.measure(NEST, 1.0).time_s for _ in range(4)}) == 4
+        assert bridge.tracker.measured == 4
+        with pytest.raises(ValueError, match="there is no fault 'earthquake'; there are beam, slow"):
+            bridge.fault("earthquake")
+
+
+def test_what_the_tracker_refuses_arrives_as_what_it_is(make_arm, make_plant):
+    plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
+    with over("tcp", plant, wrong_target_m=0.02) as (bridge, tracker):
+        with pytest.raises(TargetLost, match="no SMR within 100 mm"):
+            tracker.measure(NEST + 1.0, 1.0)
+        with pytest.raises(WrongTarget, match="50 mm from where one was expected"):
+            tracker.measure(NEST + np.array([0.0, 0.0, 0.05]), 1.0)
+        arm = SimulatedArm(plant, "left")
+        arm.connect()
+        arm.start_move(np.array([0, 0, 0, 0, 0, 3.0]), np.full(6, 1.0), np.full(6, 2.0))
+        with pytest.raises(Unstable, match="the SMR of arm left moved"):
+            tracker.measure(plant.targets()[0].p_M, 1.0)
+        arm.wait_settled(10.0)
+        bridge.tracker.obstacles.append("it is not level: 3 % too much")
+        assert tracker.unmet() == ["it is not level: 3 % too much"]
+        with pytest.raises(NotReady, match="it is not level: 3 % too much"):
+            tracker.measure(NEST, 1.0)
+        bridge.tracker.obstacles.clear()
+        for point, averaging in ((np.ones(2), 1.0), (np.array([1.0, np.nan, 0.0]), 1.0)):
+            with pytest.raises(ValueError, match="three finite coordinates"):
+                tracker.measure(point, averaging)
+        for averaging in (0.0, -1.0, np.nan, np.inf):
+            with pytest.raises(ValueError, match="averaging must last longer than 0 s"):
+                tracker.measure(NEST, averaging)
+        assert tracker.measure(NEST, 1.0).p_M == pytest.approx(NEST)
+
+
+def test_a_setting_that_the_tracker_does_not_have_is_refused(make_plant):
+    with TrackerBridgeEmulator(make_plant()) as bridge:
+        tracker = BridgeTracker(bridge.url, timeout_s=QUICK_S, preparation=Preparation(reflector="SMR 0.5 in"))
+        with pytest.raises(NotReady, match=r"no reflector 'SMR 0.5 in'; it has 'simulated 1.5 in'.* in the profile"):
+            tracker.connect()
+        with client(bridge.url) as other:  # nobody holds it any more
+            with pytest.raises(ValueError, match="no reflector"):
+                other.prepare(Preparation(reflector="SMR 0.5 in"))
+            other.prepare(Preparation(reflector="simulated 1.5 in"))
+
+
+def test_one_client_at_a_time(make_plant):
+    with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}) as bridge:
+        with client(bridge.url) as first:
+            for _ in range(3):
+                with pytest.raises(TrackerRefused, match=r"held by 127\.0\.0\.1:\d+, which was last heard \d+ s"):
+                    BridgeTracker(bridge.url, timeout_s=QUICK_S).connect()
+            first.measure(NEST, 1.0)
+        with client(bridge.url) as second:
+            second.measure(NEST, 1.0)
+            with pytest.raises(TrackerLinkLost, match="connect first"):
+                first.measure(NEST, 1.0)
+
+
+def test_who_is_silent_for_long_loses_the_tracker_and_is_told(make_plant):
+    with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, idle_s=0.0) as bridge, client(bridge.url) as first:
+        first.measure(NEST, 1.0)
+        threading.Event().wait(0.05)
+        with client(bridge.url, preparation=Preparation(temperature_c=30.0)) as second:
+            assert second.measure(NEST, 1.0).temperature_c == 30.0
+        # what the other one set up does not stay
+        assert first.measure(NEST, 1.0).temperature_c == pytest.approx(20.0, abs=0.6)
+
+
+@pytest.mark.parametrize("kind", ["tcp", "serial"])
+def test_the_token_lets_in_and_keeps_out(kind, make_plant, caplog):
+    caplog.set_level("DEBUG")
+    with serial_cable() as (theirs, ours):
+        serial_end = {"port": None, "serial_url": theirs} if kind == "serial" else {}
+        with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, token=TOKEN, **serial_end) as bridge:
+            url = ours if kind == "serial" else bridge.url
+            with pytest.raises(TrackerRefused, match="it asks for a token; name it in the profile"):
+                BridgeTracker(url, timeout_s=QUICK_S).connect()
+            with pytest.raises(TrackerRefused, match="the token is wrong"):
+                BridgeTracker(url, timeout_s=QUICK_S, token="wrong horse battery staple").connect()
+            with client(url, token=TOKEN, timeout_s=1.0) as tracker:
+                assert tracker.measure(NEST, 1.0).p_M == pytest.approx(NEST)
+                bridge.fault("reboot")
+                assert tracker.measure(NEST, 1.0).p_M == pytest.approx(NEST)
+    assert "it does not know the token" in caplog.text
+    assert "horse" not in caplog.text
+
+
+def test_a_bridge_that_does_not_know_the_token_is_not_trusted(make_plant):
+    with TrackerBridgeEmulator(make_plant()) as bridge:
+        tracker = BridgeTracker(bridge.url, timeout_s=QUICK_S, token=TOKEN)
+        with pytest.raises(TrackerRefused, match="the bridge asks for none"):
+            tracker.connect()
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"host": "0.0.0.0"}, "0.0.0.0 is not a loopback address: .* Give the bridge a token"),
+        ({"host": "::"}, "not a loopback address"),
+        ({"host": "tracker-pc"}, "not a loopback address"),
+        ({"token": "too short"}, "at least 16 printable ASCII characters"),
+        ({"token": "with a\ttabulator in it"}, "at least 16 printable ASCII characters"),
+    ],
+)
+def test_no_door_is_left_open_by_mistake(options, why, make_plant):
+    with pytest.raises(ValueError, match=why):
+        TrackerBridgeEmulator(make_plant(), **options)
+
+
+def test_a_port_in_use_is_said(make_plant):
+    with TrackerBridgeEmulator(make_plant()) as bridge:
+        other = TrackerBridgeEmulator(make_plant(), port=bridge.port)
+        with pytest.raises(OSError, match=f"cannot listen at 127.0.0.1 port {bridge.port}"):
+            other.open()
+
+
+def test_nobody_there(make_plant):
+    with TrackerBridgeEmulator(make_plant()) as bridge:
+        url = bridge.url
+    tracker = BridgeTracker(url, timeout_s=QUICK_S)
+    with pytest.raises(TrackerLinkLost, match=r"[Rr]efused.*; see that the tracker's computer runs"):
+        tracker.connect()
+    with pytest.raises(TrackerLinkLost, match="connect first"):
+        tracker.unmet()
+    tracker.disconnect()
+    tracker.halt()
+    for url in ("nonsense://here", "/dev/no-such-port"):
+        with pytest.raises(TrackerLinkLost):
+            BridgeTracker(url, timeout_s=QUICK_S).connect()
+
+
+def test_a_bridge_that_goes_for_good_ends_the_measurement_in_time(make_plant):
+    with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}) as bridge:
+        tracker = BridgeTracker(bridge.url, timeout_s=QUICK_S, preparation=Preparation(), patience_s=1.0)
+        tracker.connect()
+    with pytest.raises(TrackerLinkLost, match="see that the tracker's computer runs"):
+        tracker.measure(NEST, 1.0)
+    tracker.disconnect()
+
+
+def test_a_serial_port_that_is_silent_or_babbles():
+    with serial_cable() as (theirs, ours):
+        with pytest.raises(TrackerLinkLost, match=r"no answer within 0\.3 s"):
+            BridgeTracker(ours, timeout_s=QUICK_S).connect()
+        stop = threading.Event()
+
+        def babble():
+            with open(theirs, "wb", buffering=0) as port:
+                while not stop.wait(0.001):
+                    port.write(b"\xff\x00#:1 ok nonce=1*00000000\n" * 20)
+
+        thread = threading.Thread(target=babble)
+        thread.start()
+        try:
+            with pytest.raises(TrackerLinkLost, match="see that the tracker's computer runs"):
+                BridgeTracker(ours, timeout_s=QUICK_S).connect()
+        finally:
+            stop.set()
+            thread.join(10.0)
+
+
+# -- a tracker that takes its time -------------------------------------------------------------------------------------
+
+
+class SlowTracker:
+    """Measures when it is let; halts when told so."""
+
+    def __init__(self):
+        self.begun, self.may_end, self.halted = threading.Event(), threading.Event(), threading.Event()
+        self.calls = 0
+        self.threads = set()
+
+    def connect(self):
+        self.threads.add(threading.get_ident())
+
+    def identify(self):
+        return TrackerIdentity("slow", "1", "0")
+
+    def prepare(self, settings):
+        self.threads.add(threading.get_ident())
+
+    def unmet(self):
+        return []
+
+    def measure(self, expected_M, averaging_s):
+        self.threads.add(threading.get_ident())
+        self.calls += 1
+        self.begun.set()
+        for _ in range(200):
+            if self.may_end.wait(0.05):
+                return made(expected_M)
+            if self.halted.is_set():
+                raise Halted("slow: it was told to halt")
+        raise AssertionError("nobody let it end")
+
+    measure_two_face = measure
+
+    def inclination(self):
+        return None
+
+    def halt(self):
+        self.halted.set()
+
+    def disconnect(self):
+        self.threads.add(threading.get_ident())
+
+
+def made(p_M):
+    return Point(np.array(p_M), np.eye(3) * 1e-10, 5.0, 1.0, None)
+
+
+def in_thread(act):
+    """Start ``act`` in a thread; its outcome when it ends."""
+    outcome = []
+
+    def run():
+        try:
+            outcome.append(act())
+        except TrackerError as error:
+            outcome.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+
+    def wait():
+        thread.join(20.0)
+        assert not thread.is_alive()
+        return outcome[0]
+
+    return wait
+
+
+def test_a_slow_tracker_is_waited_for_longer_than_the_link_may_be_silent():
+    slow = SlowTracker()
+    with TrackerService(slow) as bridge, client(bridge.url, timeout_s=1.5) as tracker:
+        outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
+        assert slow.begun.wait(5.0)
+        threading.Timer(1.7, slow.may_end.set).start()
+        assert outcome().p_M == pytest.approx(NEST)
+        assert tracker.inclination() is None
+    assert slow.calls == 1
+    assert len(slow.threads) == 1
+
+
+def test_halt_ends_what_is_under_way():
+    slow = SlowTracker()
+    with TrackerService(slow) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
+        outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
+        assert slow.begun.wait(5.0)
+        tracker.halt()
+        assert isinstance(outcome(), Halted)
+        slow.may_end.set()
+        assert tracker.measure(NEST, 1.0).time_s == 5.0  # and says nothing about what comes after
+
+
+def test_a_client_that_comes_back_gets_the_measurement_that_was_under_way():
+    slow = SlowTracker()
+    with TrackerService(slow) as bridge, client(bridge.url) as tracker:
+        outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
+        assert slow.begun.wait(5.0)
+        dropped = threading.Event()
+
+        def drop():
+            bridge._drop(bridge._holder, "a test cuts the link", forever=True)
+            dropped.set()
+
+        bridge.soon(drop)
+        assert dropped.wait(5.0)
+        threading.Timer(1.0, slow.may_end.set).start()
+        assert outcome().p_M == pytest.approx(NEST)
+    assert slow.calls == 1
+
+
+def test_a_tracker_that_never_ends_is_halted_and_the_client_told():
+    slow = SlowTracker()
+    with TrackerService(slow, command_s=0.3, recover_s=0.0) as bridge, client(bridge.url) as tracker:
+        with pytest.raises(TrackerTimeout, match=r"did not finish 'measure' within 0\.3 s; it was told to halt"):
+            tracker.measure(NEST, 1.0)
+        assert slow.halted.is_set()
+        assert tracker.identify().model == "slow"
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_mistake_in_a_driver_is_not_the_end_of_the_bridge():
+    class Broken(SlowTracker):
+        def measure(self, expected_M, averaging_s):
+            raise KeyError("a mistake")
+
+    with TrackerService(Broken()) as bridge, client(bridge.url) as tracker:
+        for _ in range(2):
+            with pytest.raises(TrackerError, match="the tracker's driver broke down; see the bridge's log"):
+                tracker.measure(NEST, 1.0)
+        assert tracker.identify().model == "slow"
+
+
+def test_a_tracker_that_cannot_be_reached_is_said():
+    class Away(SlowTracker):
+        def connect(self):
+            raise TrackerLinkLost("no tracker at 192.168.0.1")
+
+    with TrackerService(Away(), recover_s=0.3) as bridge:
+        tracker = BridgeTracker(bridge.url, timeout_s=QUICK_S, preparation=Preparation())
+        with pytest.raises(TrackerLinkLost, match=r"no tracker at 192\.168\.0\.1"):
+            tracker.connect()
+
+
+# -- a plant that others move ------------------------------------------------------------------------------------------
+
+
+class Moving:
+    """Advances a plant as the controllers' emulator does: in a thread, under a lock, faster than real time."""
+
+    def __init__(self, plant, pace):
+        self.plant, self.pace = plant, pace
+        self.lock = threading.RLock()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self):
+        while not self._stop.wait(0.002):
+            with self.lock:
+                self.plant.advance(0.002 * self.pace)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._stop.set()
+        self._thread.join(10.0)
+
+
+def test_the_tracker_of_a_shared_plant_waits_for_the_plants_clock(make_plant):
+    plant = make_plant(noise=True)
+    alone = make_plant(noise=True)
+    direct = SimulatedTracker(alone, nests={"n": NEST})
+    direct.connect()
+    with Moving(plant, 20.0) as cell:
+        clock = threading.Condition(cell.lock)
+        with TrackerBridgeEmulator(plant, clock=clock, nests={"n": NEST}) as bridge, client(bridge.url) as tracker:
+            with cell.lock:
+                before = plant.clock_s
+            points = [tracker.measure(NEST, 1.0) for _ in range(3)]
+            with cell.lock:
+                assert plant.clock_s >= before + 4.5
+    # the same order of measurements gives the same readings, whatever the wall's clock did
+    assert np.array_equal([p.p_M for p in points], [direct.measure(NEST, 1.0).p_M for _ in range(3)])
+
+
+def test_an_arm_that_moves_or_blocks_the_beam_while_others_let_time_pass(make_plant):
+    plant = make_plant()
+    here = plant.targets()[0].p_M
+    with Moving(plant, 5.0) as cell:
+        clock = threading.Condition(cell.lock)
+        with TrackerBridgeEmulator(plant, clock=clock) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
+            began = threading.Event()
+
+            def move():
+                began.wait(5.0)
+                with cell.lock:
+                    plant.start_move("left", np.array([0, 0, 0, 0, 0, 3.0]), np.full(6, 1.0), np.full(6, 2.0))
+
+            mover = threading.Thread(target=move)
+            mover.start()
+            outcome = in_thread(lambda: tracker.measure(here, 5.0))
+            began.set()
+            result = outcome()
+            mover.join(5.0)
+            assert isinstance(result, Unstable | TargetLost)
+            halting = in_thread(lambda: tracker.measure(plant.targets()[0].p_M, 500.0))
+            threading.Event().wait(0.5)
+            tracker.halt()
+            assert isinstance(halting(), Halted | Unstable)

@@ -1,0 +1,375 @@
+"""A station on a pty, a socket, a serial server and a loop: good lines, partial ones, garbage, silence, unplugging."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import pytest
+import serial
+import serial.rfc2217
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.plant import Plant
+from drivers.sensors import serial_station
+from drivers.sensors.protocol import SensorLinkLost, StaleReading
+from drivers.sensors.serial_station import LONGEST_LINE, PRESETS, LineFormat, SerialStation, parse_line
+from drivers.sensors.simulated import SimulatedAirSensor
+
+PTU = PRESETS["vaisala-ptu300"]
+STREAMED = LineFormat(PTU.pattern)
+LINE = b"P= 1013.2 hPa T= 21.4 'C RH= 38.3 %RH\r\n"
+LONG_S = 10.0
+SHORT_S = 0.2
+
+
+class Clock:
+    """A clock that the test moves."""
+
+    def __init__(self) -> None:
+        self.time_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.time_s
+
+
+class Line:
+    """The station's end of a pty."""
+
+    def __init__(self) -> None:
+        self.fd, self._other = os.openpty()
+        tty.setraw(self._other)
+        self.path = os.ttyname(self._other)
+
+    def say(self, text: bytes) -> None:
+        os.write(self.fd, text)
+
+    def hear(self) -> bytes:
+        assert select.select([self.fd], [], [], LONG_S)[0], "nothing was sent"
+        return os.read(self.fd, 100)
+
+    def unplug(self) -> None:
+        for fd in (self.fd, self._other):
+            with contextlib.suppress(OSError):
+                os.close(fd)
+
+
+@pytest.fixture
+def line() -> Iterator[Line]:
+    line = Line()
+    yield line
+    line.unplug()
+
+
+@pytest.fixture
+def listen() -> Iterator[Callable[..., SerialStation]]:
+    """``listen(url, layout, **options)``: a connected station, disconnected at the end."""
+    stations = []
+
+    def make(url: str, layout: LineFormat = STREAMED, **options: object) -> SerialStation:
+        station = SerialStation(url, layout, **({"timeout_s": LONG_S} | options))
+        stations.append(station)
+        station.connect()
+        return station
+
+    yield make
+    for station in stations:
+        station.disconnect()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait, bounded, for what another thread does."""
+    end = time.monotonic() + LONG_S
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        threading.Event().wait(0.01)
+
+
+# -- lines ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("P= 1013.2 hPa T= 31.1 'C RH= 38.3 %RH", (31.1, 1013.2, 38.3)),
+        ("P1= 1008.9 hPa P2= 1009.1 hPa P= 1009.0 hPa T= 23.9 'C RH= 34.5 %RH", (23.9, 1009.0, 34.5)),
+        (">RH= 14.98%RH\tT= 74.68'F", (23.711, None, 14.98)),
+        ("T= -  3.5 'C", (-3.5, None, None)),
+        ("P= 29.921 inHg T= 20.0 'C", (20.0, 1013.24, None)),
+        ("P= 101.32 kPa T= 293.15 K RH= 50.0 %RH", (20.0, 1013.2, 50.0)),
+        ("Tdf= 3.0 'C P= **** hPa T= 20.0 'C", (20.0, None, None)),
+    ],
+)
+def test_what_a_ptu300_prints(text: str, expected: tuple[float | None, ...]) -> None:
+    values = parse_line(text, PTU)
+    found = tuple(values.get(name) for name in ("temperature", "pressure", "humidity"))
+    assert found == tuple(None if value is None else pytest.approx(value, abs=5e-3) for value in expected)
+
+
+@pytest.mark.parametrize("text", ["", ">", "send", "Tfrost= 36.0'C", "T= ***** 'C", "OK", "PTU300 / 1.05", "T= 21.4"])
+def test_what_is_no_reading(text: str) -> None:
+    assert parse_line(text, PTU) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("P= 1.0132 bars T= 20.0 'C", "pressure comes in 'bars'; known are hpa, mbar"),
+        ("P= 1.0132 hPa T= 20.0 'C", r"pressure is 1.0132 hPa, which is not between 500 and 1100: is it in another"),
+        ("P= 1013.2 hPa T= 68.2 'C", r"temperature is 68.2 degC, which is not between -10 and 50"),
+        ("T= 20.0 'C RH= 138.0 %RH", "humidity is 138 %"),
+    ],
+)
+def test_wrong_units_are_refused(text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        parse_line(text, PTU)
+
+
+def test_a_format_of_ones_own() -> None:
+    layout = LineFormat(
+        r"(?P<temperature>\S+);(?P<object_temperature>\S+);(?P<pressure>\S+)",
+        units={"temperature": "degF", "pressure": "kPa"},
+    )
+    assert parse_line("68.0;21.5;101.0", layout) == pytest.approx(
+        {"temperature": 20.0, "object_temperature": 21.5, "pressure": 1010.0}
+    )
+    with pytest.raises(ValueError, match="object_temperature is 'nan', which is no number"):
+        parse_line("68.0;nan;101.0", layout)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "units", "message"),
+    [
+        ("T=(", {}, "no regular expression"),
+        (r"T=(\d+)", {}, r"needs \(\?P<temperature>"),
+        (r"(?P<temperature>\d+) (?P<wind>\d+)", {}, "may have humidity, humidity_unit"),
+        (r"(?P<temperature>\d+)", {"temperature": "Rankine"}, "'temperature: Rankine' is not known; for temperature"),
+        (r"(?P<temperature>\d+)", {"wind": "m/s"}, "there is no such field"),
+    ],
+)
+def test_a_bad_format_is_refused(pattern: str, units: dict[str, str], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        LineFormat(pattern, units)
+
+
+@given(st.text(max_size=60), st.integers(0, len(LINE) - 2))
+def test_mangled_lines_never_give_an_impossible_reading(junk: str, cut: int) -> None:
+    good = LINE.decode().strip()
+    try:
+        values = parse_line(good[:cut] + junk + good[cut + 1 :], PTU)
+    except ValueError:
+        return
+    assert not values or -10.0 <= values["temperature"] <= 50.0
+    assert 500.0 <= values.get("pressure", 1000.0) <= 1100.0
+    assert 0.0 <= values.get("humidity", 50.0) <= 100.0
+
+
+# -- links ------------------------------------------------------------------------------------------------------------
+
+
+def test_readings_come_with_their_age(line: Line, listen: Callable[..., SerialStation]) -> None:
+    clock = Clock()
+    station = listen(line.path, now=clock, max_age_s=60.0)
+    line.say(b"\r\n" + LINE)
+    first = station.read()
+    assert (first.temperature_c, first.pressure_hpa, first.humidity_percent) == (21.4, 1013.2, 38.3)
+    assert (first.time_s, first.age_s) == (1000.0, 0.0)
+    clock.time_s += 59.0
+    assert station.read().age_s == 59.0
+    line.say(LINE.replace(b"21.4", b"21.9"))
+    until(lambda: station.read().age_s == 0.0)
+    assert station.read().temperature_c == 21.9
+
+
+def test_a_stale_reading_is_refused_and_silence_named(line: Line, listen: Callable[..., SerialStation]) -> None:
+    clock = Clock()
+    station = listen(line.path, now=clock, timeout_s=SHORT_S)
+    line.say(b"\r\n" + LINE)
+    until(lambda: station._heard is not None)
+    assert station.read().age_s == 0.0
+    clock.time_s += 61.0
+    with pytest.raises(StaleReading, match=r"is 61 s old, more than 60 s: it is silent; check its power"):
+        station.read()
+
+
+def test_a_station_that_never_speaks(line: Line, listen: Callable[..., SerialStation]) -> None:
+    station = listen(line.path, timeout_s=SHORT_S)
+    with pytest.raises(SensorLinkLost, match="no reading: it is silent"):
+        station.read()
+
+
+def test_the_tail_of_a_line_is_no_reading(line: Line, listen: Callable[..., SerialStation]) -> None:
+    """Joined in mid-line, "T= 1.4" may be what is left of "T= 21.4"; pieces are put together."""
+    station = listen(line.path)
+    line.say(b"T= 1.4 'C\r\nT= 2")
+    line.say(b"1.4 'C RH=")
+    line.say(b" 38.3 %RH\r")
+    assert station.read().temperature_c == 21.4
+    assert station.read().humidity_percent == 38.3
+
+
+def test_garbage_is_named_and_the_next_line_counts(line: Line, listen: Callable[..., SerialStation]) -> None:
+    station = listen(line.path, timeout_s=SHORT_S)
+    line.say(b"\r\n" + bytes(range(128, 250)) + b"\r\nP= 1.0 bar\r\n" + b"x" * 5 * LONGEST_LINE + b"\r\n")
+    line.say(b"P= 1.0132 hPa T= 20.0 'C\r\n")
+    until(lambda: "another unit" in station._trouble)
+    with pytest.raises(SensorLinkLost, match=r"lines that are no reading: .*1\.0132 hPa.*check format or pattern"):
+        station.read()
+    assert len(station._trouble) < 300
+    line.say(LINE)
+    until(lambda: station._heard is not None)
+    assert station.read().temperature_c == 21.4
+
+
+def test_a_polled_station(line: Line, listen: Callable[..., SerialStation]) -> None:
+    station = listen(line.path, PTU, poll_every_s=3600.0)
+    assert line.hear() == b"send\r\n"
+    line.say(b"send\r\n" + LINE.replace(b"21.4", b"1.4"))  # the first line end is only where lines begin
+    assert line.hear() == b"send\r\n"
+    until(lambda: station._heard is not None)
+    line.say(LINE)
+    until(lambda: station.read().temperature_c == 21.4)
+
+
+def test_unplugged_and_plugged_in_again(
+    listen: Callable[..., SerialStation], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    monkeypatch.setattr(serial_station, "_REOPEN_S", 0.01)
+    link = tmp_path_factory.mktemp("dev") / "ttyUSB0"  # as udev names whatever is plugged in
+    clock = Clock()
+    first = Line()
+    link.symlink_to(first.path)
+    station = listen(str(link), now=clock, timeout_s=SHORT_S)
+    first.say(b"\r\n" + LINE)
+    until(lambda: station._heard is not None)
+    first.unplug()
+    link.unlink()
+    until(lambda: bool(station._lost))
+    assert station.read().temperature_c == 21.4  # still fresh
+    clock.time_s += 61.0
+    with pytest.raises(StaleReading, match=r"61 s old.*(link is lost|cannot be opened)"):
+        station.read()
+    second = Line()
+    link.symlink_to(second.path)
+    until(lambda: not station._lost)
+    second.say(b"\r\n" + LINE.replace(b"21.4", b"22.5"))
+    until(lambda: station._heard is not None and station._heard.values["temperature"] == 22.5)
+    assert station.read().age_s == 0.0
+    station.disconnect()
+    second.unplug()
+
+
+def test_a_station_behind_a_socket_that_hangs_up(
+    listen: Callable[..., SerialStation], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serial_station, "_REOPEN_S", 0.01)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(LONG_S)
+        station = listen(f"socket://127.0.0.1:{server.getsockname()[1]}")
+        for figure in (b"21.4", b"22.5"):
+            connection, _ = server.accept()
+            with connection:
+                until(partial(reads, station, connection, figure))
+
+
+def reads(station: SerialStation, connection: socket.socket, figure: bytes) -> bool:
+    """Send again and again, as stations do: what comes while pyserial opens is lost."""
+    connection.sendall(b"\n" + LINE.replace(b"21.4", figure))
+    return station.read().temperature_c == float(figure)
+
+
+def serve_rfc2217(server: socket.socket, said: list[int], done: threading.Event) -> None:
+    """A serial server with a station behind it that sends a line whenever it is asked, and notes its line settings."""
+    connection, _ = server.accept()
+    device = serial.serial_for_url("loop://", timeout=0.0)
+
+    class Writer:
+        @staticmethod
+        def write(data: bytes) -> None:
+            connection.sendall(data)
+
+    manager = serial.rfc2217.PortManager(device, Writer())
+    with connection:
+        connection.settimeout(0.02)
+        while not done.is_set():
+            try:
+                came = connection.recv(1024)
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            if not came:
+                return
+            asked = b"".join(manager.filter(came))
+            said[:] = [device.baudrate, device.bytesize]
+            if b"send" in asked:
+                connection.sendall(b"".join(manager.escape(b"\r\n" + LINE)))
+
+
+@pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # pyserial 3.5's own
+def test_a_station_behind_a_serial_server(listen: Callable[..., SerialStation]) -> None:
+    done, said = threading.Event(), [0, 0]
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(LONG_S)
+        thread = threading.Thread(target=serve_rfc2217, args=(server, said, done))
+        thread.start()
+        try:
+            station = listen(f"rfc2217://127.0.0.1:{server.getsockname()[1]}", PTU, poll_every_s=0.05)
+            assert station.read().pressure_hpa == 1013.2
+            assert said == [4800, 7]  # the preset's line settings reach the far end
+            station.disconnect()
+        finally:
+            done.set()
+            thread.join(LONG_S)
+    assert not thread.is_alive()
+
+
+def test_a_loop(listen: Callable[..., SerialStation]) -> None:
+    layout = LineFormat(PTU.pattern, poll=b"what is sent comes back\r\n" + LINE)
+    assert listen("loop://", layout, poll_every_s=0.05).read().temperature_c == 21.4
+
+
+@pytest.mark.parametrize(
+    "url", ["/dev/there-is-no-such-port", "nonsense://x", "socket://127.0.0.1:1", "socket://nowhere"]
+)
+def test_what_cannot_be_opened(url: str) -> None:
+    with pytest.raises(SensorLinkLost, match=r"cannot be opened: \S"):
+        SerialStation(url, STREAMED).connect()
+
+
+def test_before_and_after(line: Line) -> None:
+    with pytest.raises(ValueError, match="such as 8N1 or 7E1"):
+        SerialStation(line.path, STREAMED, framing="9N1")
+    station = SerialStation(line.path, STREAMED)
+    with pytest.raises(SensorLinkLost, match="not connected"):
+        station.read()
+    station.connect()
+    thread = station._thread
+    station.disconnect()
+    station.disconnect()
+    assert thread is not None
+    assert not thread.is_alive()
+    with pytest.raises(SensorLinkLost, match="not connected"):
+        station.read()
+
+
+def test_the_simulated_station_tells_the_plants_air(make_plant: Callable[..., Plant]) -> None:
+    plant = make_plant(temperature_c=23.0)
+    sensor = SimulatedAirSensor(plant)
+    with pytest.raises(SensorLinkLost, match="connect first"):
+        sensor.read()
+    sensor.connect()
+    reading = sensor.read()
+    assert reading.temperature_c == plant.air_temperature_c
+    assert abs(reading.temperature_c - 23.0) <= 0.5
+    assert (reading.time_s, reading.age_s) == (plant.clock_s, 0.0)
+    plant.advance(3600.0)
+    assert sensor.read().temperature_c == plant.air_temperature_c != reading.temperature_c

@@ -1,0 +1,435 @@
+"""The emulated controller as a state machine: no sockets, no waiting; wall and cell time are counted by the test."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.emulators.ur_controller import ControllerConfig, FreeMotions, Series, personality, poses
+from drivers.emulators.ur_controller.control_script import ControlScript
+from drivers.emulators.ur_controller.controller import Controller, RobotMode, Runtime, SafetyMode
+from drivers.emulators.ur_controller.dashboard import answer
+from drivers.emulators.ur_controller.script import Upload
+
+READY, DONE = 1, 2
+RUNNING_BIT = 1 << 15
+MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, KICK, END = 1, 34, 17, 29, 35, 47, 0, 255
+
+
+class Bench:
+    """A controller with time in the hand of the test; ``offset`` is that of the script's registers."""
+
+    def __init__(self, series: Series = "CB3", offset: int = 0, pace: float = 1.0, **changes: Any) -> None:
+        who = personality(series, "UR5", "20150001")
+        self.config = ControllerConfig("arm", "127.0.0.1", who, **changes)
+        self.motions = FreeMotions({"arm": np.array(self.config.home)}, {"arm": np.full(6, 10.0)})
+        self.controller = Controller(self.config, self.motions)
+        self.offset = offset
+        self.pace = pace
+        self.now_s = 100.0
+        self.cycles(1)
+
+    def cycles(self, count: int) -> None:
+        for _ in range(count):
+            self.now_s += self.controller.period_s
+            self.motions.advance(self.controller.period_s * self.pace)
+            self.controller.cycle(self.now_s)
+
+    def until(self, condition: Callable[[], bool], longest_s: float = 20.0) -> float:
+        """Cycles until something holds; how long that took by the wall [s]."""
+        began = self.now_s
+        while not condition():
+            assert self.now_s - began < longest_s, "it did not happen"
+            self.cycles(1)
+        return self.now_s - began
+
+    def write(self, command: int, doubles: tuple[float, ...] = (), argument: int = 0) -> None:
+        """Registers as a client writes them: arguments first, the command last."""
+        for i, value in enumerate(doubles):
+            self.controller.write_input(f"input_double_register_{self.offset + i}", (value,))
+        self.controller.write_input(f"input_int_register_{self.offset + 1}", (argument,))
+        self.controller.write_input(f"input_int_register_{self.offset}", (command,))
+
+    def output(self, register: int) -> int:
+        return int(self.controller.values[f"output_int_register_{self.offset + register}"][0])
+
+    def command(self, command: int, doubles: tuple[float, ...] = (), argument: int = 0) -> float:
+        """A whole exchange, as the client has it; how long it took."""
+        self.until(lambda: self.output(0) == READY)
+        self.write(command, doubles, argument)
+        took = self.until(lambda: self.output(0) == DONE)
+        self.write(0)
+        self.until(lambda: self.output(0) == READY)
+        return took
+
+    def start_script(self) -> None:
+        assert self.controller.upload(ControlScript(self.offset, self.offset))
+        self.until(lambda: self.controller.runtime is Runtime.PLAYING)
+
+    @property
+    def bits(self) -> tuple[int, int]:
+        values = self.controller.values
+        return int(values["robot_status_bits"][0]), int(values["safety_status_bits"][0])
+
+
+def goal(bench: Bench, **changes: float) -> tuple[float, ...]:
+    q = list(bench.config.home)
+    for joint, change in changes.items():
+        q[int(joint[1:]) - 1] += change
+    return tuple(q)
+
+
+@pytest.fixture(params=[("CB3", 0), ("e-Series", 24)], ids=["CB3", "e-Series, upper registers"])
+def bench(request: pytest.FixtureRequest) -> Bench:
+    made = Bench(*request.param)
+    made.start_script()
+    return made
+
+
+# -- the control script ------------------------------------------------------------------------------------------------
+
+
+def test_a_program_starts_after_its_delay_and_not_before() -> None:
+    bench = Bench(start_delay_s=0.3)
+    assert bench.controller.upload(ControlScript(0, 0))
+    assert bench.output(0) == 0
+    took = bench.until(lambda: bench.controller.runtime is Runtime.PLAYING)
+    assert 0.3 <= took <= 0.3 + 3 * bench.controller.period_s
+    assert bench.output(0) == READY
+
+
+def test_a_blocking_move_arrives_exactly_after_its_ideal_time_and_looks_ready_meanwhile(bench: Bench) -> None:
+    target = goal(bench, j1=0.5, j4=-0.2)
+    bench.write(MOVE, (*target, 1.0, 2.0))
+    bench.cycles(3)
+    assert bench.controller.moving
+    assert bench.output(0) == READY, "the script says nothing while a motion blocks it"
+    took = bench.until(lambda: bench.output(0) == DONE)
+    assert took == pytest.approx(0.5 / 1.0 + 1.0 / 2.0, abs=5 * bench.controller.period_s)
+    assert bench.controller.values["actual_q"] == target
+    assert bench.controller.values["actual_qd"] == (0.0,) * 6
+
+
+def test_a_command_that_stays_in_the_register_is_carried_out_once(bench: Bench) -> None:
+    bench.write(MOVE, (*goal(bench, j1=0.1), 1.0, 2.0))
+    bench.until(lambda: bench.output(0) == DONE)
+    bench.cycles(50)
+    assert (bench.controller.moves, bench.output(0)) == (1, DONE)
+
+
+def test_a_command_during_a_blocking_move_is_not_heard(bench: Bench) -> None:
+    bench.write(MOVE, (*goal(bench, j1=1.0), 1.0, 2.0))
+    bench.cycles(5)
+    bench.write(END)
+    bench.cycles(20)
+    assert bench.controller.running
+    assert bench.controller.moving
+
+
+def test_an_asynchronous_move_counts_operations(bench: Bench) -> None:
+    first = bench.output(2)
+    took = bench.command(MOVE, (*goal(bench, j1=0.4), 1.0, 2.0), argument=1)
+    assert took <= 3 * bench.controller.period_s, "it does not wait for the arm"
+    bench.until(lambda: bool(bench.output(2) & RUNNING_BIT))
+    operation = bench.output(2) >> 24
+    assert operation == (first >> 24) + 1
+    assert bench.controller.moving
+    bench.until(lambda: not bench.output(2) & RUNNING_BIT)
+    assert not bench.controller.moving
+    assert bench.output(2) >> 24 == operation
+    assert bench.controller.q == goal(bench, j1=0.4)
+    assert bench.output(2) >> 16 & 0x7F != first >> 16 & 0x7F
+
+
+def test_stopping_an_asynchronous_move_ends_it_at_rest_short_of_its_goal(bench: Bench) -> None:
+    bench.command(MOVE, (*goal(bench, j1=2.0), 1.0, 2.0), argument=1)
+    bench.until(lambda: bench.controller.q[0] > 0.3)
+    bench.command(STOP_JOINTS, (2.0,))
+    assert not bench.controller.moving
+    assert not bench.output(2) & RUNNING_BIT
+    rest = bench.controller.q[0]
+    assert 0.3 < rest < 1.0
+    bench.cycles(100)
+    assert bench.controller.q[0] == rest
+
+
+def test_a_second_move_takes_the_place_of_the_first(bench: Bench) -> None:
+    bench.command(MOVE, (*goal(bench, j1=2.0), 1.0, 2.0), argument=1)
+    bench.until(lambda: bench.controller.q[0] > 0.3)
+    bench.command(MOVE, (*goal(bench, j1=-0.1), 1.0, 2.0))
+    assert bench.controller.q == goal(bench, j1=-0.1)
+    assert bench.controller.moves == 2
+
+
+def test_steadiness_payload_and_tcp_are_told(bench: Bench) -> None:
+    bench.command(MOVE, (*goal(bench, j1=0.2), 1.0, 2.0))
+    bench.command(STEADY)
+    assert bench.output(1) == 0, "it has only just come to rest"
+    bench.cycles(int(0.2 / bench.controller.period_s))
+    bench.command(STEADY)
+    assert bench.output(1) == 1
+    bench.command(PAYLOAD, (1.5, 0.01, 0.02, 0.03))
+    bench.command(TCP, (0.0, 0.0, 0.1, 0.0, 0.0, 0.0))
+    values = bench.controller.values
+    assert (values["payload"], values["payload_cog"]) == ((1.5,), (0.01, 0.02, 0.03))
+    assert values["tcp_offset"] == (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("command", "doubles", "why"),
+    [
+        (MOVE, (math.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0), "not a finite number"),
+        (MOVE, (7.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0), "7.0000 rad of joint 1 is outside"),
+        (MOVE, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), "above 0"),
+        (PAYLOAD, (-1.0, 0.0, 0.0, 0.0), "mass"),
+        (3, (0.0,) * 8, "command 3 of ur_rtde is not emulated"),
+        (9, (0.0,) * 8, "command 9 of ur_rtde is not emulated"),
+    ],
+)
+def test_what_a_script_could_not_do_ends_the_program(command: int, doubles: tuple[float, ...], why: str) -> None:
+    bench = Bench()
+    bench.start_script()
+    bench.write(command, doubles)
+    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    assert why in bench.controller.log[-1]
+    assert bench.controller.moves == 0
+
+
+def test_no_joint_goes_faster_than_it_can() -> None:
+    bench = Bench(speed=(0.5, 3.0, 3.0, 3.0, 3.0, 3.0))
+    bench.start_script()
+    bench.write(MOVE, (*goal(bench, j1=1.0, j2=0.1), 3.0, 9.0))
+    fastest = 0.0
+    bench.until(lambda: bench.controller.moving)
+    while bench.controller.moving:
+        bench.cycles(1)
+        fastest = max(fastest, abs(bench.controller.values["actual_qd"][0]))
+    assert fastest == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("hz", [10.0, 50.0])
+def test_the_watchdog_stops_an_arm_whose_client_is_silent(hz: float) -> None:
+    bench = Bench()
+    bench.start_script()
+    bench.command(WATCHDOG, (hz,))
+    bench.command(MOVE, (*goal(bench, j1=3.0), 0.5, 2.0), argument=1)
+    for _ in range(40):
+        bench.write(KICK)
+        bench.cycles(2)
+    assert bench.controller.moving
+    took = bench.until(lambda: not bench.controller.running)
+    assert took == pytest.approx(1.0 / hz, abs=2.5 * bench.controller.period_s)
+    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    assert not bench.controller.moving
+    assert "watchdog" in " ".join(bench.controller.log)
+    bench.start_script()
+    bench.cycles(100)
+    assert bench.controller.running, "a new program begins without a watchdog"
+
+
+def test_a_program_told_to_end_or_replaced_brakes_the_arm(bench: Bench) -> None:
+    bench.command(MOVE, (*goal(bench, j1=2.0), 1.0, 2.0), argument=1)
+    bench.until(lambda: bench.controller.q[0] > 0.3)
+    bench.start_script()
+    assert not bench.controller.moving
+    assert bench.controller.q[0] < 1.0
+    bench.write(END)
+    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+
+
+@given(st.lists(st.tuples(st.integers(-3, 300), st.floats(allow_nan=True, allow_infinity=True)), max_size=12))
+def test_no_registers_break_the_controller(writes: list[tuple[int, float]]) -> None:
+    bench = Bench()
+    bench.start_script()
+    for command, value in writes:
+        bench.write(command, (value,) * 8, command % 2)
+        bench.cycles(3)
+        bench.write(0)
+        bench.cycles(2)
+    assert all(map(math.isfinite, bench.controller.values["actual_q"]))
+
+
+# -- safety and power --------------------------------------------------------------------------------------------------
+
+
+def test_a_protective_stop_pauses_and_play_goes_on_where_it_was() -> None:
+    bench = Bench(unlock_after_s=1.0)
+    bench.start_script()
+    target = goal(bench, j1=1.5)
+    bench.write(MOVE, (*target, 1.0, 2.0))
+    bench.until(lambda: bench.controller.q[0] > 0.4)
+    bench.controller.protective_stop()
+    bench.until(lambda: bench.controller.runtime is Runtime.PAUSED)
+    assert bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP
+    assert bench.controller.robot_mode is RobotMode.RUNNING
+    assert bench.bits[1] == 1 << 2 | 1 << 10
+    rest = bench.controller.q
+    assert 0.4 < rest[0] < 1.0
+    assert answer(bench.controller, "unlock protective stop").startswith("Cannot unlock protective stop until 5s")
+    assert answer(bench.controller, "play") == "Failed to execute: play"
+    assert not bench.controller.upload(ControlScript(0, 0))
+    bench.cycles(int(1.1 / bench.controller.period_s))
+    assert bench.controller.q == rest
+    assert answer(bench.controller, "unlock protective stop") == "Protective stop releasing"
+    bench.cycles(2)
+    assert bench.bits[1] == 1
+    assert bench.controller.q == rest, "a release alone moves nothing"
+    assert answer(bench.controller, "play") == "Starting program"
+    bench.until(lambda: bench.output(0) == DONE)
+    assert bench.controller.q == target
+
+
+def test_after_a_protective_stop_a_new_program_forgets_the_old_motion() -> None:
+    bench = Bench()
+    bench.start_script()
+    bench.write(MOVE, (*goal(bench, j1=1.5), 1.0, 2.0))
+    bench.until(lambda: bench.controller.q[0] > 0.4)
+    bench.controller.protective_stop()
+    bench.until(lambda: bench.controller.runtime is Runtime.PAUSED)
+    bench.controller.unlock(at_once=True)
+    bench.cycles(2)
+    assert answer(bench.controller, "stop") == "Stopped"
+    bench.write(0)
+    bench.start_script()
+    rest = bench.controller.q
+    bench.cycles(100)
+    assert (bench.controller.q, bench.controller.moves) == (rest, 1)
+    bench.command(MOVE, (*goal(bench, j1=0.1), 1.0, 2.0))
+    assert bench.controller.q == goal(bench, j1=0.1)
+
+
+@pytest.mark.parametrize("how", ["speed", "travel"])
+def test_an_armed_protective_stop_waits_for_the_motion(how: str) -> None:
+    bench = Bench()
+    bench.start_script()
+    bench.controller.arm_protective_stop(**{how: 0.5})
+    bench.cycles(50)
+    assert bench.controller.safety_mode is SafetyMode.NORMAL
+    bench.write(MOVE, (*goal(bench, j1=2.0), 1.0, 1.0))
+    bench.until(lambda: bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP)
+    # 0.5 rad/s are reached after 0.125 rad at 1 rad/s^2
+    assert bench.controller.q[0] == pytest.approx(0.125 if how == "speed" else 0.5, abs=0.02)
+
+
+def test_an_emergency_stop_takes_the_power_and_coming_back_goes_in_order() -> None:
+    bench = Bench("e-Series", boot_s=2.0, brake_release_s=1.0)
+    bench.start_script()
+    bench.command(MOVE, (*goal(bench, j1=2.0), 1.0, 2.0), argument=1)
+    bench.until(lambda: bench.controller.q[0] > 0.3)
+    bench.controller.emergency_stop()
+    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    assert not bench.controller.moving
+    assert bench.bits == (0, 1 << 6 | 1 << 7 | 1 << 10)
+    assert answer(bench.controller, "robotmode") == "Robotmode: POWER_OFF"
+    assert answer(bench.controller, "power on") == "Failed to execute: power on"
+    assert answer(bench.controller, "brake release") == "Failed to execute: brake release"
+    bench.controller.release_emergency_stop()
+    assert not bench.controller.upload(ControlScript(0, 0)), "no program without power"
+    assert answer(bench.controller, "power on") == "Powering on"
+    assert bench.controller.robot_mode is RobotMode.BOOTING
+    assert bench.until(lambda: bench.controller.robot_mode is RobotMode.IDLE) == pytest.approx(2.0, abs=0.01)
+    assert answer(bench.controller, "brake release") == "Brake releasing"
+    assert bench.until(lambda: bench.controller.robot_mode is RobotMode.RUNNING) == pytest.approx(1.0, abs=0.01)
+    rest = bench.controller.q
+    bench.start_script()
+    bench.cycles(200)
+    assert bench.controller.q == rest
+
+
+def test_the_cell_may_go_faster_than_the_wall() -> None:
+    bench = Bench(pace=20.0, unlock_after_s=5.0)
+    bench.start_script()
+    took = bench.command(MOVE, (*goal(bench, j1=2.0), 0.5, 2.0))
+    assert took == pytest.approx((2.0 / 0.5 + 0.5 / 2.0) / 20.0, abs=4 * bench.controller.period_s)
+    clock = bench.controller.values["timestamp"][0]
+    bench.cycles(1)
+    assert bench.controller.values["timestamp"][0] - clock == pytest.approx(20.0 * bench.controller.period_s)
+    bench.controller.protective_stop()
+    took = bench.until(lambda: answer(bench.controller, "unlock protective stop") == "Protective stop releasing")
+    assert took == pytest.approx(5.0 / 20.0, abs=2 * bench.controller.period_s)
+
+
+def test_local_control_refuses_what_comes_from_outside_on_the_e_series_only() -> None:
+    local = Bench("e-Series", remote_control=False)
+    assert not local.controller.upload(ControlScript(0, 0))
+    assert answer(local.controller, "is in remote control") == "false"
+    assert "local control" in answer(local.controller, "power on")
+    old = Bench("CB3", remote_control=False)
+    old.start_script()
+    assert answer(old.controller, "is in remote control").startswith("could not understand")
+
+
+# -- poses -------------------------------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6))
+def test_poses_are_those_of_the_d_h_table(q: list[float]) -> None:
+    rows = personality("CB3", "UR10", "1").rows
+    expected = np.eye(4)
+    for (theta, d, a, alpha), angle in zip(rows, q, strict=True):
+        c, s, ca, sa = np.cos(angle + theta), np.sin(angle + theta), np.cos(alpha), np.sin(alpha)
+        expected = expected @ [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+    frames = poses.chain(rows, q)
+    assert np.allclose(np.array(frames[-1]).T, expected[:3], atol=1e-12)
+    again = poses.frame(poses.pose(frames[-1]))
+    assert np.allclose(np.array(again), np.array(frames[-1]), atol=1e-9)
+
+
+def test_the_tool_speed_is_the_change_of_its_place() -> None:
+    rows, rng, step = personality("CB3", "UR5", "1").rows, np.random.default_rng(4), 1e-7
+    for _ in range(20):
+        q, qd = rng.uniform(-3, 3, 6), rng.uniform(-1, 1, 6)
+        before, now, after = (poses.chain(rows, (q + k * step * qd).tolist()) for k in (-0.5, 0.0, 0.5))
+        speed = poses.speed(now, qd.tolist(), now[-1].p)
+        moved = (np.array(after[-1].p) - np.array(before[-1].p)) / step
+        assert np.allclose(speed[:3], moved, atol=1e-6)
+        turned = np.array(after[-1][:3]).T @ np.array(before[-1][:3])
+        rate = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]) / 2
+        assert np.allclose(speed[3:], rate / step, atol=1e-6)
+
+
+# -- texts of programs -------------------------------------------------------------------------------------------------
+
+
+def control_text(offset: int) -> bytes:
+    return (
+        b"def rtde_control():\n"
+        b"    global reg_offset_float = # float register offset\n%d\n"
+        b"    global reg_offset_int = # int register offset\n%d\n"
+        b"    while True:\n        sync()\n    end\nend\n"
+    ) % (offset, offset)
+
+
+@given(st.lists(st.integers(1, 60), max_size=30))
+def test_a_program_is_found_however_its_text_is_cut(cuts: list[int]) -> None:
+    text = b"# nothing\ntextmsg(1)\n" + control_text(24) + b"def other():\n  movej(q)\nend\n"
+    upload, found, at = Upload(), [], 0
+    for cut in [*cuts, len(text)]:
+        found += upload.take(text[at : at + cut])
+        at += cut
+    assert [program.name for program in found] == ["rtde_control", "other"]
+    assert isinstance(found[0], ControlScript)
+    assert not isinstance(found[1], ControlScript)
+
+
+def test_a_program_that_is_not_understood_starts_and_ends() -> None:
+    bench = Bench()
+    (program,) = Upload().take(b"def wave():\n  movej([0,0,0,0,0,0])\nend\n")
+    bench.controller.upload(program)
+    bench.until(lambda: bench.controller.runtime is Runtime.PLAYING)
+    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    assert bench.controller.moves == 0
+
+
+def test_endless_text_does_not_keep_a_later_program_from_being_found() -> None:
+    upload = Upload()
+    for _ in range(40):
+        assert upload.take(b"def never():\n" + b"x" * 65536) == []
+    upload.take(b"\nend\n")
+    assert [program.name for program in upload.take(b"def now():\nend\n")] == ["now"]

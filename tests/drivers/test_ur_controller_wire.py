@@ -1,0 +1,599 @@
+"""The emulated controller over plain sockets: protocol, faults on command, and a plant that moves behind it."""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.emulators.ur_controller import (
+    FREE_PORTS,
+    Control,
+    ControllerConfig,
+    PortName,
+    Refused,
+    Series,
+    UrControllerServer,
+    personality,
+    start_in_process,
+)
+from drivers.emulators.ur_controller.rtde import RtdeServer, RtdeSession
+from drivers.plant import Plant
+from drivers.plant.motion import travel
+from tests.drivers.test_ur_controller_state import Bench, control_text
+
+PATIENT_S = 10.0
+MOVES_RECIPE = [f"input_double_register_{i}" for i in range(8)]
+CB3 = ControllerConfig("old", "127.0.0.1", personality("CB3", "UR10", "20153012345"), ports=FREE_PORTS)
+E_SERIES = ControllerConfig("new", "127.0.0.1", personality("e-Series", "UR5", "20205501234"), ports=FREE_PORTS)
+
+
+class Rtde:
+    """An RTDE client written from the description of the protocol."""
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        self.link = socket.create_connection(address, PATIENT_S)
+        self._held = b""
+        self._layout = struct.Struct("")
+
+    def __enter__(self) -> Rtde:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.link.close()
+
+    def send(self, kind: str, payload: bytes = b"") -> None:
+        self.link.sendall(struct.pack(">HB", 3 + len(payload), ord(kind)) + payload)
+
+    def receive(self) -> tuple[str, bytes]:
+        while len(self._held) < 3 or len(self._held) < struct.unpack_from(">H", self._held)[0]:
+            more = self.link.recv(65536)
+            if not more:
+                raise ConnectionResetError("closed")
+            self._held += more
+        size, kind = struct.unpack_from(">HB", self._held)
+        payload, self._held = self._held[3:size], self._held[size:]
+        return chr(kind), payload
+
+    def ask(self, kind: str, payload: bytes = b"") -> bytes:
+        self.send(kind, payload)
+        while True:
+            answered, reply = self.receive()
+            if answered == kind:
+                return reply
+
+    def agree(self) -> Rtde:
+        assert self.ask("V", struct.pack(">H", 2)) == b"\x01"
+        return self
+
+    def outputs(self, names: list[str], hz: float = 500.0) -> tuple[int, list[str]]:
+        reply = self.ask("O", struct.pack(">d", hz) + ",".join([*names, ""]).encode())
+        types = reply[1:].decode().split(",")
+        sizes = {"DOUBLE": "d", "VECTOR6D": "6d", "INT32": "i", "UINT32": "I", "VECTOR6INT32": "6i", "UINT64": "Q"}
+        self._layout = struct.Struct(">" + "".join(sizes.get(kind, "") for kind in types))
+        return reply[0], types
+
+    def inputs(self, names: list[str]) -> tuple[int, list[str]]:
+        reply = self.ask("I", ",".join(names).encode())
+        return reply[0], reply[1:].decode().split(",")
+
+    def start(self) -> None:
+        assert self.ask("S") == b"\x01"
+
+    def state(self) -> tuple[float, ...]:
+        while True:
+            kind, payload = self.receive()
+            if kind == "U":
+                return self._layout.unpack(payload[1:])
+
+    def until(self, condition: Callable[[tuple[float, ...]], bool]) -> tuple[float, ...]:
+        end = time.monotonic() + PATIENT_S
+        while time.monotonic() < end:
+            state = self.state()
+            if condition(state):
+                return state
+        raise AssertionError("it did not happen")
+
+
+@pytest.fixture(scope="module")
+def emulator() -> Iterator[UrControllerServer]:
+    with UrControllerServer([CB3, E_SERIES]) as server:
+        yield server
+
+
+@pytest.fixture
+def control(emulator: UrControllerServer) -> Iterator[Control]:
+    with closing(emulator.control()) as channel:
+        yield channel
+        channel("*", "fault", "*", "none")
+
+
+@contextmanager
+def alone(
+    config: ControllerConfig, plant: Plant | None = None, pace: float = 1.0
+) -> Iterator[tuple[UrControllerServer, Control]]:
+    with UrControllerServer([config], plant, pace) as server, closing(server.control()) as control:
+        yield server, control
+
+
+def at(server: UrControllerServer, arm: str, port: PortName) -> tuple[str, int]:
+    return server.addresses.arms[arm][port]
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Poll the control channel, which answers once a millisecond or so."""
+    end = time.monotonic() + PATIENT_S
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+
+
+def talk(address: tuple[str, int], *lines: str) -> list[str]:
+    """Greeting and answers of the dashboard; the connection is closed by ``quit``."""
+    with socket.create_connection(address, PATIENT_S) as link:
+        link.sendall("".join(f"{line}\n" for line in (*lines, "quit")).encode())
+        with link.makefile("r", encoding="utf-8") as answers:
+            return answers.read().splitlines()
+
+
+# -- RTDE --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("arm", "version"), [("old", (3, 15, 8)), ("new", (5, 11, 1))])
+def test_version_recipes_and_types(emulator: UrControllerServer, arm: str, version: tuple[int, ...]) -> None:
+    with Rtde(at(emulator, arm, "rtde")).agree() as client:
+        assert struct.unpack(">4I", client.ask("v"))[:3] == version
+        names = ["timestamp", "actual_q", "joint_mode", "robot_mode", "safety_status_bits", "actual_digital_input_bits"]
+        assert client.outputs(names) == (1, ["DOUBLE", "VECTOR6D", "VECTOR6INT32", "INT32", "UINT32", "UINT64"])
+        client.start()
+        state = client.state()
+        assert state[1:7] == CB3.home
+        assert state[7:13] == (253.0,) * 6
+        assert state[13:15] == (7, 1)
+
+
+def test_unknown_variables_are_named_and_the_recipe_is_refused(emulator: UrControllerServer) -> None:
+    with Rtde(at(emulator, "old", "rtde")).agree() as client:
+        assert client.outputs(["timestamp", "actual_courage"]) == (0, ["DOUBLE", "NOT_FOUND"])
+        assert client.outputs(["ft_raw_wrench"]) == (0, ["NOT_FOUND"]), "the e-Series has it, CB3 has not"
+        assert client.ask("S") == b"\x00", "there is nothing to start"
+        assert client.inputs(["input_int_register_0", "input_int_register_99"]) == (0, ["INT32", "NOT_FOUND"])
+    with Rtde(at(emulator, "new", "rtde")).agree() as client:
+        assert client.outputs(["ft_raw_wrench"])[0] == 1
+
+
+def test_an_input_belongs_to_one_connection_until_it_ends(emulator: UrControllerServer, control: Control) -> None:
+    address = at(emulator, "old", "rtde")
+    with Rtde(address).agree() as first:
+        assert first.inputs(["input_int_register_5"]) == (1, ["INT32"])
+        assert first.inputs(["input_int_register_5", "input_int_register_6"])[0] == 2, "its own it may use again"
+        with Rtde(address).agree() as second:
+            taken = (0, ["INT32", "IN_USE"])
+            assert second.inputs(["input_int_register_7", "input_int_register_6"]) == taken
+            with Rtde(address).agree() as third:
+                assert third.inputs(["input_int_register_7"])[0] == 1, "a refused recipe takes nothing"
+            first.send("U", b"\x01" + struct.pack(">i", 42))
+            first.ask("v")
+            first.link.close()
+            wait_for(lambda: control("old", "status")["connections"]["rtde"] < 3)
+            wait_for(lambda: second.inputs(["input_int_register_5"])[0] > 0)
+            second.outputs(["input_int_register_5"])
+            second.start()
+            assert second.state() == (42,), "the last value stays"
+
+
+@pytest.mark.parametrize("keep", ["swallow", "close"])
+def test_packets_of_the_wrong_length_are_swallowed_or_end_the_link(keep: str) -> None:
+    with alone(CB3) as (server, control), Rtde(at(server, "old", "rtde")).agree() as client:
+        control("old", "short-packets", keep)
+        assert client.inputs(["input_int_register_0", "input_double_register_0"])[0] == 1
+        client.send("U", b"\x01" + struct.pack(">i", 7))
+        if keep == "close":
+            with pytest.raises(ConnectionResetError):
+                client.ask("v")
+            return
+        client.send("U", b"\x09" + struct.pack(">id", 8, 8.0))
+        client.send("U")
+        client.outputs(["input_int_register_0"])
+        client.start()
+        assert client.state() == (0,)
+        assert sum("ignored" in line for line in control("old", "log")) == 3
+
+
+@pytest.mark.parametrize(
+    ("series", "asked_hz", "got_hz"),
+    [("CB3", 500.0, 125), ("CB3", 125.0, 125), ("CB3", 10.0, 10), ("e-Series", 500.0, 500), ("e-Series", 60.0, 60)],
+)
+def test_the_stream_keeps_the_rate_asked_for_up_to_the_controllers_own(
+    series: Series, asked_hz: float, got_hz: int
+) -> None:
+    bench = Bench(series)
+    answers: list[bytes] = []
+    states: list[bytes] = []
+    session = RtdeSession(RtdeServer(bench.controller), answers.append, states.append, lambda: None)
+    session.received(struct.pack(">HBH", 5, ord("V"), 2))
+    payload = struct.pack(">d", asked_hz) + b"timestamp"
+    session.received(struct.pack(">HB", 3 + len(payload), ord("O")) + payload + struct.pack(">HB", 3, ord("S")))
+    for _ in range(round(2.0 / bench.controller.period_s)):  # two seconds
+        bench.cycles(1)
+        session.cycle()
+    assert abs(len(states) - 2 * got_hz) <= 1
+    stamps = [struct.unpack(">d", state[4:])[0] for state in states]
+    assert np.diff(stamps).max() <= 1.0 / got_hz + 1.01 * bench.controller.period_s
+
+
+def test_pausing_ends_the_stream(emulator: UrControllerServer) -> None:
+    with Rtde(at(emulator, "new", "rtde")).agree() as client:
+        client.outputs(["timestamp"])
+        client.start()
+        client.state()
+        assert client.ask("P") == b"\x01"
+        assert client.ask("v")
+        client.link.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            client.receive()
+
+
+def test_other_protocol_versions_are_refused(emulator: UrControllerServer) -> None:
+    with Rtde(at(emulator, "old", "rtde")) as client:
+        assert client.ask("V", struct.pack(">H", 1)) == b"\x00"
+        client.send("O", b"timestamp")
+        assert client.receive()[0] == "M"
+        with pytest.raises(ConnectionResetError):
+            client.receive()
+
+
+@settings(deadline=None)
+@given(st.lists(st.binary(max_size=80), max_size=10))
+def test_no_bytes_break_the_rtde_server(pieces: list[bytes]) -> None:
+    sent: list[bytes] = []
+    server = RtdeServer(Bench().controller)
+    session = RtdeSession(server, sent.append, sent.append, lambda: sent.append(b"closed"))
+    session.received(struct.pack(">HBH", 5, ord("V"), 2))
+    for kind, piece in enumerate(pieces):
+        session.received(piece)
+        session.received(struct.pack(">HB", 3 + len(piece), b"VvMOISPU"[kind % 8]) + piece)
+        session.cycle()
+    session.closed()
+
+
+# -- the other ports ---------------------------------------------------------------------------------------------------
+
+
+def test_the_dashboard_answers_line_by_line(emulator: UrControllerServer) -> None:
+    asked = ["robotmode", "is in remote control", "stop", "load /a b.urp", "stopp", "running", "programState"]
+    assert talk(at(emulator, "old", "dashboard"), *asked) == [
+        "Connected: Universal Robots Dashboard Server",
+        "Robotmode: RUNNING",
+        "could not understand: 'is in remote control'",
+        "Stopped",
+        "Failed to execute: load /a b.urp",
+        "could not understand: 'stopp'",
+        "Program running: false",
+        "STOPPED <unnamed>",
+        "Disconnected",
+    ]
+    said = talk(at(emulator, "new", "dashboard"), "is in remote control", "safetystatus", "PolyscopeVersion")
+    assert said[1:3] == ["true", "Safetystatus: NORMAL"]
+    assert said[3].startswith("URSoftware 5.11.1.1108318")
+
+
+def test_the_dashboard_serves_several_clients_and_drops_endless_lines(emulator: UrControllerServer) -> None:
+    address = at(emulator, "old", "dashboard")
+    with socket.create_connection(address, PATIENT_S) as idle, idle.makefile("r") as lines:
+        assert lines.readline().startswith("Connected")
+        assert talk(address, "get robot model")[1] == "UR10"
+        idle.sendall(b"x" * 10_000)
+        assert lines.read() == ""
+
+
+def test_the_primary_port_streams_states_after_a_version(emulator: UrControllerServer) -> None:
+    with socket.create_connection(at(emulator, "old", "primary"), PATIENT_S) as link:
+        packages: list[tuple[int, bytes]] = []
+        held = b""
+        while len(packages) < 4:
+            held += link.recv(65536)
+            while len(held) >= 5 and len(held) >= struct.unpack_from(">i", held)[0]:
+                size, kind = struct.unpack_from(">iB", held)
+                packages.append((kind, held[5:size]))
+                held = held[size:]
+    assert [kind for kind, _ in packages] == [20, 16, 16, 16]
+    assert subs(packages[1][1]) == [(0, 47), (1, 251), (4, 101), (5, 225), (6, 445)]
+    assert subs(packages[2][1]) == [(0, 47), (1, 251), (4, 101)]
+    q = [struct.unpack_from(">d", packages[2][1], 47 + 5 + 41 * joint)[0] for joint in range(6)]
+    assert q == list(CB3.home)
+
+
+def subs(state: bytes) -> list[tuple[int, int]]:
+    """Types and sizes of the sub-packages of a robot state."""
+    found, at = [], 0
+    while at < len(state):
+        size, kind = struct.unpack_from(">IB", state, at)
+        found.append((kind, size))
+        at += size
+    return found
+
+
+# -- motion ------------------------------------------------------------------------------------------------------------
+
+
+def send_move(client: Rtde, q: tuple[float, ...], speed: float, acceleration: float) -> None:
+    """The exchange of a blocking moveJ up to where it runs; recipes 1 and 2 as set up in ``commanding``."""
+    client.until(lambda s: s[0] == 1)
+    client.send("U", b"\x01" + struct.pack(">i8di", 1, *q, speed, acceleration, 0))
+
+
+def finish_move(client: Rtde) -> None:
+    client.until(lambda s: s[0] == 2)
+    client.send("U", b"\x02" + struct.pack(">i", 0))
+    client.until(lambda s: s[0] == 1)
+
+
+@contextmanager
+def commanding(server: UrControllerServer, arm: str) -> Iterator[Rtde]:
+    """A client with the script running; its states are script state, runtime state, timestamp, q."""
+    with Rtde(at(server, arm, "rtde")).agree() as client:
+        client.outputs(["output_int_register_0", "runtime_state", "timestamp", "actual_q"])
+        assert client.inputs(["input_int_register_0", *MOVES_RECIPE, "input_int_register_1"])[0] == 1
+        assert client.inputs(["input_int_register_0"])[0] == 2
+        client.start()
+        with socket.create_connection(at(server, arm, "script"), PATIENT_S) as script:
+            script.sendall(control_text(0))
+            client.until(lambda s: s[1] == 2 and s[0] == 1)
+            yield client
+
+
+def test_two_arms_move_the_plant_together(make_arm, make_plant) -> None:
+    plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
+    configs = [replace(CB3, name="left"), replace(E_SERIES, name="right")]
+    with UrControllerServer(configs, plant, pace=10.0) as server, ExitStack() as stack:
+        clients = [stack.enter_context(commanding(server, name)) for name in ("left", "right")]
+        with server.cell.lock:
+            goals = [tuple(plant.q(name) + 0.3) for name in ("left", "right")]
+            before = {target.arm: target.p_M for target in plant.targets()}
+        for client, goal in zip(clients, goals, strict=True):
+            send_move(client, goal, 0.5, 1.0)
+        threads = [threading.Thread(target=finish_move, args=(client,)) for client in clients]
+        for thread in threads:
+            thread.start()
+        both = False
+        while any(thread.is_alive() for thread in threads):
+            with server.cell.lock:
+                both = both or (plant.moving("left") and plant.moving("right"))
+        assert both, "they moved at the same time"
+        assert [client.state()[3:] for client in clients] == goals
+        with server.cell.lock:
+            after = {target.arm: target.p_M for target in plant.targets()}
+        assert all(np.linalg.norm(after[name] - before[name]) > 0.05 for name in ("left", "right"))
+
+
+def test_what_a_plant_draws_depends_on_the_order_of_moves_alone(make_arm, make_plant) -> None:
+    """The same moves over the wire and without it end at the same places to the last digit, at any pace."""
+
+    def cell():
+        return make_plant(make_arm(), repeatability=1e-4, noise=True, seed=5)
+
+    direct = cell()
+    home = direct.q("left")
+    goals = [tuple(home + step) for step in (0.2, -0.1, 0.25)]
+    expected = []
+    for goal in goals:
+        direct.start_move("left", np.array(goal), np.full(6, 1.0), np.full(6, 2.0))
+        direct.advance(5.0)
+        expected.append(direct.targets()[0].p_M)
+    for pace in (5.0, 40.0):
+        plant = cell()
+        with (
+            UrControllerServer([replace(CB3, name="left")], plant, pace) as server,
+            commanding(server, "left") as client,
+        ):
+            for goal, place in zip(goals, expected, strict=True):
+                send_move(client, goal, 1.0, 2.0)
+                finish_move(client)
+                with server.cell.lock:
+                    assert plant.targets()[0].p_M == pytest.approx(place, abs=1e-9)
+
+
+@pytest.mark.parametrize("pace", [1.0, 20.0])
+def test_a_move_takes_its_ideal_time_of_the_cell(pace: float) -> None:
+    motion = travel(0.0, np.zeros(6), np.full(6, 0.3), np.full(6, 2.0), np.full(6, 4.0))
+    assert motion is not None
+    with alone(E_SERIES, pace=pace) as (server, control), commanding(server, "new") as client:
+        began = client.state()[2]
+        send_move(client, tuple(q + 0.3 for q in E_SERIES.home), 2.0, 4.0)
+        finish_move(client)
+        assert client.state()[2] - began >= motion.duration_s
+        assert control("new", "status")["moves"] == 1
+
+
+def test_an_arm_moves_on_when_its_client_has_gone() -> None:
+    with alone(E_SERIES) as (server, control):
+        goal = tuple(q + 0.4 for q in E_SERIES.home)
+        with commanding(server, "new") as client:
+            send_move(client, goal, 2.0, 4.0)
+            client.until(lambda s: s[3] > E_SERIES.home[0] + 0.05)
+        assert control("new", "status")["moving"]
+        wait_for(lambda: not control("new", "status")["moving"])
+        assert control("new", "status")["q"] == pytest.approx(goal, abs=1e-12)
+
+
+# -- faults on command -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", ["fin", "rst"])
+def test_links_are_dropped_and_new_ones_refused_for_a_while(ending: str) -> None:
+    with alone(CB3) as (server, control), Rtde(at(server, "old", "rtde")).agree() as client:
+        client.outputs(["timestamp"])
+        client.start()
+        client.state()
+        control("old", "drop", "rtde", ending, 0.3)
+        with pytest.raises(ConnectionResetError, match="closed" if ending == "fin" else "reset by peer"):
+            client.until(lambda _: False)
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(at(server, "old", "rtde"), PATIENT_S)
+        assert talk(at(server, "old", "dashboard"), "running")[1] == "Program running: false"
+
+        def back() -> bool:
+            try:
+                Rtde(at(server, "old", "rtde")).agree().link.close()
+            except ConnectionRefusedError:
+                return False
+            return True
+
+        wait_for(back)
+
+
+def test_a_silent_port_says_nothing_and_comes_back_by_itself() -> None:
+    with alone(CB3) as (server, control), Rtde(at(server, "old", "rtde")).agree() as client:
+        client.outputs(["timestamp"])
+        client.start()
+        before = client.state()[0]
+        control("old", "fault", "rtde", "silent", 0.4)
+        client.link.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            client.until(lambda _: False)
+        client.link.settimeout(PATIENT_S)
+        assert client.state()[0] > before + 0.3, "what was not said is lost"
+
+
+def test_operators_actions_over_the_control_channel() -> None:
+    quick = replace(E_SERIES, boot_s=0.05, brake_release_s=0.05)
+    with alone(quick) as (_, control):
+        control("new", "estop")
+        assert control("new", "status")["safety_mode"] == "ROBOT_EMERGENCY_STOP"
+        control("new", "estop-release")
+        control("new", "power-on")
+        control("new", "brake-release")
+        wait_for(lambda: control("new", "status")["robot_mode"] == "RUNNING")
+        control("new", "remote", "off")
+        control("new", "protective", "now")
+        status = control("new", "status")
+        assert (status["safety_mode"], status["remote_control"]) == ("PROTECTIVE_STOP", False)
+        control("new", "release")
+        wait_for(lambda: control("new", "status")["safety_mode"] == "NORMAL")
+        assert control("new", "log")[-1] == "protective stop released"
+        control("new", "power-off")
+        assert control("*", "status")[0]["robot_mode"] == "POWER_OFF"
+
+
+def test_the_true_load_is_the_operators_and_the_believed_one_the_clients(make_arm, make_plant) -> None:
+    plant = make_plant(make_arm())
+    with alone(replace(CB3, name="left", payload_mass=0.3), plant=plant) as (server, control):
+        control("left", "load", 2.5, 0.01, 0.0, 0.05)
+        with server.cell.lock:
+            mass, center = plant.payload("left")
+        assert (mass, center.tolist()) == (2.5, [0.01, 0.0, 0.05])
+        assert control("left", "status")["payload"] == 0.3
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("nobody", "status"), "no arm 'nobody'; there are old, new"),
+        (("old", "dance"), "no command 'dance'"),
+        (("old", "drop", "rtde"), "expected one of fin, rst"),
+        (("old", "drop", "usb", "fin"), "expected one of dashboard, primary, script, rtde"),
+        (("old", "fault", "rtde", "silent", "soon"), "argument 3: expected a number"),
+        (("old", "start-delay", "-1"), "not between"),
+        (("old", "start-delay", "nan"), "not between"),
+        (("old", "load", "1", "2"), "MASS"),
+        (("*", "pace", "0"), "pace"),
+    ],
+)
+def test_commands_that_make_no_sense_are_refused(control: Control, words: tuple[str, ...], why: str) -> None:
+    with pytest.raises(Refused, match=why.replace("*", r"\*")):
+        control(*words)
+    assert control("old", "status")["robot_mode"] == "RUNNING"
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(["dashboard", "primary", "script", "rtde"]), st.binary(min_size=1, max_size=200))
+def test_no_bytes_break_a_port(emulator: UrControllerServer, control: Control, port: PortName, junk: bytes) -> None:
+    with socket.create_connection(at(emulator, "new", port), PATIENT_S) as link:
+        link.sendall(junk + b"\n")
+    assert control("new", "status")["robot_mode"] in ("RUNNING", "POWER_OFF", "BOOTING", "IDLE")
+
+
+# -- the server --------------------------------------------------------------------------------------------------------
+
+
+def test_a_server_leaves_nothing_behind_and_can_start_again() -> None:
+    server = UrControllerServer([CB3])
+    for _ in range(2):
+        before = threading.active_count()
+        with server, socket.create_connection(at(server, "old", "primary"), PATIENT_S):
+            address = at(server, "old", "dashboard")
+            assert talk(address, "get robot model")[1] == "UR10"
+        assert threading.active_count() == before
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(address, PATIENT_S)
+
+
+def test_a_server_stays_on_this_machine_and_names_a_port_in_use() -> None:
+    with pytest.raises(ValueError, match="beyond_loopback"):
+        replace(CB3, host="0.0.0.0")
+    assert replace(CB3, host="0.0.0.0", beyond_loopback=True).host == "0.0.0.0"
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        number = taken.getsockname()[1]
+        server = UrControllerServer([replace(CB3, ports={**FREE_PORTS, "script": number})])
+        with pytest.raises(OSError, match=rf"arm old: cannot listen on 127\.0\.0\.1:{number}"):
+            server.open()
+        with pytest.raises(OSError, match=f"{number}"):
+            start_in_process([replace(CB3, ports={**FREE_PORTS, "script": number})])
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [({"home": (0.0,)}, "home has 1 entries"), ({"ports": {"rtde": 1}}, "ports are"), ({"tcp": ()}, "tcp has 0")],
+)
+def test_a_controller_that_makes_no_sense_is_refused(changes: dict[str, Any], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        replace(CB3, **changes)
+
+
+def test_arms_and_plant_must_fit(make_arm, make_plant) -> None:
+    with pytest.raises(ValueError, match="the plant has no such arm; it has left"):
+        UrControllerServer([CB3], make_plant(make_arm()))
+    with pytest.raises(ValueError, match="each with its own name"):
+        UrControllerServer([CB3, CB3])
+    for pace in (0.0, -1.0, math.nan):
+        with pytest.raises(ValueError, match="pace"):
+            UrControllerServer([CB3], pace=pace)
+
+
+def test_an_unknown_model_and_a_wrong_number_of_joints_are_refused() -> None:
+    with pytest.raises(ValueError, match="known are UR10, UR5"):
+        personality("CB3", "UR7", "1")
+    with pytest.raises(ValueError, match="six joints"):
+        replace(CB3.personality, rows=CB3.personality.rows[:5])
+
+
+def test_waiting_for_the_cells_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.emulators.ur_controller.motion._STANDSTILL_S", 0.1)
+    with alone(CB3, pace=50.0) as (server, control):
+        before = control("old", "status")["clock_s"]
+        server.cell.wait(1.0)
+        assert control("old", "status")["clock_s"] >= before + 1.0
+        with server.cell.passed:
+            assert server.cell.passed.wait(PATIENT_S), "time passes while the lock is let go of"
+    with pytest.raises(TimeoutError, match="its server does not run"):
+        server.cell.wait(1.0)
+
+
+def test_an_emulator_in_a_process_of_its_own_ends_with_its_handle() -> None:
+    with start_in_process([CB3], pace=2.0) as emulator:
+        address = emulator.addresses.arms["old"]["dashboard"]
+        assert talk(address, "get serial number")[1] == "20153012345"
+        assert emulator.control("old", "status")["runtime_state"] == "STOPPED"
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(address, PATIENT_S)

@@ -1,0 +1,322 @@
+"""Faults of a UR arm before, during and after a motion, with the real client: told once, at rest, and well again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.arms.protocol import ArmError, ArmTimeout, EmergencyStop, LinkLost, ProtectiveStop
+from drivers.arms.ur import UrArm, UrSettings
+from drivers.emulators.ur_controller import EmulatorProcess
+from tests.drivers.ur_cell import (
+    ACCELERATION,
+    AWAY,
+    FAR,
+    HOME,
+    PATIENT_S,
+    SPEED,
+    assert_stays_at_rest,
+    driven,
+    emulated_cell,
+    mend,
+    pause,
+    until,
+)
+
+FAULTS: dict[str, tuple[tuple[object, ...], type[ArmError]]] = {
+    "fin": (("drop", "rtde", "fin"), LinkLost),
+    "rst": (("drop", "rtde", "rst"), LinkLost),
+    "refused": (("drop", "rtde", "fin", 1.5), LinkLost),
+    "silence": (("fault", "rtde", "silent"), LinkLost),
+    "all silent": (("fault", "*", "silent"), LinkLost),
+    "protective": (("protective", "now"), ProtectiveStop),
+    "emergency": (("estop",), EmergencyStop),
+}
+
+
+@pytest.fixture(scope="module")
+def emulator() -> Iterator[EmulatorProcess]:
+    with emulated_cell() as started:
+        yield started
+
+
+ARMS = ("left", "right")
+DURING = [(ARMS[number % 2], fault) for number, fault in enumerate(FAULTS)]
+BEFORE = [(ARMS[(number + 1) % 2], fault) for number, fault in enumerate(FAULTS)]
+BOTH = pytest.mark.parametrize("arm", ARMS, indirect=True)
+E_SERIES = pytest.mark.parametrize("arm", ["right"], indirect=True)
+
+
+@pytest.fixture
+def arm(request: pytest.FixtureRequest, emulator: EmulatorProcess) -> Iterator[UrArm]:
+    mend(emulator, request.param)
+    with driven(request.param) as driver:
+        driver.connect()
+        go(driver, HOME)
+        yield driver
+        mend(emulator, request.param)
+
+
+def strike(emulator: EmulatorProcess, name: str, fault: str) -> type[ArmError]:
+    command, error = FAULTS[fault]
+    emulator.control(name, *command)
+    return error
+
+
+def go(arm: UrArm, q: np.ndarray) -> None:
+    arm.start_move(q, SPEED, ACCELERATION)
+    state = arm.wait_settled(PATIENT_S)
+    assert not state.moving
+    np.testing.assert_allclose(state.q, q, atol=1e-6)
+
+
+def go_again(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """After a person mended it, the next connect works, and so does a motion."""
+    mend(emulator, arm.name)
+    assert_stays_at_rest(emulator, arm.name)
+    moves = emulator.control(arm.name, "status")["moves"]
+    arm.connect()
+    assert emulator.control(arm.name, "status")["moves"] == moves, "connecting moved the arm"
+    go(arm, HOME)
+
+
+@pytest.mark.parametrize(("arm", "fault"), DURING, indirect=["arm"])
+def test_a_fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+    arm.start_move(FAR, SPEED, ACCELERATION)
+    until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
+    error = strike(emulator, arm.name, fault)
+    began = time.monotonic()
+    with pytest.raises(error, match=f"arm {arm.name}: "):
+        arm.wait_settled(PATIENT_S)
+    assert time.monotonic() - began < 12.0
+    assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3, "it went all the way"
+    assert_stays_at_rest(emulator, arm.name)
+    with pytest.raises(ArmError):
+        arm.start_move(HOME, SPEED, ACCELERATION)
+    assert_stays_at_rest(emulator, arm.name)
+    go_again(emulator, arm)
+
+
+@pytest.mark.parametrize(("arm", "fault"), BEFORE, indirect=["arm"])
+def test_a_fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+    moves = emulator.control(arm.name, "status")["moves"]
+    error = strike(emulator, arm.name, fault)
+    with pytest.raises(error, match=f"arm {arm.name}: "):
+        arm.start_move(AWAY, SPEED, ACCELERATION)
+    assert emulator.control(arm.name, "status")["moves"] == moves
+    assert_stays_at_rest(emulator, arm.name)
+    go_again(emulator, arm)
+
+
+@pytest.mark.parametrize(("arm", "fault"), DURING, indirect=["arm"])
+def test_a_fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+    go(arm, AWAY)
+    error = strike(emulator, arm.name, fault)
+    if error is LinkLost:
+        with pytest.raises(LinkLost):
+            arm.state()
+    else:
+        until(lambda: not arm.state().ready, "the fault is seen")
+        assert "stop: " in arm.state().reason
+        # a person takes it back before anybody asks: it is remembered all the same
+        mend(emulator, arm.name)
+        assert not arm.state().ready
+        with pytest.raises(error):
+            arm.start_move(HOME, SPEED, ACCELERATION)
+    assert_stays_at_rest(emulator, arm.name)
+    go_again(emulator, arm)
+
+
+@BOTH
+def test_a_protective_stop_is_never_released_by_the_program(emulator: EmulatorProcess, arm: UrArm) -> None:
+    emulator.control(arm.name, "protective", "travel", 0.3)
+    arm.start_move(FAR, SPEED, ACCELERATION)
+    with pytest.raises(ProtectiveStop, match="see what stopped it"):
+        arm.wait_settled(PATIENT_S)
+    for _ in range(2):
+        with pytest.raises(ProtectiveStop, match="PROTECTIVE_STOP"):
+            arm.connect()
+        assert emulator.control(arm.name, "status")["safety_mode"] == "PROTECTIVE_STOP"
+    said = emulator.control(arm.name, "received")
+    assert not [line for line in said if line.startswith(("unlock", "play", "power", "brake", "close", "restart"))]
+    go_again(emulator, arm)
+
+
+@E_SERIES
+def test_a_stop_on_the_pendant_ends_the_motion_and_the_job(emulator: EmulatorProcess, arm: UrArm) -> None:
+    arm.start_move(FAR, SPEED, ACCELERATION)
+    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+    emulator.control(arm.name, "power-off")
+    with pytest.raises(ArmError):
+        arm.wait_settled(PATIENT_S)
+    go_again(emulator, arm)
+
+
+def test_the_other_arm_goes_on_when_one_link_breaks(emulator: EmulatorProcess) -> None:
+    mend(emulator, "left")
+    mend(emulator, "right")
+    with driven("left") as left, driven("right") as right:
+        left.connect()
+        right.connect()
+        for driver in (left, right):
+            driver.start_move(AWAY, SPEED, ACCELERATION)
+        strike(emulator, "left", "rst")
+        np.testing.assert_allclose(right.wait_settled(PATIENT_S).q, AWAY, atol=1e-6)
+        with pytest.raises(LinkLost):
+            left.wait_settled(PATIENT_S)
+        assert_stays_at_rest(emulator, "left")
+        go_again(emulator, left)
+        go(right, HOME)
+
+
+@E_SERIES
+def test_a_worker_that_crashes_or_hangs_stops_the_arm(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """What the client does when its link breaks at the wrong moment: the signals stand in for it."""
+    for blow, patience in ((signal.SIGSEGV, 5.0), (signal.SIGSTOP, 5.0)):
+        arm.start_move(FAR, SPEED, ACCELERATION)
+        until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+        assert arm.worker_pid is not None
+        os.kill(arm.worker_pid, blow)
+        # nobody has looked yet, and the controller stops it by itself
+        until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm", patience)
+        assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
+        with pytest.raises(LinkLost, match="seen at rest"):
+            arm.wait_settled(0.2)
+        go_again(emulator, arm)
+
+
+APPLICATION = """
+import sys, threading
+from tests.drivers.ur_cell import ACCELERATION, FAR, SPEED, driven
+
+with driven(sys.argv[1]) as arm:
+    arm.connect()
+    arm.start_move(FAR, SPEED, ACCELERATION)
+    print(arm.worker_pid, flush=True)
+    threading.Event().wait()
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "both"), [("left", False), ("right", True)], ids=["application", "application and worker"]
+)
+def test_when_the_application_is_killed_the_arm_comes_to_rest(
+    emulator: EmulatorProcess, name: str, both: bool
+) -> None:
+    mend(emulator, name)
+    with driven(name) as arm:
+        arm.connect()
+        go(arm, HOME)
+    root = Path(__file__).parents[2]
+    command = [sys.executable, "-c", APPLICATION, name]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
+        assert application.stdout is not None
+        worker = int(application.stdout.readline())
+        until(lambda: emulator.control(name, "status")["moving"], "the arm moves")
+        pause(0.3)
+        application.kill()
+        if both:
+            os.kill(worker, signal.SIGKILL)
+        application.wait(PATIENT_S)
+        until(lambda: not emulator.control(name, "status")["moving"], "the arm rests", 1.5)
+    until(lambda: emulator.control(name, "status")["runtime_state"] == "STOPPED", "the program has ended", 1.0)
+    status = emulator.control(name, "status")
+    assert np.abs(np.array(status["q"]) - FAR).max() > 0.3, "it went all the way"
+    until(lambda: not alive(worker), "the worker is gone")
+    assert_stays_at_rest(emulator, name)
+    with driven(name) as arm:
+        arm.connect()
+        go(arm, HOME)
+
+
+def alive(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii") as stat:
+            return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@BOTH
+def test_stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
+    arm.start_move(FAR, SPEED, ACCELERATION)
+    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+    stopper = threading.Thread(target=arm.stop)
+    stopper.start()
+    state = arm.wait_settled(PATIENT_S)
+    stopper.join(PATIENT_S)
+    assert not stopper.is_alive()
+    assert not state.moving
+    assert np.abs(state.q - FAR).max() > 0.3
+    assert_stays_at_rest(emulator, arm.name)
+    go(arm, HOME)
+
+
+def test_a_slow_program_start_is_waited_for_and_a_slower_one_is_told(emulator: EmulatorProcess) -> None:
+    mend(emulator, "right")
+    with driven("right") as arm:
+        emulator.control("right", "start-delay", 1.0)
+        arm.connect()
+        go(arm, AWAY)
+        arm.stop()
+        go(arm, HOME)  # the program is sent anew
+        arm.disconnect()
+        emulator.control("right", "start-delay", 30.0)
+        with pytest.raises(ArmTimeout, match="did not start within 5 s"):
+            arm.connect()
+        mend(emulator, "right")
+        arm.connect()
+        go(arm, AWAY)
+
+
+@E_SERIES
+def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, arm: UrArm) -> None:
+    arm.start_move(AWAY, SPEED * 0.2, ACCELERATION)
+    with pytest.raises(ArmTimeout):
+        arm.wait_settled(0.2)
+    with pytest.raises(ArmError, match="still moving"):
+        arm.start_move(HOME, SPEED, ACCELERATION)
+    np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, AWAY, atol=1e-6)
+    go(arm, HOME)
+
+
+@E_SERIES
+def test_a_dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """Then only the watchdog is left."""
+    arm.start_move(FAR, SPEED, ACCELERATION)
+    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+    emulator.control(arm.name, "fault", "dashboard", "refuse")
+    strike(emulator, arm.name, "rst")
+    with pytest.raises(LinkLost):
+        arm.wait_settled(PATIENT_S)
+    until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm", 1.0)
+    assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
+    with pytest.raises(LinkLost):
+        arm.connect()
+    go_again(emulator, arm)
+
+
+def test_the_watchdogs_rate_is_the_settings(emulator: EmulatorProcess) -> None:
+    """At one hertz a stopped worker leaves the arm moving for longer than at twenty."""
+    ways = []
+    for hertz in (20.0, 1.0):
+        mend(emulator, "right")
+        with driven("right", UrSettings(watchdog_hz=hertz)) as arm:
+            arm.connect()
+            go(arm, HOME)
+            arm.start_move(FAR, SPEED * 0.5, ACCELERATION)
+            assert arm.worker_pid is not None
+            until(lambda: emulator.control("right", "status")["moving"], "the arm moves")
+            os.kill(arm.worker_pid, signal.SIGKILL)
+            until(lambda: not emulator.control("right", "status")["moving"], "the watchdog stops the arm")
+            ways.append(abs(emulator.control("right", "status")["q"][0] - HOME[0]))
+    assert ways[0] < 0.5 * ways[1]

@@ -1,0 +1,444 @@
+"""A UR arm driven by the real client against an emulated controller: motions, limits, what is refused and left behind."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cellapp.trials.links import link_trials, travel_s
+from drivers.arms.protocol import (
+    ArmError,
+    JointLimits,
+    LimitExceeded,
+    LinkLost,
+    NotInRemoteControl,
+    ProtectiveStop,
+    WrongRobot,
+)
+from drivers.arms.ur import UrArm
+from drivers.arms.ur_links import stop_program
+from drivers.arms.ur_rtde_reader import wait_at_rest
+from drivers.arms.ur_worker import MOST_SPEED, leading
+from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
+from tests.drivers.ur_cell import (
+    ACCELERATION,
+    AWAY,
+    FAR,
+    HOME,
+    HOSTS,
+    MODELS,
+    PATIENT_S,
+    SERIALS,
+    SPEED,
+    assert_stays_at_rest,
+    configs,
+    driven,
+    emulated_cell,
+    expectation,
+    mend,
+    until,
+)
+
+ARMS = ("left", "right")
+TRIAL_HOSTS = {"left": "127.0.0.43", "right": "127.0.0.44"}
+
+
+@pytest.fixture(scope="module")
+def emulator() -> Iterator[EmulatorProcess]:
+    with emulated_cell() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def connected(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
+    """Both arms, connected once for tests that leave them well."""
+    with driven("left") as left, driven("right") as right:
+        for arm in (left, right):
+            arm.connect()
+        yield {"left": left, "right": right}
+
+
+@pytest.fixture
+def loose(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> Iterator[EmulatorProcess]:
+    """The controllers without clients, for tests that connect by themselves."""
+    for arm in connected.values():
+        arm.disconnect()
+    yield emulator
+    for name, arm in connected.items():
+        mend(emulator, name)
+        arm.connect()
+
+
+# -- motions ----------------------------------------------------------------------------------------------------------
+
+
+def test_both_arms_move_at_once(connected: dict[str, UrArm]) -> None:
+    for goal in (AWAY, HOME):
+        for arm in connected.values():
+            arm.start_move(goal, SPEED, ACCELERATION)
+        assert all(arm.state().moving for arm in connected.values())
+        for arm in connected.values():
+            state = arm.wait_settled(PATIENT_S)
+            np.testing.assert_allclose(state.q, goal, atol=1e-6)
+            assert (state.moving, state.ready, state.reason) == (False, True, "")
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_what_the_controller_says_of_itself(connected: dict[str, UrArm], name: str) -> None:
+    arm = connected[name]
+    who, state, tool = arm.identify(), arm.state(), arm.tool()
+    assert (who.model, who.serial) == (MODELS[name], SERIALS[name])
+    assert who.software.startswith({"left": "3.", "right": "5."}[name])
+    assert who.dh_rows is not None
+    assert who.dh_rows.shape == (6, 4)
+    assert who.dh_rows[1, 2] == {"left": -0.612, "right": -0.425}[name]
+    assert (state.robot_mode, state.safety_mode, state.program) == ("RUNNING", "NORMAL", "PLAYING")
+    assert state.payload_kg == pytest.approx(0.35)
+    assert state.joint_temperature_c is not None
+    assert state.joint_temperature_c.shape == (6,)
+    assert tool.payload_center_m is not None
+    np.testing.assert_allclose(tool.payload_center_m, [0, 0, 0.03], atol=1e-12)
+    assert tool.tcp is not None
+    np.testing.assert_array_equal(tool.tcp, np.zeros(6))
+    limits = arm.limits()
+    np.testing.assert_array_equal(limits.speed, np.full(6, 3.0))
+    assert arm.warnings() == ()
+    assert arm.state().time_s > state.time_s
+
+
+def test_a_motion_takes_the_time_it_needs_and_no_joint_exceeds_its_speed(connected: dict[str, UrArm]) -> None:
+    arm = connected["right"]
+    speed = np.array([2.0, 2.0, 2.0, 2.0, 0.4, 2.0])  # the fifth joint holds the others back
+    arm.start_move(HOME, SPEED, ACCELERATION)
+    arm.wait_settled(PATIENT_S)
+    began = time.monotonic()
+    arm.start_move(AWAY, speed, ACCELERATION)
+    arm.wait_settled(PATIENT_S)
+    way = float(np.abs(AWAY - HOME).max())
+    led = 0.4 * way / 0.3
+    assert time.monotonic() - began >= travel_s(way, led, float(ACCELERATION[0])) * 0.999
+    arm.start_move(HOME, SPEED, ACCELERATION)
+    arm.wait_settled(PATIENT_S)
+
+
+def test_after_stop_nothing_moves_until_it_is_asked_for(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> None:
+    arm = connected["left"]
+    arm.start_move(FAR, SPEED, ACCELERATION)
+    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+    arm.stop()
+    status = emulator.control("left", "status")
+    assert not status["moving"]
+    assert np.abs(np.array(status["q"]) - FAR).max() > 0.3
+    arm.stop()  # harmless
+    assert_stays_at_rest(emulator, "left")
+    state = arm.state()
+    assert (state.moving, state.ready, state.program) == (False, True, "STOPPED")
+    arm.start_move(HOME, SPEED, ACCELERATION)
+    np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, HOME, atol=1e-6)
+
+
+def test_a_motion_to_where_it_stands_ends_well(connected: dict[str, UrArm]) -> None:
+    arm = connected["left"]
+    here = arm.state().q
+    arm.start_move(here, SPEED, ACCELERATION)
+    np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, here, atol=1e-9)
+
+
+positive = st.lists(st.floats(0.01, 10.0), min_size=6, max_size=6)
+angles = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)
+
+
+@given(here=angles, goal=angles, speed=positive, acceleration=positive)
+def test_the_leading_joint_holds_every_joint_to_its_own(
+    here: list[float], goal: list[float], speed: list[float], acceleration: list[float]
+) -> None:
+    led_speed, led_acceleration = leading(here, goal, speed, acceleration)
+    assert 0.0 < led_speed <= MOST_SPEED
+    ways = np.abs(np.array(goal) - np.array(here))
+    if ways.max() == 0.0:
+        return
+    shares = ways / ways.max()
+    assert (led_speed * shares <= np.array(speed) * (1 + 1e-9)).all()
+    assert (led_acceleration * shares <= np.array(acceleration) * (1 + 1e-9)).all()
+    # and no slower than need be: some joint is at its most, or the client is
+    assert led_speed == MOST_SPEED or np.isclose(led_speed * shares, speed, rtol=1e-9).any()
+
+
+# -- what is refused before anything is sent --------------------------------------------------------------------------
+
+BAD = {
+    "five joints": ({"q": HOME[:5]}, "shape"),
+    "a table": ({"q": np.zeros((6, 1))}, "shape"),
+    "not a number": ({"q": np.where(np.arange(6) == 3, np.nan, HOME)}, "position of joint 4 is not a finite number"),
+    "infinite": ({"q": np.where(np.arange(6) == 0, np.inf, HOME)}, "position of joint 1 is not a finite number"),
+    "text": ({"q": np.array(["a"] * 6)}, "expected 6 numbers"),
+    "beyond the limits": ({"q": HOME + 7.0}, "of joint 1 is outside"),
+    "too fast": ({"speed": np.full(6, 3.1)}, "speed 3.1 rad/s of joint 1 is not above 0 and at most 3 rad/s"),
+    "no speed": ({"speed": np.zeros(6)}, "speed 0 rad/s of joint 1"),
+    "speed not a number": ({"speed": np.full(6, np.nan)}, "speed of joint 1 is not a finite number"),
+    "too hard": ({"acceleration": np.full(6, 9.0)}, "acceleration 9 rad/s"),
+    "no acceleration": ({"acceleration": -ACCELERATION}, "acceleration -8 rad/s"),
+}
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_bad_input_moves_nothing(emulator: EmulatorProcess, connected: dict[str, UrArm], bad: str) -> None:
+    changes, words = BAD[bad]
+    arguments: dict[str, Any] = {"q": AWAY, "speed": SPEED, "acceleration": ACCELERATION} | changes
+    moves = emulator.control("right", "status")["moves"]
+    with pytest.raises(LimitExceeded, match=words):
+        connected["right"].start_move(**arguments)
+    status = emulator.control("right", "status")
+    assert (status["moves"], status["runtime_state"]) == (moves, "PLAYING")
+
+
+TIGHT = JointLimits(np.tile([-7.0, 7.0], (6, 1)), np.full(6, 3.0), np.full(6, 8.0))
+FAST = JointLimits(np.tile([-6.0, 6.0], (6, 1)), np.full(6, 3.2), np.full(6, 8.0))
+OTHERS: dict[str, tuple[dict[str, Any], type[ArmError], str]] = {
+    "model": ({"model": "UR3e"}, WrongRobot, "drives a UR5e, the profile names a UR3e"),
+    "serial": ({"serial": "20209999999"}, WrongRobot, "20205501234, the profile says 20209999999"),
+    "payload": ({"payload_kg": 1.0}, ArmError, "reckons with 0.350 kg .* the profile says 1.000 kg"),
+    "centre": ({"payload_center_m": np.array([0.0, 0.0, 0.08])}, ArmError, r"30\.0\] mm, .*80\.0\] mm"),
+    "tcp": ({"tcp": np.array([0, 0, 0.1, 0, 0, 0])}, ArmError, r"TCP: the controller's is .*100\.0\] mm"),
+    "limits": ({"limits": TIGHT}, LimitExceeded, "joint 1 may go from -360.0 to 360.0 deg, .*-401.1 to 401.1"),
+    "speed": ({"limits": FAST}, LimitExceeded, "joint 1 may turn at 180.0 deg/s"),
+}
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_another_arm_than_the_stated_one_is_refused(loose: EmulatorProcess, other: str) -> None:
+    changes, error, words = OTHERS[other]
+    with driven("right", **changes) as arm, pytest.raises(error, match=f"arm right: not moved: .*{words}"):
+        arm.connect()
+    assert_untouched(loose, "right")
+
+
+def test_all_reasons_are_given_at_once(loose: EmulatorProcess) -> None:
+    loose.control("right", "remote", "off")
+    loose.control("right", "protective", "now")
+    with driven("right", payload_kg=1.0) as arm, pytest.raises(ProtectiveStop) as told:
+        arm.connect()
+    for words in ("safety: PROTECTIVE_STOP", "remote control: off", "payload: "):
+        assert words in str(told.value)
+    assert_untouched(loose, "right")
+
+
+def test_local_control_is_refused(loose: EmulatorProcess) -> None:
+    loose.control("right", "remote", "off")
+    with driven("right") as arm, pytest.raises(NotInRemoteControl, match="from Local to Remote"):
+        arm.connect()
+    assert_untouched(loose, "right")
+
+
+def test_an_arm_without_power_is_refused(loose: EmulatorProcess) -> None:
+    loose.control("left", "power-off")
+    with driven("left") as arm, pytest.raises(ArmError, match="robot mode: POWER_OFF"):
+        arm.connect()
+    assert_untouched(loose, "left")
+
+
+def test_a_changed_calibration_only_warns(loose: EmulatorProcess) -> None:
+    with driven("right", checksum="0000000a-0000000b") as arm:
+        arm.connect()
+        (note,) = arm.warnings()
+        assert note.startswith("arm right: ")
+        assert arm.state().ready
+
+
+@contextmanager
+def program_of_another(host: str) -> Iterator[None]:
+    """A program that is not ours: another client's, in a process of its own."""
+    code = (
+        "import sys, rtde_control; c = rtde_control.RTDEControlInterface(sys.argv[1]); print('up', flush=True);"
+        " sys.stdin.read(); import os; os._exit(0)"
+    )
+    command = [sys.executable, "-c", code, host]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        while other.stdout.readline().strip() != "up":
+            assert other.poll() is None
+        try:
+            yield
+        finally:
+            other.kill()
+
+
+def test_a_program_that_is_not_ours_is_left_alone(loose: EmulatorProcess) -> None:
+    with program_of_another(HOSTS["left"]), driven("left") as arm:
+        with pytest.raises(ArmError, match="a program runs"):
+            arm.connect()
+        assert loose.control("left", "status")["runtime_state"] == "PLAYING"
+    stop_program(HOSTS["left"], 1.0)
+    until(lambda: loose.control("left", "status")["runtime_state"] == "STOPPED", "it has stopped")
+
+
+def assert_untouched(emulator: EmulatorProcess, name: str) -> None:
+    """Nothing was uploaded, started or moved by who was refused."""
+    status = emulator.control(name, "status")
+    assert status["runtime_state"] == "STOPPED"
+    assert not status["moving"]
+
+
+# -- connecting and letting go ----------------------------------------------------------------------------------------
+
+
+def test_the_robot_is_left_as_it_was_found(loose: EmulatorProcess) -> None:
+    before = loose.control("left", "status")
+    with driven("left") as arm:
+        arm.connect()
+        arm.connect()  # harmless
+        assert arm.worker_pid is not None
+        arm.disconnect()
+        assert arm.worker_pid is None
+        arm.disconnect()
+        arm.stop()
+        with pytest.raises(LinkLost, match="not connected; connect first"):
+            arm.state()
+        with pytest.raises(LinkLost, match="not connected; connect first"):
+            arm.start_move(AWAY, SPEED, ACCELERATION)
+        with pytest.raises(LinkLost, match="not connected; connect first"):
+            arm.identify()
+    until(lambda: not any(loose.control("left", "status")["connections"].values()), "all links are closed")
+    after = loose.control("left", "status")
+    same = ("q", "moves", "runtime_state", "payload", "payload_center", "tcp", "robot_mode", "safety_mode")
+    assert {key: after[key] for key in same} == {key: before[key] for key in same}
+
+
+def test_disconnecting_while_it_moves_stops_it(loose: EmulatorProcess) -> None:
+    with driven("left") as arm:
+        arm.connect()
+        arm.start_move(FAR, SPEED, ACCELERATION)
+        until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+        arm.disconnect()
+        status = loose.control("left", "status")
+        assert not status["moving"]
+        assert np.abs(np.array(status["q"]) - FAR).max() > 0.3
+        arm.connect()
+        arm.start_move(HOME, SPEED, ACCELERATION)
+        arm.wait_settled(PATIENT_S)
+
+
+def test_threads_and_processes_are_gone_afterwards(loose: EmulatorProcess) -> None:
+    before = threading.active_count()
+    with driven("right") as arm:
+        arm.connect()
+        pid = arm.worker_pid
+    assert threading.active_count() == before
+    assert not Path(f"/proc/{pid}").exists()
+
+
+def test_another_controller_at_the_same_address_is_refused() -> None:
+    """After a fault somebody plugged the cables the other way round."""
+    hosts = {"left": "127.0.0.45", "right": "127.0.0.46"}
+    left, right = (replace(config, host=hosts[config.name]) for config in configs())
+    with start_in_process([left, right]):
+        arm = UrArm("left", hosts["left"], expectation("left", serial=None))
+        arm.connect()
+    with pytest.raises(LinkLost):
+        arm.state()
+    swapped = replace(left, personality=replace(left.personality, serial="20159999999"))
+    with start_in_process([swapped, right]):
+        with pytest.raises(WrongRobot, match="is now 20159999999, it was 20153012345"):
+            arm.connect()
+        arm.disconnect()
+
+
+# -- hosts that are not there -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("silent", ["dashboard", "primary", "script", "rtde", "*"])
+def test_a_silent_host_is_told_within_five_seconds(loose: EmulatorProcess, silent: str) -> None:
+    loose.control("right", "fault", silent, "silent")
+    with driven("right") as arm:
+        began = time.monotonic()
+        if silent in ("primary", "script"):  # what these say is not needed
+            arm.connect()
+            return
+        with pytest.raises(LinkLost, match=r"arm right: .*127\.0\.0\.42"):
+            arm.connect()
+        assert time.monotonic() - began < 6.0
+        loose.control("right", "fault", "*", "none")
+    assert_untouched(loose, "right")
+
+
+@pytest.mark.parametrize("closed", ["dashboard", "script", "rtde"])
+def test_a_closed_port_is_named(loose: EmulatorProcess, closed: str) -> None:
+    loose.control("right", "fault", closed, "refuse")
+    number = {"dashboard": 29999, "script": 30003, "rtde": 30004}[closed]
+    with driven("right") as arm, pytest.raises(LinkLost, match=f"{number}"):
+        arm.connect()
+    assert_untouched(loose, "right")
+
+
+def test_a_wrong_host_is_named() -> None:
+    with pytest.raises(LinkLost, match=r"arm left: no-such-robot\.invalid: no IPv4 host"):
+        UrArm("left", "no-such-robot.invalid", expectation("left")).connect()
+    with pytest.raises(LinkLost, match=r"arm left: 127\.0\.0\.47:29999: no connection"):
+        UrArm("left", "127.0.0.47", expectation("left")).connect()
+
+
+# -- the plain readers ------------------------------------------------------------------------------------------------
+
+
+def test_an_arm_is_watched_over_a_connection_of_its_own(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> None:
+    arm = connected["left"]
+    arm.start_move(AWAY, SPEED, ACCELERATION)
+    sample = wait_at_rest(HOSTS["left"], PATIENT_S)
+    arm.wait_settled(PATIENT_S)
+    np.testing.assert_allclose(sample.q, AWAY, atol=1e-6)
+    assert (sample.robot_mode, sample.safety_mode, sample.program) == ("RUNNING", "NORMAL", "PLAYING")
+    assert sample.payload_kg == pytest.approx(0.35)
+    arm.start_move(FAR, SPEED * 0.2, ACCELERATION)
+    until(lambda: arm.state().moving, "the arm moves")
+    with pytest.raises(LinkLost, match="still moves"):
+        wait_at_rest(HOSTS["left"], 0.3)
+    arm.stop()
+    arm.start_move(HOME, SPEED, ACCELERATION)
+    arm.wait_settled(PATIENT_S)
+
+
+@pytest.mark.parametrize("answer", [b"", b"\x00\x00\x00", b"\x00\x04V\x00", b"HTTP/1.1 400 Bad Request\r\n\r\n"])
+def test_what_is_no_rtde_server_is_refused(answer: bytes) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(PATIENT_S)
+
+        def serve() -> None:
+            link, _ = server.accept()
+            with link:
+                link.sendall(answer)
+                link.shutdown(socket.SHUT_WR)
+                while link.recv(4096):
+                    pass
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        with pytest.raises(LinkLost, match="RTDE"):
+            wait_at_rest("127.0.0.1", 0.15, port=server.getsockname()[1])
+        thread.join(PATIENT_S)
+        assert not thread.is_alive()
+
+
+# -- many motions, many faults ----------------------------------------------------------------------------------------
+
+
+def test_motions_with_random_faults() -> None:
+    trial = link_trials(40, 8, seed=3, hosts=TRIAL_HOSTS)
+    assert trial.complaints == []
+    assert trial.moves == 40
+    assert len(trial.struck) == 5
+    written = trial.as_dict()
+    assert written["faults"] == 5
+    assert written["longest_step_s"] < 30.0

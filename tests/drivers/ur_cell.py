@@ -1,0 +1,99 @@
+"""Two emulated UR controllers in a process of their own, and drivers for them with the real client."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from drivers.arms.protocol import JointLimits
+from drivers.arms.ur import UrArm, UrSettings
+from drivers.arms.ur_checks import UrExpectation
+from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, personality, start_in_process
+
+PATIENT_S = 20.0
+SERIALS = {"left": "20153012345", "right": "20205501234"}
+HOSTS = {"left": "127.0.0.41", "right": "127.0.0.42"}
+MODELS = {"left": "UR10", "right": "UR5e"}
+HOME = np.array([0.0, -np.pi / 2.0, 0.0, -np.pi / 2.0, 0.0, 0.0])
+SPEED, ACCELERATION = np.full(6, 2.0), np.full(6, 8.0)
+AWAY = HOME + np.array([0.25, 0.1, -0.2, 0.15, 0.3, -0.35])
+FAR = HOME + np.array([2.4, 0.3, -0.5, 1.0, 1.5, -2.0])
+"""More than a second away."""
+
+
+def expectation(name: str, **changes: Any) -> UrExpectation:
+    limits = JointLimits(np.tile([-2.0 * np.pi, 2.0 * np.pi], (6, 1)), np.full(6, 3.0), np.full(6, 8.0))
+    said = UrExpectation(MODELS[name], SERIALS[name], limits, payload_kg=0.35, payload_center_m=np.array([0, 0, 0.03]))
+    return replace(said, **changes)
+
+
+def configs(**changes: Any) -> list[ControllerConfig]:
+    """The controllers: a CB3 and an e-Series one."""
+    who = {
+        "left": personality("CB3", "UR10", SERIALS["left"]),
+        "right": personality("e-Series", "UR5", SERIALS["right"]),
+    }
+    load: dict[str, Any] = {"payload_mass": 0.35, "payload_center": (0.0, 0.0, 0.03)}
+    quick: dict[str, Any] = {"boot_s": 0.2, "brake_release_s": 0.1, "unlock_after_s": 0.2}
+    return [ControllerConfig(name, HOSTS[name], who[name], **(load | quick | changes)) for name in HOSTS]
+
+
+@contextmanager
+def emulated_cell() -> Iterator[EmulatorProcess]:
+    with start_in_process(configs()) as emulator:
+        yield emulator
+
+
+@contextmanager
+def driven(name: str, settings: UrSettings | None = None, **changes: Any) -> Iterator[UrArm]:
+    """A driver, not connected yet; disconnected at the end."""
+    arm = UrArm(name, HOSTS[name], expectation(name, **changes), settings or UrSettings(rest_s=1.0))
+    try:
+        yield arm
+    finally:
+        arm.disconnect()
+
+
+def until(condition: Callable[[], bool], what: str, within_s: float = PATIENT_S) -> None:
+    """Wait until something holds."""
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline, f"waited in vain until {what}"
+        pause(0.005)
+
+
+def pause(seconds: float) -> None:
+    threading.Event().wait(seconds)
+
+
+def mend(emulator: EmulatorProcess, name: str) -> None:
+    """What a person would do: release, power on, plug in."""
+    control = emulator.control
+    control(name, "fault", "*", "none")
+    control(name, "protective", "off")
+    control(name, "release")
+    control(name, "estop-release")
+    control(name, "brake-release")
+    control(name, "remote", "on")
+    control(name, "start-delay", 0.05)
+    until(lambda: ready(control(name, "status")), "the arm may move")
+
+
+def ready(status: dict[str, Any]) -> bool:
+    return status["robot_mode"] == "RUNNING" and status["safety_mode"] == "NORMAL" and not status["moving"]
+
+
+def assert_stays_at_rest(emulator: EmulatorProcess, name: str, for_s: float = 0.3) -> None:
+    """The arm rests, and goes on resting."""
+    until(lambda: not emulator.control(name, "status")["moving"], "the arm has braked", 1.0)
+    before = emulator.control(name, "status")
+    pause(for_s)
+    after = emulator.control(name, "status")
+    assert not after["moving"]
+    assert (after["moves"], after["q"]) == (before["moves"], before["q"])
