@@ -24,7 +24,7 @@ from drivers.arms.ur_checks import checks
 from drivers.arms.ur_probe import UrProbe, probe_ur
 from drivers.sensors.protocol import SensorError
 from drivers.trackers.bridge import BridgeTracker
-from drivers.trackers.protocol import TrackerError
+from drivers.trackers.protocol import TrackerError, TrackerLinkLost
 
 Status = Literal["ok", "warning", "failed"]
 Probe = Callable[[str, float], UrProbe]
@@ -220,6 +220,8 @@ def _lmf(profile: Profile) -> Finding:
         found = tracker.identify()
         unmet = tracker.unmet()
         notices = tracker.notices()
+    except TrackerLinkLost as error:
+        return Finding("tracker", "failed", f"{error}; {tracker.others()}")
     except (TrackerError, ValueError) as error:
         return Finding("tracker", "failed", str(error))
     finally:

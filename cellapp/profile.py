@@ -264,6 +264,10 @@ class LmfTrackerDriver(Section):
     wrong_target: Annotated[CellLength, Field(gt=0.0, le=1.0)] = 0.05
     shaking: Annotated[Length, Field(gt=0.0, le=0.01)] = 100e-6
     gravity: Annotated[bool, Field(strict=True)] = False
+    target_words: tuple[str, ...] = ("target", "reflector")
+    """Words by which LMF says that nothing is locked, which before pointing is no obstacle."""
+    lost_numbers: tuple[Annotated[int, Field(strict=True)], ...] = (840702,)
+    """LMF's error numbers of a lost target; Leica publishes no list."""
     timeout: Annotated[Time, Field(gt=0.0, le=120.0)] = 15.0
     """Of all that Leica recommends no limit for, pointing and searching included."""
 
@@ -370,6 +374,7 @@ class SerialSensor(Section):
     framing: Annotated[str, Field(pattern=r"^[5-8][NEO][12]$")] | None = None
     max_age: Annotated[Time, Field(gt=0.0, le=3600.0)] = 60.0
     timeout: Annotated[Time, Field(gt=0.0, le=60.0)] = 5.0
+    """How long a first reading is waited for; longer than the pause between the lines of a station that sends."""
 
     @field_validator("url")
     @classmethod

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cellapp.doctor import LONGEST_PROBE_S, Finding, examine
@@ -17,9 +18,10 @@ from cellapp.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken
-from drivers.arms.protocol import LinkLost
-from drivers.arms.ur import UrProbe, probe_ur
-from drivers.emulators.ur_dashboard import UrDashboardEmulator, personality
+from drivers.arms.protocol import JointLimits, LinkLost
+from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
+from drivers.arms.ur_rtde_reader import UrSample
+from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrControllerServer, personality
 
 PROFILES = Path(__file__).parents[1] / "profiles"
 PATIENT_S = 10.0
@@ -38,6 +40,19 @@ READY = UrProbe(
     ports={30001: True, 30003: True, 30004: True},
     kinematics=None,
     kinematics_note="not asked",
+    limits=JointLimits(np.tile([-6.2832, 6.2832], (6, 1)), np.full(6, 3.15), np.full(6, 40.0)),
+    tcp=(0.0, 0.0, 0.06, 0.0, 0.0, 0.0),
+    sample=UrSample(
+        time_s=10.0,
+        q=(0.0, -1.57, 0.0, -1.57, 0.0, 0.0),
+        qd=(0.0,) * 6,
+        robot_mode="RUNNING",
+        safety_mode="NORMAL",
+        program="STOPPED",
+        speed_fraction=1.0,
+        payload_kg=0.35,
+        payload_center_m=(0.015, 0.0, 0.03),
+    ),
 )
 
 
@@ -114,11 +129,13 @@ def test_an_unknown_effect_of_the_plant_is_refused(twin: Profile) -> None:
     assert "witchcraft" in found.text
 
 
-def test_a_ready_controller_fails_in_nothing_but_what_this_version_cannot_do(real: Profile) -> None:
+def test_a_ready_controller_fails_in_nothing(real: Profile) -> None:
     found = findings(real, one_ready)
     failed = {subject for subject, finding in found.items() if finding.status == "failed"}
-    assert failed == {"arm left: motion", "arm right: motion", "tracker"}
-    assert "not move" in found["arm left: motion"].text
+    assert failed == {"tracker"}
+    assert found["arm left: motion"] == Finding(
+        "arm left: motion", "ok", "nothing stands against it; nothing was tried"
+    )
     assert "LMF needs Windows" in found["tracker"].text
     assert found["arm left: serial"].status == "ok"
     assert found["arm right: serial"].status == "warning"  # the profile does not give it
@@ -131,6 +148,25 @@ def test_a_ready_controller_fails_in_nothing_but_what_this_version_cannot_do(rea
 E_SERIES = replace(READY, series="e-Series", software="5.11.1.1108318", safety_status="NORMAL", remote_control=True)
 
 
+CALIBRATED = UrKinematics(
+    theta=(0.0,) * 6, d=(0.1,) * 6, a=(0.0,) * 6, alpha=(0.0,) * 6, checksums=(1, 2, 3, 4, 5, 6), status=2
+)
+
+
+def state(**changes: object) -> UrProbe:
+    """The ready controller, its arm in another state."""
+    assert READY.sample is not None
+    return replace(READY, sample=replace(READY.sample, **changes))
+
+
+def tight(high: float = 6.2832, speed: float = 3.15) -> UrProbe:
+    """The ready controller, its third joint held tighter."""
+    assert READY.limits is not None
+    position, speeds = READY.limits.position.copy(), READY.limits.speed.copy()
+    position[2, 1], speeds[2] = high, speed
+    return replace(READY, limits=JointLimits(position, speeds, READY.limits.acceleration))
+
+
 @pytest.mark.parametrize(
     ("said", "subject", "status", "words"),
     [
@@ -140,7 +176,7 @@ E_SERIES = replace(READY, series="e-Series", software="5.11.1.1108318", safety_s
         (replace(READY, serial="20150000000"), "serial", "failed", ["20150000000", "20153012345"]),
         (replace(READY, serial=None), "serial", "warning", ["20153012345"]),
         (replace(READY, safety_mode="PROTECTIVE_STOP"), "safety", "failed", ["PROTECTIVE_STOP", "see what stopped it"]),
-        (replace(READY, safety_mode="REDUCED"), "safety", "warning", ["REDUCED"]),
+        (replace(READY, safety_mode="REDUCED"), "safety", "failed", ["REDUCED", "limited"]),
         (replace(READY, safety_mode="NEW_MODE"), "safety", "failed", ["NEW_MODE", "pendant"]),
         (replace(READY, safety_mode=None), "safety", "failed", ["pendant"]),
         (replace(READY, safety_status="SAFEGUARD_STOP"), "safety", "failed", ["SAFEGUARD_STOP"]),
@@ -148,8 +184,19 @@ E_SERIES = replace(READY, series="e-Series", software="5.11.1.1108318", safety_s
         (replace(E_SERIES, remote_control=False), "remote control", "failed", ["Local to Remote"]),
         (replace(E_SERIES, remote_control=None), "remote control", "warning", ["Remote"]),
         (E_SERIES, "remote control", "ok", ["on"]),
-        (replace(READY, program_running=True), "program", "warning", ["a program runs"]),
+        (replace(READY, program_running=True), "program", "failed", ["a program runs"]),
         (replace(READY, ports={30004: False}), "port 30004", "failed", ["firewall"]),
+        (replace(READY, sample=None, sample_note="port 30004: silent"), "state", "failed", ["30004: silent"]),
+        (state(qd=(0.0, 0.1, 0.0, 0.0, 0.0, 0.0)), "state", "failed", ["the arm moves"]),
+        (state(speed_fraction=0.4), "state", "warning", ["slider stands at 40%"]),
+        (state(payload_kg=0.2), "payload", "failed", ["0.200 kg", "0.350 kg", "pendant"]),
+        (state(payload_center_m=(0.015, 0.0, 0.05)), "payload", "failed", ["50.0] mm", "30.0] mm"]),
+        (state(payload_kg=None), "payload", "warning", ["does not tell", "0.350 kg"]),
+        (READY, "TCP", "ok", ["60.0] mm", "not stated in the profile"]),
+        (replace(READY, limits=None), "joint limits", "warning", ["pendant"]),
+        (tight(high=2.0), "joint limits", "failed", ["joint 3", "114.6", "150.0", "speed_scale"]),
+        (tight(speed=0.5), "joint limits", "failed", ["joint 3", "28.6 deg/s", "45.0"]),
+        (replace(READY, kinematics=CALIBRATED), "kinematics", "ok", ["00000001-", "calibrated"]),
     ],
 )
 def test_every_unmet_point_is_named_with_what_to_do(
@@ -160,6 +207,40 @@ def test_every_unmet_point_is_named_with_what_to_do(
     assert finding.status == status
     assert all(word in finding.text for word in words), finding.text
     assert "arm right: model" in found
+
+
+def test_all_that_would_be_refused_is_summed_up(real: Profile) -> None:
+    both = replace(READY, safety_mode="PROTECTIVE_STOP", serial="20150000000")
+    found = findings(real, lambda host, _: both if host == "192.168.0.10" else one_ready(host, 0.0))
+    assert found["arm left: motion"].status == "failed"
+    assert "because of serial, safety; nothing was tried" in found["arm left: motion"].text
+    assert found["arm right: motion"].status == "ok"
+
+
+def test_what_the_profile_states_of_tcp_and_checksum_is_compared(real: Profile) -> None:
+    checksum = "00000001-00000002-00000003-00000004-00000005-00000006"
+
+    def said(host: str, _: float) -> UrProbe:
+        return replace(one_ready(host, 0.0), kinematics=CALIBRATED)
+
+    right = with_driver(real, "left", tcp=(0.0, 0.0, 0.06, 0.0, 0.0, 0.0), checksum=checksum)
+    found = findings(right, said)
+    assert (found["arm left: TCP"].status, found["arm left: kinematics"].status) == ("ok", "ok")
+    wrong = with_driver(real, "left", tcp=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), checksum="0000000f" + checksum[8:])
+    found = findings(wrong, said)
+    assert found["arm left: TCP"].status == "failed"
+    assert "60.0] mm" in found["arm left: TCP"].text
+    assert "100.0] mm" in found["arm left: TCP"].text
+    assert found["arm left: kinematics"].status == "warning"  # the model is stale, the arm may move
+    assert "0000000f" in found["arm left: kinematics"].text
+    assert "stale" in found["arm left: kinematics"].text
+
+
+def test_an_arm_of_seven_joints_is_no_ur(real: Profile) -> None:
+    arm = real.arms["left"]
+    seven = arm.type.model_copy(update={"joints": (*arm.type.joints, arm.type.joints[-1])})
+    profile = change(real, "left", type=seven, home=(*(arm.home or ()), 0.0), limits=None)
+    assert "7 joints, a UR arm has 6" in findings(profile, one_ready)["arm left: type"].text
 
 
 def test_dead_hosts_are_asked_at_the_same_time_and_not_for_long(real: Profile) -> None:
@@ -196,7 +277,8 @@ def test_looking_does_not_load_torch_or_the_robot_library() -> None:
 
 
 def on_free_ports(profile: Profile) -> list[EmulatedArm]:
-    return [replace(arm, dashboard_port=0, primary_port=0) for arm in emulated_arms(profile)]
+    free = {f"{name}_port": 0 for name in FREE_PORTS}
+    return [replace(arm, **free) for arm in emulated_arms(profile)]
 
 
 def test_simulated_arms_are_stood_in_for_on_addresses_of_their_own(twin: Profile) -> None:
@@ -236,8 +318,8 @@ def test_the_doctor_finds_emulated_controllers_until_they_are_cancelled(real: Pr
 
     def at_their_ports(host: str, timeout_s: float) -> UrProbe:
         arm = next(arm for arm in listening if arm.host == host)
-        with_ports = {"dashboard_port": arm.dashboard_port, "primary_port": arm.primary_port}
-        return probe_ur(host, timeout_s, script_port=arm.primary_port, rtde_port=arm.primary_port, **with_ports)
+        ports = {name: getattr(arm, name) for name in ("dashboard_port", "primary_port", "script_port", "rtde_port")}
+        return probe_ur(host, timeout_s, **ports)
 
     found: dict[str, Finding] = {}
 
@@ -252,7 +334,9 @@ def test_the_doctor_finds_emulated_controllers_until_they_are_cancelled(real: Pr
     assert threading.active_count() == before
     assert "UR10 (CB3), serial 20153012345, at 127.0.0.2: dashboard " in str(listening[0])
     failed = {subject for subject, finding in found.items() if finding.status == "failed"}
-    assert failed == {"arm left: motion", "arm right: motion", "tracker"}
+    assert failed == {"tracker"}
+    assert found["arm left: payload"].text == "0.350 kg at [15.0, 7.0, 30.0] mm"
+    assert found["arm left: joint limits"].status == "ok"
     assert found["arm left: model"].text == "UR10"
     assert found["arm right: model"].text == "UR5"
     assert found["arm left: kinematics"].status == "ok"
@@ -271,10 +355,12 @@ def test_emulation_waits_until_it_is_cancelled(twin: Profile) -> None:
 
 def test_a_port_in_use_is_named_and_nothing_is_left_open(twin: Profile) -> None:
     before = threading.active_count()
-    with UrDashboardEmulator(personality("CB3", "UR5", "20150000001"), "127.0.0.3") as other:
+    other = ControllerConfig("other", "127.0.0.3", personality("CB3", "UR5", "20150000001"), ports=FREE_PORTS)
+    with UrControllerServer([other]) as server:
+        _, taken = server.addresses.arms["other"]["dashboard"]
         left, right = on_free_ports(twin)
-        arms = [left, replace(right, dashboard_port=other.dashboard_port)]
-        with pytest.raises(HardwareError, match=rf"arm right: cannot listen on 127\.0\.0\.3:{other.dashboard_port}"):
+        arms = [left, replace(right, dashboard_port=taken)]
+        with pytest.raises(HardwareError, match=rf"arm right: cannot listen on 127\.0\.0\.3:{taken}"):
             emulate(twin, CancelToken(), lambda _: None, arms)
     assert threading.active_count() == before
 

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 MODULES = sorted(path for folder in ("cellapp", "drivers") for path in (ROOT / folder).rglob("*.py"))
 PURE = ("kinematics", "effects", "model", "calibration")
 TOUCH_DRIVERS = ("collection", "compensation", "trials")
-TOUCH_DRIVERS_FILES = ("doctor.py", "emulate.py")
+TOUCH_DRIVERS_FILES = ("doctor.py", "emulate.py", "tracker_bridge.py")
 
 
 def imported(path: Path) -> Iterator[str]:

@@ -134,6 +134,8 @@ def lmf_tracker(profile: Profile) -> LmfTracker:
             gravity=driver.gravity,
             command_s=driver.timeout,
             law=law,
+            target_words=tuple(word.casefold() for word in driver.target_words),
+            lost_numbers=driver.lost_numbers,
         )
     except ValueError as error:
         raise InputError(f"tracker.driver.{error}") from error

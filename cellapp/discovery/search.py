@@ -158,14 +158,22 @@ class _Engine:
         return way
 
     def criterion(self, way: _Way) -> float:
-        """Bayesian information criterion of a way, for the same weights: the stated uncertainty."""
+        """Bayesian information criterion of a way, for the same weights: the stated uncertainty.
+
+        Of free curves their evidence takes the place of what counting effective parameters would give.
+        """
+        curved = next((part for part in way.fit.choice if part.curves is not None), None)
+        if curved is not None and curved.curves is not None:
+            rest = tuple(part for part in way.fit.choice if part is not curved)
+            gain = curved.curves.evidence - _curve_price(curved.curves, way.data)
+            return self.criterion(_Way(*self.refit(rest))) - gain + _RIVAL
         residuals = way.fit.identification.residuals
         white = whitening(way.data.stated, len(way.data))
         total = float(np.sum(np.einsum("acn,nc->an", white, residuals) ** 2))
         N = 3 * len(way.data)
         price = float(np.sum(way.fit.follower.basis**2)) * math.log(N)
         for part in way.fit.choice:
-            price += 2.0 * math.log(max(part.law.tried, 1)) + _RIVAL * (part.slug == UNKNOWN)
+            price += 2.0 * math.log(max(part.law.tried, 1)) + _RIVAL * (2.0 if part.slug == UNKNOWN else 1.0)
         return N * math.log(total) + price
 
     def _next_step(self, way: _Way, seen: Seen | None, refused: set[tuple[str, str]]) -> Step | None:
@@ -352,7 +360,7 @@ class _Engine:
                 here.readings.q, bare.by_joint, unit, bare.follower.basis, residual, joints, cycles, evaluations
             )
             # what the curves change of the noise's own share counts against the same noise
-            value = curves.evidence - (2 * len(joints) + 1) * math.log(len(residual))
+            value = curves.evidence - _curve_price(curves, here)
             if value <= max(self.least, _RIVAL):
                 return None
             levers_of = [levers[j] for j in curves.joints]
@@ -400,9 +408,23 @@ class _Engine:
             return None
         if here.confirmed(fit, best.candidate.B[list(best.chosen)], here.profile.discovery.folds) <= 0.0:
             return None
-        part = Part(UNKNOWN, best.candidate.law, best.names)
-        p_value = corrected_p(self.maxima, best.value)
-        return self.taken(way, Step(UNKNOWN, "a data-driven term added", best.value, p_value, (*fit.choice, part)))
+        law, p_value = best.candidate.law, corrected_p(self.maxima, best.value)
+        choices: list[Choice] = [(*fit.choice, Part(UNKNOWN, law, best.names))]
+        # a name that stood for a part of it gives way, as the term holds whatever its channel does with its variables
+        place = best.candidate.columns[0].where
+        others = tuple(part for part in fit.choice if not self._acts_on(here, part, place))
+        if len(others) < len(fit.choice):
+            names = tuple(column.name for column in here.columns(UNKNOWN, law))
+            choices.append((*others, Part(UNKNOWN, law, names)))
+        ways = [self.taken(way, Step(UNKNOWN, "a data-driven term added", best.value, p_value, c)) for c in choices]
+        return min(ways, key=self.criterion)
+
+    @staticmethod
+    def _acts_on(here: ArmData, part: Part, place: str) -> bool:
+        """Whether a named part acts on one place alone."""
+        if part.slug == UNKNOWN or part.curves is not None:
+            return False
+        return {column.where for column in here.columns(part.slug, part.law, part.names)} == {place}
 
     @staticmethod
     def _best_law(here: ArmData, fit: Fit, laws: Sequence[Law], MY: Array, square: float) -> Score | None:
@@ -523,6 +545,11 @@ def _nearby(law: Law, data: ArmData, shrink: float) -> list[Law]:
             for factor in (math.exp(-0.3 * shrink), math.exp(0.3 * shrink)):
                 found.append(replace(law, constants={**law.constants, key: value * factor}))
     return found
+
+
+def _curve_price(curves: Curves, data: ArmData) -> float:
+    """What the length and amplitude of each curve, and the noise, cost."""
+    return (2 * len(curves.joints) + 1) * math.log(3 * len(data))
 
 
 def _curve_law(curves: Curves, data: ArmData) -> tuple[Law, tuple[str, ...]]:

@@ -41,7 +41,8 @@ class LinkBending:
     bending_own_weight, bending_torsion_own_weight
         The link's own weight loads it too, where its centre of mass projects on the beam.
     bending_torsion_free_weight
-        As much of its own weight as the data want, a block of its own: how the mass is spread along it is not known.
+        Its own weight bends it as much as the data want, a block of its own: how the mass is spread along the beam is
+        not known.
 
     Size: EI of 1e5 N m^2 (estimate) gives 0.2 to 0.4 mm on a UR10, 0.1 mm on a UR5. 54 % visible. Look-alikes: joint
     compliance explains 0.99 of what is visible, 0.96 with two payloads; readings of both encoders of a joint tell them
@@ -81,7 +82,9 @@ class LinkBending:
             bent, twisted = link.bent(force, moment, np.ones(len(context))), link.twisted(moment)
             free = law.name.endswith("free_weight")
             if free:
-                own = link.bent(*link.own_weight(context, i))
+                own_force, own_moment, share = link.own_weight(context, i)
+                own = link.bent(own_force, own_moment, share)
+                twisted = twisted + link.twisted(own_moment, share)
                 block = f"link {i} own weight"
                 columns.append(shift_column(f"own_weight{i}", "1/(N m^2)", f"link {i}", own, 0.0, 1e-3, block))
             if law.name.endswith("own_weight"):

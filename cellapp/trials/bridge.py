@@ -21,7 +21,7 @@ from drivers.trackers.protocol import Preparation, TargetLost, TrackerError, Tra
 SECOND_CLIENT = "second-client"
 ALL_FAULTS = (*FAULTS, SECOND_CLIENT)
 
-_SILENCE_S = 0.5
+_SILENCE_S = 0.3
 _AVERAGING_S = 1.0
 _NEAR_M = 1e-3
 
@@ -97,7 +97,8 @@ def bridge_trial(
     plant = build_plant(profile)
     nests = _nests(profile)
     names = list(nests)
-    kinds = rng.permutation(np.resize(np.array(ALL_FAULTS), measurements // every))  # each kind about equally often
+    possible = np.array(ALL_FAULTS if serial is None else FAULTS)  # on one cable there is no second client
+    kinds = rng.permutation(np.resize(possible, measurements // every))  # each kind about equally often
     faults = {group * every + int(rng.integers(every)): str(kind) for group, kind in enumerate(kinds)}
     took: dict[str, list[float]] = {kind: [] for kind in ("", *ALL_FAULTS)}
     times: list[float] = []
@@ -159,9 +160,7 @@ def bridge_trial(
 
 
 def _second_client(url: str) -> None:
-    """Try to take the tracker while another client holds it. Over one serial cable there is no second client."""
-    if not url.startswith("socket://"):
-        return
+    """Try to take the tracker while another client holds it. Raises ``HardwareError`` if that succeeds."""
     other = BridgeTracker(url, timeout_s=_SILENCE_S)
     try:
         other.connect()

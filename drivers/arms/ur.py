@@ -38,6 +38,7 @@ from drivers.arms.protocol import (
     NotInRemoteControl,
     ProtectiveStop,
     Tool,
+    WrongRobot,
 )
 from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, safety_error, safety_remedy, stale
 from drivers.arms.ur_links import stop_program
@@ -192,6 +193,8 @@ class _Worker:
         why = ""
         assert self._process.stdout is not None
         for line in self._process.stdout:
+            if not line.endswith(b"\n"):  # it was ended in the middle of a line
+                break
             answer = json.loads(line)
             if "hello" in answer:
                 self._hello.put(None)
@@ -393,7 +396,7 @@ class UrArm:
     def _same_controller(self, said: UrProbe) -> None:
         """After a fault, the controller that answers is the one from before."""
         if self._serial and said.serial and said.serial != self._serial:
-            raise KINDS["failed"](
+            raise WrongRobot(
                 f"arm {self._name}: the controller at {self._host} is now {said.serial}, it was {self._serial} before"
             )
         self._serial = said.serial or self._serial
@@ -422,9 +425,12 @@ class UrArm:
             self._drop_worker()
             with suppress(LinkLost):
                 self._bring_to_rest()
+            self._ours = True  # a program that was sent may yet start
             raise self._error(error) from error
         except _Gone as error:
-            raise self._doubt(f"the client did not start: {error}") from error
+            doubt = self._doubt(f"the client did not start: {error}")
+            self._ours = True
+            raise doubt from error
         except BaseException:
             self._drop_worker()
             raise

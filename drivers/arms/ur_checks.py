@@ -263,11 +263,10 @@ def _kinematics(expected: UrExpectation, said: UrProbe) -> Check:
     subject, found = "kinematics", said.kinematics
     if found is None:
         return Check(subject, "warning", f"the controller's own D-H could not be read: {said.kinematics_note}")
+    if expected.checksum is not None and expected.checksum.strip().lower() != found.checksum:
+        return Check(subject, "warning", stale(expected.checksum.strip().lower(), found.checksum))
     if not found.checksum:
         return Check(subject, "ok", "D-H without a factory calibration read")
-    if expected.checksum is not None and expected.checksum.strip().lower() != found.checksum:
-        text = stale(expected.checksum.strip().lower(), found.checksum)
-        return Check(subject, "warning", text)
     return Check(subject, "ok", f"factory-calibrated D-H read, checksum {found.checksum}")
 
 

@@ -117,17 +117,22 @@ def wait_at_rest(host: str, timeout_s: float, *, port: int = RTDE_PORT, dwell_s:
 
 
 def _watched_to_rest(host: str, deadline: float, port: int, dwell_s: float) -> UrSample:
-    since: float | None = None
+    since, moves = None, False
     with Connection(host, resolve(host, deadline), port) as link:
-        for sample in _samples(link, deadline):
-            if not sample.at_rest:
-                since = None
-            elif since is None:
-                since = sample.time_s
-            elif sample.time_s - since >= dwell_s:
-                return sample
-            if time.monotonic() > deadline:
-                break
+        try:
+            for sample in _samples(link, deadline):
+                moves = not sample.at_rest
+                if moves:
+                    since = None
+                elif since is None:
+                    since = sample.time_s
+                elif sample.time_s - since >= dwell_s:
+                    return sample
+                if time.monotonic() > deadline:
+                    break
+        except LinkLost:
+            if not moves or left(deadline) > 0.0:
+                raise
     raise LinkLost(f"{host}: the arm still moves")
 
 

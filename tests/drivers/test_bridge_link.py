@@ -13,6 +13,7 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_server import TrackerService
+from drivers.trackers.lmf import LmfSettings, LmfTracker
 from drivers.trackers.protocol import (
     Halted,
     Inclination,
@@ -29,6 +30,7 @@ from drivers.trackers.protocol import (
     WrongTarget,
 )
 from drivers.trackers.simulated import Imperfections, SimulatedTracker
+from tests.drivers.fake_lmf import Room
 from tests.drivers.ptys import serial_cable
 
 TOKEN = "correct horse battery staple"
@@ -411,6 +413,21 @@ def test_a_tracker_that_cannot_be_reached_is_said():
         tracker = BridgeTracker(bridge.url, timeout_s=QUICK_S, preparation=Preparation())
         with pytest.raises(TrackerLinkLost, match=r"no tracker at 192\.168\.0\.1"):
             tracker.connect()
+
+
+def test_a_tracker_of_leicas_is_served_alike():
+    room = Room(targets={"left": NEST, "right": NEST + 1.0}, initialised=False)
+    lmf = LmfTracker(LmfSettings("192.168.0.1"), load=lambda library: room.lmf())
+    with TrackerService(lmf) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
+        assert tracker.identify().model.startswith("AT960")
+        assert tracker.unmet() == []  # it was initialised when the client connected
+        assert tracker.measure(NEST, 1.0).p_M == pytest.approx(NEST, abs=1e-3)
+        with pytest.raises(TargetLost):
+            tracker.measure(NEST - 1.0, 1.0)
+        pair = tracker.measure_two_face(NEST, 1.0)
+        assert (pair.first.face, pair.second.face) == (1, 2)
+    room.let_go.set()
+    assert room.broken_rules == []
 
 
 # -- a plant that others move ------------------------------------------------------------------------------------------

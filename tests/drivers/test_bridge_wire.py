@@ -194,10 +194,14 @@ def test_errors_keep_their_kind():
     class OfADriver(TrackerError):
         pass
 
+    class OfATarget(TargetLost):
+        pass
+
     for error, kind in (
         (NotReady("a"), "not-ready"),
         (TargetLost("b"), "target-lost"),
         (OfADriver("c"), "failed"),
+        (OfATarget("e"), "target-lost"),
         (ValueError("d"), "bad-field"),
     ):
         assert wire.error_fields(error) == {"kind": kind, "text": str(error)}

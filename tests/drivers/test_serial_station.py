@@ -229,6 +229,16 @@ def test_garbage_is_named_and_the_next_line_counts(line: Line, listen: Callable[
     assert station.read().temperature_c == 21.4
 
 
+def test_a_line_without_end_is_not_kept(line: Line, listen: Callable[..., SerialStation]) -> None:
+    station = listen(line.path)
+    line.say(b"\r\n")
+    for _ in range(3):
+        line.say(b"x" * LONGEST_LINE)
+    until(lambda: "a line without end" in station._trouble)
+    line.say(b"P= 1000.0 hPa T= 1.4 'C\r\n" + LINE)  # the rest of it is no reading either
+    assert station.read().temperature_c == 21.4
+
+
 def test_a_polled_station(line: Line, listen: Callable[..., SerialStation]) -> None:
     station = listen(line.path, PTU, poll_every_s=3600.0)
     assert line.hear() == b"send\r\n"

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.effects import EFFECTS, PLAIN, Circumstances, Law
+from cellapp.effects.history import lagged
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, transform
 from tests.effects.cell import EYE, by_name, chain, context_of, knowing, shifts, slope
 
@@ -88,6 +89,41 @@ def test_links_grow_while_warming_up():
     column = columns("thermal_growth", found[2])["growth"]
     assert column.unit == "m/m"
     np.testing.assert_allclose(shifts(column), grown(lambda row: np.full(6, strain[row])), atol=1e-9)
+
+
+def test_a_lag_follows_a_ramp_at_its_distance():
+    """Behind a ramp of slope b, started at rest, a first-order lag stands at b (t - tau (1 - exp(-t / tau)))."""
+    rng = np.random.default_rng(2)
+    t = np.sort(rng.uniform(0.0, 18000.0, 3000))
+    t -= t[0]
+    mixed = rng.permutation(len(t))
+    slopes = np.array([2e-3, -1e-3])
+    for tau in (400.0, 2000.0):
+        expected = (t - tau * -np.expm1(-t / tau))[:, None] * slopes + 25.0
+        found = lagged((t[:, None] * slopes + 25.0)[mixed], t[mixed], tau)
+        np.testing.assert_allclose(found, expected[mixed], atol=5e-3)
+    np.testing.assert_allclose(lagged(np.full((5, 1), 21.5), np.arange(5.0) * 600.0, 900.0), 21.5)
+
+
+def test_links_follow_their_joints_and_the_air_and_housings_grow():
+    """Each column grows its own part of the arm, by what it is warmer than on average."""
+    law = laws("thermal_growth", "conduction_links")[2]
+    known = CONTEXT.known
+    joints = known.joints_c - known.joints_c.mean(axis=0)
+    air = known.air_c - known.air_c.mean()
+    ends = np.array([[(row[i] + row[min(i + 1, 5)]) / 2.0 for i in range(6)] for row in joints - air[:, None]])
+    behind = lagged(np.column_stack([ends, air]), known.time_s, law.constants["lag_s"])
+    found = columns("thermal_growth", law)
+    np.testing.assert_allclose(shifts(found["growth3"]), grown(lambda row: behind[row, 2] * np.eye(6)[2]), atol=1e-9)
+    np.testing.assert_allclose(shifts(found["growth_air"]), grown(lambda row: np.full(6, behind[row, 6])), atol=1e-9)
+    housings = each_row(
+        lambda row, h: chain(CONTEXT, row, shift={j: h * joints[row, j] * EYE[2] for j in range(6)}).smr
+    )
+    np.testing.assert_allclose(shifts(found["growth_housings"]), housings, atol=1e-9)
+    whole = columns("thermal_growth", laws("thermal_growth", "conduction")[2])
+    np.testing.assert_allclose(
+        shifts(whole["growth_joints"]), sum(shifts(found[f"growth{i}"]) for i in range(1, 7)), atol=1e-12
+    )
 
 
 def test_a_link_too_short_to_be_judged_by_itself_has_no_column_but_grows_with_the_rest():

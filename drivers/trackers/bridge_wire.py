@@ -1,0 +1,334 @@
+"""Lines of the tracker bridge protocol, version 1, as both ends write and read them. BRIDGE.md describes it.
+
+A line is ``SEQ WORD key=value ...*CRC`` and a line feed: printable ASCII, at most ``LONGEST_LINE`` bytes, the CRC-32 of
+all before the star as eight hexadecimal digits.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import math
+import re
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.trackers.protocol import (
+    ACCURACIES,
+    Face,
+    Halted,
+    Inclination,
+    NotReady,
+    Point,
+    Preparation,
+    TargetLost,
+    TrackerError,
+    TrackerIdentity,
+    TrackerLinkLost,
+    TrackerRefused,
+    TrackerTimeout,
+    TwoFace,
+    Unstable,
+    WrongTarget,
+)
+
+VERSION = 1
+LONGEST_LINE = 2048
+LONGEST_TEXT = 300
+LAST_SEQUENCE = 999_999
+SHORTEST_TOKEN = 16
+LOOPBACK_PORT = 50960
+"""Where the bridge listens unless told otherwise."""
+
+Fields = Mapping[str, str]
+
+_LINE = re.compile(rb"(0|[1-9][0-9]{0,5}) ([a-z][a-z-]{0,19})((?: [a-z][a-z0-9._]{0,19}=[!-)+-~]*)*)")
+_CRC = re.compile(rb"[0-9A-Fa-f]{8}")
+_ESCAPE = re.compile(r"%([0-9A-F]{2})")
+_PLAIN = re.compile(r"[^!-$&-)+-~]")  # whatever is not printable ASCII, a percent sign or a star
+_NUMBER = re.compile(r"[-+]?(?:[0-9]{1,20}\.?[0-9]{0,30}|\.[0-9]{1,30})(?:[eE][-+]?[0-9]{1,3})?")
+_ID = re.compile(r"[0-9A-Za-z_-]{8,64}")
+_AXES = ("x", "y", "z")
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+ERRORS: Mapping[str, type[TrackerError]] = {
+    "not-ready": NotReady,
+    "target-lost": TargetLost,
+    "wrong-target": WrongTarget,
+    "unstable": Unstable,
+    "halted": Halted,
+    "timeout": TrackerTimeout,
+    "link-lost": TrackerLinkLost,
+    "failed": TrackerError,
+    "refused": TrackerRefused,
+    "held": TrackerRefused,
+    "version": TrackerRefused,
+}
+"""What the tracker or its guard says, by the word that stands for it. ``failed`` is whatever has no word of its own."""
+
+
+class Garbled(ValueError):
+    """A line that is none: damaged on its way, too long, or from something that speaks otherwise."""
+
+
+class BadField(ValueError):
+    """A whole line with a field that is missing or makes no sense."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line: its number, its word (a command, or ``ok``, ``wait``, ``error``) and its fields."""
+
+    sequence: int
+    word: str
+    fields: Fields
+
+
+def encode(sequence: int, word: str, fields: Fields | None = None) -> bytes:
+    """A line with its line feed. Raises ``ValueError`` where it would be longer than allowed or is badly formed."""
+    parts = [str(sequence), word, *(f"{key}={_escaped(value)}" for key, value in (fields or {}).items())]
+    body = " ".join(parts).encode("ascii")
+    line = b"%s*%08X\n" % (body, zlib.crc32(body))
+    if len(line) > LONGEST_LINE or not _LINE.fullmatch(body):
+        raise ValueError(f"no line of the bridge protocol: {len(line)} bytes, '{word}'")
+    return line
+
+
+def decode(raw: bytes) -> Line:
+    """Read a line, with or without its end. Raises ``Garbled``."""
+    raw = raw.rstrip(b"\r\n")
+    if len(raw) + 1 > LONGEST_LINE:
+        raise Garbled(f"the line is longer than {LONGEST_LINE} bytes")
+    body, star, check = raw.rpartition(b"*")
+    if not star or not _CRC.fullmatch(check):
+        raise Garbled("the line does not end in its checksum")
+    if int(check, 16) != zlib.crc32(body):
+        raise Garbled("the checksum is wrong")
+    match = _LINE.fullmatch(body)
+    if match is None:
+        raise Garbled("the line is not of the form 'NUMBER WORD key=value ...'")
+    fields: dict[str, str] = {}
+    for part in match.group(3).decode("ascii").split(" ")[1:]:
+        key, _, value = part.partition("=")
+        if key in fields:
+            raise Garbled(f"the key '{key}' is there twice")
+        fields[key] = _unescaped(value)
+    return Line(int(match.group(1)), match.group(2).decode("ascii"), fields)
+
+
+def _escaped(value: str) -> str:
+    return _PLAIN.sub(lambda found: "".join(f"%{byte:02X}" for byte in found.group().encode("utf-8", "replace")), value)
+
+
+def _unescaped(value: str) -> str:
+    raw = _ESCAPE.sub(lambda found: chr(int(found.group(1), 16)), value)
+    return raw.encode("latin-1").decode("utf-8", "replace")
+
+
+def text(words: str, most: int = LONGEST_TEXT) -> str:
+    """Words for a person, cut so that they take no more than ``most`` bytes of a line."""
+    if len(_escaped(words)) <= most:
+        return words
+    cut = words[:most]
+    while len(_escaped(cut)) > most - 3:
+        cut = cut[: len(cut) * (most - 3) // len(_escaped(cut))]
+    return cut + "..."
+
+
+def number(value: float) -> str:
+    """A finite number so that it is read back bit for bit."""
+    value = float(value)
+    if not math.isfinite(value):
+        raise BadField(f"{value!r} is not a finite number")
+    return repr(value)
+
+
+def read_number(fields: Fields, key: str, low: float = -1e12, high: float = 1e12) -> float:
+    """A number in a range. Raises ``BadField``."""
+    if key not in fields:
+        raise BadField(f"the field '{key}' is missing")
+    found = fields[key]
+    value = float(found) if _NUMBER.fullmatch(found) else math.nan
+    if not low <= value <= high:
+        raise BadField(f"{key} is '{text(found)}'; expected a number between {low:g} and {high:g}")
+    return value
+
+
+def read_optional(fields: Fields, key: str, low: float = -1e12, high: float = 1e12) -> float | None:
+    """A number, or None where the field is missing or empty."""
+    return read_number(fields, key, low, high) if fields.get(key) else None
+
+
+def read_id(fields: Fields, key: str = "id") -> str:
+    """An identifier of 8 to 64 letters, digits, ``-`` or ``_``. Raises ``BadField``."""
+    value = fields.get(key, "")
+    if not _ID.fullmatch(value):
+        raise BadField(f"{key} is '{text(value)}'; expected 8 to 64 letters and digits that were never used before")
+    return value
+
+
+def proof(token: str, side: str, client: str, server_nonce: str, client_nonce: str) -> str:
+    """What shows that ``side`` ("client" or "server") knows the token: HMAC-SHA256, in hexadecimal digits."""
+    said = "|".join((f"tracker-bridge-{VERSION}", side, client, server_nonce, client_nonce))
+    return hmac.new(token.encode("utf-8"), said.encode("ascii"), hashlib.sha256).hexdigest()
+
+
+def same(one: str, other: str) -> bool:
+    """Whether two proofs are equal, in a time that tells nothing about where they differ."""
+    return hmac.compare_digest(one.lower().encode("utf-8"), other.lower().encode("utf-8"))
+
+
+def error_fields(error: BaseException) -> dict[str, str]:
+    """The fields of an ``error`` line for what a tracker raised: the word for its class or the nearest above it."""
+    if isinstance(error, ValueError):
+        return {"kind": "bad-field", "text": text(str(error))}
+    kinds = {known: kind for kind, known in reversed(ERRORS.items())}  # of several words for one class the first
+    kind = next((kinds[known] for known in type(error).__mro__ if known in kinds), "failed")
+    return {"kind": kind, "text": text(str(error))}
+
+
+# -- what the tracker says, as fields ----------------------------------------------------------------------------------
+
+
+def identity_fields(identity: TrackerIdentity) -> dict[str, str]:
+    """Of an ``identify``."""
+    return {key: text(getattr(identity, key)) for key in ("model", "serial", "software")}
+
+
+def read_identity(fields: Fields) -> TrackerIdentity:
+    """Of an ``identify``. Raises ``BadField``."""
+    missing = [key for key in ("model", "serial", "software") if key not in fields]
+    if missing:
+        raise BadField(f"the field '{missing[0]}' is missing")
+    return TrackerIdentity(fields["model"], fields["serial"], fields["software"])
+
+
+def preparation_fields(settings: Preparation) -> dict[str, str]:
+    """Of a ``prepare``."""
+    fields = {"reflector": settings.reflector, "accuracy": settings.accuracy}
+    for key, value in (
+        ("temperature", settings.temperature_c),
+        ("pressure", settings.pressure_hpa),
+        ("humidity", settings.humidity_percent),
+    ):
+        if value is not None:
+            fields[key] = number(value)
+    return fields
+
+
+def read_preparation(fields: Fields) -> Preparation:
+    """Of a ``prepare``. Raises ``ValueError``."""
+    asked = fields.get("accuracy", "standard")
+    accuracy = next((known for known in ACCURACIES if known == asked), None)
+    if accuracy is None:
+        raise BadField(f"accuracy is '{text(asked)}'; expected one of {', '.join(ACCURACIES)}")
+    return Preparation(
+        reflector=fields.get("reflector", ""),
+        accuracy=accuracy,
+        temperature_c=read_optional(fields, "temperature"),
+        pressure_hpa=read_optional(fields, "pressure"),
+        humidity_percent=read_optional(fields, "humidity"),
+    )
+
+
+def point_fields(point: Point, prefix: str = "") -> dict[str, str]:
+    """Of a measured point. Raises ``BadField`` where it holds what is no number."""
+    values: dict[str, float | None] = {
+        **dict(zip(_AXES, point.p_M, strict=True)),
+        **{f"c{_AXES[i]}{_AXES[j]}": point.covariance_M[i, j] for i, j in _PAIRS},
+        "time": point.time_s,
+        "averaging": point.averaging_s,
+        "temperature": point.temperature_c,
+        "pressure": point.pressure_hpa,
+        "humidity": point.humidity_percent,
+        "tracker_time": point.tracker_time_s,
+        "host_time": point.host_time_s,
+    }
+    if point.precision_M is not None:
+        values |= {f"p{axis}": value for axis, value in zip(_AXES, point.precision_M, strict=True)}
+    fields = {key: number(value) for key, value in values.items() if value is not None}
+    fields["face"] = str(point.face)
+    if point.reflector:
+        fields["reflector"] = text(point.reflector, 60)
+    if point.quality:
+        fields["quality"] = text("; ".join(point.quality), 120)
+    return {prefix + key: value for key, value in fields.items()}
+
+
+def read_point(fields: Fields, prefix: str = "") -> Point:
+    """Of a measured point. Raises ``BadField``."""
+    own = {key.removeprefix(prefix): value for key, value in fields.items() if key.startswith(prefix)}
+    covariance = np.zeros((3, 3))
+    for i, j in _PAIRS:
+        low = 0.0 if i == j else -1.0
+        covariance[i, j] = covariance[j, i] = read_number(own, f"c{_AXES[i]}{_AXES[j]}", low, 1.0)
+    face: Face = 1 if read_number(own, "face", 1, 2) == 1 else 2
+    precise = all(f"p{axis}" in own for axis in _AXES)
+    return Point(
+        p_M=np.array([read_number(own, axis, -1e3, 1e3) for axis in _AXES]),
+        covariance_M=covariance,
+        time_s=read_number(own, "time"),
+        averaging_s=read_number(own, "averaging", 0.0, 3600.0),
+        temperature_c=read_optional(own, "temperature", -100.0, 200.0),
+        pressure_hpa=read_optional(own, "pressure", 0.0, 2000.0),
+        humidity_percent=read_optional(own, "humidity", 0.0, 100.0),
+        precision_M=np.array([read_number(own, f"p{axis}", 0.0, 1.0) for axis in _AXES]) if precise else None,
+        face=face,
+        tracker_time_s=read_optional(own, "tracker_time"),
+        host_time_s=read_optional(own, "host_time"),
+        reflector=own.get("reflector", ""),
+        quality=tuple(own["quality"].split("; ")) if own.get("quality") else (),
+    )
+
+
+def two_face_fields(pair: TwoFace) -> dict[str, str]:
+    """Of a ``two-face``."""
+    return point_fields(pair.first, "a.") | point_fields(pair.second, "b.")
+
+
+def read_two_face(fields: Fields) -> TwoFace:
+    """Of a ``two-face``. Raises ``BadField``."""
+    return TwoFace(read_point(fields, "a."), read_point(fields, "b."))
+
+
+def inclination_fields(level: Inclination | None) -> dict[str, str]:
+    """Of an ``inclination``."""
+    if level is None:
+        return {"fitted": "0"}
+    tilt_x, tilt_y = level.tilt_rad
+    return {
+        "fitted": "1",
+        "tilt_x": number(tilt_x),
+        "tilt_y": number(tilt_y),
+        "drift": number(level.drift_rad),
+        "threshold": number(level.threshold_rad),
+    }
+
+
+def read_inclination(fields: Fields) -> Inclination | None:
+    """Of an ``inclination``. Raises ``BadField``."""
+    if read_number(fields, "fitted", 0, 1) == 0:
+        return None
+    return Inclination(
+        (read_number(fields, "tilt_x", -4, 4), read_number(fields, "tilt_y", -4, 4)),
+        read_number(fields, "drift", 0, 4),
+        read_number(fields, "threshold", 0, 4),
+    )
+
+
+def unmet_fields(unmet: list[str]) -> dict[str, str]:
+    """Of an ``unmet``: how many, and the first of them in words."""
+    shown = unmet[:5]
+    return {"count": str(len(unmet))} | {f"u{k}": text(words) for k, words in enumerate(shown, start=1)}
+
+
+def read_unmet(fields: Fields) -> list[str]:
+    """Of an ``unmet``. Raises ``BadField``."""
+    count = int(read_number(fields, "count", 0, 10_000))
+    unmet = [fields[f"u{k}"] for k in range(1, count + 1) if f"u{k}" in fields]
+    if len(unmet) < count:
+        unmet.append(f"and {count - len(unmet)} more")
+    return unmet

@@ -1,0 +1,148 @@
+"""The controllers of a run are recorded and compared; a UR arm of a profile is driven with what the profile says."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.collection.cell import ARM_DRIVERS, Cell, open_cell, ur_expectation
+from cellapp.collection.collect import collect_run
+from cellapp.collection.controllers import CONTROLLERS_RESULT, check_controllers
+from cellapp.errors import HardwareError, InputError
+from cellapp.planning.plan import plan_stops
+from cellapp.profile import Profile, UrArmDriver, load_profile
+from cellapp.run import RunFile
+from drivers.arms.protocol import ArmIdentity, LinkLost
+from drivers.arms.simulated import SimulatedArm
+from drivers.arms.ur import UrArm
+from tests.twin import small_twin
+
+PROFILES = Path(__file__).parents[2] / "profiles"
+
+
+class Known(SimulatedArm):
+    """A simulated arm that says of itself what a test wants."""
+
+    says = ArmIdentity("UR10", "20153012345", "3.15.8", None, "0000000a")
+    notes: tuple[str, ...] = ()
+    silent = False
+
+    def identify(self) -> ArmIdentity:
+        if self.silent:
+            raise LinkLost(f"arm {self.name}: gone")
+        return self.says
+
+    def warnings(self) -> tuple[str, ...]:
+        return self.notes
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[RunFile]:
+    with RunFile.create(tmp_path / "run", small_twin(12)) as made:
+        yield made
+
+
+@pytest.fixture
+def cell(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cell]:
+    drivers = {"simulated": lambda name, arm, plant: Known(plant, name)}
+    monkeypatch.setattr("cellapp.collection.cell.ARM_DRIVERS", drivers)
+    with open_cell(run.profile) as opened:
+        yield opened
+
+
+def left(cell: Cell) -> Known:
+    arm = cell.arms["left"]
+    assert isinstance(arm, Known)
+    return arm
+
+
+def test_the_controllers_are_recorded_once(run: RunFile, cell: Cell) -> None:
+    assert check_controllers(run, cell) == ()
+    recorded = json.loads(run.read_result(CONTROLLERS_RESULT) or "")
+    assert recorded["left"] == {
+        "model": "UR10", "serial": "20153012345", "software": "3.15.8", "dh_checksum": "0000000a"
+    }  # fmt: skip
+    left(cell).says = replace(Known.says, software="3.15.9")
+    assert check_controllers(run, cell) == ()
+    assert json.loads(run.read_result(CONTROLLERS_RESULT) or "") == recorded
+
+
+def test_a_changed_checksum_warns_each_time_and_is_logged(run: RunFile, cell: Cell) -> None:
+    check_controllers(run, cell)
+    left(cell).says = replace(Known.says, dh_checksum="0000000b")
+    for _ in range(2):
+        (note,) = check_controllers(run, cell)
+        assert note.startswith("arm left: ")
+        for words in ("0000000a", "0000000b", "stale"):
+            assert words in note
+    assert [event.text for event in run.events() if event.level == "warning"] == [note, note]
+
+
+def test_another_controller_is_refused(run: RunFile, cell: Cell) -> None:
+    check_controllers(run, cell)
+    left(cell).says = replace(Known.says, serial="20150000000")
+    with pytest.raises(HardwareError, match=r"arm left: .*begun with controller 20153012345, this one is 20150000000"):
+        check_controllers(run, cell)
+
+
+def test_what_an_arm_warns_of_is_told(run: RunFile, cell: Cell) -> None:
+    left(cell).notes = ("arm left: the speed slider stands at 40%",)
+    assert check_controllers(run, cell) == left(cell).notes
+
+
+def test_a_silent_controller_is_a_fault_of_the_hardware(run: RunFile, cell: Cell) -> None:
+    left(cell).silent = True
+    with pytest.raises(HardwareError, match="arm left: gone"):
+        check_controllers(run, cell)
+
+
+def test_collecting_records_the_controllers(run: RunFile) -> None:
+    run.write_plan({name: q[:12] for name, q in plan_stops(run.profile).items()})
+    collect_run(run)
+    recorded = json.loads(run.read_result(CONTROLLERS_RESULT) or "")
+    assert {name: who["serial"] for name, who in recorded.items()} == {"left": "SIM-left", "right": "SIM-right"}
+
+
+# -- the UR driver of a profile ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def real() -> Profile:
+    return load_profile(PROFILES / "ur10-ur5.yaml")
+
+
+def test_a_profiles_ur_arm_is_opened_with_what_the_profile_says(real: Profile) -> None:
+    arm = real.arms["left"]
+    assert isinstance(arm.driver, UrArmDriver)
+    opened = ARM_DRIVERS["ur"]("left", arm, None)
+    assert isinstance(opened, UrArm)
+    assert opened.name == "left"
+    expected = ur_expectation("left", arm, arm.driver)
+    assert (expected.model, expected.serial, expected.payload_kg) == ("UR10", None, pytest.approx(0.35))
+    np.testing.assert_allclose(expected.limits.position[1], np.radians([-170.0, -10.0]))
+    np.testing.assert_allclose(expected.limits.speed[:2], np.radians([30.0, 30.0]))
+    np.testing.assert_allclose(expected.payload_center_m, [0.015, 0.007, 0.030])
+    assert expected.tcp is None
+
+
+def test_an_arm_of_seven_joints_is_no_ur(real: Profile) -> None:
+    arm = real.arms["left"]
+    seven = arm.model_copy(
+        update={"type": arm.type.model_copy(update={"joints": (*arm.type.joints, arm.type.joints[0])})}
+    )
+    with pytest.raises(InputError, match="has 7 joints, a UR arm has 6"):
+        ARM_DRIVERS["ur"]("left", seven, None)
+
+
+def test_a_cell_whose_controllers_are_not_there_is_a_fault_of_the_hardware(real: Profile) -> None:
+    driver = real.arms["left"].driver.model_copy(update={"host": "127.0.0.48", "timeout": 1.0})
+    arms = {"left": real.arms["left"].model_copy(update={"driver": driver})}
+    tracker = small_twin(12).tracker
+    profile = real.model_copy(update={"arms": arms, "tracker": tracker, "plant": small_twin(12).plant})
+    with pytest.raises(HardwareError, match=r"arm left: 127\.0\.0\.48:29999: no connection"), open_cell(profile):
+        pass
