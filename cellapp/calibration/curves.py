@@ -172,7 +172,7 @@ def A_times(gram: Array, root: Array, noise: float, vector: Array) -> Array:
 def spread(covariance: Array, points: int) -> Array:
     """Standard deviation of a curve at ``points`` equal steps from -pi to pi, from its coefficients' covariance."""
     around = np.linspace(-math.pi, math.pi, points, endpoint=False)
-    shapes = waves(around, len(covariance) // 2 + 1)
+    shapes = waves(around, len(covariance) // 2 + 1)  # from 2 cycles on, none left out
     return np.asarray(np.sqrt(np.maximum(np.einsum("mp,mk,kp->p", shapes, covariance, shapes, optimize=True), 0.0)))
 
 

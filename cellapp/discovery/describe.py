@@ -12,7 +12,7 @@ import numpy as np
 from cellapp.discovery.data import ArmData, Fit
 from cellapp.discovery.scan import Candidate, Follower, Seen, displacements, explained_by
 from cellapp.effects import EffectColumn, Law
-from cellapp.effects.unknown import channel_direction, values_of
+from cellapp.effects.unknown import channel_directions, values_of
 from cellapp.kinematics.transforms import Array
 
 _POINTS = 60
@@ -141,24 +141,22 @@ def _formula(
     y = fit.residual + fit.signal(place)
     MY = follower.without(y)
     square = float(y @ MY)
-    direction = _direction(fit.columns[begin : begin + len(part.names)], data, part.law, channel)
+    directions = [] if basis.joint is not None else channel_directions(data.context, channel)
     candidates = []
     shapes = _shapes(variables, known)
     for text, values in shapes:
-        columns = tuple(
-            EffectColumn(
-                f"{text}#{k}",
-                "",
-                text,
-                -math.inf,
-                math.inf,
-                basis.where,
-                joint=basis.joint,
-                offset=values[:, k] if basis.joint is not None else None,
-                shift_M=None if direction is None else values[:, k, None] * direction,
+        common = ("", text, -math.inf, math.inf, basis.where)
+        if basis.joint is not None:
+            columns = tuple(
+                EffectColumn(f"{text}#{k}", *common, joint=basis.joint, offset=values[:, k])
+                for k in range(values.shape[1])
             )
-            for k in range(values.shape[1])
-        )
+        else:
+            columns = tuple(
+                EffectColumn(f"{text}#{k}#{d}", *common, shift_M=values[:, k, None] * direction)
+                for k in range(values.shape[1])
+                for d, direction in enumerate(directions)
+            )
         law = Law(text, {}, len(shapes))
         candidates.append(Candidate("unknown", law, columns, displacements(columns, fit.by_joint, fit.white)))
     if not candidates:
@@ -173,10 +171,3 @@ def _formula(
     if gain < 0.0 and best.explained < 0.95 * share:
         return "", gain
     return best.candidate.law.name, gain
-
-
-def _direction(columns: tuple[EffectColumn, ...], data: ArmData, law: Law, channel: str) -> Array | None:
-    """Shift of the SMR (n, 3) per unit of a channel that turns no joint."""
-    if columns[0].joint is not None:
-        return None
-    return channel_direction(data.context, channel)

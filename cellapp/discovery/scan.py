@@ -240,7 +240,7 @@ class Seen:
 
         picked, best = forward((), 0.0)
         everything = tuple(i for block in blocks for i in block)
-        if 1 < len(blocks) and len(everything) <= _MOST_TOGETHER:
+        if len(blocks) > 1 and len(everything) <= _MOST_TOGETHER:
             together, value = everything, value_of(everything)[0]
             while len(together) > 1:
                 fewer = []

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from cellapp.calibration.curves import CYCLES, Curves, find_curves
+from cellapp.calibration.curves import CYCLES, Curves, find_curves, variances
 from cellapp.discovery.data import ArmData, Choice, Fit, Part, whitening
 from cellapp.discovery.scan import (
     Follower,
@@ -372,7 +372,7 @@ class _Engine:
             if not joints:
                 return None
         place = next((i for i, part in enumerate(fit.choice) if part.slug == "transmission_error"), None)
-        law, names = _curve_law(curves, here)
+        law, names = _curve_law(curves)
         rest = fit.choice
         if place is not None:  # lines beyond the curve's reach stay, free; those within it become part of the curve
             names = (*names, *(name for name in fit.choice[place].names if name not in set(names)))
@@ -552,7 +552,7 @@ def _curve_price(curves: Curves, data: ArmData) -> float:
     return (2 * len(curves.joints) + 1) * math.log(3 * len(data))
 
 
-def _curve_law(curves: Curves, data: ArmData) -> tuple[Law, tuple[str, ...]]:
+def _curve_law(curves: Curves) -> tuple[Law, tuple[str, ...]]:
     """The law ``curve`` with the prior's constants, and the names of its columns."""
     constants: dict[str, float] = {"cycles": float(CYCLES)}
     for joint, length, amplitude in zip(
@@ -560,7 +560,18 @@ def _curve_law(curves: Curves, data: ArmData) -> tuple[Law, tuple[str, ...]]:
     ):
         constants |= {f"length{joint + 1}": length, f"amplitude{joint + 1}": amplitude}
     law = Law("curve", constants)
-    return law, tuple(column.name for column in EFFECTS["transmission_error"].columns(data.context, law))
+    # what the prior holds for nothing need not be carried along
+    most = {j: _cycles_that_matter(length) for j, length in zip(curves.joints, curves.lengths.tolist(), strict=True)}
+    names = (
+        f"{wave}{k}q{j + 1}" for j in curves.joints for k in range(2, most[j] + 1) for wave in ("cos", "sin")
+    )
+    return law, tuple(names)
+
+
+def _cycles_that_matter(length: float) -> int:
+    """Cycles a turn below which all but half a per cent of a curve's variance lies."""
+    share = np.cumsum(variances(length, 1.0, 10 * CYCLES))
+    return min(int(np.searchsorted(share, 0.995 * share[-1])) + 2, CYCLES)
 
 
 def _value(fit: Fit, place: int, follower: Follower, MY: Array, square: float) -> float:

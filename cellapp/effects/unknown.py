@@ -2,7 +2,7 @@
 
 A term is a law named ``channel|variable`` or ``channel|variable|variable``.
 
-Channels: ``joint j`` (an offset of the joint), ``base shift x|y|z``, ``base turn x|y|z`` (a twist of the base frame),
+Channels: ``joint j`` (an offset of the joint), ``base shift`` and ``tool`` (in any direction), ``base shift x|y|z``, ``base turn x|y|z`` (a twist of the base frame),
 ``tool x|y|z`` (a shift of the SMR in the flange), ``tracker radial`` (along the beam), ``tracker azimuth`` and
 ``tracker elevation`` (errors of its angles).
 
@@ -35,17 +35,20 @@ from cellapp.kinematics.transforms import Array
 ORDER = 4
 TIME_ORDER = 20
 PAIR_ORDER = 3
+_PERIODS = 48
 _ROUNDING = 1e-6
 _LARGEST = 1e-2
 _TWISTS = tuple(f"base {kind} {axis}" for kind in ("shift", "turn") for axis in "xyz")
 _TOOLS = ("tool x", "tool y", "tool z")
 _TRACKER = ("tracker radial", "tracker azimuth", "tracker elevation")
+_VECTORS = {"base shift": _TWISTS[:3], "tool": _TOOLS}
 
 
 class Unknown:
     """A data-driven term ``sum_k b_k f_k(v)`` in one channel, or ``sum_k b_k f_k(v, w)``; b in rad or m.
 
-    Of a joint angle v: cosine and sine of v to 4 v. Of time: linear, and cosine of 1 to 20 half cycles over the run. Of
+    Of a joint angle v: cosine and sine of v to 4 v. Of time: linear, and cosine of 1 to 20 half cycles over the run, or
+    with ``period_s`` cosine and sine of one period. Of
     anything else: Legendre polynomials to order 4 on the range it had in the run, held beyond it. Of two variables: all
     such functions of total order up to 3. Constants: ``order``, ``low``, ``high`` and ``typical`` (what is taken where
     nobody knows: the end of the run for time, no step, the run's median dwell, its mean temperature, the nominal
@@ -81,17 +84,21 @@ class Unknown:
                 joint_column(f"{prefix}.{name}", "rad", joint, values, -_LARGEST, _LARGEST, channel)
                 for name, values in functions.items()
             ]
-        unit, moved = _direction(context, channel)
         where = channel.split(" ", 1)[0]
-        return [
-            shift_column(f"{prefix}.{name}", unit, where, values[:, None] * moved, -_LARGEST, _LARGEST, channel)
-            for name, values in functions.items()
-        ]
+        columns = []
+        for one in _VECTORS.get(channel, (channel,)):
+            unit, moved = _direction(context, one)
+            label = one.replace(" ", "_")
+            columns += [
+                shift_column(f"{label}.{name}", unit, where, values[:, None] * moved, -_LARGEST, _LARGEST, channel)
+                for name, values in functions.items()
+            ]
+        return columns
 
 
 def channels(joints: int) -> tuple[str, ...]:
     """All channels of an arm; a turn of the base about its z is an offset of joint 1."""
-    return (*(f"joint {j}" for j in range(1, joints + 1)), *_TWISTS[:-1], *_TOOLS, *_TRACKER)
+    return (*(f"joint {j}" for j in range(1, joints + 1)), *_VECTORS, *_TWISTS[:-1], *_TOOLS, *_TRACKER)
 
 
 def variables(context: EffectContext) -> tuple[str, ...]:
@@ -118,11 +125,19 @@ def dictionary(context: EffectContext) -> list[tuple[str, str, Law]]:
     Whoever chooses among them pays for as many as there are: a law cannot know with how many others it was tried.
     """
     constants = {name: _constants(context, name) for name in variables(context)}
-    return [
+    terms = [
         (channel, name, Law(f"{channel}|{name}", constants[name]))
         for channel in channels(context.joints)
         for name in constants
     ]
+    if "time" in constants:  # a sway of any one period: from two spans of the run to a dozen stops
+        ends = constants["time"]
+        run_s = ends["high"] - ends["low"]
+        shortest = 12.0 * run_s / max(len(context), 24)
+        for period in np.geomspace(2.0 * run_s, shortest, _PERIODS).tolist():
+            sway = {**ends, "order": 1.0, "period_s": period}
+            terms += [(channel, "time", Law(f"{channel}|time", sway)) for channel in channels(context.joints)]
+    return terms
 
 
 def pairs(context: EffectContext, channel: str | None = None, among: Collection[str] | None = None) -> list[Law]:
@@ -150,9 +165,9 @@ def values_of(context: EffectContext, variable: str) -> Array:
     return _raw(context, variable)
 
 
-def channel_direction(context: EffectContext, channel: str) -> Array:
-    """Shift of the SMR (n, 3) [m in the tracker frame] per unit of a channel that turns no joint."""
-    return _direction(context, channel)[1]
+def channel_directions(context: EffectContext, channel: str) -> list[Array]:
+    """Shifts of the SMR (n, 3) [m in the tracker frame] per unit of a channel that turns no joint, in each direction."""
+    return [_direction(context, one)[1] for one in _VECTORS.get(channel, (channel,))]
 
 
 def _is_angle(variable: str) -> bool:
@@ -219,6 +234,9 @@ def _functions(context: EffectContext, law: Law, names: list[str]) -> dict[str, 
     """Functions (n,) of the law's variable or variables, by name."""
     first = _own(law.constants, "")
     if len(names) == 1:
+        if names[0] == "time" and "period_s" in first:
+            phase = 2.0 * np.pi * _unit(context, "time", first) * (first["high"] - first["low"]) / first["period_s"]
+            return {"cos_time": np.cos(phase), "sin_time": np.sin(phase)}
         if names[0] == "time":
             return _of_time(_unit(context, "time", first), round(first["order"]))
         return {name: values for _, name, values in _family(context, names[0], first)}
@@ -241,7 +259,7 @@ def _or_zero(values: Array) -> Array:
 
 def _own(constants: Mapping[str, float], suffix: str) -> dict[str, float]:
     """The constants of the first (no suffix) or of the second variable."""
-    names = ("order", "low", "high", "typical", "center")
+    names = ("order", "low", "high", "typical", "center", "period_s")
     return {name: constants[name + suffix] for name in names if name + suffix in constants}
 
 

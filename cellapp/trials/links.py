@@ -84,7 +84,8 @@ class Struck:
     Attributes
     ----------
     reported_s, at_rest_s : float
-        From the fault to the driver's report, and to the arm's rest as its controller knows it [s].
+        From the fault to the driver's report, and to the arm's rest as its controller knows it [s]; the latter says
+        something for faults during a motion only.
     recovered_s : float
         From the call of ``connect``, after a person had mended all, to an arm that may move [s].
     """
@@ -124,7 +125,9 @@ class LinkTrial:
             "by_fault": {
                 fault: {
                     "reported_s": _spread([one.reported_s for one in self.struck if one.fault == fault]),
-                    "at_rest_s": _spread([one.at_rest_s for one in self.struck if one.fault == fault]),
+                    "at_rest_s": _spread(
+                        [one.at_rest_s for one in self.struck if one.fault == fault and one.moment == "during"]
+                    ),
                     "recovered_s": _spread([one.recovered_s for one in self.struck if one.fault == fault]),
                 }
                 for fault in FAULTS

@@ -222,6 +222,11 @@ class Worker:
             raise Refusal("failed", "the control program does not obey (it refused the watchdog)")
         self._kicked_s = time.monotonic()
 
+    def _check_links(self) -> None:
+        """The client would try to reconnect by itself, again and again, and crash in the end."""
+        if not (self._control.isConnected() and self._receive.isConnected()):
+            self._lose("the RTDE link broke")
+
     def _sample(self) -> _Sample:
         """The newest state, all of one packet."""
         receive = self._receive
@@ -250,6 +255,7 @@ class Worker:
         before = self._receive.getTimestamp()
         deadline = time.monotonic() + _SILENT_S
         while self._receive.getTimestamp() == before:
+            self._check_links()
             if time.monotonic() > deadline:
                 self._lose(f"no state came for {_SILENT_S:g} s")
             time.sleep(0.0005)
@@ -359,8 +365,7 @@ class Worker:
         now = time.monotonic()
         if os.name == "posix" and os.getppid() != self._parent:
             self.orphan()
-        if not (self._control.isConnected() and self._receive.isConnected()):
-            self._lose("the RTDE link broke")
+        self._check_links()
         sample = self._sample()
         if sample.time_s == self._last_time:
             self._ticks_without_news += 1

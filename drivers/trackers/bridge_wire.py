@@ -185,7 +185,7 @@ def error_fields(error: BaseException) -> dict[str, str]:
     """The fields of an ``error`` line for what a tracker raised: the word for its class or the nearest above it."""
     if isinstance(error, ValueError):
         return {"kind": "bad-field", "text": text(str(error))}
-    kinds = {known: kind for kind, known in reversed(ERRORS.items())}  # of several words for one class the first
+    kinds = {known: kind for kind, known in reversed(list(ERRORS.items()))}  # of several words for one class the first
     kind = next((kinds[known] for known in type(error).__mro__ if known in kinds), "failed")
     return {"kind": kind, "text": text(str(error))}
 
