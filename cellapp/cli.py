@@ -58,13 +58,16 @@ def run(
     json_file: JsonOption = None,
 ) -> None:
     """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report."""
-    from cellapp.reporting.tables import all_tables, tracker_sentences
-    from cellapp.whole import run_whole
+    from cellapp.reporting.findings import discovery_lines
+    from cellapp.reporting.tables import calibration_tables, tracker_sentences, verification_tables
+    from cellapp.whole import VERIFY_RESULT, run_whole
 
     with _Job(json_file) as job:
         outcome = run_whole(profile, folder, job.listen, job.cancel)
-        job.show(all_tables(outcome.results))
-        job.say(*_sentences(outcome.results), *tracker_sentences(outcome.results["calibrate"]), *outcome.notes)
+        job.show(calibration_tables(outcome.results["calibrate"]))
+        job.say(*discovery_lines(outcome.results["discover"]))
+        job.show(verification_tables(outcome.results.get(VERIFY_RESULT, {"arms": {}})))
+        job.say(*tracker_sentences(outcome.results["calibrate"]), *outcome.notes)
         job.say(f"run: {outcome.folder}   report: {outcome.folder / 'report.html'}")
         job.result({"schema": "cellapp-run", "version": 1, "run": str(outcome.folder), **outcome.results})
         _check_verified(outcome.results)
@@ -191,12 +194,11 @@ def calibrate(
 def discover(folder: RunFolder, json_file: JsonOption = None) -> None:
     """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink."""
     from cellapp.discovery.discover import as_dict, discover_run
-    from cellapp.reporting.tables import discovery_tables
+    from cellapp.reporting.findings import discovery_lines
 
     with _Job(json_file) as job, _open_run(folder, write=True) as opened:
         result = as_dict(discover_run(opened, job.listen, job.cancel))
-        job.show(discovery_tables(result))
-        job.say(*_sentences({"discover": result}))
+        job.say(*discovery_lines(result))
         job.result(result)
 
 
@@ -475,11 +477,6 @@ def _open_run(folder: Path, *, write: bool = False) -> Iterator[RunFile]:
 
     with RunFile.open(folder, write=write) as opened:
         yield opened
-
-
-def _sentences(results: Any) -> list[str]:
-    discovered = results.get("discover", {"arms": {}})
-    return [arm["sentence"] for arm in discovered["arms"].values()]
 
 
 def _check_verified(results: Mapping[str, Any]) -> None:

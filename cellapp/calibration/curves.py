@@ -23,7 +23,7 @@ from cellapp.kinematics.transforms import Array
 CYCLES = 100
 """Cycles a turn up to which curves go: 3.6 degrees."""
 _MOST_SPECTRUM = 4000
-_LENGTHS = (math.radians(1.5), math.radians(60.0))
+_LENGTHS = (math.radians(1.5), math.radians(20.0))
 _START_LENGTH = math.radians(5.0)
 _EVALUATIONS = 60
 

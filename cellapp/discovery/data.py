@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from cellapp.calibration.curves import CYCLES, Curves, spread, variances
 from cellapp.calibration.identification import (
@@ -37,12 +38,16 @@ _SPREAD_POINTS = 180
 
 @dataclass(frozen=True)
 class Part:
-    """An effect in a model: which law, which of its columns, and for free curves their prior."""
+    """An effect in a model: which law, which of its columns, and for free curves their prior.
+
+    ``free`` are columns of a free curve that have no prior: sharp lines.
+    """
 
     slug: str
     law: Law
     names: tuple[str, ...]
     curves: Curves | None = None
+    free: frozenset[str] = frozenset()
     note: str = ""
 
 
@@ -88,10 +93,14 @@ class Fit:
         values = self.identification.effect_values[begin : begin + count]
         return np.asarray(values @ self.rows[place : place + count])
 
-    @property
-    def square(self) -> float:
-        """Sum of squares of the whitened residual."""
-        return float(self.residual @ self.residual)
+    @cached_property
+    def target(self) -> Array:
+        """What linear refits with priors about zero aim at, whitened (3 n,): the residual and what priors hold back."""
+        first = len(self.rows) - len(self.columns)
+        held = np.flatnonzero(self.precision[first:] > 0.0)
+        if not len(held):
+            return self.residual
+        return np.asarray(self.residual + self.identification.effect_values[held] @ self.rows[first + held])
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,6 +268,11 @@ class ArmData:
         rows = np.concatenate([geometric, displacements(columns, by_joint, white)])
         sd = self.prior_sd(choice)
         precision = np.zeros(len(rows))
+        if self.sigma is not None:
+            beliefs = prior_sigmas(self.model.nominal, self.profile.calibration.priors)
+            for row, name in enumerate(found.names[:size]):
+                if name in beliefs:
+                    precision[row] = 1.0 / beliefs[name] ** 2
         if sd is not None:
             precision[size:] = 1.0 / sd**2
         return Fit(
@@ -289,7 +303,7 @@ class ArmData:
                     rows = [
                         place + i
                         for i, column in enumerate(columns[place - len(found.parameter_set.columns) :][: len(part.names)])
-                        if column.joint == joint and _cycles(column.name) <= CYCLES
+                        if column.joint == joint and cycles_of(column.name) <= CYCLES
                     ]
                     bands[joint] = spread(found.covariance[np.ix_(rows, rows)], _SPREAD_POINTS)
             terms.append(
@@ -327,6 +341,18 @@ class ArmData:
                 blocks.add(column.block)
         return blocks
 
+    def left_out(self, fit: Fit, folds: int) -> float:
+        """Root mean square [m, or whitened without weights] of coordinates that are left out of a fit in turns.
+
+        Linear in all parameters, about the fit, which the left-out readings helped to find.
+        """
+        fold = np.tile(np.random.default_rng([self.profile.seed, 0xF01D]).permutation(len(self)) % folds, 3)
+        off = np.empty(len(fold))
+        for out, solution in _solutions(fit.rows, fit.precision, fit.target, fold, folds):
+            off[out] = fit.target[out] - solution @ fit.rows[:, out]
+        white = off.reshape(3, -1)
+        return float(np.sqrt(np.mean(np.linalg.solve(fit.white.transpose(2, 0, 1), white.T[:, :, None]) ** 2)))
+
     def confirmed(self, fit: Fit, new: Array, folds: int) -> float:
         """By how much the sum of squares of readings left out falls when columns ``new`` (m, 3 n) join a fit.
 
@@ -338,20 +364,29 @@ class ArmData:
         gains = 0.0
         for rows, sign in ((fit.rows, 1.0), (np.concatenate([fit.rows, new]), -1.0)):
             precision = np.concatenate([fit.precision, np.zeros(len(rows) - len(fit.rows))])
-            scale = 1.0 / np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
-            X = rows * scale[:, None]
-            gram, moment = X @ X.T + np.diag(precision * scale**2), X @ fit.residual
-            for k in range(folds):
-                out = fold == k
-                part = X[:, out]
-                inside = gram - part @ part.T
-                values, vectors = np.linalg.eigh(inside)
-                kept = values > 1e-11 * values[-1]
-                solution = vectors[:, kept] @ (
-                    (vectors[:, kept].T @ (moment - part @ fit.residual[out])) / values[kept]
-                )
-                gains += sign * float(np.sum((fit.residual[out] - solution @ part) ** 2))
+            for out, solution in _solutions(rows, precision, fit.target, fold, folds):
+                gains += sign * float(np.sum((fit.target[out] - solution @ rows[:, out]) ** 2))
         return gains
+
+
+def _solutions(
+    rows: Array, precision: Array, target: Array, fold: NDArray[np.intp], folds: int
+) -> Iterator[tuple[NDArray[np.bool_], Array]]:
+    """For each fold the coordinates that are left out, and the parameters (p,) that the others ask for."""
+    scale = 1.0 / np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
+    X = rows * scale[:, None]
+    gram, moment = X @ X.T + np.diag(precision * scale**2), X @ target
+    for k in range(folds):
+        out = fold == k
+        part = X[:, out]
+        inside = gram - part @ part.T
+        factor, solution, failed = lapack.dposv(inside, moment - part @ target[out], lower=1)
+        diagonal = np.diag(factor)
+        if failed or diagonal.min() <= 1e-6 * diagonal.max():
+            values, vectors = np.linalg.eigh(inside)
+            kept = values > 1e-11 * values[-1]
+            solution = vectors[:, kept] @ ((vectors[:, kept].T @ (moment - part @ target[out])) / values[kept])
+        yield out, solution * scale
 
 
 def curve_prior(part: Part) -> Array:
@@ -366,13 +401,15 @@ def curve_prior(part: Part) -> Array:
         )
     }
     for place, name in enumerate(part.names):
-        cycles, joint = _cycles(name), int(name.rpartition("q")[2]) - 1
+        cycles, joint = cycles_of(name), int(name.rpartition("q")[2]) - 1
+        if name in part.free:
+            continue
         if cycles <= CYCLES and joint in by_joint:
             sd[place] = max(float(by_joint[joint][cycles - 1]), 1e-9)
     return sd
 
 
-def _cycles(name: str) -> int:
+def cycles_of(name: str) -> int:
     """Cycles a turn of a column such as ``cos12q3``."""
     return int(name[3:].partition("q")[0])
 

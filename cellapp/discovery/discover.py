@@ -18,7 +18,7 @@ from cellapp.calibration.residual import train_network
 from cellapp.calibration.setup import stated_uncertainty
 from cellapp.discovery.data import ArmData, Fit
 from cellapp.discovery.describe import Description, describe
-from cellapp.discovery.pictures import Picture, pictures
+from cellapp.discovery.pictures import Picture, cycles, pictures
 from cellapp.discovery.scan import VISIBLE, smallest_seen
 from cellapp.discovery.search import UNKNOWN, Rival, Search, scatter, search
 from cellapp.effects import EFFECTS, Circumstances, EffectTerm
@@ -497,6 +497,8 @@ def _finding_dict(finding: Finding) -> dict[str, Any]:
         if finding.correlated is None
         else {"parameter": finding.correlated[0], "correlation": finding.correlated[1]},
     }
+    if term.slug == "transmission_error":
+        entry["cycles"] = cycles(term.names, term.values)
     if finding.description is not None:
         entry["description"] = finding.description.as_dict()
         entry["where"] |= {"channel": finding.description.channel, "variables": list(finding.description.variables)}

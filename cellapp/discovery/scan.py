@@ -18,11 +18,12 @@ searching over many laws does not raise the false-alarm rate (max-T: Westfall, Y
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack, solve_triangular
 
 from cellapp.effects import EffectColumn, Law
 from cellapp.kinematics.transforms import Array
@@ -34,7 +35,8 @@ VISIBLE = 1e-3
 """A direction of which the model takes all but this share (in norm) is invisible."""
 _TAIL = 0.15
 _MOST_TOGETHER = 24
-_MOST_BLOCKS = 120
+_MOST_BLOCKS = 40
+_MOST_LAWS = 10
 
 
 @dataclass(frozen=True)
@@ -51,10 +53,13 @@ class Follower:
         gram = scaled.T @ scaled
         if precision is not None:
             gram = gram + np.diag(precision * scale**2)
+        factor, failed = lapack.dpotrf(gram, lower=1)
+        diagonal = np.diag(factor)
+        if failed == 0 and diagonal.min() > 3e-5 * diagonal.max():
+            return cls(np.ascontiguousarray(solve_triangular(factor, scaled.T, lower=True, check_finite=False).T))
         values, vectors = np.linalg.eigh(gram)
         kept = values > 1e-11 * values[-1]
-        root = vectors[:, kept] / np.sqrt(values[kept])
-        return cls(scaled @ root)
+        return cls(scaled @ (vectors[:, kept] / np.sqrt(values[kept])))
 
     def without(self, rows: Array) -> Array:
         """``rows`` (..., d) times M."""
@@ -190,11 +195,18 @@ class Seen:
             np.maximum.at(best, owner, value)
         return best
 
-    def scores(self, MY: Array, square: float, within: Collection[int] | None = None) -> list[Score]:
-        """Scores of the candidates for one residual ``MY`` (d,) with ``square = y^T M y``, best first."""
+    def scores(self, MY: Array, square: float) -> list[Score]:
+        """Scores of the candidates for one residual ``MY`` (d,) with ``square = y^T M y``, best first.
+
+        Of each effect only the laws are gone through whose best block alone is among its best.
+        """
         ahead = self.block_scores(MY[:, None], np.array([square]))[:, 0]
-        chosen = range(len(self.candidates)) if within is None else within
-        found = [self.greedy(number, MY, square) for number in chosen if np.isfinite(ahead[number])]
+        by_slug: dict[str, list[int]] = {}
+        for number in np.argsort(-ahead, kind="stable").tolist():
+            if np.isfinite(ahead[number]):
+                by_slug.setdefault(self.candidates[number].slug, []).append(number)
+        chosen = [number for numbers in by_slug.values() for number in numbers[:_MOST_LAWS]]
+        found = [self.greedy(number, MY, square) for number in chosen]
         return sorted((one for one in found if one is not None), key=lambda s: -s.value)
 
     def greedy(self, number: int, MY: Array, square: float) -> Score | None:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from cellapp.calibration.curves import CYCLES, Curves, find_curves, variances
-from cellapp.discovery.data import ArmData, Choice, Fit, Part, whitening
+from cellapp.discovery.data import ArmData, Choice, Fit, Part, cycles_of, whitening
 from cellapp.discovery.scan import (
     Follower,
     Score,
@@ -31,7 +31,8 @@ UNKNOWN = "unknown"
 _MOST_EFFECTS = 5
 _MOST_STEPS = 16
 _MOST_TERMS = 3
-_MANY_LINES = 16
+_MANY_LINES = 10
+"""Columns of a transmission error from which a free curve is tried instead."""
 _RIVAL = 10.0
 """Effects whose score is this near the winner's are in its answer set; what is not in the library must lead by it."""
 _SAME_CAUSE = 0.05
@@ -155,6 +156,9 @@ class _Engine:
             if step is None:
                 break
             way, seen = self.taken(way, step), None
+            if step.slug == "transmission_error" and len(step.choice[-1].names) >= _MANY_LINES:
+                # so many lines are a curve: what it leaves is judged better than what some of its lines leave
+                way = self._curve(way) or way
         return way
 
     def criterion(self, way: _Way) -> float:
@@ -204,6 +208,44 @@ class _Engine:
                 return accepted
             refused.add((score.slug, score.candidate.law.name))
         return None
+
+    def _line_beside(self, here: ArmData, fit: Fit, place: int, needed: float) -> Step | None:
+        """A sharp line beside a free curve, which is smooth."""
+        part = fit.choice[place]
+        lines = next(law for law in EFFECTS[part.slug].laws(here.context) if law.name == "lines")
+        candidate = here.candidate(fit, part.slug, lines)
+        assert part.curves is not None
+        sharp = [
+            k
+            for k, column in enumerate(candidate.columns)
+            if column.joint not in part.curves.joints or cycles_of(column.name) > CYCLES
+        ]
+        columns = tuple(candidate.columns[k] for k in sharp)
+        candidate = replace(candidate, columns=columns, B=candidate.B[sharp])
+        seen = Seen.of([candidate], fit.follower)
+        MY = fit.follower.without(fit.residual)
+        square = float(fit.residual @ MY)
+        score = seen.greedy(0, MY, square)
+        if score is None or score.value <= max(needed, self.least):
+            return None
+        blocks: dict[str, list[int]] = {}
+        for k in score.chosen:
+            blocks.setdefault(candidate.columns[k].block, []).append(k)
+        folds = here.profile.discovery.folds
+        held = [
+            k
+            for rows in blocks.values()
+            if here.confirmed(fit, candidate.B[rows], folds) > _RIVAL
+            for k in rows
+        ]
+        names = tuple(candidate.columns[k].name for k in held if candidate.columns[k].name not in part.names)
+        if not names:
+            return None
+        freed = frozenset(names) | part.free
+        refined = replace(part, names=(*part.names, *names), free=freed)
+        choice = (*fit.choice[:place], refined, *fit.choice[place + 1 :])
+        title = EFFECTS[part.slug].title
+        return Step(part.slug, f"{title}: lines beside the curve", score.value, corrected_p(self.maxima, score.value), choice)
 
     def _improved(self, here: ArmData, fit: Fit) -> tuple[ArmData, Fit]:
         """Move the constants of the laws (onset, time constant, knee, width) to where they explain most."""
@@ -281,6 +323,8 @@ class _Engine:
         """A better law, or more joints, for an effect that is there, that gains more than ``needed``."""
         best: Step | None = None
         for place, part in enumerate(fit.choice):
+            if part.curves is not None:
+                best = self._line_beside(here, fit, place, needed) or best
             if part.slug == UNKNOWN or part.curves is not None:
                 continue
             follower = fit.follower_without(place)
@@ -288,7 +332,7 @@ class _Engine:
             MY = follower.without(y)
             square = float(y @ MY)
             candidates = here.candidates(fit, [part.slug])
-            if len(part.names) > _MANY_LINES:  # rather a curve than one line after the other
+            if len(part.names) >= _MANY_LINES:  # rather a curve than one line after the other
                 candidates = [one for one in candidates if len(one.columns) <= 2 * _MANY_LINES]
             effect = EFFECTS[part.slug]
             if isinstance(effect, Refinable):
@@ -474,7 +518,8 @@ class _Engine:
             for other, more in enumerate(fit.choice):
                 if more.slug == UNKNOWN or other == place:
                     continue
-                shared = EFFECTS[part.slug].variables & EFFECTS[more.slug].variables
+                # everything depends on the posture; that alone makes no kin
+                shared = (EFFECTS[part.slug].variables & EFFECTS[more.slug].variables) - {"q"}
                 if shared and removed[place] < _SAME_CAUSE * removed[other]:
                     return place
         return None

@@ -19,7 +19,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
@@ -85,6 +85,7 @@ _FAMILIES = frozenset(
 )
 _SIZE = (5.2, 3.3)
 _WIDE = (8.0, 6.0)
+_SMOOTH = 4.0  # a line that goes up and down more often than this, over its whole range, is a cloud
 _LEAST_MM = 1e-6  # what a logarithmic axis shows for no error at all
 
 
@@ -153,6 +154,96 @@ def residual_figure(
         axes.set_ylabel("configurations")
         if floor_mm is not None:
             axes.axvline(floor_mm, color=_INK, linewidth=1.0, linestyle="--")
+        return _svg(figure, key)
+
+
+def steps_figure(key: str, gaps_mm: Array, floor_mm: float | None) -> str:
+    """Held-out rms (n,) [mm] before any step and after each, on a logarithmic axis, against the noise floor."""
+    with _settings(key):
+        figure, axes = _axes()
+        number = np.arange(len(gaps_mm))
+        shown = np.maximum(gaps_mm, _LEAST_MM)
+        axes.plot(number, shown, color=_STAGES["geometry"], linewidth=1.3)
+        axes.plot(number, shown, "o", color=_STAGES["geometry"], markersize=5.0)
+        _log_axis(axes.yaxis, shown, floor_mm)
+        axes.set_xlim(-0.4, max(len(gaps_mm) - 1, 1) + 0.4)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_xlabel("step")
+        axes.set_ylabel("held-out rms [mm]")
+        if floor_mm is not None:
+            axes.axhline(floor_mm, color=_INK, linewidth=1.0, linestyle="--")
+        return _svg(figure, key)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a figure of an effect shows: dots at x (n,), measured and computed there, and the band of the latter (n,).
+
+    ``curve`` is (x, value, band) of a curve over a whole turn where there is one.
+    """
+
+    x: Array
+    measured: Array
+    computed: Array
+    band: Array
+    curve: tuple[Array, Array, Array] | None = None
+
+    @property
+    def is_line(self) -> bool:
+        """Whether what was computed is a function of x that a line can show, and not a cloud."""
+        if self.curve is not None or len(self.x) < 2:
+            return self.curve is not None
+        ways = float(np.abs(np.diff(self.computed)).sum())
+        return ways <= _SMOOTH * float(np.ptp(self.computed)) + 1e-12
+
+
+def effect_figure(key: str, seen: Seen, x_label: str, y_label: str) -> str:
+    """Measured points of one effect, the computed curve with two standard deviations to either side, or points."""
+    with _settings(key):
+        figure, axes = _axes()
+        width = 2.6 if len(seen.x) < 400 else 1.8
+        _dots(axes, seen.x, seen.measured, _STAGES["nominal"], "round", width=width)
+        colour = _STAGES["effects"]
+        x, value, band = seen.curve if seen.curve is not None else (seen.x, seen.computed, seen.band)
+        if seen.is_line:
+            if len(band):
+                axes.fill_between(x, value - 2.0 * band, value + 2.0 * band, color=colour, alpha=0.25, linewidth=0.0)
+            axes.plot(x, value, color=colour, linewidth=1.3)
+        else:
+            _dots(axes, x, value, colour, "projecting", width=width)
+        low, high = _typical_range(np.concatenate([seen.measured, value]), seen.computed)
+        axes.set_ylim(low, high)
+        axes.set_xlim(*((-180.0, 180.0) if seen.curve is not None else _padded(seen.x)))
+        if seen.curve is not None:
+            axes.xaxis.set_major_locator(MultipleLocator(60.0))
+        axes.set_xlabel(x_label.replace("[urad]", "[µrad]").replace("[um]", "[µm]"))
+        axes.set_ylabel(y_label.replace("[urad]", "[µrad]").replace("[um]", "[µm]"))
+        return _svg(figure, key)
+
+
+def _typical_range(values: Array, always: Array) -> tuple[float, float]:
+    """Limits that leave out the few farthest of ``values``, but none of ``always``."""
+    low, high = np.quantile(values, (0.01, 0.99))
+    low, high = min(float(low), float(always.min())), max(float(high), float(always.max()))
+    room = 0.08 * (high - low) or 1.0
+    return low - room, high + room
+
+
+def certainty_figure(key: str, predicted_mm: Array, errors_mm: Array) -> str:
+    """Position error (n,) [mm] against the standard deviation of a coordinate (n,) that the model predicts for it.
+
+    The line is where the error is the root mean square length that the prediction stands for.
+    """
+    with _settings(key):
+        figure, axes = _axes()
+        predicted, errors = np.maximum(predicted_mm, _LEAST_MM), np.maximum(errors_mm, _LEAST_MM)
+        _log_axis(axes.xaxis, predicted, None)
+        _log_axis(axes.yaxis, errors, None)
+        _dots(axes, predicted, errors, _STAGES["effects"], "round", width=2.6 if len(errors) < 500 else 1.5)
+        ends = np.array(axes.get_xlim())
+        axes.plot(ends, np.sqrt(3.0) * ends, color=_INK, linewidth=1.0, linestyle="--")
+        axes.set_xlabel("predicted standard deviation of a coordinate [mm]")
+        axes.set_ylabel("position error [mm]")
         return _svg(figure, key)
 
 

@@ -20,17 +20,20 @@ import cellapp
 from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT
 from cellapp.calibration.evaluation import position_errors
 from cellapp.calibration.setup import stated_uncertainty
-from cellapp.discovery.discover import DISCOVER_RESULT
+from cellapp.discovery.discover import DISCOVER_RESULT, known_of_all
+from cellapp.effects import Circumstances
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import Geometry, frame_poses, parameter_names, smr_positions
 from cellapp.kinematics.transforms import Array, apply, invert
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile, profile_to_json
+from cellapp.reporting.discovery import arm_sections
+from cellapp.reporting.drawing import Drawing
+from cellapp.reporting.findings import is_current, own_sentence
+from cellapp.reporting.table import Table
 from cellapp.reporting.tables import (
     METHODS,
-    Table,
     detailed_tables,
-    discovery_tables,
     distance_mm,
     parameter_tables,
     transform_tables,
@@ -43,7 +46,6 @@ PAGE_FILE = "report.html"
 _VERIFY_RESULT = "verify"  # as in cellapp.whole, which imports this module
 _NO_PAIR = "pair: skipped"
 _MOST_EVENTS = 100
-_FOR_EYES = {"rad": (1e6, "µrad"), "rad/Nm": (1e6, "µrad/Nm"), "m": (1e6, "µm")}
 _STAGE_WORDS = {
     "nominal": "nominal",
     "geometry": "identified geometry",
@@ -68,24 +70,14 @@ _METHOD_WORDS = {
 
 
 @dataclass(frozen=True)
-class _Drawing:
-    """A figure as SVG with its caption; ``legend`` pairs the name of a colour of the style sheet with a text."""
-
-    svg: str
-    caption: str
-    legend: tuple[tuple[str, str], ...]
-    width: str = ""
-
-
-@dataclass(frozen=True)
 class _Drawings:
     """The figures by section of the page."""
 
-    accuracy: list[_Drawing]
-    pair: list[_Drawing]
-    vectors: list[_Drawing]
-    targets: list[_Drawing]
-    cell: list[_Drawing]
+    accuracy: list[Drawing]
+    pair: list[Drawing]
+    vectors: list[Drawing]
+    targets: list[Drawing]
+    cell: list[Drawing]
 
 
 @dataclass(frozen=True)
@@ -129,7 +121,8 @@ def page_text(run: RunFile, written: datetime) -> str:
     results = _read(run)
     model = CellModel.load(run.folder / CALIBRATION_FILE)
     readings = {name: run.readings(name) for name in model.arms}
-    drawn = _draw(results, model, readings)
+    known = known_of_all(model, readings)
+    drawn = _draw(results, model, readings, known)
     environment = Environment(
         loader=PackageLoader("cellapp", "reporting"),
         autoescape=True,
@@ -156,8 +149,9 @@ def page_text(run: RunFile, written: datetime) -> str:
         fact_table=_fact_table(results.calibrate),
         network_tables=_network_tables(results.calibrate),
         methods=[(method, words) for method, words in _METHOD_WORDS.items() if method in results.calibrate["pair"]],
-        discovery_tables=[] if discover is None else [*discovery_tables(discover), *_effect_tables(discover)],
-        doubts=[] if discover is None else _doubts(discover),
+        discoveries=[] if discover is None else arm_sections(discover, _certainties(model, readings, known)),
+        simulations=run.profile.discovery.null_simulations,
+        false_alarm=run.profile.discovery.false_alarm,
         targets=drawn.targets,
         verification_tables=[] if verify is None else verification_tables(verify),
         target_tables=[] if verify is None else _target_tables(verify),
@@ -185,7 +179,13 @@ def _read(run: RunFile) -> _Results:
         missing.append(("Pair (inter-base transform and cooperative errors)", _why_no_pair(run.profile, calibrate)))
     if discover is None:
         missing.append(("Missing effects", "make them with: cellapp discover DIR"))
-    elif any("effects" not in arm["validate"] for arm in calibrate["arms"].values()):
+    elif not is_current(discover):
+        discover = None
+        missing.append(("Missing effects", "an older version looked for them; run anew: cellapp discover DIR"))
+    elif any(
+        arm["accepted"] and "effects" not in calibrate["arms"][name]["validate"]
+        for name, arm in discover["arms"].items()
+    ):
         discover = None
         missing.append(
             ("Missing effects", "the run was calibrated again since they were found; run anew: cellapp discover DIR")
@@ -229,7 +229,7 @@ def _headlines(results: _Results) -> list[tuple[str, str]]:
             sentence = f"The calibration did not converge ({arm['message']}): do not use it."
         lines.append((f"Arm {name}", sentence))
         if found:
-            reason = found["sentence"].removeprefix(f"arm {name}: ")
+            reason = own_sentence(name, found)
             lines.append((f"Arm {name}, what was missing", f"{found['verdict'].capitalize()}: {reason}."))
     pair = results.calibrate["pair"]
     if pair:
@@ -260,26 +260,6 @@ def _warnings(results: _Results) -> list[str]:
     return notes + [f"target {target['name']}: {target['note']}" for target in targets if target["note"]]
 
 
-def _doubts(discover: Mapping[str, Any]) -> list[str]:
-    """What else fits nearly as well, and what these data cannot show at all."""
-    lines = []
-    for name, arm in discover["arms"].items():
-        for found in arm["accepted"]:
-            for rival in found["runners_up"]:
-                word = "tell" if rival["told_apart"] else "cannot tell"
-                lines.append(
-                    f"Arm {name}: {rival['effect']} fits nearly as well as {found['effect']};"
-                    f" these data {word} the two apart."
-                )
-        for entry in arm["invisible"]:
-            sizes = entry["smallest_seen"]
-            if sizes is None:
-                lines.append(f"Arm {name}: {entry['effect']}: {entry['reason']}.")
-            elif any(size["value"] is None for size in sizes.values()):
-                lines.append(f"Arm {name}: {entry['effect']}: not every joint's part can be seen in these data.")
-    return lines
-
-
 # -- tables that only the page has ------------------------------------------------------------------------------------
 
 
@@ -299,36 +279,6 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _effect_tables(discover: Mapping[str, Any]) -> list[Table]:
-    """Parameters of the effects that were found, and how small the others could have been."""
-    worth: list[Table] = []
-    unseen: list[Table] = []
-    for name, arm in discover["arms"].items():
-        found = [
-            (entry["effect"], parameter, *_with_unit(value["unit"], value["value"], value["standard_error"]))
-            for entry in arm["accepted"]
-            for parameter, value in entry["parameters"].items()
-        ]
-        if found:
-            columns = ("effect", "parameter", "value", "standard error", "unit")
-            worth.append(Table(f"Arm {name}: size of the effects", columns, tuple(found)))
-        others = []
-        for entry in arm["invisible"]:
-            sizes = list((entry["smallest_seen"] or {}).values())
-            seen = [size["value"] for size in sizes if size["value"] is not None]
-            if seen:
-                others.append((entry["effect"], *_with_unit(sizes[0]["unit"], min(seen), max(seen))))
-        if others:
-            heads = ("effect", "best joint", "worst joint", "unit")
-            unseen.append(Table(f"Arm {name}: not found; smallest sizes that would show", heads, tuple(others)))
-    return worth + unseen
-
-
-def _with_unit(unit: str, *values: float) -> tuple[str, ...]:
-    factor, shown = _FOR_EYES.get(unit, (1.0, unit))
-    return (*(f"{value * factor:.2f}" for value in values), shown)
 
 
 def _target_tables(verify: Mapping[str, Any]) -> list[Table]:
@@ -542,14 +492,18 @@ def _readings_hash(readings: Readings) -> str:
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _draw(results: _Results, model: CellModel, readings: Mapping[str, Readings]) -> _Drawings:
+def _draw(
+    results: _Results, model: CellModel, readings: Mapping[str, Readings], known: Mapping[str, Circumstances]
+) -> _Drawings:
     from cellapp.reporting import figures  # loads matplotlib, which nothing else needs
 
     drawn = _Drawings([], _pair_drawings(results.calibrate), [], [], _cell_drawings(model, readings))
     for number, (name, arm) in enumerate(model.arms.items(), start=1):
-        held_out = readings[name].take(readings[name].in_split("validate"))
+        rows = readings[name].in_split("validate")
+        held_out = readings[name].take(rows)
         calibrated = results.calibrate["arms"][name]
-        errors = _errors_mm(arm, calibrated, held_out, with_effects=results.discover is not None)
+        with_effects = results.discover is not None
+        errors = _errors_mm(arm, calibrated, held_out, known[name].take(rows), with_effects=with_effects)
         if "network" in calibrated["validate"] and "network" not in errors:
             stored = _stored_network_errors(results.calibrate["pair"], name, held_out)
             if stored is not None:
@@ -566,10 +520,10 @@ def _draw(results: _Results, model: CellModel, readings: Mapping[str, Readings])
             marked = (*marked, ("", f"no effects: {why}"))
         svg = figures.error_figure(f"errors{number}", held_out.configuration, errors, floor)
         caption = f"Arm {name}: position error of each held-out configuration"
-        drawn.accuracy.append(_Drawing(svg, caption, (*legend, *marked)))
+        drawn.accuracy.append(Drawing(svg, caption, (*legend, *marked)))
         svg = figures.residual_figure(f"residuals{number}", errors, floor)
         caption = f"Arm {name}: how often which position error remains"
-        drawn.accuracy.append(_Drawing(svg, caption, (*legend, *marked)))
+        drawn.accuracy.append(Drawing(svg, caption, (*legend, *marked)))
         drawn.vectors.extend(_vector_drawings(number, name, arm, calibrated, held_out))
         measured = [] if results.verify is None else _targets_of(results.verify, name)
         if measured:
@@ -577,11 +531,11 @@ def _draw(results: _Results, model: CellModel, readings: Mapping[str, Readings])
             after = np.array([target["compensated_mm"] for target in measured])
             svg = figures.target_figure(f"targets{number}", before, after, floor)
             ways = (("before", "uncompensated"), ("effects", "compensated"))
-            drawn.targets.append(_Drawing(svg, f"Arm {name}: measured error at new targets", (*ways, *floor_line)))
+            drawn.targets.append(Drawing(svg, f"Arm {name}: measured error at new targets", (*ways, *floor_line)))
     return drawn
 
 
-def _pair_drawings(calibrate: Mapping[str, Any]) -> list[_Drawing]:
+def _pair_drawings(calibrate: Mapping[str, Any]) -> list[Drawing]:
     """Cooperative errors by method, of results that keep them stop by stop."""
     from cellapp.reporting import figures
 
@@ -598,12 +552,12 @@ def _pair_drawings(calibrate: Mapping[str, Any]) -> list[_Drawing]:
         legend.append(("floor", f"noise floor, {floor:.3f} mm"))
     label = "cooperative error [mm]"
     return [
-        _Drawing(
+        Drawing(
             figures.error_figure("pair-errors", stops, errors, floor, label),
             "Pair: cooperative error of each held-out stop",
             tuple(legend),
         ),
-        _Drawing(
+        Drawing(
             figures.residual_figure("pair-residuals", errors, floor, label),
             "Pair: how often which cooperative error remains",
             tuple(legend),
@@ -613,7 +567,7 @@ def _pair_drawings(calibrate: Mapping[str, Any]) -> list[_Drawing]:
 
 def _vector_drawings(
     number: int, name: str, arm: ArmModel, calibrated: Mapping[str, Any], held_out: Readings
-) -> list[_Drawing]:
+) -> list[Drawing]:
     """What the identified geometry leaves, as vectors in the tracker frame and in the base frame."""
     from cellapp.reporting import figures
 
@@ -626,12 +580,12 @@ def _vector_drawings(
     how_many = f"{len(shown)} of {len(held_out)} held-out configurations"
     legend = (("geometry", "measured less computed position"), ("", how_many))
     return [
-        _Drawing(
+        Drawing(
             figures.vector_figure(f"vectors-tracker{number}", shown.p_M, left_M, length),
             f"Arm {name}: residuals of the geometry in the tracker frame",
             legend,
         ),
-        _Drawing(
+        Drawing(
             figures.vector_figure(f"vectors-base{number}", apply(T_B_M, shown.p_M), left_B, length),
             f"Arm {name}: residuals of the geometry in its base frame",
             legend,
@@ -644,7 +598,7 @@ def _thinned(n: int, most: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.intp))
 
 
-def _cell_drawings(model: CellModel, readings: Mapping[str, Readings]) -> list[_Drawing]:
+def _cell_drawings(model: CellModel, readings: Mapping[str, Readings]) -> list[Drawing]:
     from cellapp.reporting import figures
 
     level = _levelled(next(iter(model.arms.values())).up_M)
@@ -670,9 +624,9 @@ def _cell_drawings(model: CellModel, readings: Mapping[str, Readings]) -> list[_
     legend = (*names, ("", marks))
     space = (*names, ("", f"lines: an arm's links at a measured stop, up to its SMR; dotted: line of sight; {marks}"))
     return [
-        _Drawing(figures.space_figure("cell-space", arms), "The cell in space", space, "wide"),
-        _Drawing(figures.cell_figure("cell-top", arms, 0, 1), "The cell from above", legend),
-        _Drawing(figures.cell_figure("cell-side", arms, across, 2), "The cell from the side", legend),
+        Drawing(figures.space_figure("cell-space", arms), "The cell in space", space, "wide"),
+        Drawing(figures.cell_figure("cell-top", arms, 0, 1), "The cell from above", legend),
+        Drawing(figures.cell_figure("cell-side", arms, across, 2), "The cell from the side", legend),
     ]
 
 
@@ -701,7 +655,7 @@ def _levelled(up_M: Array) -> Array:
 
 
 def _errors_mm(
-    arm: ArmModel, calibrated: Mapping[str, Any], held_out: Readings, *, with_effects: bool
+    arm: ArmModel, calibrated: Mapping[str, Any], held_out: Readings, known: Circumstances, *, with_effects: bool
 ) -> dict[str, Array]:
     """Position errors (n,) [mm] by stage; network and effects only where the model has them."""
     computed = {
@@ -709,10 +663,25 @@ def _errors_mm(
         "geometry": smr_positions(_geometry_stage(arm.nominal, calibrated["identified"]), held_out.q),
     }
     if arm.network is not None and not arm.effects:
-        computed["network"] = arm.predict(held_out.q, held_out.approach, held_out.payload_kg)
+        computed["network"] = arm.predict(held_out.q, known=known)
     if with_effects and arm.effects:
-        computed["effects"] = arm.predict(held_out.q, held_out.approach, held_out.payload_kg)
+        computed["effects"] = arm.predict(held_out.q, known=known)
     return {stage: position_errors(held_out.p_M, points) * 1e3 for stage, points in computed.items()}
+
+
+def _certainties(
+    model: CellModel, readings: Mapping[str, Readings], known: Mapping[str, Circumstances]
+) -> dict[str, tuple[Array, Array]]:
+    """Predicted standard deviation of a coordinate and position error (n,) [mm] of arms whose model predicts one."""
+    found = {}
+    for name, arm in model.arms.items():
+        rows = readings[name].in_split("validate")
+        held_out = readings[name].take(rows)
+        predicted = arm.uncertainty(held_out.q) * 1e3
+        if predicted.any():
+            errors = position_errors(held_out.p_M, arm.predict(held_out.q, known=known[name].take(rows))) * 1e3
+            found[name] = (predicted, errors)
+    return found
 
 
 def _stored_network_errors(pair: Mapping[str, Any], name: str, held_out: Readings) -> Array | None:

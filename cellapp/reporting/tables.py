@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
+
+from cellapp.reporting.findings import discovery_tables
+from cellapp.reporting.table import Table
 
 STAGES = ("nominal", "geometry", "network", "effects")
 METHODS = ("nominal", "method_1", "method_2", "proposed", "effects")
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of texts: title, column heads, rows; the first column names, the others are numbers for eyes."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 def calibration_tables(result: Mapping[str, Any]) -> list[Table]:
@@ -119,27 +112,6 @@ def parameter_tables(result: Mapping[str, Any]) -> list[Table]:
             rows.append((parameter, f"{value:.5f}", f"{error:.5f}", unit))
         columns = ("parameter", "value", "standard error", "unit")
         tables.append(Table(f"Arm {name}: identified parameters", columns, tuple(rows)))
-    return tables
-
-
-def discovery_tables(result: Mapping[str, Any]) -> list[Table]:
-    """What was found and how the gap shrank, one table an arm; from the object of ``discover --json``."""
-    tables = []
-    for name, arm in result["arms"].items():
-        rows = [("nothing named yet", "", "", f"{arm['heldout_mm']['before']:.4f}")]
-        for found in arm["accepted"]:
-            rows.append(
-                (
-                    f"+ {found['effect']}",
-                    ", ".join(str(joint) for joint in found["where"]["joints"]),
-                    f"{found['evidence']['corrected_p']:.2g}",
-                    f"{found['evidence']['heldout_mm']['after']:.4f}",
-                )
-            )
-        if arm["noise_floor_mm"] is not None and math.isfinite(arm["noise_floor_mm"]):
-            rows.append(("noise floor", "", "", f"{arm['noise_floor_mm']:.4f}"))
-        columns = ("model", "joints", "corrected p", "held-out rms [mm]")
-        tables.append(Table(f"Arm {name}: {arm['verdict']}", columns, tuple(rows)))
     return tables
 
 
