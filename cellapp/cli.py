@@ -258,21 +258,85 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
 
 
 @app.command()
-def emulate(profile: ProfilePath, json_file: JsonOption = None) -> None:
-    """Serve emulated controllers of this cell on loopback until interrupted."""
+def emulate(
+    profile: ProfilePath,
+    pace: Annotated[
+        float, typer.Option("--pace", metavar="X", min=0.1, max=1000.0, help="Seconds in the cell for each real one.")
+    ] = 1.0,
+    json_file: JsonOption = None,
+) -> None:
+    """Stand in for this cell's controllers and, behind a bridge, its tracker, on loopback until interrupted."""
     from dataclasses import asdict
 
-    from cellapp.emulate import EmulatedArm
+    from cellapp.emulate import EmulatedArm, EmulatedTracker
     from cellapp.emulate import emulate as serve
     from cellapp.profile import load_profile
 
     with _Job(json_file) as job:
+        trackers: list[EmulatedTracker] = []
 
         def announce(arms: Sequence[EmulatedArm]) -> None:
-            job.say(*(str(arm) for arm in arms))
-            job.result({"schema": "cellapp-emulate", "version": 1, "arms": [asdict(arm) for arm in arms]})
+            job.say(*(str(arm) for arm in arms), *(str(tracker) for tracker in trackers), "Ctrl-C ends this")
+            job.result(
+                {
+                    "schema": "cellapp-emulate",
+                    "version": 1,
+                    "pace": pace,
+                    "arms": [asdict(arm) for arm in arms],
+                    "tracker": asdict(trackers[0]) if trackers else None,
+                }
+            )
 
-        serve(load_profile(profile), job.cancel, announce)
+        serve(load_profile(profile), job.cancel, announce, pace=pace, announce_tracker=trackers.append)
+
+
+@app.command("tracker-bridge")
+def tracker_bridge(
+    profile: ProfilePath,
+    host: Annotated[
+        str, typer.Option("--host", help="Address to listen on; one that other machines reach needs a token.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option("--port", min=0, max=65535, help="TCP port; else 50960, or none beside --serial.")
+    ] = None,
+    serial: Annotated[
+        str | None, typer.Option("--serial", metavar="PORT", help="A serial port to serve, as COM3 or /dev/ttyUSB0.")
+    ] = None,
+    baud: Annotated[int, typer.Option("--baud", min=300, help="Of the serial port.")] = 115200,
+    token_file: Annotated[
+        Path | None, typer.Option("--token-file", metavar="FILE", help="The shared token; only you may read the file.")
+    ] = None,
+    token_env: Annotated[
+        str | None, typer.Option("--token-env", metavar="NAME", help="Environment variable that holds the token.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Serve the tracker that this computer is wired to, to the cell PC, until interrupted."""
+    from dataclasses import asdict
+
+    from cellapp.profile import load_profile
+    from cellapp.tracker_bridge import ServedTracker, serve_tracker
+    from drivers.trackers.bridge_wire import LOOPBACK_PORT
+
+    with _Job(json_file) as job:
+        if token_file is not None and token_env is not None:
+            raise InputError("tracker-bridge: give --token-file or --token-env, not both")
+
+        def announce(served: ServedTracker) -> None:
+            job.say(str(served), "Ctrl-C ends this")
+            job.result({"schema": "cellapp-tracker-bridge", "version": 1, **asdict(served)})
+
+        serve_tracker(
+            load_profile(profile),
+            job.cancel,
+            announce,
+            host=host,
+            port=LOOPBACK_PORT if port is None and serial is None else port,
+            serial=serial,
+            baud=baud,
+            token_file=token_file,
+            token_env=token_env,
+        )
 
 
 @trials_app.command("coverage")
@@ -336,6 +400,118 @@ def trials_paper(
         result = summary(paper_trials(load_profile(profile), range(seeds), job.listen, job.cancel))
         job.show(paper_tables(result))
         job.result(result)
+
+
+@trials_app.command("links")
+def trials_links(
+    moves: Annotated[int, typer.Option("--moves", min=2, help="Motions in all, of two arms at once.")] = 1000,
+    every: Annotated[int, typer.Option("--every", min=2, help="Motions to each fault.")] = 20,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws targets and faults.")] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Two emulated UR arms under the real client, faults at random: what is reported, and how soon all is at rest."""
+    from cellapp.reporting.tables import link_table
+    from cellapp.trials.links import link_trials
+
+    with _Job(json_file) as job:
+        trial = link_trials(moves, every, seed, job.listen, job.cancel)
+        result = trial.as_dict()
+        job.show([link_table(result)])
+        job.say(f"{trial.moves} moves, {len(trial.struck)} faults, {len(trial.complaints)} complaints")
+        job.say(*trial.complaints)
+        job.result(result)
+        if trial.complaints:
+            raise CheckFailed(f"trials links: {len(trial.complaints)} things went otherwise than promised; see above")
+
+
+@trials_app.command("bridge")
+def trials_bridge(
+    profile: ProfilePath,
+    measurements: Annotated[int, typer.Option("--measurements", min=1, help="Measurements in all.")] = 1000,
+    every: Annotated[int, typer.Option("--every", min=1, help="Measurements to each fault.")] = 20,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults.")] = 0,
+    serial: Annotated[
+        tuple[str, str] | None,
+        typer.Option("--serial", metavar="BRIDGE CLIENT", help="Both ends of a serial cable, to go over that."),
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Many measurements over the tracker bridge, faults at random: none may be lost, doubled or mixed up."""
+    from cellapp.profile import load_profile
+    from cellapp.reporting.tables import bridge_table
+    from cellapp.trials.bridge import bridge_trial
+
+    with _Job(json_file) as job:
+        trial = bridge_trial(load_profile(profile), measurements, every, seed, serial, job.listen, job.cancel)
+        result = trial.as_dict()
+        job.show([bridge_table(result)])
+        job.say(
+            f"{trial.asked} measurements asked for, {trial.delivered} delivered; {trial.lost} lost,"
+            f" {trial.doubled} doubled, {trial.strange} mixed up"
+        )
+        job.result(result)
+        if trial.lost or trial.doubled or trial.strange:
+            raise CheckFailed("trials bridge: measurements were lost, doubled or mixed up")
+
+
+@trials_app.command("seal")
+def trials_seal(
+    profile: ProfilePath,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder of the trials.")],
+    n: Annotated[int, typer.Option("--n", min=1, help="Runs.")] = 200,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="Draws everything; left out, one that nobody is told.")
+    ] = None,
+    kind: Annotated[
+        str, typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair or mixed.")
+    ] = "one",
+    noise: Annotated[
+        str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 urad a joint).")
+    ] = "gaussian",
+    json_file: JsonOption = None,
+) -> None:
+    """Runs of simulated cells whose hidden effects stand in a sealed file of their own."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.sealed import SEAL_FILE, TRUTH_FILE, seal_trials
+
+    with _Job(json_file) as job:
+        sealed = seal_trials(
+            load_profile(profile), out, n, seed=seed, kind=kind, noise=noise, listener=job.listen, cancel=job.cancel
+        )
+        job.say(f"{sealed.runs} runs in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge' only")
+        job.say(f"SHA-256 of the truth, also in {out / SEAL_FILE}: {sealed.digest}")
+        content = {"runs": sealed.runs, "folder": str(out), "sha256": sealed.digest}
+        job.result({"schema": "cellapp-trials-seal", "version": 1, **content})
+
+
+@trials_app.command("judge")
+def trials_judge(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the trials.")],
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 2,
+    again: Annotated[bool, typer.Option("--again", help="Judge anew also what was judged before.")] = False,
+    markdown: Annotated[
+        Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Calibrate and discover on every sealed run, then open the truth and compare; goes on where it was stopped."""
+    from cellapp.trials.judge import judge_trials
+    from cellapp.trials.verdicts import judged_sentences, judged_tables, trial_table_markdown
+
+    with _Job(json_file) as job:
+        if markdown is not None and not markdown.absolute().parent.is_dir():
+            raise InputError(f"--markdown: {markdown}: there is no such folder; nothing was done")
+        judgement = judge_trials(folder, jobs=jobs, again=again, listener=job.listen, cancel=job.cancel)
+        job.show(judged_tables(judgement.result))
+        job.say(*judged_sentences(judgement.result))
+        job.result(dict(judgement.result))
+        if markdown is not None:
+            try:
+                markdown.write_text(trial_table_markdown(judgement.result), encoding="utf-8")
+            except OSError as error:
+                raise CellappError(f"--markdown: {markdown} cannot be written ({error.strerror})") from None
+        if judgement.failed:
+            raise CheckFailed(f"{len(judgement.failed)} runs could not be judged: {'; '.join(judgement.failed)}")
 
 
 def main() -> None:

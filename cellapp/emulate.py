@@ -147,7 +147,7 @@ def emulate(
     InputError
         As ``emulated_arms``, and if ``pace`` is not between 0 and 1000.
     HardwareError
-        If a port is in use or an address cannot be had.
+        If a port is in use or an address cannot be had, or the simulated cell fails on the way.
     """
     chosen = emulated_arms(profile) if arms is None else arms
     seen_by = emulated_tracker(profile) if tracker is None else tracker
@@ -169,7 +169,9 @@ def emulate(
             announce_tracker(_serve_tracker(stack, profile, plant, server, seen_by))
         announce([_listening(arm, server.addresses) for arm in chosen])
         while not cancel.wait(_STEP_S):  # in steps, so that Ctrl-C is heard
-            pass
+            if server.failure is not None:
+                why = f"{type(server.failure).__name__}: {server.failure}"
+                raise HardwareError(f"the emulated cell cannot go on ({why}); its ports are closed") from server.failure
 
 
 def _listening(arm: EmulatedArm, addresses: Addresses) -> EmulatedArm:

@@ -481,6 +481,8 @@ class GeometryErrors(Section):
     base_length: Annotated[Length, Field(ge=0.0)] = 5e-3
     base_angle: Annotated[Angle, Field(ge=0.0)] = math.radians(0.3)
     smr: Annotated[Length, Field(ge=0.0)] = 1e-3
+    mass: Annotated[float, Field(strict=True, ge=0.0, lt=1.0)] = 0.0
+    """Of the mass of each body, as a share of the nominal one."""
 
 
 class Plant(Section):

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cellapp.collection.cell import build_plant
 from cellapp.doctor import LONGEST_PROBE_S, Finding, examine
 from cellapp.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.errors import HardwareError, InputError
@@ -22,6 +23,7 @@ from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import UrSample
 from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrControllerServer, personality
+from drivers.plant import Plant
 
 PROFILES = Path(__file__).parents[1] / "profiles"
 PATIENT_S = 10.0
@@ -362,6 +364,28 @@ def test_a_port_in_use_is_named_and_nothing_is_left_open(twin: Profile) -> None:
         arms = [left, replace(right, dashboard_port=taken)]
         with pytest.raises(HardwareError, match=rf"arm right: cannot listen on 127\.0\.0\.3:{taken}"):
             emulate(twin, CancelToken(), lambda _: None, arms)
+    assert threading.active_count() == before
+
+
+def test_a_simulated_cell_that_fails_ends_the_emulation(twin: Profile, monkeypatch: pytest.MonkeyPatch) -> None:
+    up = threading.Event()
+
+    def fails_once_it_runs(profile: Profile) -> Plant:
+        plant = build_plant(profile)
+        advance = plant.advance
+
+        def failing(duration_s: float) -> None:
+            if up.is_set():
+                raise FloatingPointError("no equilibrium")
+            advance(duration_s)
+
+        monkeypatch.setattr(plant, "advance", failing)
+        return plant
+
+    monkeypatch.setattr("cellapp.emulate.build_plant", fails_once_it_runs)
+    before = threading.active_count()
+    with pytest.raises(HardwareError, match=r"cannot go on \(FloatingPointError: no equilibrium\)"):
+        emulate(twin, CancelToken(), lambda _: up.set(), on_free_ports(twin))
     assert threading.active_count() == before
 
 

@@ -271,7 +271,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:
     try:
         config = PlantConfig(
             seed=settings.seed,
-            arms=tuple(_plant_arm(name, arm, settings.effects.get(name, {})) for name, arm in profile.arms.items()),
+            arms=tuple(plant_arm(name, arm, settings.effects.get(name, {})) for name, arm in profile.arms.items()),
             tracker=TrackerConfig(
                 T_C_M=pose_matrix(tracker.pose),
                 transverse=(tracker.transverse.constant, tracker.transverse.proportional),
@@ -287,6 +287,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:
                 base_length=settings.geometry.base_length,
                 base_angle=settings.geometry.base_angle,
                 smr=settings.geometry.smr,
+                mass=settings.geometry.mass,
             ),
             repeatability=settings.repeatability,
             temperature_c=settings.temperature,
@@ -298,7 +299,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:
         raise InputError(f"profile {profile.name}: plant: {error}") from error
 
 
-def _plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, object]]) -> ArmConfig:
+def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, object]]) -> ArmConfig:
     if arm.base is None or arm.smr.offset == "unknown":
         raise InputError(f"arms.{name}: a simulated arm needs 'base' and a known 'smr.offset'")
     joints = arm.type.joints

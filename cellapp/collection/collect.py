@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,6 +13,7 @@ from cellapp.collection.controllers import check_controllers
 from cellapp.collection.motion import MotionRefused, Mover
 from cellapp.errors import HardwareError, InputError
 from cellapp.planning.cell_bodies import cell_bodies, home_positions
+from cellapp.planning.factors import Factors, read_factors
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Reading, RunFile
 from drivers.arms.protocol import ArmState
@@ -32,7 +34,9 @@ def collect_run(
     """Collect what is planned and not yet stored. Returns notes for the person.
 
     A target that cannot be measured is noted and its arm's reading left out; the stop counts as done for the other
-    arm. Cancelled between stops, the arms rest and the run can be resumed.
+    arm. A stop that discovery proposed is approached and waited for as it asks, and left out with a note if the gate
+    refuses it; once splits are drawn its readings are for training, so that what validates stays what it was. Cancelled
+    between stops, or while the arms wait, they rest and the run can be resumed.
 
     Raises
     ------
@@ -55,6 +59,8 @@ def collect_run(
     if not left:
         return (f"all {total} stops were stored already",)
     notes: list[str] = []
+    proposed = read_factors(run)
+    drawn = bool(proposed) and any(run.readings(name).split is not None for name in run.arms())
     bodies = cell_bodies(profile)
     earlier = max((float(run.readings(name).time_s.max()) for name in run.arms()), default=0.0) if done else 0.0
     with open_cell(profile, watch_clearance=watch_clearance) as cell:
@@ -67,10 +73,22 @@ def collect_run(
             cancel.check()
             listener(Progress("collect", total - len(left) + place, total, f"stop {stop + 1}"))
             targets = {name: rows[stop] for name, rows in plan.items()}
-            states = _go(mover, targets)
+            factors = proposed.get(stop, {})
+            try:
+                states = _go(mover, targets, factors)
+            except MotionRefused as error:
+                if stop not in proposed:
+                    raise
+                note = f"stop {stop + 1}: left out: {error}"
+                run.log("warning", note)
+                notes.append(note)
+                continue
             air_c = None if air is None else air.temperature_c(stop)
             rows: dict[str, Reading] = {}
-            for name, state in states.items():
+            for name in sorted(states, key=lambda name: _dwell_s(factors, name)):  # who waits longest comes last
+                state = states[name]
+                if _dwell_s(factors, name) > 0.0:
+                    mover.rest(name, _dwell_s(factors, name), cancel)
                 try:
                     point = mover.measure(name, state.q)
                 except TrackerError as error:
@@ -81,7 +99,8 @@ def collect_run(
                 if began is None:  # by the tracker's clock alone: controllers have their own
                     began = point.time_s - point.averaging_s - earlier
                 temperature_c = point.temperature_c if air is None else air_c
-                rows[name] = _reading(state, point, mover.approach(name), began, temperature_c)
+                split = "train" if drawn and stop in proposed else None
+                rows[name] = _reading(state, point, mover, name, began, temperature_c, split)
             missed = 0 if rows else missed + 1
             if missed >= _MOST_MISSED_IN_A_ROW:
                 raise HardwareError(f"the tracker saw no SMR at {missed} stops in a row; look at tracker and targets")
@@ -97,13 +116,28 @@ def collect_run(
     return tuple(notes)
 
 
-def _go(mover: Mover, targets: dict[str, np.ndarray]) -> dict[str, ArmState]:
-    """Move straight, or by way of home where the straight way is refused (after a resume, or a missed stop)."""
-    try:
-        return mover.move(targets)
-    except MotionRefused:
+def _go(mover: Mover, targets: dict[str, np.ndarray], factors: Mapping[str, Factors]) -> dict[str, ArmState]:
+    """Move straight, or by way of home where the straight way is refused (after a resume, or a missed stop).
+
+    Arms that shall come from elsewhere go there first; then nothing moves unless the gate lets them do both legs.
+    """
+    vias = {name: one.via for name, one in factors.items() if one.via is not None and name in targets}
+    if not vias:
+        try:
+            return mover.move(targets)
+        except MotionRefused:
+            mover.go_home()
+            return mover.move(targets)
+    first, last = {**targets, **vias}, {name: targets[name] for name in vias}
+    if mover.refusal(first, last):
         mover.go_home()
-        return mover.move(targets)
+        if refusal := mover.refusal(first, last):
+            raise MotionRefused(f"refused to move: {refusal}")
+    return {**mover.move(first), **mover.move(last)}
+
+
+def _dwell_s(factors: Mapping[str, Factors], name: str) -> float:
+    return factors[name].dwell_s if name in factors else 0.0
 
 
 @dataclass
@@ -135,15 +169,26 @@ class _Air:
 
 
 def _reading(
-    state: ArmState, point: Point, approach: np.ndarray, began: float, temperature_c: float | None
+    state: ArmState,
+    point: Point,
+    mover: Mover,
+    name: str,
+    began: float,
+    temperature_c: float | None,
+    split: str | None,
 ) -> Reading:
+    """The reading of a point that was taken just now; its dwell is to the middle of the averaging."""
+    rested = mover.rested_s(name)
     return Reading(
         q=state.q,
         p_M=point.p_M,
         time_s=point.time_s - began,
-        approach=approach.copy(),
+        approach=mover.approach(name).copy(),
         payload_kg=state.payload_kg,
         temperature_c=temperature_c,
         joint_temperature_c=state.joint_temperature_c,
+        step=mover.step(name),
+        dwell_s=None if rested is None else max(rested - 0.5 * point.averaging_s, 0.0),
         covariance_M=point.covariance_M,
+        split=split,
     )

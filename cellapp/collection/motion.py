@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -14,6 +15,7 @@ from cellapp.errors import CellappError, HardwareError
 from cellapp.planning.cell_bodies import home_positions
 from cellapp.planning.safety import CellBodies, predicted_smr, refuse_motion
 from cellapp.profile import Profile
+from cellapp.progress import CancelToken
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout
 from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
 
@@ -42,6 +44,8 @@ class Mover:
     def __init__(self, profile: Profile, cell: Cell, bodies: CellBodies) -> None:
         self._profile, self._cell, self._bodies = profile, cell, bodies
         self._approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
+        self._step: dict[str, Vector] = {}
+        self._rests_since: dict[str, float] = {}
 
     def positions(self) -> dict[str, Vector]:
         """Where the arms are now. Raises ``HardwareError`` if one is not ready or moves."""
@@ -97,9 +101,9 @@ class Mover:
             raise
         for name, q in targets.items():
             moved = q - here[name]
-            self._approach[name] = np.where(
-                np.abs(moved) > 1e-9, np.sign(moved), self._approach[name]
-            ).astype(np.int8)
+            turned = np.abs(moved) > 1e-9
+            self._approach[name] = np.where(turned, np.sign(moved), self._approach[name]).astype(np.int8)
+            self._step[name] = np.where(turned, states[name].q - here[name], 0.0)
             away = float(np.abs(states[name].q - q).max())
             if away > _AT_TARGET_RAD:
                 raise HardwareError(f"arm {name}: rests {np.degrees(away):.3f} deg from where it was sent")
@@ -120,6 +124,8 @@ class Mover:
     def _settled(self, names: Sequence[str], timeout_s: float) -> dict[str, ArmState]:
         """Wait for all arms in turns, until a whole round found each of them at rest."""
         late = ""
+        for name in names:
+            self._rests_since.pop(name, None)
         for _ in range(math.ceil(timeout_s / _ROUND_S)):
             states = {}
             for name in names:
@@ -127,6 +133,8 @@ class Mover:
                     states[name] = self._cell.arms[name].wait_settled(_ROUND_S)
                 except ArmTimeout:
                     late = name
+                    continue
+                self._rests_since.setdefault(name, self._seen_at_rest_s(name))
             if len(states) == len(names):
                 return states
         raise ArmTimeout(f"arm {late}: did not come to rest within {timeout_s:.0f} s")
@@ -134,6 +142,37 @@ class Mover:
     def approach(self, name: str) -> NDArray[np.int8]:
         """Sign of each joint's last motion, 0 where it has not moved yet."""
         return self._approach[name]
+
+    def step(self, name: str) -> Vector | None:
+        """Each joint's last motion (N,) with its sign [rad]; None before the arm has moved."""
+        return self._step.get(name)
+
+    def rested_s(self, name: str) -> float | None:
+        """How long an arm has been at rest [s]; None before it has moved.
+
+        In a real cell from the moment on when its controller was seen to have settled.
+        """
+        since = self._rests_since.get(name)
+        return None if since is None else self._clock_s() - since
+
+    def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
+        """Let time pass until an arm has rested for ``dwell_s``. Raises ``Cancelled`` as soon as somebody asks to stop.
+
+        A simulated cell's clock is set forward.
+        """
+        left = dwell_s - (self.rested_s(name) or 0.0)
+        if left > 0.0:
+            if self._cell.plant is not None:
+                self._cell.plant.advance(left)
+            else:
+                cancel.wait(left)
+        cancel.check()
+
+    def _clock_s(self) -> float:
+        return time.monotonic() if self._cell.plant is None else self._cell.plant.clock_s
+
+    def _seen_at_rest_s(self, name: str) -> float:
+        return time.monotonic() if self._cell.plant is None else self._cell.plant.rest_s(name)
 
     def measure(self, name: str, q: Vector) -> Point:
         """Measure the SMR of an arm that stands at ``q`` (N,); tries twice.

@@ -20,7 +20,7 @@ from cellapp.discovery.data import ArmData, Fit
 from cellapp.discovery.describe import Description, describe
 from cellapp.discovery.pictures import Picture, cycles, pictures
 from cellapp.discovery.scan import VISIBLE, smallest_seen
-from cellapp.discovery.search import UNKNOWN, Rival, Search, scatter, search
+from cellapp.discovery.search import UNKNOWN, Rival, Search, on_all, scatter, search
 from cellapp.effects import EFFECTS, Circumstances, EffectTerm
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
@@ -35,6 +35,8 @@ _FLOOR = 1.05
 _CHANCE = 0.01
 _UNSTRUCTURED = 1.5
 """Up to this factor on the stated uncertainty, scatter without any structure is called noise and not an effect."""
+_MOST_SEARCHED = 600
+"""Of more readings than these, so many are searched, drawn by the seed; what is found is then fitted to all."""
 _BARELY_VISIBLE = 0.03
 """An effect of which geometry takes all but this share under this plan is called invisible."""
 
@@ -206,9 +208,13 @@ def discover_arm(
     rows = readings.in_split("validate")
     learn_rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
     held_out, held_known = readings.take(rows), known.take(rows)
-    data = ArmData.of(profile, model, readings.take(learn_rows), known.take(learn_rows))
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
-    found = search(data, slugs, cancel)
+    some = learn_rows
+    if len(learn_rows) > _MOST_SEARCHED:
+        some = np.sort(np.random.default_rng([profile.seed, 0x5EA]).permutation(learn_rows)[:_MOST_SEARCHED])
+    found = search(ArmData.of(profile, model, readings.take(some), known.take(some)), slugs, cancel)
+    if len(some) < len(learn_rows) and found.fit.choice:
+        found = on_all(found, ArmData.of(profile, model, readings.take(learn_rows), known.take(learn_rows)))
 
     def gap(candidate: ArmModel) -> float:
         return _rms_mm(candidate, held_out, held_known)
@@ -223,11 +229,13 @@ def discover_arm(
     if found.dropped:
         words = ", ".join(EFFECTS[slug].title if slug != UNKNOWN else "a data-driven term" for slug in found.dropped)
         steps = (*steps, GapStep(f"dropped in review: {words}", "", after))
+    if len(some) < len(learn_rows) and found.fit.choice:
+        steps = (*steps, GapStep(f"fitted to all {len(learn_rows)} readings", "", after))
     floor = _noise_floor_mm(held_out)
     spread = scatter(found.data, found.fit)
     verdict, sentence = _judge(findings, floor, after, held_out, spread)
-    if not findings:
-        final = model
+    # with the notes of data-driven terms; what found nothing stays as it was calibrated
+    final = replace(final, effects=tuple(finding.term for finding in findings)) if findings else model
     invisible, not_found = _unseen(found, {finding.term.slug for finding in findings})
     predicted = final.uncertainty(held_out.q)
     return Discovery(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ _MOST_JOINTS = 6
 _FEEBLE = 0.05
 """A joint whose lever is below this share of the longest moves the SMR too little for its offsets to be seen."""
 _WAVE = re.compile(r"(cos|sin)(\d+)q(\d+)")
+_FAST = 40
+"""Lines of more cycles a turn are too dense to be drawn over the whole turn."""
 _ONE_WAY = 0.9
 """A shift of which one direction holds this share of the squares is shown along that direction, with its sign."""
 _IN_WORDS = {
@@ -35,7 +38,7 @@ _IN_WORDS = {
 
 @dataclass(frozen=True)
 class Curve:
-    """A periodic curve over one turn: joint angle [deg], offset and its standard deviation [urad]."""
+    """A periodic curve over a turn or a cycle of it: joint angle [deg], offset and its standard deviation [urad]."""
 
     x: tuple[float, ...]
     value: tuple[float, ...]
@@ -46,13 +49,18 @@ class Curve:
         return {"x": list(self.x), "value": list(self.value), "band": list(self.band)}
 
 
+_Shown = tuple[Sequence[int], str, str, Array, Curve | None]
+"""Columns to show together, what they are, the label of x, x (n,), and their curve."""
+
+
 @dataclass(frozen=True)
 class Picture:
     """Points (x, measured) and what the model says there, for one part and one place that it acts on.
 
     ``measured`` is what the readings show in the part's channel once everything else in the model is taken away,
     ``computed`` the part itself; both in the unit of ``y_label``. ``band`` is the standard deviation of ``computed``,
-    geometry included. ``curve`` is there for what is periodic in the joint angle; x is then folded into one turn.
+    geometry included. ``curve`` is there for what is periodic in the joint angle; x is then folded into one turn, or
+    into one cycle.
     """
 
     title: str
@@ -146,34 +154,74 @@ class _Seen:
             size + here.start : size + here.stop, size + here.start : size + here.stop
         ]
         self.title = EFFECTS[part.slug].title
+        channel = part.law.name.partition("|")[0]
+        if part.slug == "unknown" and not channel.startswith("joint "):
+            self.title += f", {channel}"
 
     def of_joint(self, joint: int) -> list[Picture]:
         """The offset of a joint, from what the readings show along the way that the joint moves the SMR."""
         n = len(self.data)
         rows = [k for k, column in enumerate(self.columns) if column.joint == joint and column.offset is not None]
-        B = np.array([self.columns[k].offset for k in rows]).reshape(-1, n)
-        computed = self.values[rows] @ B
         lever = self.fit.by_joint[:, joint]
         square = np.maximum(np.einsum("cn,cn->n", lever, lever), 1e-300)
         left = np.einsum("cn,cn->n", lever, self.fit.residual.reshape(3, n)) / square
         # where the joint has no lever its offset shows nowhere
         seen = square > 0.04 * np.median(square)
-        curve = self._curve(joint, rows)
-        band = _deviation(B, self.covariance[np.ix_(rows, rows)])
-        return [
-            _picture(
-                f"{self.title}, joint {joint + 1}",
-                self.part.slug,
-                x_label,
-                f"offset of joint {joint + 1} [urad]",
-                (np.remainder(x + 180.0, 360.0) - 180.0 if curve is not None else x)[seen],
-                (left + computed)[seen] * 1e6,
-                computed[seen] * 1e6,
-                band[seen] * 1e6,
-                curve,
+        counts = self._counts(rows)
+        shown: list[_Shown]
+        if counts is None:
+            shown = [(rows, "", label, x, None) for label, x in _against(self.data, self.part, joint)]
+        else:
+            shown = self._periodic(joint, rows, counts)
+        found = []
+        for own, what, x_label, x, curve in shown:
+            B = np.array([self.columns[k].offset for k in own]).reshape(-1, n)
+            computed = self.values[own] @ B
+            band = _deviation(B, self.covariance[np.ix_(own, own)])
+            found.append(
+                _picture(
+                    f"{self.title}, joint {joint + 1}{what}",
+                    self.part.slug,
+                    x_label,
+                    f"offset of joint {joint + 1} [urad]",
+                    x[seen],
+                    (left + computed)[seen] * 1e6,
+                    computed[seen] * 1e6,
+                    band[seen] * 1e6,
+                    curve,
+                )
             )
-            for x_label, x in _against(self.data, self.part, joint)
-        ]
+        return found
+
+    def _counts(self, rows: Sequence[int]) -> list[int] | None:
+        """The cycle counts of columns that are all waves of the joint angle; None where one is not."""
+        parsed = [_WAVE.fullmatch(self.columns[k].name) for k in rows]
+        counts = [int(match[2]) for match in parsed if match is not None]
+        return counts if counts and len(counts) == len(rows) else None
+
+    def _periodic(
+        self, joint: int, rows: Sequence[int], counts: Sequence[int]
+    ) -> list[_Shown]:
+        """Waves over a whole turn; fast lines, which would be a blur there, with their cycles laid over one another."""
+        angle = np.degrees(self.data.readings.q[:, joint])
+        fast = [] if self.part.curves is not None else sorted({count for count in counts if count > _FAST})
+        slow = [k for k, count in zip(rows, counts, strict=True) if count not in fast]
+        shown: list[_Shown] = []
+        if slow:
+            around = np.linspace(-180.0, 180.0, max(361, 7 * max(c for c in counts if c not in fast) + 1))
+            folded = np.remainder(angle + 180.0, 360.0) - 180.0
+            shown.append((slow, "", f"joint {joint + 1} [deg]", folded, self._curve(slow, around)))
+        while fast:
+            base = math.gcd(*fast)
+            base = base if base > _FAST else fast[0]
+            together = {count for count in fast if count % base == 0}
+            own = [k for k, count in zip(rows, counts, strict=True) if count in together]
+            turn = 360.0 / base
+            label = f"joint {joint + 1}, within a cycle of {turn:.3g} deg [deg]"
+            what = f", its {base} cycles a turn laid over one another"
+            shown.append((own, what, label, np.remainder(angle, turn), self._curve(own, np.linspace(0.0, turn, 181))))
+            fast = [count for count in fast if count not in together]
+        return shown
 
     def of_shift(self, place: str) -> list[Picture]:
         """The shift of the SMR, along its one direction, or its length where it goes every way.
@@ -189,18 +237,20 @@ class _Seen:
         if sizes[0] ** 2 >= _ONE_WAY * np.sum(sizes**2) and sizes[0] > 0.0:
             one = ways[0] * np.sign(ways[0][np.argmax(np.abs(ways[0]))])
             way = np.broadcast_to(one, shift.shape)
-            label = "shift along ({:.2f}, {:.2f}, {:.2f}) of the tracker frame [um]".format(*one)
+            # adding zero makes minus zero plain
+            direction = ", ".join(f"{round(value, 2) + 0.0:.2f}" for value in one.tolist())
+            label, along = "shift of the SMR that way [um]", f", along ({direction}) of the tracker frame"
             seen = np.ones(len(shift), dtype=bool)
         else:
             way = shift / np.maximum(length, 1e-12)[:, None]
-            label, seen = "shift of the SMR along the effect [um]", length > 1e-9
+            label, along, seen = "shift of the SMR along the effect [um]", "", length > 1e-9
         computed = np.einsum("na,na->n", way, shift)
         left = np.einsum("na,na->n", way, self.fit.identification.residuals)
         band = _deviation(np.einsum("kna,na->kn", shifts, way), self.covariance[np.ix_(rows, rows)])
         joint = int(place.removeprefix("joint ")) - 1 if place else None
         return [
             _picture(
-                f"{self.title}, {place}" if place else self.title,
+                f"{self.title}, {place}{along}" if place else f"{self.title}{along}",
                 self.part.slug,
                 x_label,
                 label,
@@ -213,18 +263,13 @@ class _Seen:
             for x_label, x in _against(self.data, self.part, None, joint)
         ]
 
-    def _curve(self, joint: int, rows: Sequence[int]) -> Curve | None:
-        """The curve of a joint's error over a whole turn, also where no reading was taken."""
-        parsed = [_WAVE.fullmatch(self.columns[k].name) for k in rows]
-        counts = [int(match[2]) for match in parsed if match is not None]
-        if len(counts) < len(rows):
-            return None
-        # seven points to the shortest wave
-        around = np.linspace(-np.pi, np.pi, max(361, 7 * max(counts) + 1))
+    def _curve(self, rows: Sequence[int], around: Array) -> Curve:
+        """The curve of waves over ``around`` [deg], also where no reading was taken."""
         waves = {"cos": np.cos, "sin": np.sin}
-        B = np.array([waves[match[1]](int(match[2]) * around) for match in parsed if match is not None])
+        parsed = [_WAVE.fullmatch(self.columns[k].name) for k in rows]
+        B = np.array([waves[match[1]](int(match[2]) * np.radians(around)) for match in parsed if match is not None])
         band = _deviation(B, self.covariance[np.ix_(rows, rows)])
-        return Curve(_told(np.degrees(around)), _told(self.values[rows] @ B * 1e6), _told(band * 1e6))
+        return Curve(_told(around), _told(self.values[rows] @ B * 1e6), _told(band * 1e6))
 
 
 def _deviation(B: Array, covariance: Array) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from cellapp.calibration.curves import CYCLES, Curves, find_curves, variances
+from cellapp.calibration.identification import TooFewReadings
 from cellapp.discovery.data import ArmData, Choice, Fit, Part, cycles_of, whitening
 from cellapp.discovery.scan import (
     Follower,
@@ -114,6 +115,14 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken) -> Search:
         best = min(ways, key=engine.criterion)
     reviewed = tuple(engine.worth(best, place) for place in range(len(best.fit.choice)))
     return Search(best.data, fit, best.fit, reviewed, best.steps, maxima, least, seen, best.dropped)
+
+
+def on_all(found: Search, data: ArmData) -> Search:
+    """The outcome of a search among some readings, fitted to all of them."""
+    here = data.at(found.fit.model).weighed(found.fit.choice)
+    fit = here.fit(found.fit.choice)
+    here = here.at(fit.model)
+    return replace(found, data=here, fit=here.fit(found.fit.choice))
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +309,10 @@ class _Engine:
         banned: set[str] = set()
         while current is not None:
             part = Part(current.slug, candidate.law, current.names)
-            trial = here.fit((*fit.choice, part))
+            try:
+                trial = here.fit((*fit.choice, part))
+            except TooFewReadings:  # so many columns are more than the readings left can tell
+                return None
             wrong = here.impossible(trial, len(fit.choice))
             if not wrong:
                 return current
@@ -416,6 +428,8 @@ class _Engine:
             if not joints:
                 return None
         place = next((i for i, part in enumerate(fit.choice) if part.slug == "transmission_error"), None)
+        kept = [k for k, joint in enumerate(curves.joints) if joint in joints]
+        curves = replace(curves, joints=joints, lengths=curves.lengths[kept], amplitudes=curves.amplitudes[kept])
         law, names = _curve_law(curves)
         rest = fit.choice
         if place is not None:  # lines beyond the curve's reach stay, free; those within it become part of the curve

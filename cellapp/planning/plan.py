@@ -11,7 +11,7 @@ from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.bodies import place
 from cellapp.planning.cell_bodies import cell_bodies, home_positions
-from cellapp.planning.safety import CellBodies, clear_alone, refuse_motion, visible
+from cellapp.planning.safety import CellBodies, clear_alone, refuse_motion, refuse_stop, visible
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import RunFile
@@ -74,6 +74,52 @@ def plan_stops(profile: Profile, listener: Listener = ignore, cancel: CancelToke
             stops[name].append(q)
     listener(Progress("plan", wanted, wanted, "done"))
     return {name: np.array(rows) for name, rows in stops.items()}
+
+
+def draw_stops(
+    cell: CellBodies, profile: Profile, count: int, rng: np.random.Generator, cancel: CancelToken | None = None
+) -> dict[str, Array]:
+    """Stops at which all arms may stand and be seen, name -> (count, N) [rad]; no way between them is checked.
+
+    Raises
+    ------
+    InputError
+        If there are not so many to be found.
+    """
+    cancel = cancel or CancelToken()
+    pools = {name: _Pool(cell, profile, name, rng) for name in cell.arms}
+    found: list[dict[str, Array]] = []
+    for _ in range(count * _TRIES_PER_STOP):
+        cancel.check()
+        q = {name: pool.draw() for name, pool in pools.items()}
+        if _all_seen(cell, q) and not refuse_stop(cell, q):
+            found.append(q)
+            if len(found) == count:
+                return {name: np.array([stop[name] for stop in found]) for name in cell.arms}
+    raise InputError(
+        f"plan: only {len(found)} of {count} stops were found at which all arms are seen and keep their clearance;"
+        " ask for a smaller plan.clearance, or move bases or tracker"
+    )
+
+
+def rolled_stops(
+    cell: CellBodies, stops: Mapping[str, Array], rolls: int, rng: np.random.Generator
+) -> tuple[dict[str, Array], np.ndarray]:
+    """Stops (n, N) with as many copies with another angle of each last joint as are seen and safe.
+
+    Returns them, name -> (m, N), and the place (m,) in ``stops`` of each.
+    """
+    n = len(next(iter(stops.values())))
+    place_of, kept = list(range(n)), [{name: q[k] for name, q in stops.items()} for k in range(n)]
+    for k in np.repeat(np.arange(n), rolls).tolist():
+        turned = {name: q[k].copy() for name, q in stops.items()}
+        for name, q in turned.items():
+            low, high = cell.arms[name].limits[-1]
+            q[-1] = np.clip(q[-1] + rng.uniform(-math.pi, math.pi), low, high)
+        if _all_seen(cell, turned) and not refuse_stop(cell, turned):
+            place_of.append(k)
+            kept.append(turned)
+    return {name: np.array([stop[name] for stop in kept]) for name in stops}, np.array(place_of, dtype=np.intp)
 
 
 def _all_seen(cell: CellBodies, q: Mapping[str, Array]) -> bool:

@@ -15,6 +15,7 @@ from cellapp.reporting.findings import (
     cycle_table,
     description_sentences,
     gap_steps,
+    gap_table,
     invisible_table,
     noise_floor,
     not_found_table,
@@ -22,10 +23,10 @@ from cellapp.reporting.findings import (
     parameter_table,
     picture_words,
     rest_sentences,
-    steps_table,
     told_from,
 )
 from cellapp.reporting.table import Table
+from cellapp.reporting.words import ranges
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,11 @@ class ArmSection:
     sentence: str
     gap: tuple[Drawing, ...]
     tables: tuple[Table, ...]
-    rivals: tuple[str, ...]
+    remarks: tuple[str, ...]
     descriptions: tuple[tuple[str, str], ...]
     pictures: tuple[Drawing, ...]
     unseen: tuple[Table, ...]
     rest: tuple[str, ...]
-    certainty: tuple[Drawing, ...]
 
 
 def arm_sections(discover: Mapping[str, Any], held_out: Mapping[str, tuple[Array, Array]]) -> list[ArmSection]:
@@ -54,11 +54,12 @@ def arm_sections(discover: Mapping[str, Any], held_out: Mapping[str, tuple[Array
     sections = []
     for number, (name, arm) in enumerate(discover["arms"].items(), start=1):
         tables = (
-            steps_table(name, arm),
+            gap_table(name, arm),
             accepted_table(name, arm),
             parameter_table(name, arm),
             cycle_table(name, arm),
         )
+        certainty = [_certainty(number, name, *held_out[name])] if name in held_out else []
         unseen = (invisible_table(name, arm), not_found_table(name, arm))
         sections.append(
             ArmSection(
@@ -67,12 +68,11 @@ def arm_sections(discover: Mapping[str, Any], held_out: Mapping[str, tuple[Array
                 sentence=own_sentence(name, arm),
                 gap=(_gap(number, name, arm),),
                 tables=tuple(table for table in tables if table is not None),
-                rivals=tuple(_rivals(arm)),
+                remarks=(*_rivals(arm), *_feeble(arm)),
                 descriptions=tuple(description_sentences(arm)),
-                pictures=tuple(_pictures(number, name, arm["pictures"])),
+                pictures=(*_pictures(number, name, arm["pictures"]), *certainty),
                 unseen=tuple(table for table in unseen if table is not None),
                 rest=tuple(rest_sentences(arm)),
-                certainty=() if name not in held_out else (_certainty(number, name, *held_out[name]),),
             )
         )
     return sections
@@ -107,6 +107,18 @@ def _rivals(arm: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def _feeble(arm: Mapping[str, Any]) -> list[str]:
+    """Joints of an effect that have no picture."""
+    lines = []
+    for found in arm["accepted"]:
+        drawn = [picture["y_label"] for picture in arm["pictures"] if picture["effect"] == found["effect"]]
+        missing = [joint for joint in found["where"]["joints"] if f"offset of joint {joint} [urad]" not in drawn]
+        if missing:
+            which = f"joints {ranges(missing)}" if len(missing) > 1 else f"joint {missing[0]}"
+            lines.append(f"There is no picture of {found['effect']} for {which}: the SMR hardly moves with it.")
+    return lines
+
+
 def _pictures(number: int, name: str, pictures: Sequence[Mapping[str, Any]]) -> list[Drawing]:
     from cellapp.reporting import figures
 
@@ -128,10 +140,12 @@ def _pictures(number: int, name: str, pictures: Sequence[Mapping[str, Any]]) -> 
         else:
             legend.append(("effects", "computed"))
         against = picture["x_label"].partition(" [")[0]
+        plain = picture["title"].endswith(against) or picture["curve"] is not None
+        ending = "" if plain else f", against {_with_article(against)}"
         drawings.append(
             Drawing(
                 figures.effect_figure(f"seen{number}-{place}", seen, picture["x_label"], picture["y_label"]),
-                f"Arm {name}: {picture['title']}, against the {against}".replace("the joint", "joint"),
+                f"Arm {name}: {picture['title']}{ending}",
                 tuple(legend),
                 note=picture_words(picture),
             )
@@ -139,12 +153,16 @@ def _pictures(number: int, name: str, pictures: Sequence[Mapping[str, Any]]) -> 
     return drawings
 
 
+def _with_article(words: str) -> str:
+    return words if words.startswith(("joint ", "time", "azimuth", "elevation", "incidence")) else f"the {words}"
+
+
 def _certainty(number: int, name: str, predicted_mm: Array, errors_mm: Array) -> Drawing:
     from cellapp.reporting import figures
 
     return Drawing(
         figures.certainty_figure(f"certainty{number}", predicted_mm, errors_mm),
-        f"Arm {name}: where the model is less sure, it errs more",
+        f"Arm {name}: position error against how unsure the model is",
         (
             ("effects", "one held-out configuration"),
             ("floor", "where the error is as large as predicted (rms of all three coordinates)"),

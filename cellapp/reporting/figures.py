@@ -85,7 +85,8 @@ _FAMILIES = frozenset(
 )
 _SIZE = (5.2, 3.3)
 _WIDE = (8.0, 6.0)
-_SMOOTH = 4.0  # a line that goes up and down more often than this, over its whole range, is a cloud
+_SMOOTH = 0.02  # what lies farther off the line between its neighbours, as a share of the range, is a cloud
+_TURN = 360.0
 _LEAST_MM = 1e-6  # what a logarithmic axis shows for no error at all
 
 
@@ -191,10 +192,12 @@ class Seen:
     @property
     def is_line(self) -> bool:
         """Whether what was computed is a function of x that a line can show, and not a cloud."""
-        if self.curve is not None or len(self.x) < 2:
+        if self.curve is not None or len(self.x) < 3:
             return self.curve is not None
-        ways = float(np.abs(np.diff(self.computed)).sum())
-        return ways <= _SMOOTH * float(np.ptp(self.computed)) + 1e-12
+        x, y = self.x, self.computed
+        share = np.diff(x)[:-1] / np.maximum(x[2:] - x[:-2], 1e-12)
+        between = y[:-2] + share * (y[2:] - y[:-2])
+        return float(np.median(np.abs(y[1:-1] - between))) <= _SMOOTH * float(np.ptp(y)) + 1e-12
 
 
 def effect_figure(key: str, seen: Seen, x_label: str, y_label: str) -> str:
@@ -213,8 +216,8 @@ def effect_figure(key: str, seen: Seen, x_label: str, y_label: str) -> str:
             _dots(axes, x, value, colour, "projecting", width=width)
         low, high = _typical_range(np.concatenate([seen.measured, value]), seen.computed)
         axes.set_ylim(low, high)
-        axes.set_xlim(*((-180.0, 180.0) if seen.curve is not None else _padded(seen.x)))
-        if seen.curve is not None:
+        axes.set_xlim(*_padded(seen.x) if seen.curve is None else (float(x[0]), float(x[-1])))
+        if seen.curve is not None and x[-1] - x[0] == _TURN:
             axes.xaxis.set_major_locator(MultipleLocator(60.0))
         axes.set_xlabel(x_label.replace("[urad]", "[µrad]").replace("[um]", "[µm]"))
         axes.set_ylabel(y_label.replace("[urad]", "[µrad]").replace("[um]", "[µm]"))

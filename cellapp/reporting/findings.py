@@ -13,6 +13,7 @@ from cellapp.reporting.words import interval_95, knees, law_words, place_words, 
 
 WIDTH = 80
 """Columns of a terminal."""
+_TURN = 360.0
 _SAME = 0.005
 """A gap this near another one, relatively, is not told twice."""
 
@@ -83,6 +84,15 @@ def steps_table(name: str, arm: Mapping[str, Any]) -> Table:
     return Table(f"Arm {name}: {arm['verdict']}", ("step", "held-out rms [mm]"), tuple(rows))
 
 
+def gap_table(name: str, arm: Mapping[str, Any]) -> Table:
+    """As ``steps_table`` with the numbers of the steps, for where they are drawn too."""
+    rows = [(str(number), what, _mm(gap)) for number, (what, gap) in enumerate(gap_steps(arm))]
+    floor = noise_floor(arm)
+    if floor is not None:
+        rows.append(("", "noise floor", _mm(floor)))
+    return Table(f"Arm {name}: the gap after each step", ("step", "what was done", "held-out rms [mm]"), tuple(rows))
+
+
 # -- lines for a terminal ---------------------------------------------------------------------------------------------
 
 
@@ -112,12 +122,12 @@ def _accepted_lines(accepted: Sequence[Mapping[str, Any]], width: int) -> list[s
     """A small table, and below each periodic error its cycles."""
     if not accepted:
         return []
-    lines = ["  accepted                 where             corrected p   without -> with [mm]"]
+    lines = [f"  {'accepted':23} {'where':21} {'corrected p':>11}  without -> with [mm]"]
     for found in accepted:
         gap = found["evidence"]["heldout_mm"]
         place, p = place_words(found["where"]), f"{found['evidence']['corrected_p']:.2g}"
         lines.append(
-            _cut(f"  {found['effect']:24} {place:18} {p:>10}   {gap['before']:7.4f} -> {gap['after']:.4f}", width)
+            _cut(f"  {found['effect']:23} {place:21} {p:>11}  {gap['before']:7.4f} -> {gap['after']:.4f}", width)
         )
         cycles = cycle_words(found)
         if cycles:
@@ -189,11 +199,11 @@ def accepted_table(name: str, arm: Mapping[str, Any]) -> Table | None:
 
 
 def parameter_table(name: str, arm: Mapping[str, Any]) -> Table | None:
-    """Values with 95 % intervals; curves are left to their pictures. None where there is none."""
+    """Values with 95 % intervals; curves and terms without a name are left to their pictures. None if none is left."""
     rows = [
-        (found.get("title", found["effect"]), parameter, *interval_95(entry))
+        (found["effect"], parameter, *interval_95(entry))
         for found in arm["accepted"]
-        if found["law"]["name"] != "curve"
+        if found["law"]["name"] != "curve" and "description" not in found
         for parameter, entry in found["parameters"].items()
     ]
     if not rows:
@@ -206,7 +216,7 @@ def cycle_table(name: str, arm: Mapping[str, Any]) -> Table | None:
     """Which cycles a turn dominate the periodic error of each joint; None where there is none."""
     rows = [
         (
-            f"joint {joint}",
+            joint,
             f"{entry['from']} to {entry['to']}" if entry["from"] != entry["to"] else str(entry["from"]),
             str(entry["peak"]),
             f"{entry['rms_urad']:.0f}",
@@ -216,7 +226,7 @@ def cycle_table(name: str, arm: Mapping[str, Any]) -> Table | None:
     ]
     if not rows:
         return None
-    columns = ("joint", "cycles a turn, middle 80 % of the power", "strongest", "rms over a turn [µrad]")
+    columns = ("joint", "cycles a turn, middle 80 % of the power", "strongest", "rms over a whole turn [µrad]")
     return Table(f"Arm {name}: the periodic error by its cycles a turn", columns, tuple(rows))
 
 
@@ -307,23 +317,21 @@ def picture_words(picture: Mapping[str, Any]) -> str:
     unit = "µrad" if picture["y_label"].endswith("[urad]") else "µm"
     shown = _rms(picture["computed"])
     left = _rms([m - c for m, c in zip(picture["measured"], picture["computed"], strict=True)])
-    words = (
-        f"Dots are what the readings show once everything else in the model is taken away. The effect makes"
-        f" {shown:.0f} {unit} rms of it, {left:.0f} {unit} rms scatter about it."
-    )
+    words = f"The effect makes {shown:.0f} {unit} rms at these readings, which scatter {left:.0f} {unit} rms about it."
     curve = picture.get("curve")
-    if curve is not None and curve["band"]:
+    if curve is not None and curve["x"][-1] - curve["x"][0] == _TURN:
         worst = max(range(len(curve["band"])), key=curve["band"].__getitem__)
         best = min(range(len(curve["band"])), key=curve["band"].__getitem__)
-        words += (
-            f" The curve is surest at {curve['x'][best]:.0f}° (standard deviation {curve['band'][best]:.0f} {unit}) and"
-            f" least sure at {curve['x'][worst]:.0f}° ({curve['band'][worst]:.0f} {unit})"
-        )
+        if curve["band"][worst] >= 2.0 * curve["band"][best]:
+            words += (
+                f" The curve is surest at {curve['x'][best]:.0f}° (standard deviation"
+                f" {curve['band'][best]:.0f} {unit}) and least sure at {curve['x'][worst]:.0f}°"
+                f" ({curve['band'][worst]:.0f} {unit})."
+            )
         gap = _largest_gap(picture["x"])
         if gap[1] - gap[0] >= 10.0:
             end = (gap[1] + 180.0) % 360.0 - 180.0
-            words += f"; no reading was taken from {gap[0]:.0f}° to {end:.0f}°"
-        words += "."
+            words += f" No reading was taken from {gap[0]:.0f}° to {end:.0f}°."
     return words
 
 

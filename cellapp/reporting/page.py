@@ -266,7 +266,9 @@ def _warnings(results: _Results) -> list[str]:
 def _right_aligned(table: Table) -> list[bool]:
     """For each column whether it holds numbers: they are read by their last digits."""
     return [
-        place > 0 and all(_is_number(row[place]) for row in table.rows if row[place])
+        place > 0
+        and any(row[place] for row in table.rows)
+        and all(_is_number(row[place]) for row in table.rows if row[place])
         for place in range(len(table.columns))
     ]
 

@@ -181,6 +181,37 @@ def paper_tables(result: Mapping[str, Any]) -> list[Table]:
     return tables
 
 
+def link_table(result: Mapping[str, Any]) -> Table:
+    """What was measured of emulated arms under the real client; from the object of ``trials links --json``."""
+    rows = [
+        (name, *_times(result[key]))
+        for name, key in (
+            ("connect", "connect_s"),
+            ("ask for the state", "state_s"),
+            ("motion, beyond its ideal time", "move_overhead_s"),
+        )
+    ]
+    for fault, times in result["by_fault"].items():
+        for name, key in (("reported", "reported_s"), ("at rest", "at_rest_s"), ("ready again", "recovered_s")):
+            rows.append((f"{fault}: {name}", *_times(times[key])))
+    return Table("Times [s]", ("what", "median", "95 %", "max", "n"), tuple(rows))
+
+
+def bridge_table(result: Mapping[str, Any]) -> Table:
+    """How long measurements took by what befell them; from the object of ``trials bridge --json``."""
+    undisturbed = ("none", str(result["asked"] - sum(result["faults"].values())), f"{result['undisturbed_s']:.3f}")
+    rows = [
+        (fault, str(result["faults"][fault]), f"{longest:.3f}") for fault, longest in result["recovery_s"].items()
+    ]
+    return Table("Times of a measurement [s]", ("fault", "n", "longest; none: median"), (undisturbed, *rows))
+
+
+def _times(spread: Mapping[str, float | int] | None) -> tuple[str, ...]:
+    if spread is None:
+        return ("", "", "", "0")
+    return (*(f"{spread[key]:.3f}" for key in ("median", "p95", "max")), str(spread["n"]))
+
+
 def tracker_sentences(result: Mapping[str, Any]) -> list[str]:
     """How near each arm comes to the tracker's own uncertainty; from the object of ``calibrate --json``."""
     sentences = []

@@ -114,10 +114,13 @@ def knees(law: Mapping[str, Any], joints: Sequence[int]) -> str:
 
 def place_words(where: Mapping[str, Any]) -> str:
     """Where an effect acts: ``joints 1-3, 6``, or a frame."""
+    places = where["acts_on"]
     joints = where["joints"]
+    if not joints and all(place.startswith("joint ") for place in places):
+        joints = [int(place.removeprefix("joint ")) for place in places]
     if joints:
         return f"joint{'s' if len(joints) > 1 else ''} {ranges(joints)}"
-    return ", ".join(where["acts_on"])
+    return ", ".join(places)
 
 
 def ranges(numbers: Sequence[int]) -> str:

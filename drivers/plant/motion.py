@@ -47,10 +47,10 @@ class Motion:
         return np.where((time_s >= self.end_s)[:, None], self.q_to, q)
 
     def velocity(self, time_s: Array) -> Array:
-        """Joint speeds (n, N) at times (n,); zero outside the motion."""
+        """Joint speeds (n, N) at times (n,); zero before the start and from the end on."""
         t, phase = self._phase(time_s)
         rate = self.rate[phase] + t * self.pull[phase]
-        inside = (time_s > self.start_s) & (time_s < self.end_s)
+        inside = (time_s >= self.start_s) & (time_s < self.end_s)  # one that brakes has its speed from the start
         return np.where(inside, rate, 0.0)[:, None] * (self.q_to - self.q_from)
 
 

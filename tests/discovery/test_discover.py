@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cellapp.calibration.calibrate import calibrate_run
-from cellapp.collection.cell import build_plant
-from cellapp.discovery.discover import discover_run
+from cellapp.calibration.calibrate import calibrate_arm, calibrate_run
+from cellapp.collection.cell import build_plant, plant_arm
+from cellapp.discovery.discover import discover_arm, discover_run, known_of_all
+from cellapp.effects import EFFECTS, Circumstances
 from cellapp.errors import InputError
 from cellapp.model import CellModel
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import load_profile
 from cellapp.run import Readings, RunFile, import_csv
+from cellapp.trials.blind import Noise, blind_readings, with_hidden
+from drivers.plant import suggest
 
 ROOT = Path(__file__).parents[2]
 STIFFNESS = [9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]
@@ -114,48 +118,134 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
     assert {term.slug for term in model.arms["left"].effects} == names(left)
 
 
-def test_what_the_library_lacks_is_called_unknown(tmp_path, plan):
-    # a joint law that no effect of the library has: three cycles a turn, written into the readings themselves
-    with measured_run(tmp_path / "run", plan, {}) as run:
-        readings = {name: run.readings(name) for name in run.arms()}
-        profile = run.profile
+def blind(plan, effects, seed, noise=None):
+    """What discovery says of the left arm of a cell whose data hold all factors."""
+    profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": effects}, seed)
+    readings = blind_readings(profile, plan, seed, noise)
+    models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
+    known = known_of_all(CellModel(arms=models), readings)
+    return discover_arm(profile, "left", models["left"], readings["left"], known=known["left"])
+
+
+def drawn(slug, seed):
+    """Parameters of a hidden effect at a realistic size for the left arm."""
+    arms = load_profile(ROOT / "profiles" / "twin.yaml").arms
+    return suggest(slug, np.random.default_rng(seed), plant_arm("left", arms["left"], {}))
+
+
+@pytest.mark.parametrize(
+    "slug",
+    [
+        "joint_compliance",
+        "payload_compliance",
+        "link_bending",
+        "transmission_error",
+        "friction_windup",
+        "unsettled_measurement",
+        "joint_axis_wobble",
+        "thermal_growth",
+        "joint_drift",
+        "base_drift",
+        "base_step",
+        "target_slip",
+        "pedestal_compliance",
+        "pedestal_coupling",
+    ],
+)
+def test_every_effect_with_a_visible_size_is_named(plan, slug):
+    found = blind(plan, {slug: drawn(slug, 21)}, seed=21)
+    assert names(found) == {slug}
+    assert found.verdict in ("explained", "ambiguous")
+    # a free curve of 40 cycles has some hundred coefficients, which three hundred readings leave uncertain
+    dense = any(finding.term.law.name == "curve" for finding in found.findings)
+    assert found.after_mm < (1.4 if dense else 1.15) * found.noise_floor_mm
+    assert [step.heldout_mm for step in found.steps][0] == found.before_mm > found.after_mm
+
+
+@pytest.mark.parametrize("noise", [Noise("heavy"), Noise(repeatability=8e-6)], ids=["heavy tails", "repeatability"])
+def test_other_noise_than_stated_is_given_no_name(plan, noise):
+    for seed in (31, 32):
+        found = blind(plan, {}, seed, noise)
+        assert names(found) == set()
+        assert found.verdict == "nothing missing"
+
+
+@pytest.mark.parametrize(
+    ("slug", "channel", "variables"),
+    [
+        ("crosstalk", "joint 4", {"q5"}),
+        ("wrist_cable", "joint 6", {"q4"}),
+        ("dress_pack", "joint 1", {"q1", "q2"}),
+        ("draught", "tracker azimuth", {"time"}),
+    ],
+)
+def test_what_the_library_lacks_is_called_unknown_and_described(plan, slug, channel, variables):
+    found = blind(plan, {slug: drawn(slug, 5)}, seed=5)
+    assert found.verdict == "unknown effect"
+    assert names(found) == {"unknown"}
+    description = found.findings[0].description
+    assert description.channel == channel
+    assert set(description.variables) == variables
+    assert channel in found.sentence
+    assert found.after_mm < 1.15 * found.noise_floor_mm
+    # it is part of the model from then on, as a data-driven term
+    assert found.model.effects[0].note == description.sentence
+    text = CellModel(arms={"left": found.model}).to_json()
+    back = CellModel.from_json(text).arms["left"]
+    q = plan["left"][:5]
+    known = Circumstances(time_s=np.full(5, 9000.0))
+    np.testing.assert_array_equal(back.predict(q, known=known), found.model.predict(q, known=known))
+
+
+def test_look_alikes_that_the_data_cannot_tell_apart_are_an_answer_set(plan):
+    # every reading comes from one side, with one step: what is left behind the last motion may be either
+    profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": {}}, 3)
+    readings = blind_readings(profile, plan, 3)["left"]
+    offset = readings.approach * 1.2e-4
     plant = build_plant(profile)
-    rng = np.random.default_rng(1)
-
-    def fill(run):
-        for name, before in readings.items():
-            bent = before.q + np.array([0.0, 6e-4, 0.0, 0.0, 0.0, 0.0]) * np.sin(3.0 * before.q)
-            points, covariance = plant.measure_positions(plant.smr_positions(name, bent), rng)
-            run.add_readings(
-                name,
-                Readings(
-                    configuration=before.configuration,
-                    time_s=before.time_s,
-                    q=before.q,
-                    approach=before.approach,
-                    p_M=points,
-                    covariance_M=covariance,
-                ),
-            )
-
-    with RunFile.create(tmp_path / "other", profile, fill) as run:
-        calibrate_run(run)
-        for discovery in discover_run(run).values():
-            assert discovery.verdict == "unknown effect"
-            assert discovery.after_mm > 1.4 * discovery.noise_floor_mm
+    points, covariance = plant.measure_positions(
+        plant.smr_positions("left", readings.q - offset), np.random.default_rng(3)
+    )
+    tied = replace(
+        readings, p_M=points, covariance_M=covariance, step=0.3 * readings.approach, dwell_s=np.full(len(readings), 2.0)
+    )
+    model = calibrate_arm(profile, "left", tied)[0].model
+    found = discover_arm(profile, "left", model, tied)
+    assert found.verdict == "ambiguous"
+    answers = set(found.findings[0].answer_set)
+    assert {"backlash", "unsettled_measurement"} <= answers
 
 
-def test_backlash_cannot_be_seen_from_one_side_and_that_is_said(tmp_path):
+def test_what_cannot_be_said_is_said(plan):
+    found = blind(plan, {}, seed=2)
+    invisible = {entry["effect"]: entry for entry in found.invisible}
+    assert "tracker_scale" in invisible
+    seen = {entry["effect"]: entry for entry in found.not_found}
+    assert seen["backlash"]["smallest_seen_rms_mm"] < 0.02
+    assert seen["pedestal_coupling"]["visible_share"] > 0.9
+    assert set(invisible) | set(seen) == set(EFFECTS) - {"unknown"}
+
+
+def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
     profile = load_profile(ROOT / "profiles" / "ur10-real.yaml")
     with import_csv(profile, ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv", tmp_path / "run") as run:
         calibrate_run(run)
         discovery = discover_run(run)["left"]
+        inside = np.median(run.readings("left").q, axis=0)[None]
     invisible = {entry["effect"]: entry for entry in discovery.invisible}
-    assert invisible["backlash"]["smallest_seen"] is None
-    assert "cannot show it" in invisible["backlash"]["reason"]
-    # the real arm hides more than this library knows, and the verdict must not pretend otherwise
+    for slug in ("backlash", "friction_windup", "base_step", "payload_compliance"):
+        assert invisible[slug]["reason"].startswith("not testable: ")
+        assert invisible[slug]["smallest_seen"] is None
+    periodic = next(f for f in discovery.findings if f.term.slug == "transmission_error")
+    assert periodic.term.law.name == "curve"
+    assert {1, 2, 3, 4, 5} <= set(periodic.joints)
+    assert discovery.after_mm < 0.4 * discovery.before_mm
+    # the tracker is five times better than what is left, and the verdict must not pretend otherwise
     assert discovery.verdict == "unknown effect"
-    assert discovery.after_mm > 10.0 * discovery.noise_floor_mm
+    # beyond what was trained it does not know, and says so
+    outside = inside.copy()
+    outside[0, 1] = 0.0  # joint 2 was trained from -186 to -90 degrees
+    assert discovery.model.uncertainty(outside)[0] > 2.0 * discovery.model.uncertainty(inside)[0]
 
 
 def test_an_uncalibrated_run_is_refused(tmp_path, plan):

@@ -76,6 +76,9 @@ def test_braking_goes_on_along_the_way_and_never_past_its_end(goal, speed, accel
     end = rest.position(np.array([rest.end_s]))[0]
     assert (np.abs(end) <= np.abs(goal) + 1e-12).all()
     assert (np.abs(end) >= np.abs(q) - 1e-12).all()
+    again = braked(rest, now, acceleration)  # as when two things tell it to stop at the same time
+    assert again.end_s == pytest.approx(rest.end_s, rel=1e-9)
+    assert again.position(np.array([again.end_s]))[0] == pytest.approx(end, abs=1e-9)
 
 
 def test_two_arms_move_at_the_same_time(plant, arm):

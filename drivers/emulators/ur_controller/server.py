@@ -140,6 +140,8 @@ class UrControllerServer:
     cell : PacedCell
         The motions, their clock and the lock. Another server in this process, such as a tracker's, runs in a thread of
         its own, holds ``cell.lock`` while it touches the plant, and waits with ``cell.wait``.
+    failure : Exception or None
+        What ended the background thread before it was told to; all ports are closed then.
     """
 
     def __init__(
@@ -172,7 +174,7 @@ class UrControllerServer:
         self._wake: tuple[socket.socket, socket.socket] | None = None
         self._thread: threading.Thread | None = None
         self._closing = False
-        self._jobs: deque[tuple[Callable[[], object], threading.Event]] = deque()
+        self.failure: Exception | None = None
 
     def _open_control(self, link: Link) -> ControlSession:
         return ControlSession(link.send, lambda line: obey(line, self._arms, self.cell, time.monotonic()))
@@ -212,7 +214,7 @@ class UrControllerServer:
 
     def __enter__(self) -> Self:
         self.open()
-        self._thread = threading.Thread(target=self.run, name="UR controllers", daemon=True)
+        self._thread = threading.Thread(target=self._run_aside, name="UR controllers", daemon=True)
         self._thread.start()
         return self
 
@@ -226,6 +228,12 @@ class UrControllerServer:
         """Let ``run`` return; from any thread."""
         self._closing = True
         self._ring()
+
+    def _run_aside(self) -> None:
+        try:
+            self.run()
+        except Exception as error:  # noqa: BLE001 - a thread's last door: whoever waits for it must be told
+            self.failure = error
 
     def _ring(self) -> None:
         if self._wake is not None:

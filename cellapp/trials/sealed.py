@@ -1,0 +1,464 @@
+"""Sealed trials: runs of simulated cells with hidden effects, and their truth in a file that is opened afterwards.
+
+A folder of trials holds ``run-0001``, ``run-0002`` ..., each a run like one that was imported, ``truth.json``, and
+``seal.txt`` with the SHA-256 of it in the form that ``sha256sum -c`` takes. A run has no section ``plant`` and no seed
+that its truth was drawn from, and trials stand in a drawn order: only ``truth.json`` tells what is hidden in which arm.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import secrets
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellapp import __version__
+from cellapp.calibration.calibrate import rms_length_mm
+from cellapp.calibration.identification import start_from_nominal
+from cellapp.calibration.parameters import auto_set
+from cellapp.calibration.setup import nominal_arm, stated_uncertainty
+from cellapp.collection.cell import build_plant
+from cellapp.errors import CheckFailed, InputError
+from cellapp.kinematics.chain import Turns, jacobian
+from cellapp.kinematics.transforms import Array
+from cellapp.planning.plan import plan_stops
+from cellapp.profile import Arm, NoDriver, Profile, Sensors
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.run import Readings, RunFile
+from cellapp.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
+from drivers.plant import OUTSIDE, REALISTIC, suggest
+
+TRUTH_FILE = "truth.json"
+SEAL_FILE = "seal.txt"
+SCHEMA, VERSION = "cellapp-trials-truth", 1
+
+NOISES: Mapping[str, Noise] = {
+    "gaussian": Noise(),
+    "heavy": Noise("heavy"),
+    "repeatability": Noise("gaussian", 8e-6),
+}
+"""How readings scatter: as stated, with heavy tails, or with 8 urad of each joint that nobody states."""
+
+PAIRS: tuple[tuple[str, str], ...] = (
+    ("joint_compliance", "backlash"),
+    ("joint_compliance", "base_drift"),
+    ("joint_compliance", "pedestal_coupling"),
+    ("encoder_eccentricity", "target_slip"),
+    ("backlash", "thermal_growth"),
+    ("transmission_error", "base_step"),
+    ("transmission_error", "friction_windup"),
+    ("joint_compliance", "transmission_error"),
+    ("pedestal_coupling", "thermal_growth"),
+    ("joint_axis_wobble", "unsettled_measurement"),
+    ("link_bending", "backlash"),
+    ("encoder_eccentricity", "joint_drift"),
+)
+"""Ordinary pairs: each effect acts in its own way."""
+LOOK_ALIKES: tuple[tuple[str, str], ...] = (
+    ("joint_compliance", "link_bending"),
+    ("backlash", "unsettled_measurement"),
+    ("backlash", "friction_windup"),
+    ("joint_compliance", "pedestal_compliance"),
+    ("joint_compliance", "encoder_eccentricity"),
+    ("base_drift", "thermal_growth"),
+    ("encoder_eccentricity", "transmission_error"),
+)
+"""Pairs of which either imitates a part of the other."""
+
+EXPECTED: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "dress_pack": ("joint 1", ("q1", "q2")),
+    "crosstalk": ("joint 4", ("q5",)),
+    "base_sway": ("base shift", ("time",)),
+    "tool_sag": ("tool", ("q5",)),
+    "wrist_cable": ("joint 6", ("q4",)),
+    "draught": ("tracker azimuth", ("time",)),
+}
+"""What a description of each law outside the library must say: channel and variables."""
+
+_IN_THE_LIBRARY = {"tracker_drift": "base_drift"}
+"""What one arm's data cannot tell from another effect goes by the other's name."""
+_ONE, _NONE, _OUTSIDE, _PAIR = KINDS = ("one", "none", "outside", "pair")
+MIXED = "mixed"
+_MIXTURE = (_ONE, _ONE, _NONE, _ONE, _OUTSIDE, _ONE, _ONE, _PAIR, _ONE, _NONE)
+_TRIALS_A_PLAN = 25
+_MASS_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One hidden effect: its name in the library, as the plant calls it, and how far it moves the SMR.
+
+    ``raw_um`` is the rms displacement over the run's stops [um], ``visible_um`` what is left of it after the part that
+    the geometric parameters can follow.
+    """
+
+    effect: str
+    plant: str
+    parameters: Mapping[str, Any]
+    raw_um: float
+    visible_um: float
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is true of one sealed run.
+
+    Attributes
+    ----------
+    arm : str
+        Which arm has the effects; empty where nothing is hidden.
+    noise_um, held_out_um : mapping
+        Arm -> rms length [um] of the noise that the readings state, and of the error that was really drawn at the
+        stops of its validate split.
+    expected : mapping or None
+        Channel and variables of a law that the library lacks.
+    readings : str
+        SHA-256 of what was measured.
+    """
+
+    run: str
+    kind: str
+    look_alikes: bool
+    arm: str
+    effects: tuple[Hidden, ...]
+    expected: Mapping[str, Any] | None
+    noise_um: Mapping[str, float]
+    held_out_um: Mapping[str, float]
+    seeds: Mapping[str, int]
+    readings: str
+
+
+@dataclass(frozen=True)
+class Sealed:
+    """A folder of sealed trials: how many runs it holds, and the SHA-256 of the truth."""
+
+    folder: Path
+    runs: int
+    digest: str
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What ``truth.json`` holds: how the trials were sealed, and each run's truth."""
+
+    sealed: Mapping[str, Any]
+    trials: tuple[Truth, ...]
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What one trial is to hide."""
+
+    kind: str
+    slugs: tuple[str, ...] = ()
+    look_alikes: bool = False
+    arm: str = ""
+
+
+def seal_trials(
+    profile: Profile,
+    folder: Path,
+    n: int = 200,
+    *,
+    seed: int | None = None,
+    kind: str = _ONE,
+    noise: str = "gaussian",
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> Sealed:
+    """Write ``n`` sealed runs into a new folder. Without ``seed`` one is drawn that only ``truth.json`` tells.
+
+    ``kind`` is ``one`` (each realistic effect in turn), ``none``, ``outside`` (laws that the library lacks), ``pair``
+    or ``mixed``; ``noise`` is one of ``NOISES``.
+
+    Raises
+    ------
+    InputError
+        If the profile has no simulated cell of two arms, a word is not known, or the folder is not empty.
+    Cancelled
+        On request; nothing is left behind then.
+    """
+    cancel = cancel or CancelToken()
+    _check_words(kind, noise)
+    if profile.plant is None or len(profile.arms) != 2:
+        raise InputError(f"profile {profile.name}: sealed trials need a section 'plant' and two arms")
+    seed = secrets.randbits(31) if seed is None else seed
+    hidden_masses = profile.plant.geometry.model_copy(update={"mass": _MASS_SHARE})
+    plant = profile.plant.model_copy(update={"geometry": hidden_masses, "effects": {}})
+    profile = profile.model_copy(update={"plant": plant})
+    build_plant(profile)  # what is wrong with the cell is told before there is a folder
+    made = _new_folder(folder)
+    try:
+        truths = _write_runs(profile, folder, _cases(tuple(profile.arms), kind, n, seed), seed, noise, listener, cancel)
+        content = {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "sealed": {
+                "written": datetime.now(UTC).isoformat(timespec="seconds"),
+                "program": f"cellapp {__version__}",
+                "profile": profile.name,
+                "seed": seed,
+                "kind": kind,
+                "noise": noise,
+                "runs": n,
+                "stops": profile.plan.stops,
+            },
+            "trials": [asdict(truth) for truth in truths],
+        }
+        data = (json.dumps(content, indent=1) + "\n").encode()
+        digest = hashlib.sha256(data).hexdigest()
+        (folder / TRUTH_FILE).write_bytes(data)
+        (folder / SEAL_FILE).write_text(f"{digest}  {TRUTH_FILE}\n", encoding="utf-8")
+    except BaseException:  # also a Ctrl-C: half a set of trials has no truth and is of no use
+        _take_back(folder, made)
+        raise
+    return Sealed(folder, n, digest)
+
+
+def check_seal(folder: Path) -> bytes:
+    """The bytes of ``truth.json``, unread, if they are those that were sealed.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no sealed trials.
+    CheckFailed
+        If truth and seal do not belong together.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder; 'cellapp trials seal' makes one")
+    for name in (TRUTH_FILE, SEAL_FILE):
+        if not (folder / name).is_file():
+            raise InputError(
+                f"{folder} holds no sealed trials ({name} is missing); give a folder that 'cellapp trials seal' made"
+            )
+    try:
+        data = (folder / TRUTH_FILE).read_bytes()
+        seal = (folder / SEAL_FILE).read_bytes().split()
+    except OSError as error:
+        raise InputError(f"{folder}: {error.filename} cannot be read ({error.strerror})") from None
+    found = hashlib.sha256(data).hexdigest()
+    if not seal or seal[0] != found.encode():
+        stated = seal[0].decode("ascii", "replace")[:64] if seal else "nothing"
+        raise CheckFailed(
+            f"{folder / TRUTH_FILE}: the seal is broken: its SHA-256 is {found}, {SEAL_FILE} says {stated};"
+            " these trials prove nothing, seal new ones"
+        )
+    return data
+
+
+def open_truth(folder: Path) -> Opened:
+    """Check the seal and open the truth. Raises as ``check_seal``, and ``InputError`` for another version's file."""
+    try:
+        content = json.loads(check_seal(folder))
+        header = (content["schema"], content["version"])
+        if header != (SCHEMA, VERSION):
+            raise InputError(f"{folder / TRUTH_FILE}: expected {SCHEMA} version {VERSION}, got {header[0]} {header[1]}")
+        trials = tuple(
+            Truth(**{**entry, "effects": tuple(Hidden(**one) for one in entry["effects"])})
+            for entry in content["trials"]
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder / TRUTH_FILE}: sealed, but not by this program ({error!r})") from None
+    return Opened(content["sealed"], trials)
+
+
+def digest_of(readings: Mapping[str, Readings]) -> str:
+    """SHA-256 of the joint positions and points of all arms, in the arms' order by name."""
+    found = hashlib.sha256()
+    for name in sorted(readings):
+        found.update(name.encode())
+        found.update(np.ascontiguousarray(readings[name].q).tobytes())
+        found.update(np.ascontiguousarray(readings[name].p_M).tobytes())
+    return found.hexdigest()
+
+
+def without_truth(profile: Profile, number: int) -> Profile:
+    """The profile that a sealed run holds: no section ``plant``, no device, no seed but the run's number."""
+    arms = {name: arm.model_copy(update={"driver": NoDriver(kind="none")}) for name, arm in profile.arms.items()}
+    return profile.model_copy(
+        update={
+            "name": f"sealed-{number:04d}",
+            "seed": number,
+            "arms": arms,
+            "tracker": profile.tracker.model_copy(update={"driver": NoDriver(kind="none")}),
+            "sensors": Sensors(),
+            "network": profile.network.model_copy(update={"kind": "none"}),
+            "plant": None,
+            "targets": None,
+        }
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _check_words(kind: str, noise: str) -> None:
+    for name, word, known in (("kind", kind, (*KINDS, MIXED)), ("noise", noise, tuple(NOISES))):
+        if word not in known:
+            raise InputError(f"--{name}: '{word}' is not known; {name}s are {', '.join(known)}")
+
+
+def _cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[_Case]:
+    """What each run hides: every law of a kind in turn, in the arms by turns, the runs then in a drawn order."""
+    menus: dict[str, list[tuple[tuple[str, ...], bool]]] = {
+        _ONE: [((slug,), False) for slug in REALISTIC],
+        _NONE: [((), False)],
+        _OUTSIDE: [((slug,), False) for slug in OUTSIDE],
+        _PAIR: [*((pair, False) for pair in PAIRS), *((pair, True) for pair in LOOK_ALIKES)],
+    }
+    counts = dict.fromkeys(KINDS, 0)
+    cases = []
+    for place in range(n):
+        here = _MIXTURE[place % len(_MIXTURE)] if kind == MIXED else kind
+        menu, turn = menus[here], counts[here]
+        counts[here] += 1
+        slugs, look_alikes = menu[turn % len(menu)]
+        # with an even number of laws each would meet the same arm again in every round
+        shifted = turn + (turn // len(menu) if len(menu) % 2 == 0 else 0)
+        cases.append(_Case(here, slugs, look_alikes, arms[shifted % len(arms)] if slugs else ""))
+    order = np.random.default_rng([seed, 0x0DE2]).permutation(n)
+    return [cases[place] for place in order]
+
+
+def _write_runs(
+    profile: Profile,
+    folder: Path,
+    cases: Sequence[_Case],
+    seed: int,
+    noise: str,
+    listener: Listener,
+    cancel: CancelToken,
+) -> list[Truth]:
+    """Write the runs and return their truth."""
+    truths: list[Truth] = []
+    plan: Mapping[str, Array] = {}
+    plan_seed = 0
+    for place, case in enumerate(cases):
+        cancel.check()
+        number = place + 1
+        listener(Progress("seal", place, len(cases), f"run {number}"))
+        if place % _TRIALS_A_PLAN == 0:
+            plan_seed = int(np.random.default_rng([seed, 0x91A2, place]).integers(2**31))
+            plan = plan_stops(profile.model_copy(update={"seed": plan_seed}), cancel=cancel)
+        truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, plan_seed, seed, noise))
+    listener(Progress("seal", len(cases), len(cases), "done"))
+    return truths
+
+
+def _write_run(
+    profile: Profile,
+    folder: Path,
+    number: int,
+    case: _Case,
+    plan: Mapping[str, Array],
+    plan_seed: int,
+    seed: int,
+    noise: str,
+) -> Truth:
+    """One run and what is true of it."""
+    rng = np.random.default_rng([seed, 0x5EA1, number])
+    plant_seed, noise_seed = (int(value) for value in rng.integers(2**31, size=2))
+    parameters: dict[str, dict[str, Any]] = {}
+    if case.slugs:
+        config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
+        parameters = {slug: suggest(slug, rng, config, DURATION_S) for slug in case.slugs}
+    public = without_truth(profile, number)
+
+    def cell(effects: Mapping[str, Mapping[str, Any]], noise_on: bool) -> Profile:
+        hidden = with_hidden(profile, {case.arm: effects} if effects else {}, plant_seed)
+        assert hidden.plant is not None
+        settings = hidden.plant.model_copy(update={"noise": noise_on})
+        return hidden.model_copy(update={"plant": settings, "seed": public.seed})  # which draws the splits
+
+    def exact(effects: Mapping[str, Mapping[str, Any]]) -> dict[str, Readings]:
+        return blind_readings(cell(effects, False), plan, noise_seed)
+
+    readings = blind_readings(cell(parameters, True), plan, noise_seed, NOISES[noise])
+    with_all = exact(parameters)
+    effects = []
+    for slug in case.slugs:
+        without = exact({other: values for other, values in parameters.items() if other != slug})[case.arm]
+        moved = with_all[case.arm].p_M - without.p_M
+        seen = beyond_geometry(profile.arms[case.arm], without.q, without.p_M, moved)
+        name = _IN_THE_LIBRARY.get(slug, slug)
+        effects.append(Hidden(name, slug, parameters[slug], _rms_um(moved), _rms_um(seen)))
+
+    def fill(run: RunFile) -> None:
+        for name, arm in readings.items():
+            run.add_readings(name, arm)
+
+    RunFile.create(folder, public, fill).close()
+    held_out = {name: arm.in_split("validate") for name, arm in readings.items()}
+    expected = EXPECTED.get(case.slugs[0]) if case.kind == _OUTSIDE else None
+    return Truth(
+        run=folder.name,
+        kind=case.kind,
+        look_alikes=case.look_alikes,
+        arm=case.arm,
+        effects=tuple(effects),
+        expected=None if expected is None else {"channel": expected[0], "variables": list(expected[1])},
+        noise_um={name: _stated_um(arm) for name, arm in readings.items()},
+        held_out_um={
+            name: _rms_um((arm.p_M - with_all[name].p_M)[held_out[name]]) for name, arm in readings.items()
+        },
+        seeds={"plan": plan_seed, "plant": plant_seed, "noise": noise_seed},
+        readings=digest_of(readings),
+    )
+
+
+def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
+    """What is left of displacements ``moved`` (n, 3) [m] after the part that the identifiable geometry can follow.
+
+    ``q`` (n, N) [rad] are the stops, ``p_M`` (n, 3) [m] where the SMR is at them without that effect. Linear, about the
+    nominal arm set to where it stands: of the displacement the part orthogonal to the Jacobian's columns.
+    """
+    nominal = start_from_nominal(nominal_arm(arm), q, p_M, tool_unknown=arm.smr.offset == "unknown")
+    columns = auto_set(nominal, q).columns
+    _, J = jacobian(nominal, Turns.of(q), columns)
+    basis, _ = np.linalg.qr(J.transpose(0, 2, 1).reshape(-1, len(columns)))
+    y = moved.T.ravel()
+    return np.asarray((y - basis @ (basis.T @ y)).reshape(3, -1).T)
+
+
+def _rms_um(vectors: Array) -> float:
+    """Root mean square length [um] of vectors (n, 3) [m]; NaN of none."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) * 1e6 if len(vectors) else math.nan
+
+
+def _stated_um(readings: Readings) -> float:
+    stated = stated_uncertainty(readings)
+    assert stated is not None, "a plant states the covariance of every reading"
+    return rms_length_mm(stated) * 1e3
+
+
+def _new_folder(folder: Path) -> bool:
+    """Make the folder; whether it was missing. Raises ``InputError`` if something is in the way."""
+    try:
+        if folder.is_dir():
+            if any(folder.iterdir()):
+                raise InputError(f"{folder} is not empty; give a new folder for the trials")
+            return False
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}; give another folder for the trials") from None
+    return True
+
+
+def _take_back(folder: Path, made: bool) -> None:
+    """Remove what a sealing that did not end has written."""
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+    if made:
+        folder.rmdir()
