@@ -300,9 +300,10 @@ class ArmData:
             if part.curves is not None:
                 curved.update(range(here.start, here.stop))
                 for joint in part.curves.joints:
+                    own = columns[place - len(found.parameter_set.columns) :][: len(part.names)]
                     rows = [
                         place + i
-                        for i, column in enumerate(columns[place - len(found.parameter_set.columns) :][: len(part.names)])
+                        for i, column in enumerate(own)
                         if column.joint == joint and cycles_of(column.name) <= CYCLES
                     ]
                     bands[joint] = spread(found.covariance[np.ix_(rows, rows)], _SPREAD_POINTS)

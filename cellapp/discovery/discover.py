@@ -418,7 +418,8 @@ def _unseen(
             "smallest_seen_rms_mm": None if not math.isfinite(smallest) else smallest * noise_mm * math.sqrt(3.0),
         }
         if share <= max(VISIBLE, _BARELY_VISIBLE):
-            why = "geometry can follow all of it under this plan" if share <= VISIBLE else "geometry follows nearly all of it"
+            how_much = "all" if share <= VISIBLE else "nearly all"
+            why = f"geometry can follow {how_much} of it under this plan"
             invisible.append({**entry, "reason": f"invisible: {why}"})
         else:
             absent.append({**entry, "reason": "not found; it could have been seen from these sizes on"})

@@ -1,4 +1,4 @@
-"""What further stops shall tell: one effect from another, or a visible effect from none; as contests over candidates."""
+"""What further stops shall tell: one effect from another, or an effect from none; as contests over candidates."""
 
 from __future__ import annotations
 
@@ -311,33 +311,24 @@ def _joined(data: ArmData, sample: tuple[Array, Circumstances]) -> EffectContext
     q, known = sample
     rows = np.arange(len(q))[:: max(1, len(q) // _JOINED)]
     q, known = q[rows], known.take(rows)
-    return replace(
-        data.model.context(np.concatenate([data.readings.q, q]), known=joined_circumstances(data.known, known)),
-        smr_normal=data.model.smr_normal,
+    return data.model.context(
+        np.concatenate([data.readings.q, q]), known=_joined_circumstances(data.known, len(data), known, len(q))
     )
 
 
-def joined_circumstances(first: Circumstances, second: Circumstances) -> Circumstances:
-    """Of stops one after the other; NaN where only the others know."""
-    joined: dict[str, Any] = {}
-    sizes = [_count(first), _count(second)]
+def _joined_circumstances(first: Circumstances, n: int, second: Circumstances, m: int) -> Circumstances:
+    """Of n stops and of m further ones; NaN where only the others know."""
+    joined: dict[str, Any] = {"record": first.record}
     for entry in fields(Circumstances):
         values = [getattr(first, entry.name), getattr(second, entry.name)]
-        if entry.name == "record" or all(value is None for value in values):
-            joined[entry.name] = values[0]
+        known = [value for value in values if value is not None]
+        if entry.name == "record" or not known:
             continue
-        shape = next(value.shape[1:] for value in values if value is not None)
+        rest = known[0].shape[1:]
         joined[entry.name] = np.concatenate(
             [
-                np.full((size, *shape), np.nan) if value is None else np.asarray(value, dtype=np.float64)
-                for value, size in zip(values, sizes, strict=True)
+                np.full((size, *rest), np.nan) if value is None else np.asarray(value, dtype=np.float64)
+                for value, size in zip(values, (n, m), strict=True)
             ]
         )
     return Circumstances(**joined)
-
-
-def _count(known: Circumstances) -> int:
-    return max((len(v) for v in vars(known).values() if isinstance(v, np.ndarray)), default=0)
-
-
-__all__ = ["Question", "There", "fitted", "joined_circumstances", "questions"]

@@ -1,7 +1,7 @@
 """The scan: how much of what a model leaves does each law of each effect explain, where the model cannot follow.
 
-With W the whitening, X = W [J, A] what the model follows (geometric Jacobian, accepted effects, perhaps with a prior) and
-B a law's columns, everything is judged by
+With W the whitening, X = W [J, A] what the model follows (geometric Jacobian, accepted effects, perhaps with priors)
+and B a law's columns, everything is judged by
 
     M = I - X (X^T X + P)^-1 X^T,   P the precision of the priors,
 
@@ -83,6 +83,10 @@ class Candidate:
             found.setdefault(column.block, []).append(place)
         return [tuple(places) for places in found.values()]
 
+    def refines(self, block: Sequence[int]) -> bool:
+        """Whether a block only refines others."""
+        return self.columns[block[0]].block.startswith("+")
+
 
 def displacements(columns: Sequence[EffectColumn], by_joint: Array, white: Array) -> Array:
     """Whitened displacements (m, 3 n) of columns.
@@ -156,7 +160,8 @@ class Seen:
         by_size: dict[int, list[tuple[int, tuple[int, ...]]]] = {}
         for number, one in enumerate(candidates):
             for block in one.blocks:
-                by_size.setdefault(len(block), []).append((number, block))
+                if not one.refines(block):
+                    by_size.setdefault(len(block), []).append((number, block))
         groups = []
         for size, entries in by_size.items():
             owner = np.array([number for number, _ in entries], dtype=np.intp)
@@ -236,6 +241,8 @@ class Seen:
         def forward(start: tuple[int, ...], base: float) -> tuple[tuple[int, ...], float]:
             picked, best = start, base
             left = [block for block in blocks if not set(block) & set(picked)]
+            if not picked:  # what only refines cannot be first
+                left = [block for block in left if not one.refines(block)]
             while left:
                 if len(left) > _MOST_BLOCKS:  # of thousands only those that may matter, judged alone behind the chosen
                     left = self._promising(B, MB, projection, left, picked, square)
@@ -244,6 +251,8 @@ class Seen:
                 lines = price if picked and len(one.blocks) > _MOST_BLOCKS else 0.0
                 if picked and top - lines <= best + _NEXT_BLOCK:
                     break
+                if not picked:
+                    left = list(blocks)
                 best, picked = top - lines, (*picked, *block)
                 left = [other for other in left if other != block]
                 if best <= 0.0:
@@ -258,7 +267,7 @@ class Seen:
                 fewer = []
                 for block in blocks:
                     rest = tuple(i for i in together if i not in block)
-                    if rest and len(rest) < len(together):
+                    if len(rest) < len(together) and any(not one.refines((i,)) for i in rest):
                         fewer.append((value_of(rest)[0], rest))
                 if not fewer:
                     break

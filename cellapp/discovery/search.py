@@ -1,4 +1,4 @@
-"""The search: effects are added while the data ask for one, laws are refined before a second name, names are reviewed."""
+"""The search: effects are added while the data ask for one, laws refined before a second name, names reviewed."""
 
 from __future__ import annotations
 
@@ -254,7 +254,8 @@ class _Engine:
         refined = replace(part, names=(*part.names, *names), free=freed)
         choice = (*fit.choice[:place], refined, *fit.choice[place + 1 :])
         title = EFFECTS[part.slug].title
-        return Step(part.slug, f"{title}: lines beside the curve", score.value, corrected_p(self.maxima, score.value), choice)
+        p_value = corrected_p(self.maxima, score.value)
+        return Step(part.slug, f"{title}: lines beside the curve", score.value, p_value, choice)
 
     def _improved(self, here: ArmData, fit: Fit) -> tuple[ArmData, Fit]:
         """Move the constants of the laws (onset, time constant, knee, width) to where they explain most."""
@@ -291,9 +292,8 @@ class _Engine:
             return None
         part = Part(possible.slug, possible.candidate.law, possible.names)
         title = EFFECTS[possible.slug].title
-        return Step(
-            possible.slug, f"{title} added", possible.value, corrected_p(self.maxima, possible.value), (*fit.choice, part)
-        )
+        p_value = corrected_p(self.maxima, possible.value)
+        return Step(possible.slug, f"{title} added", possible.value, p_value, (*fit.choice, part))
 
     def _plausible(
         self, here: ArmData, fit: Fit, score: Score, seen: Seen, MY: Array, square: float
@@ -320,7 +320,7 @@ class _Engine:
             keep = [place for place, column in enumerate(candidate.columns) if column.block not in banned]
             if not keep:
                 return None
-            B, MB = seen.part(number)
+            B, _ = seen.part(number)
             fewer = replace(candidate, columns=tuple(candidate.columns[p] for p in keep), B=B[keep])
             alone = Seen.of([fewer], fit.follower)
             again = alone.greedy(0, MY, square)
@@ -378,7 +378,7 @@ class _Engine:
         return found is not None and found[1] > _REACHED
 
     def beyond_library(self, way: _Way) -> _Way | None:
-        """What nothing of the library explains: a data-driven term, or a free curve of the joints if that does better."""
+        """What nothing of the library explains: a data-driven term, or free curves of the joints if they do better."""
         driven = self.data_driven(way)
         for _ in range(_MOST_TERMS - 1):  # a shift has three directions
             if driven is None or self.floor_reached(driven):
@@ -522,7 +522,7 @@ class _Engine:
             here, fit = self.refit(fit.choice[:out] + fit.choice[out + 1 :])
 
     def _rest_of_a_law(self, here: ArmData, fit: Fit) -> int | None:
-        """A part that is likely what an imperfect law of another left over: same variables, small, floor not reached."""
+        """A part that is likely the rest of an imperfect law of another: same variables, small, floor not reached."""
         if self.floor_reached(_Way(here, fit)):
             return None
         removed = [float(np.sum(fit.follower_without(i).without(fit.signal(i)) ** 2)) for i in range(len(fit.choice))]
@@ -655,7 +655,7 @@ def best_of_each(scores: Sequence[Score]) -> list[Score]:
 
 
 def scatter(here: ArmData, fit: Fit) -> tuple[float, float] | None:
-    """Root of chi-square per degree of freedom against the stated uncertainty, and the chance of one at least as large."""
+    """Root of chi-square per degree of freedom against the stated uncertainty, and the chance of one so large."""
     if here.stated is None:
         return None
     residuals = fit.identification.residuals

@@ -238,7 +238,8 @@ class EffectColumn:
         For example ``compliance2``.
     unit : str
     block : str
-        Columns of one block are judged together.
+        Columns of one block are judged together. A block that begins with ``+`` only refines others: alone it is not
+        the effect.
     lower, upper : float
         Physical bounds of the parameter; a value outside is an alias of something else, not a finding.
     where : str

@@ -26,6 +26,7 @@ class JointCompliance:
     two_slope
         ``dq_j = c_j tau_j + s_j clip(tau_j, -T_j, T_j)``: softer below a knee torque T_j, as catalogues of strain-wave
         gears show (K1 < K2 < K3).
+    In both, a share of the load's torque may be added at a joint: the load was weighed, the arm's own masses were not.
     free_moments
         ``dq_j = sum_i c_ji tau_ji``, tau_ji the torque of body i alone about joint j (the payload goes with the last
         body): masses and centres are known to some 10 % only.
@@ -61,15 +62,18 @@ class JointCompliance:
 
     def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
         """One column a joint; two with a knee; one for each body beyond the joint where the masses are free."""
-        if law.name in ("", "linear"):
-            return _of_torques("compliance", context.torques)
-        if law.name == "two_slope":
+        if law.name in ("", "linear", "two_slope"):
             columns = []
+            loads = _load_torques(context)
             for j, stiff in enumerate(_of_torques("compliance", context.torques)):
+                load = joint_column(f"load{j + 1}", "rad/Nm", j, loads[:, j], -1e-4, 1e-4, f"+ load {j + 1}")
+                columns += [stiff, load]
+                if law.name != "two_slope":
+                    continue
                 assert stiff.offset is not None
                 knee = law.constants.get(f"knee{j + 1}", 0.0)
                 soft = np.clip(stiff.offset, -knee, knee)
-                columns += [stiff, joint_column(f"soft{j + 1}", "rad/Nm", j, soft, -1e-3, 1e-3, f"knee {j + 1}")]
+                columns.append(joint_column(f"soft{j + 1}", "rad/Nm", j, soft, -1e-3, 1e-3, f"+ knee {j + 1}"))
             return columns
         if law.name == "free_moments":
             return self._free_moments(context, wanted)
@@ -123,11 +127,7 @@ class PayloadCompliance:
 
     def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
         """One column a joint."""
-        rotations, origins = context.frames
-        load = origins[-1] + rotations[-1] @ context.bodies.payload_center
-        turned = np.cross(-STANDARD_GRAVITY * context.up_M, rotations[:-1, :, :, 2])
-        torques = np.einsum("jna,jna->nj", turned, load - origins[:-1]) * context.payload_kg[:, None]
-        return _of_torques("payload_compliance", torques)
+        return _of_torques("payload_compliance", _load_torques(context))
 
 
 def _of_torques(name: str, torques: Array) -> list[EffectColumn]:
@@ -141,3 +141,11 @@ def _of_torques(name: str, torques: Array) -> list[EffectColumn]:
 def _without_rounding(torque: Array) -> Array:
     """The torque, or plain zero where it never is one: a column of rounding errors would be as visible as any other."""
     return torque if np.abs(torque).max(initial=0.0) > _ROUNDING else np.zeros_like(torque)
+
+
+def _load_torques(context: EffectContext) -> Array:
+    """Torque of the load alone about each joint (n, N) [Nm]."""
+    rotations, origins = context.frames
+    load = origins[-1] + rotations[-1] @ context.bodies.payload_center
+    turned = np.cross(-STANDARD_GRAVITY * context.up_M, rotations[:-1, :, :, 2])
+    return np.asarray(np.einsum("jna,jna->nj", turned, load - origins[:-1]) * context.payload_kg[:, None])

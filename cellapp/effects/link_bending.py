@@ -85,7 +85,7 @@ class LinkBending:
                 own_force, own_moment, share = link.own_weight(context, i)
                 own = link.bent(own_force, own_moment, share)
                 twisted = twisted + link.twisted(own_moment, share)
-                block = f"link {i} own weight"
+                block = f"+ link {i} own weight"
                 columns.append(shift_column(f"own_weight{i}", "1/(N m^2)", f"link {i}", own, 0.0, 1e-3, block))
             if law.name.endswith("own_weight"):
                 own_force, own_moment, share = link.own_weight(context, i)

@@ -13,8 +13,6 @@ from cellapp.kinematics.transforms import Array
 LINES_MAX = 210
 """The largest cycle count that is searched: twice the ratio of a 1:100 strain-wave gear, and a little beyond."""
 _LARGEST = 5e-3
-_NORMALISED_TO = 4000
-"""Cycle counts over which a curve's variance is summed."""
 
 
 class EncoderEccentricity:
@@ -58,7 +56,7 @@ class TransmissionError:
         2, N and 2 N cycles of any joint, N being the gear ratio in ``ratio``: proposed once a line was found, as drives
         of one arm are alike.
     curve
-        All counts from 2 to ``cycles`` under a prior that prefers smooth curves (``prior_sd``), for an error with too
+        All counts from 2 to ``cycles`` under a prior that prefers smooth curves, for an error with too
         many components to name each. Not scanned: whoever finds that lines do not suffice proposes it.
 
     Size: 20 to 80 urad, 13 to 80 um at a UR10's flange (estimate; the spectrum with its components at flexspline, wave
@@ -102,29 +100,6 @@ class TransmissionError:
             curved = [j for j in joints if f"length{j + 1}" in law.constants] or joints
             return _waves(context, dict.fromkeys(curved, counts) if wanted is None else _parsed_all(wanted))
         raise unknown_law(self.slug, law)
-
-
-def prior_sd(law: Law, names: Sequence[str]) -> Array:
-    """Standard deviations (len(names),) [rad] of the parameters of the law ``curve`` before any data.
-
-    The curve of joint j is a periodic process like Matern's with smoothness 5/2 on the circle, of standard deviation
-    ``amplitude{j}`` [rad] and correlation length ``length{j}`` [rad]: cosine and sine of k cycles have a variance each
-    in proportion to ``(5 / length^2 + k^2)^-3`` (spectral density: Rasmussen, Williams, Gaussian Processes for Machine
-    Learning, 2006, eq. 4.15 in one dimension), and the variances of k = 1 to 4000 sum to the square of the amplitude.
-    """
-    sd = np.empty(len(names))
-    for place, name in enumerate(names):
-        cycles, joint = _parsed(name)
-        length, amplitude = law.constants[f"length{joint + 1}"], law.constants[f"amplitude{joint + 1}"]
-        sd[place] = amplitude * np.sqrt(_density(cycles, length) / _density(_ALL_CYCLES, length).sum())
-    return sd
-
-
-_ALL_CYCLES = np.arange(1.0, _NORMALISED_TO + 1.0)
-
-
-def _density(cycles: Array | float, length: float) -> Array:
-    return np.asarray((5.0 / length**2 + np.square(cycles)) ** -3.0)
 
 
 def _parsed(name: str) -> tuple[int, int]:

@@ -2,9 +2,9 @@
 
 A term is a law named ``channel|variable`` or ``channel|variable|variable``.
 
-Channels: ``joint j`` (an offset of the joint), ``base shift`` and ``tool`` (in any direction), ``base shift x|y|z``, ``base turn x|y|z`` (a twist of the base frame),
-``tool x|y|z`` (a shift of the SMR in the flange), ``tracker radial`` (along the beam), ``tracker azimuth`` and
-``tracker elevation`` (errors of its angles).
+Channels: ``joint j`` (an offset of the joint), ``base shift`` and ``tool`` (of the base, of the SMR in the flange, in
+any direction), ``base shift x|y|z``, ``base turn x|y`` (about z it is an offset of joint 1), ``tool x|y|z``, ``tracker
+radial`` (along the beam), ``tracker azimuth`` and ``tracker elevation`` (errors of its angles).
 
 Variables: ``q1`` ..., ``other q1`` ... (of the other arm), ``time``, ``torque1`` ..., ``step1`` ..., ``dwell``,
 ``payload``, ``temperature`` (of the air), ``range``, ``azimuth``, ``elevation`` (of the SMR as the tracker sees it),
@@ -166,7 +166,7 @@ def values_of(context: EffectContext, variable: str) -> Array:
 
 
 def channel_directions(context: EffectContext, channel: str) -> list[Array]:
-    """Shifts of the SMR (n, 3) [m in the tracker frame] per unit of a channel that turns no joint, in each direction."""
+    """Shifts of the SMR (n, 3) [m, tracker frame] per unit of a channel that turns no joint, in each direction."""
     return [_direction(context, one)[1] for one in _VECTORS.get(channel, (channel,))]
 
 

@@ -122,12 +122,12 @@ def _accepted_lines(accepted: Sequence[Mapping[str, Any]], width: int) -> list[s
     """A small table, and below each periodic error its cycles."""
     if not accepted:
         return []
-    lines = [f"  {'accepted':23} {'where':21} {'corrected p':>11}  without -> with [mm]"]
+    lines = [f"  {'accepted':23} {'where':20} {'corrected p':>11}  without -> with [mm]"]
     for found in accepted:
         gap = found["evidence"]["heldout_mm"]
         place, p = place_words(found["where"]), f"{found['evidence']['corrected_p']:.2g}"
         lines.append(
-            _cut(f"  {found['effect']:23} {place:21} {p:>11}  {gap['before']:7.4f} -> {gap['after']:.4f}", width)
+            _cut(f"  {found['effect']:23} {place:20} {p:>11}  {gap['before']:7.4f} -> {gap['after']:.4f}", width)
         )
         cycles = cycle_words(found)
         if cycles:

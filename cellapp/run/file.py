@@ -54,7 +54,7 @@ _READING_COLUMNS = (
     " joint_temperature_c, covariance_m2, sigma_m, split, extras, step, dwell_s"
 )
 _SINCE_2 = ("step TEXT", "dwell_s")
-"""Columns that files of schema 1 lack: such a file is read with nothing in them, and gets them when it is written to."""
+"""Columns that files of schema 1 lack: they are read with nothing in them, and get them when they are written to."""
 
 
 @dataclass(frozen=True)

@@ -65,10 +65,13 @@ def blind_readings(
     heavy = (np.arange(n) * _PAYLOAD_BLOCKS // n) % 2 == 1
     phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
     waves = np.sin(2.0 * np.pi * time_s[:, None] / np.array(_AIR_PERIODS_S) + phases)
-    air = profile.plant.temperature + _AIR_AMPLITUDE_K * waves.mean(axis=1) if profile.plant is not None else waves[:, 0]
+    assert profile.plant is not None
+    air = profile.plant.temperature + _AIR_AMPLITUDE_K * waves.mean(axis=1)
     homes = home_positions(profile)
     readings = {}
-    loads = {name: np.where(heavy, _HEAVY_SHARE * _rated_kg(arm), arm.payload.mass) for name, arm in profile.arms.items()}
+    loads = {
+        name: np.where(heavy, _HEAVY_SHARE * _rated_kg(arm), arm.payload.mass) for name, arm in profile.arms.items()
+    }
     for place, (name, q) in enumerate(stops.items()):
         step = np.diff(np.vstack([homes[name], q]), axis=0)
         approach = np.sign(step).astype(np.int8)

@@ -185,8 +185,9 @@ def judged_summary(trials: Sequence[Judged]) -> dict[str, Any]:
 
 def judged_tables(result: Mapping[str, Any]) -> list[Table]:
     """Tables for people, from the object of ``trials judge --json``; the last one lists the misses."""
-    rows = [_target_row(target) for target in result["targets"]]
-    tables = [Table("Sealed trials: targets", ("kind", "target", "wanted", "reached", "share", "met"), tuple(rows))]
+    head: tuple[str, ...] = ("kind", "target", "wanted", "reached", "share", "met")
+    rows: list[tuple[str, ...]] = [_target_row(target) for target in result["targets"]]
+    tables = [Table("Sealed trials: targets", head, tuple(rows))]
     for kind, title in (("one", "One hidden effect"), ("pair", "Two hidden effects")):
         if result[kind]:
             rows = []
@@ -239,7 +240,7 @@ def judged_sentences(result: Mapping[str, Any]) -> list[str]:
     if wall is not None:
         said.append(
             f"Discovery of one arm: median {wall['median']:.1f} s, longest {wall['max']:.1f} s (processor"
-            f" {cpu['median']:.1f} and {cpu['max']:.1f} s), {result['jobs']} processes of one thread."
+            f" {cpu['median']:.1f} and {cpu['max']:.1f} s), {result['jobs']} at a time, a thread each."
         )
     if result["judged_by_other_source"]:
         said.append(
@@ -368,25 +369,25 @@ def _targets(
             )
 
     seen = [trial for trial in one if trial.visible]
-    add("one", "one effect, visible: exactly its name", 0.97, [trial.outcome == "named" for trial in seen])
-    add("one", "one effect, visible: truth in the answer set", 0.99, [trial.answered for trial in seen])
+    add("one", "visible: exactly its name", 0.97, [trial.outcome == "named" for trial in seen])
+    add("one", "visible: truth in the answer set", 0.99, [trial.answered for trial in seen])
     known = [*one, *pairs]
     drawn = [trial.to_drawn(trial.truth.arm) <= AT_FLOOR for trial in known]
     stated = [trial.to_stated(trial.truth.arm) <= AT_FLOOR for trial in known]
-    add("one, pair", "truth in the library: held out within 5 % of the drawn noise", 1.0, drawn)
+    add("one, pair", "held out within 5 % of the drawn noise", 1.0, drawn)
     add("one, pair", "the same against the stated noise, which scatters", 1.0, stated)
     found = [trial.arms[arm] for trial, arm in clean]
     names = [bool(one.names) for one in found]
     unknown = [one.unknown for one in found]
-    add("none", "nothing hidden: false names, by arm", 0.01, names, most=True, least_n=_ENOUGH_CLEAN)
-    add("none", "nothing hidden: false unknown effects, by arm", 0.01, unknown, most=True, least_n=_ENOUGH_CLEAN)
-    add("outside", "outside the library: called unknown", 0.95, [trial.here.unknown for trial in outside])
+    add("none", "false names, by arm", 0.01, names, most=True, least_n=_ENOUGH_CLEAN)
+    add("none", "false unknown effects, by arm", 0.01, unknown, most=True, least_n=_ENOUGH_CLEAN)
+    add("outside", "called unknown", 0.95, [trial.here.unknown for trial in outside])
     right = [trial.description == "right" for trial in outside]
-    add("outside", "outside the library: right channel and variables", 0.80, right)
+    add("outside", "right channel and variables", 0.80, right)
     ordinary = [trial.outcome == "named" for trial in pairs if not trial.truth.look_alikes]
     alike = [trial.outcome == "named" for trial in pairs if trial.truth.look_alikes]
-    add("pair", "ordinary pairs: exactly both names", 0.90, ordinary)
-    add("pair", "look-alike pairs: exactly both names (no target)", 0.0, alike)
+    add("pair", "ordinary: exactly both names", 0.90, ordinary)
+    add("pair", "look-alikes: exactly both names", 0.0, alike)
     quick = [one.seconds <= SLOWEST_S for trial in trials for one in trial.arms.values()]
     add("all", f"one arm within {SLOWEST_S:.0f} s", 1.0, quick)
     return targets

@@ -42,6 +42,10 @@ _STARTS_WITHIN_S = 1.0
 _PROGRAM_WITHIN_S = 5.0
 _STANDING_S = 1.0
 """A motion that is said to run while the arm stands for so long is no longer believed."""
+_STREAMS_APART_S = 0.05
+"""The end of a motion is told over another connection than the positions are; these may be this much older."""
+_CUT_SHORT_S = 0.5
+"""An arm that rests elsewhere than at its goal for so long after the end of a motion will not come there any more."""
 _STANDS_RAD_S = 1e-4
 _AT_GOAL_RAD = 2e-3
 _STOP_WITHIN_S = 1.0
@@ -89,6 +93,7 @@ class _Motion:
     number_before: int
     began_s: float
     under_way: bool = True
+    ended_s: float = math.inf
     stood_since_s: float | None = None
 
 
@@ -407,7 +412,8 @@ class Worker:
         status = self._control.getAsyncOperationProgressEx()
         if status.operationId() != motion.number_before:
             if not status.isAsyncOperationRunning():
-                motion.under_way = False
+                motion.under_way, motion.ended_s = False, now
+                self._rests_since = None  # it may have rested before it began, in positions that are only late
                 return
         elif now - motion.began_s > _STARTS_WITHIN_S:
             self._lose("a motion was sent but not begun")
@@ -437,17 +443,25 @@ class Worker:
         if self._fault is not None:
             self._answer({"id": waiting.request, "error": self._fault.kind, "text": self._fault.text})
             return True
-        if self._motion is not None and self._motion.under_way:
+        now = time.monotonic()
+        if self._motion is not None and now - self._motion.ended_s < _STREAMS_APART_S:
             return False
         first = self._rests_since
         if first is None or sample.time_s - first.time_s < self._rest.dwell_s:
             return False
+        if self._motion is not None and now - self._motion.ended_s < _CUT_SHORT_S and self._off(sample) > _AT_GOAL_RAD:
+            return False
         self._rests(waiting, sample)
         return True
 
+    def _off(self, sample: _Sample) -> float:
+        """How far the arm is from the goal of its motion [rad]."""
+        assert self._motion is not None
+        return max(abs(a - b) for a, b in zip(sample.q, self._motion.goal))
+
     def _rests(self, waiting: _Waiting, sample: _Sample) -> None:
         if self._motion is not None:
-            off = max(abs(a - b) for a, b in zip(sample.q, self._motion.goal))
+            off = self._off(sample)
             self._motion = None
             if off > _AT_GOAL_RAD:
                 text = f"its motion was cut short: it rests {math.degrees(off):.2f} deg from where it was sent"

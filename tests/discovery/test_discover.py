@@ -159,7 +159,7 @@ def test_every_effect_with_a_visible_size_is_named(plan, slug):
     # a free curve of 40 cycles has some hundred coefficients, which three hundred readings leave uncertain
     dense = any(finding.term.law.name == "curve" for finding in found.findings)
     assert found.after_mm < (1.4 if dense else 1.15) * found.noise_floor_mm
-    assert [step.heldout_mm for step in found.steps][0] == found.before_mm > found.after_mm
+    assert found.steps[0].heldout_mm == found.before_mm > found.after_mm
 
 
 @pytest.mark.parametrize("noise", [Noise("heavy"), Noise(repeatability=8e-6)], ids=["heavy tails", "repeatability"])

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.effects import EFFECTS, PLAIN, Circumstances, Law
-from cellapp.effects.periodic import LINES_MAX, prior_sd
+from cellapp.effects.periodic import LINES_MAX
 from tests.effects.cell import by_name, chain, context_of, knowing, offsets
 
 GRAVITY = 9.80665
@@ -136,34 +136,6 @@ def test_a_curve_has_the_cycles_of_the_joints_that_carry_a_prior():
     assert list(found) == ["cos2q4", "sin2q4", "cos3q4", "sin3q4", "cos4q4", "sin4q4", "cos5q4", "sin5q4"]
     assert {column.block for column in found.values()} == {"joint 4"}
     assert not any(law.name == "curve" for law in EFFECTS["transmission_error"].laws(CONTEXT))
-
-
-@pytest.mark.parametrize(("length", "amplitude"), [(0.05, 1e-4), (0.3, 2e-4), (2.0, 5e-5)])
-def test_a_curves_prior_variances_sum_to_its_amplitude_squared(length, amplitude):
-    law = Law("curve", {"cycles": 210.0, "length1": length, "amplitude1": amplitude})
-    cosines = prior_sd(law, [f"cos{k}q1" for k in range(1, 4001)])
-    assert np.sum(cosines**2) == pytest.approx(amplitude**2, rel=1e-12)
-    np.testing.assert_array_equal(cosines[:50], prior_sd(law, [f"sin{k}q1" for k in range(1, 51)]))
-    assert (np.diff(cosines) < 0.0).all()
-
-
-def test_a_curves_prior_correlates_like_materns():
-    """On a circle much longer than the length the periodic process is the plain one with smoothness 5/2."""
-    length, lag = 0.15, np.array([0.0, 0.05, 0.1, 0.2, 0.4])
-    law = Law("curve", {"cycles": 210.0, "length2": length, "amplitude2": 1.0})
-    k = np.arange(1, 4001)
-    variance = prior_sd(law, [f"cos{n}q2" for n in k]) ** 2
-    found = np.cos(np.outer(lag, k)) @ variance
-    scaled = np.sqrt(5.0) * lag / length
-    plain = (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
-    mean = variance[0] * 0.5  # the constant, which is a joint zero, is not in the sum
-    np.testing.assert_allclose((found + mean) / (1.0 + mean), plain, atol=2e-3)
-
-
-def test_prior_of_each_joint_is_its_own():
-    law = Law("curve", {"cycles": 9.0, "length1": 0.2, "amplitude1": 1e-4, "length3": 0.2, "amplitude3": 3e-4})
-    one, three = prior_sd(law, ["cos7q1", "sin7q3"])
-    assert three == pytest.approx(3.0 * one)
 
 
 def test_a_joint_stays_half_the_play_behind():

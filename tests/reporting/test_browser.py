@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cellapp.calibration.calibrate import calibrate_run
-from cellapp.discovery.discover import discover_run
 from cellapp.reporting.page import page_text
 from cellapp.run import RunFile
-from tests.reporting.test_page import fill, profile_of
+from tests.reporting.test_page import fill, pretend_discovery, profile_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -30,7 +29,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with RunFile.create(folder / "run", profile_of("left", "right")) as run:
         fill(run)
         calibrate_run(run)
-        discover_run(run)
+        pretend_discovery(run, "left", "right")
         path = folder / "report.html"
         path.write_text(page_text(run, datetime(2026, 1, 2, 12, 0, 0, tzinfo=UTC)), encoding="utf-8")
     return path
@@ -62,6 +61,7 @@ def test_page_in_a_browser(browser: Browser, report: Path, width: int) -> None:
         _listen(page, said, asked)
         page.goto(report.as_uri(), timeout=60_000)
         assert page.get_by_role("heading", level=1).is_visible()
+        assert page.get_by_role("heading", name="Arm left: unknown effect").is_visible()
         assert page.get_by_text("Where the arm goes is now known to").first.is_visible()
         assert said == []
         assert asked == [report.as_uri()]

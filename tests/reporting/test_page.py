@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
@@ -21,21 +22,32 @@ from cellapp.calibration.evaluation import Summary, summarise
 from cellapp.calibration.setup import nominal_arm
 from cellapp.compensation.push import Verification, Verified, Way
 from cellapp.discovery.discover import discover_run
+from cellapp.effects import EffectTerm, Law
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
+from cellapp.model import CellModel
 from cellapp.profile import Discovery, NoDriver, Profile, Splits, load_profile, profile_to_json
 from cellapp.reporting import figures
+from cellapp.reporting.findings import (
+    accepted_table,
+    gap_table,
+    invisible_table,
+    not_found_table,
+    parameter_table,
+)
 from cellapp.reporting.page import page_text, write_page
 from cellapp.reporting.tables import (
     all_tables,
+    calibration_tables,
     detailed_tables,
-    discovery_tables,
     distance_mm,
     parameter_tables,
     transform_tables,
+    verification_tables,
 )
 from cellapp.run import Readings, RunFile
 from tests.arms import STATION, true_geometry
+from tests.reporting.made import made_result, nothing_missing
 
 PROFILE = Path(__file__).parents[2] / "profiles" / "twin.yaml"
 NOON = datetime(2026, 1, 2, 12, 0, 0, tzinfo=UTC)
@@ -172,10 +184,12 @@ def results_of(run: RunFile) -> dict[str, Any]:
     return {step: json.loads(text) for step, text in texts.items() if text is not None}
 
 
-def test_is_well_formed(page: Page) -> None:
+def test_is_well_formed(full: RunFile, page: Page) -> None:
     assert page.faults == []
-    # errors, histogram, two of vectors and targets of each arm; two of the pair; three of the cell
-    assert [tag for tag, _ in page.elements].count("svg") == 15
+    # errors, histogram, two of vectors, targets, gap and pictures of each arm; two of the pair; three of the cell
+    pictures = [picture for arm in results_of(full)["discover"]["arms"].values() for picture in arm["pictures"]]
+    assert pictures
+    assert [tag for tag, _ in page.elements].count("svg") == 17 + len(pictures)
 
 
 def test_needs_nothing_else(page: Page, full_text: str) -> None:
@@ -213,8 +227,13 @@ def test_figures_take_their_colours_from_the_page(full_text: str) -> None:
 def test_holds_every_table(full: RunFile, page: Page) -> None:
     results = results_of(full)
     cells = set(page.texts)
-    tables = [*all_tables(results), *parameter_tables(results["calibrate"])]
-    assert len(tables) == 8
+    calibrate, discover, verify = results["calibrate"], results["discover"], results["verify"]
+    tables = [*calibration_tables(calibrate), *parameter_tables(calibrate), *verification_tables(verify)]
+    assert len(tables) == 6
+    shown = (gap_table, accepted_table, parameter_table, invisible_table, not_found_table)
+    found = [make(name, arm) for name, arm in discover["arms"].items() for make in shown]
+    assert found[0] is not None
+    tables += [table for table in found if table is not None]
     for table in tables:
         assert table.title in cells
         for row in table.rows:
@@ -330,10 +349,126 @@ def test_readings_without_stated_uncertainty(tmp_path: Path) -> None:
     assert Page(text).faults == []
 
 
-def test_a_noise_floor_that_nobody_knows_has_no_row() -> None:
-    arm = {"heldout_mm": {"before": 1.0}, "accepted": [], "noise_floor_mm": float("nan"), "verdict": "nothing missing"}
-    (table,) = discovery_tables({"arms": {"left": arm}})
-    assert [row[0] for row in table.rows] == ["nothing named yet"]
+@pytest.fixture
+def made(tmp_path: Path) -> Iterator[RunFile]:
+    """Two arms with a result of discovery that is made up, and in which all occurs that can be shown."""
+    with RunFile.create(tmp_path / "made", profile_of(LEFT, RIGHT)) as run:
+        fill(run)
+        calibrate_run(run)
+        pretend_discovery(run, LEFT, RIGHT)
+        yield run
+
+
+def pretend_discovery(run: RunFile, first: str, second: str) -> None:
+    """A made-up result for a run; what is made up is not in its model."""
+    calibrate = results_of(run)["calibrate"]
+    stages = calibrate["arms"][first]["validate"]
+    stages["effects"] = stages["geometry"]
+    run.write_result("calibrate", json.dumps(calibrate))
+    run.write_result("discover", json.dumps(made_result(first, second)))
+
+
+def test_discovery_shows_everything_that_was_found(made: RunFile) -> None:
+    text = page_text(made, NOON)
+    page = Page(text)
+    assert page.faults == []
+    ids = page.values("id")
+    assert len(set(ids)) == len(ids)
+    assert f"Arm {LEFT}: unknown effect" in page.texts
+    assert f"Arm {RIGHT}: nothing missing" in page.texts
+    for words in (
+        "Something that the library does not have; 31 um rms held out.",
+        "In the place of joint_compliance, pedestal_compliance or link_bending would do as well",
+        "Nearly as good as joint_compliance, but told apart from it: tracker_angle_error.",
+        "There is no picture of joint_compliance for joint 6: the SMR hardly moves with it.",
+        "No name for this: joint 5, q2",
+        "No reading was taken from 128° to -170°.",
+        "with 20 simulations of nothing",
+    ):
+        assert words in " ".join(page.text.split())
+    captions = [attributes["aria-label"] for tag, attributes in page.elements if tag == "figure"]
+    assert f"Arm {LEFT}: transmission error, joint 1" in captions
+    assert f"Arm {LEFT}: joint compliance, joint 3, against the gravity torque on joint 3" in captions
+    for svg in re.findall(r"<svg.*?</svg>", text, re.DOTALL):
+        assert re.search(r"#[0-9a-fA-F]{6}\b", svg) is None
+
+
+def test_pictures_draw_a_curve_with_its_band_or_a_cloud_without(made: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[tuple[figures.Seen, str, str]] = []
+    real = figures.effect_figure
+
+    def recording(key: str, seen: figures.Seen, x_label: str, y_label: str) -> str:
+        drawn.append((seen, x_label, y_label))
+        return real(key, seen, x_label, y_label)
+
+    monkeypatch.setattr(figures, "effect_figure", recording)
+    page_text(made, NOON)
+    pictures = results_of(made)["discover"]["arms"][LEFT]["pictures"]
+    assert len(drawn) == len(pictures)
+    for (seen, x_label, y_label), picture in zip(drawn, pictures):
+        assert (x_label, y_label) == (picture["x_label"], picture["y_label"])
+        assert seen.measured.tolist() == picture["measured"]
+        assert (seen.curve is None) == (picture["curve"] is None)
+
+
+def test_a_line_is_drawn_through_a_function_and_none_through_a_cloud() -> None:
+    x = np.linspace(0.0, 5.0, 200)
+    none = np.zeros(200)
+    rng = np.random.default_rng(0)
+    for function in (np.sin(12.0 * x), np.sign(x - 2.0), x**2, np.ones(200)):
+        assert figures.Seen(x, function, function, none).is_line
+    for cloud in (rng.uniform(0.0, 1.0, 200), x * rng.uniform(0.5, 1.0, 200)):
+        assert not figures.Seen(x, cloud, cloud, none).is_line
+
+
+def test_steps_are_drawn_against_the_floor() -> None:
+    with_floor = figures.steps_figure("a", np.array([0.5, 0.1, 0.03]), 0.02)
+    without = figures.steps_figure("a", np.array([0.5, 0.1, 0.03]), None)
+    assert with_floor.count("stroke-dasharray") == without.count("stroke-dasharray") + 1
+    assert "<path" in figures.steps_figure("a", np.array([0.5]), None)
+    assert "<path" in figures.certainty_figure("a", np.array([0.1, 0.2]), np.array([0.0, 0.3]))
+
+
+def test_nothing_missing_is_no_earlier_calibration(made: RunFile) -> None:
+    result = {**made_result(LEFT, RIGHT), "arms": {name: nothing_missing(name) for name in (LEFT, RIGHT)}}
+    made.write_result("discover", json.dumps(result))
+    text = Page(page_text(made, NOON)).text
+    assert "calibrated again" not in text
+    assert "Nothing missing: 23 um rms held out" in text
+
+
+def test_a_result_of_an_older_version_is_not_shown(made: RunFile) -> None:
+    result = made_result(LEFT, RIGHT)
+    del result["arms"][LEFT]["steps"]
+    made.write_result("discover", json.dumps(result))
+    assert "an older version looked for them; run anew: cellapp discover DIR" in Page(page_text(made, NOON)).text
+
+
+def test_effects_of_time_are_drawn_as_they_were_evaluated(made: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    step = EffectTerm(
+        slug="base_step",
+        names=("base_step_x",),
+        values=np.array([2e-3]),
+        standard_errors=np.array([1e-6]),
+        units=("m",),
+        law=Law("onset", {"onset_s": 30.5}),
+    )
+    model = CellModel.load(made.folder / CALIBRATION_FILE)
+    arms = {**model.arms, LEFT: replace(model.arms[LEFT], effects=(step,))}
+    replace(model, arms=arms).save(made.folder / CALIBRATION_FILE)
+    readings = made.readings(LEFT)
+    rows = readings.in_split("validate")
+    held_out = readings.take(rows)
+    geometry = replace(model.arms[LEFT], network=None).predict(held_out.q)
+    after = held_out.time_s > 30.5
+    assert 0 < after.sum() < len(after)
+    drawn: list[Any] = []
+    monkeypatch.setattr(figures, "error_figure", lambda key, configurations, errors, *more: drawn.append(errors) or "")
+    page_text(made, NOON)
+    shown = next(errors["effects"] for errors in drawn if "effects" in errors and len(errors["effects"]) == len(rows))
+    plain = np.linalg.norm(held_out.p_M - geometry, axis=1) * 1e3
+    assert shown[~after] == pytest.approx(plain[~after], abs=1e-6)
+    assert np.abs(shown[after] - plain[after]).min() > 0.2
 
 
 def test_unconverged_calibration_is_no_good_news(single: RunFile) -> None:
