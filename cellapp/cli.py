@@ -191,14 +191,30 @@ def calibrate(
 
 
 @app.command()
-def discover(folder: RunFolder, json_file: JsonOption = None) -> None:
+def discover(
+    folder: RunFolder,
+    propose: Annotated[
+        int | None,
+        typer.Option(
+            "--propose", metavar="N", min=1, max=1000, help="Plan N further stops that best tell what is left open."
+        ),
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
     """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink."""
     from cellapp.discovery.discover import as_dict, discover_run
     from cellapp.reporting.findings import discovery_lines
 
     with _Job(json_file) as job, _open_run(folder, write=True) as opened:
-        result = as_dict(discover_run(opened, job.listen, job.cancel))
+        found = discover_run(opened, job.listen, job.cancel)
+        result = as_dict(found)
         job.say(*discovery_lines(result))
+        if propose is not None:
+            from cellapp.discovery.propose import propose_run
+            from cellapp.reporting.proposal import proposal_lines
+
+            result["proposal"] = propose_run(opened, found, propose, job.listen, job.cancel).as_dict()
+            job.say("", *proposal_lines(result["proposal"]))
         job.result(result)
 
 

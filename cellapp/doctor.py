@@ -47,22 +47,24 @@ class Finding:
 
 
 def examine(profile: Profile, probe: Probe = probe_ur) -> list[Finding]:
-    """Look at all that a profile names. Takes little longer than ``LONGEST_PROBE_S``, however many hosts are dead.
+    """Look at all that a profile names, at all devices at once. However many are dead, it takes about twice
+    ``LONGEST_PROBE_S``, or what connecting to the slowest may take: a minute for LMF, a sensor's own ``timeout``.
 
     ``probe`` asks a UR controller at a host within a time [s]. Nothing raises for what is found; see the findings.
     """
     hosts = {name: arm.driver for name, arm in profile.arms.items() if isinstance(arm.driver, UrArmDriver)}
     findings = [_python(needs_ur_rtde=bool(hosts))]
-    with ThreadPoolExecutor(max_workers=max(1, len(hosts)), thread_name_prefix="probe") as pool:
+    with ThreadPoolExecutor(max_workers=len(hosts) + 2, thread_name_prefix="probe") as pool:
         asked = {
             name: pool.submit(probe, driver.host, min(driver.timeout, LONGEST_PROBE_S))
             for name, driver in hosts.items()
         }
+        tracker, sensors = pool.submit(_tracker, profile), pool.submit(_sensors, profile)
         standing = _standing(profile)
         for name, arm in profile.arms.items():
             findings += _arm(name, arm, hosts, asked)
-        findings.append(_tracker(profile))
-        findings += _sensors(profile)
+        findings.append(tracker.result())
+        findings += sensors.result()
     return findings + standing
 
 

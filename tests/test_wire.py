@@ -1,8 +1,16 @@
-"""The twin through the wire: arms over ur_rtde, tracker over the bridge; its readings are the in-process ones."""
+"""The twin through the wire: arms over ur_rtde, tracker over the bridge; the results are the in-process ones."""
 
 from __future__ import annotations
 
+import json
 import multiprocessing
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,16 +21,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cellapp.calibration.calibrate import Calibration, calibrate_run
 from cellapp.collection.collect import collect_run
 from cellapp.emulate import EmulatedTracker, emulate, emulated_arms
 from cellapp.profile import BridgeTrackerDriver, Profile, UrArmDriver, profile_from_json, profile_to_json
 from cellapp.progress import CancelToken
+from cellapp.run import Readings
 from cellapp.whole import new_planned_run
-from tests.twin import small_twin
+from tests.twin import PROFILES, small_twin
 
 PATIENT_S = 60.0
 PACE = 20.0
-STOPS = 8
+STOPS = 20
 HOSTS = {"left": "127.0.81.2", "right": "127.0.81.3"}  # the ports are fixed, so nobody else's addresses
 
 
@@ -73,15 +83,16 @@ def emulated(profile: Profile) -> Iterator[int]:
     assert process.exitcode == 0
 
 
-def readings_of(profile: Profile, folder: Path):
+def collected(profile: Profile, folder: Path) -> tuple[dict[str, Readings], Calibration]:
     with new_planned_run(profile, folder) as run:
         collect_run(run)
-        return {name: run.readings(name) for name in run.arms()}
+        return {name: run.readings(name) for name in run.arms()}, calibrate_run(run)
 
 
-def test_the_twin_over_the_wire_gives_the_readings_of_the_twin(tmp_path: Path) -> None:
+def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_twin(tmp_path: Path) -> None:
     twin = small_twin(STOPS)
-    direct = readings_of(twin, tmp_path / "direct")
+    twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
+    direct, its = collected(twin, tmp_path / "direct")
     served = twin.model_copy(
         update={
             "tracker": twin.tracker.model_copy(
@@ -96,7 +107,7 @@ def test_the_twin_over_the_wire_gives_the_readings_of_the_twin(tmp_path: Path) -
         }
         bridge = BridgeTrackerDriver(kind="bridge", url=f"socket://127.0.0.1:{port}")
         tracker = twin.tracker.model_copy(update={"driver": bridge})
-        wired = readings_of(twin.model_copy(update={"arms": arms, "tracker": tracker}), tmp_path / "wired")
+        wired, ours = collected(twin.model_copy(update={"arms": arms, "tracker": tracker}), tmp_path / "wired")
     assert list(wired) == list(direct) == ["left", "right"]
     for name in direct:
         assert len(wired[name].q) == STOPS
@@ -105,3 +116,82 @@ def test_the_twin_over_the_wire_gives_the_readings_of_the_twin(tmp_path: Path) -
         assert np.array_equal(wired[name].approach, direct[name].approach)
         assert wired[name].covariance_M == pytest.approx(direct[name].covariance_M, rel=1e-6)
         assert (np.diff(wired[name].time_s) > 0.0).all()
+        found, expected = ours.arms[name].identification, its.arms[name].identification
+        assert found.names == expected.names
+        assert np.abs((found.values - expected.values) / expected.standard_errors).max() < 1e-3
+        assert found.standard_errors == pytest.approx(expected.standard_errors, rel=1e-3)
+
+
+# -- as a user does it -------------------------------------------------------------------------------------------------
+
+CLI_HOSTS = {"left": "127.0.82.2", "right": "127.0.82.3"}
+FEW = {"stops": 30, "identify": 15, "train": 5, "validate": 10, "pair_identify": 10, "pair_validate": 10}
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+def wire_profile(folder: Path) -> Path:
+    """A copy of ``twin-rtde.yaml`` at addresses of its own, with fewer stops and targets."""
+    shutil.copytree(PROFILES, folder, dirs_exist_ok=True)
+    path = folder / "twin-rtde.yaml"
+    text = path.read_text("utf-8")
+    for key, size in FEW.items():
+        text, found = re.subn(rf"^  {key}: \d+ *", f"  {key}: {size} ", text, flags=re.MULTILINE)
+        assert found == 1, key
+    text = re.sub(r"^  kind: mlp .*$", "  kind: none", text, flags=re.MULTILINE)
+    for name, usual in (("left", "127.0.0.2"), ("right", "127.0.0.3")):
+        text = text.replace(f"host: {usual}", f"host: {CLI_HOSTS[name]}")
+    path.write_text(text.replace("127.0.0.1:50960", f"127.0.0.1:{free_port()}"), "utf-8")
+    targets = folder / "targets" / "twin.yaml"
+    head, _, listed = targets.read_text("utf-8").partition("targets:\n")
+    rows = [row for row in listed.splitlines() if "arm: " in row]
+    few = [row for name in CLI_HOSTS for row in [row for row in rows if f"arm: {name}" in row][:2]]
+    targets.write_text("\n".join([f"{head}targets:", *few, ""]), "utf-8")
+    return path
+
+
+def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> None:
+    wire_profile(tmp_path)
+    environment = {**os.environ, "PYTHONPATH": str(PROFILES.parent)}
+
+    def command(*words: str) -> list[str]:
+        return [sys.executable, "-m", "cellapp", *words, "twin-rtde.yaml"]
+
+    def call(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            command(*words), cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=240, check=False
+        )
+
+    with subprocess.Popen(
+        [*command("emulate"), "--pace", "20"],
+        cwd=tmp_path,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as emulator:
+        try:
+            assert emulator.stdout is not None
+            said = [emulator.stdout.readline() for _ in range(4)]
+            assert [line.partition(":")[0] for line in said[:3]] == ["arm left", "arm right", "tracker"], said
+            looked = call("doctor")
+            assert looked.returncode == 0, looked.stdout + looked.stderr
+            assert "arm left: motion: nothing stands against it" in looked.stdout
+            assert "; ready\n" in looked.stdout
+            done = call("run", "--json", "-", "--run", "all")
+            assert done.returncode == 0, done.stderr
+            moved = json.loads(done.stdout)
+            emulator.send_signal(signal.SIGINT)
+            assert emulator.wait(PATIENT_S) == 0
+        finally:
+            emulator.kill()
+    for name in CLI_HOSTS:
+        stages = moved["calibrate"]["arms"][name]["validate"]
+        assert stages["geometry"]["position_mm"]["mean"] < stages["nominal"]["position_mm"]["mean"]
+    looked = call("doctor")  # nobody is there now
+    assert looked.returncode == 1
+    assert "failed   arm left: link: " in looked.stdout
+    assert "failed   tracker: " in looked.stdout

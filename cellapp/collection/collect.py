@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Literal
 
 import numpy as np
@@ -75,7 +76,7 @@ def collect_run(
             targets = {name: rows[stop] for name, rows in plan.items()}
             factors = proposed.get(stop, {})
             try:
-                states = _go(mover, targets, factors)
+                states = _go_as_proposed(mover, targets, factors) if stop in proposed else _go(mover, targets)
             except MotionRefused as error:
                 if stop not in proposed:
                     raise
@@ -116,24 +117,36 @@ def collect_run(
     return tuple(notes)
 
 
-def _go(mover: Mover, targets: dict[str, np.ndarray], factors: Mapping[str, Factors]) -> dict[str, ArmState]:
-    """Move straight, or by way of home where the straight way is refused (after a resume, or a missed stop).
+def _go(mover: Mover, targets: dict[str, np.ndarray]) -> dict[str, ArmState]:
+    """Move straight, or by way of home where the straight way is refused (after a resume, or a missed stop)."""
+    try:
+        return mover.move(targets)
+    except MotionRefused:
+        mover.go_home()
+        return mover.move(targets)
 
-    Arms that shall come from elsewhere go there first; then nothing moves unless the gate lets them do both legs.
+
+def _go_as_proposed(
+    mover: Mover, targets: dict[str, np.ndarray], factors: Mapping[str, Factors]
+) -> dict[str, ArmState]:
+    """Move to where the last legs begin, all arms at once or one after the other, then those legs.
+
+    Nothing moves unless the gate lets the arms do all of it; where it does not, they go home and try from there.
     """
     vias = {name: one.via for name, one in factors.items() if one.via is not None and name in targets}
-    if not vias:
-        try:
-            return mover.move(targets)
-        except MotionRefused:
+    start, last = {**targets, **vias}, {name: targets[name] for name in vias}
+    orders = [[start], *([{name: start[name]} for name in order] for order in permutations(start))]
+    ways = [[*legs, last] if last else legs for legs in orders]
+    for at_home in (False, True):
+        if at_home:
             mover.go_home()
-            return mover.move(targets)
-    first, last = {**targets, **vias}, {name: targets[name] for name in vias}
-    if mover.refusal(first, last):
-        mover.go_home()
-        if refusal := mover.refusal(first, last):
-            raise MotionRefused(f"refused to move: {refusal}")
-    return {**mover.move(first), **mover.move(last)}
+        for legs in ways:
+            if not mover.refusal(*legs):
+                states: dict[str, ArmState] = {}
+                for leg in legs:
+                    states |= mover.move(leg)
+                return states
+    raise MotionRefused(f"refused to move: {mover.refusal(*ways[0])}")
 
 
 def _dwell_s(factors: Mapping[str, Factors], name: str) -> float:

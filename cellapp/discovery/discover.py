@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT, rms_length_mm
+from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT, calibrate_arm, rms_length_mm
 from cellapp.calibration.circumstances import circumstances
 from cellapp.calibration.cooperative import calibrate_pair
 from cellapp.calibration.evaluation import evaluate, position_errors, summarise
@@ -19,7 +20,7 @@ from cellapp.calibration.setup import stated_uncertainty
 from cellapp.discovery.data import ArmData, Fit
 from cellapp.discovery.describe import Description, describe
 from cellapp.discovery.pictures import Picture, cycles, pictures
-from cellapp.discovery.scan import VISIBLE, smallest_seen
+from cellapp.discovery.scan import VISIBLE, Seen, smallest_seen
 from cellapp.discovery.search import UNKNOWN, Rival, Search, on_all, scatter, search
 from cellapp.effects import EFFECTS, Circumstances, EffectTerm
 from cellapp.errors import InputError
@@ -32,7 +33,7 @@ from cellapp.run import Readings, RunFile
 DISCOVER_RESULT = "discover"
 _FLOOR = 1.05
 """Held-out rms within this factor of the noise floor counts as explained."""
-_CHANCE = 0.01
+_CHANCE = 0.001
 _UNSTRUCTURED = 1.5
 """Up to this factor on the stated uncertainty, scatter without any structure is called noise and not an effect."""
 _MOST_SEARCHED = 600
@@ -134,15 +135,25 @@ def discover_run(
         raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
     model = CellModel.load(run.folder / CALIBRATION_FILE)
     readings = {name: run.readings(name) for name in model.arms}
+    model = replace(
+        model, arms={name: _as_calibrated(run.profile, name, arm, readings[name]) for name, arm in model.arms.items()}
+    )
     known = known_of_all(model, readings)
     found: dict[str, Discovery] = {}
     for done, name in enumerate(model.arms):
         listener(Progress("discover", done, len(model.arms), f"arm {name}"))
         cancel.check()
-        discovery = discover_arm(run.profile, name, model.arms[name], readings[name], cancel, known=known[name])
-        if run.profile.network.kind == "mlp":
-            discovery = _with_network(run.profile, model.arms[name], discovery, readings[name], known[name], cancel)
-        found[name] = discovery
+        found[name] = discover_arm(run.profile, name, model.arms[name], readings[name], cancel, known=known[name])
+    if run.profile.network.kind == "mlp":
+        listener(Progress("discover", len(model.arms), len(model.arms), "what a network still finds"))
+        with ThreadPoolExecutor(max_workers=2) as pool:  # torch works outside the interpreter lock
+            tasks = {
+                name: pool.submit(
+                    _with_network, run.profile, model.arms[name], discovery, readings[name], known[name], cancel
+                )
+                for name, discovery in found.items()
+            }
+            found = {name: task.result() for name, task in tasks.items()}
     result = json.loads(calibrated)
     for name, discovery in found.items():
         result["arms"][name]["validate"].pop("effects", None)
@@ -160,6 +171,11 @@ def discover_run(
     run.write_result(DISCOVER_RESULT, json.dumps(as_dict(found)))
     listener(Progress("discover", len(model.arms), len(model.arms), "done"))
     return found
+
+
+def _as_calibrated(profile: Profile, name: str, arm: ArmModel, readings: Readings) -> ArmModel:
+    """The arm as 'calibrate' left it: without what an earlier discovery added."""
+    return calibrate_arm(profile, name, readings)[0].model if arm.effects else arm
 
 
 @dataclass(frozen=True)
@@ -382,7 +398,13 @@ def _unseen(
     """What these data cannot show, and what they could have shown and did not, with the smallest size of each."""
     invisible: list[Mapping[str, Any]] = []
     absent: list[Mapping[str, Any]] = []
-    context, seen = found.data.context, found.seen
+    context, seen, white = found.data.context, found.seen, found.first.white
+    if found.fit.choice:
+        left = [slug for slug in EFFECTS if slug not in named and slug != UNKNOWN]
+        seen = Seen.of(found.data.candidates(found.fit, left), found.fit.follower)
+        white = found.fit.white
+    # whitened lengths in metres, by the mean weight of a coordinate
+    noise_mm = 1e3 / math.sqrt(float(np.mean(np.einsum("aan->an", white) ** 2)))
     for slug, effect in EFFECTS.items():
         if slug in named or slug == UNKNOWN:
             continue
@@ -410,7 +432,6 @@ def _unseen(
                 old = sizes.get(column.name)
                 if (old is None or size < old["value"]) and len(sizes) < 40:
                     sizes[column.name] = {"value": size, "unit": column.unit}
-        noise_mm = _mean_sigma_mm(found.data)
         entry = {
             "effect": slug,
             "visible_share": share,
@@ -424,13 +445,6 @@ def _unseen(
         else:
             absent.append({**entry, "reason": "not found; it could have been seen from these sizes on"})
     return tuple(invisible), tuple(absent)
-
-
-def _mean_sigma_mm(data: ArmData) -> float:
-    """Root mean square standard deviation of a coordinate in use [mm]; 1 without weights in metres."""
-    if data.sigma is None:
-        return 1e3
-    return rms_length_mm(data.sigma) / math.sqrt(3.0)
 
 
 def _judge(

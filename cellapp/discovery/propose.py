@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -22,30 +23,37 @@ from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel
 from cellapp.planning.cell_bodies import cell_bodies, home_positions
 from cellapp.planning.factors import Factors, as_dict, read_factors, write_factors
-from cellapp.planning.plan import draw_stops, rolled_stops
+from cellapp.planning.plan import all_seen, draw_stops, rolled_stops
 from cellapp.planning.safety import CellBodies, refuse_motion
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings, RunFile
 
-_POSES = 120
+_DRAWN = 280
+_POSES = 200
+_HUBS = 7
+_FREE_WAYS = 3
 _ROLLS = 2
 STEPS_RAD = (0.03, 0.5)
 """Small and large last steps of a joint."""
 DWELLS_S = (0.5, 5.0)
 """Short and long rests before a measurement."""
-_TWICE = 2
+_MOST_OFTEN = 3
 """A posture, whatever its wrist roll, is proposed at most so often: designs like repetition, wrong laws do not."""
 _REFUSALS = 400
 """Gate refusals in a row after which no further stop is looked for."""
+_ROUNDS = 4
+"""Of choosing stops in place of those that could not be reached."""
 _DRAWS = 8
 _HOPELESS = 0.02
 """A question that all stops together would bring on by less than this share of what it needs is left aside."""
 _WORST_FIRST = 3.0
 _MEMORY = 3e8
 """For the candidates' columns [bytes]."""
-_LOAD_KG = 3.0
-"""What a person is told to hang on for example."""
+_MOST_CANDIDATES = 8000
+"""Of one arm: poses times ways of coming to them."""
+_LOAD_SHARE = 0.25
+"""Of an arm's own mass: a load that arms of this class may carry."""
 _WORTH_A_LOAD = 1.5
 _TYPICAL_DWELL_S = 0.7
 
@@ -169,14 +177,15 @@ def propose_run(
     poses = poses.first(min(asked.affordable for asked in asking.values()))
     for asked in asking.values():
         asked.prepare(poses)
-    chosen = _select(asking, poses, count, listener, cancel)
+    variables = frozenset[str]().union(*(asked.variables for arm in asking.values() for asked in arm.questions))
+    choice = _Choice(list(asking.values()), poses, "other_arm" in variables or poses.gate is None, rng)
+    chosen = choice.select(count, listener, cancel)
     if not chosen:
         raise InputError("propose: the gate refused every candidate; make plan.clearance smaller, or move the bases")
     if len(chosen) < count:
         notes.append(f"only {len(chosen)} of {count} stops: the gate refused the other candidates")
-    chosen = _ordered(chosen, asking, poses, rng)
-    answers, advice = _answers(asking, poses, chosen, model, rng)
-    stops = tuple(_stop(asking, poses, one) for one in chosen)
+    answers, advice = _answers(list(asking.values()), poses, chosen, rng)
+    stops = tuple(ProposedStop(choice.target(one), choice.factors(one)) for one in chosen)
     first = None
     if why := _not_driven(run):
         notes.append(f"{why}: the stops are listed only; measure them, then import them with the earlier readings")
@@ -197,7 +206,6 @@ class _Poses:
     posture: NDArray[np.intp]
     gate: CellBodies | None
     homes: Mapping[str, Array]
-    refused: dict[tuple[Any, ...], str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.posture)
@@ -207,21 +215,6 @@ class _Poses:
         if count >= len(self):
             return self
         return replace(self, q={name: q[:count] for name, q in self.q.items()}, posture=self.posture[:count])
-
-    def at(self, pose: int) -> dict[str, Array]:
-        return {name: q[pose] for name, q in self.q.items()}
-
-    def home_is_free(self, here: Mapping[str, Array]) -> bool:
-        """Whether the arms can go home one at a time, in some order."""
-        assert self.gate is not None
-        now, waiting = dict(here), list(self.homes)
-        while waiting:
-            free = [name for name in waiting if not refuse_motion(self.gate, now, {**now, name: self.homes[name]})]
-            if not free:
-                return False
-            now[free[0]] = self.homes[free[0]]
-            waiting.remove(free[0])
-        return True
 
 
 def _poses(
@@ -233,11 +226,16 @@ def _poses(
     )
     if described:
         gate = cell_bodies(profile)
-        drawn = draw_stops(gate, profile, _POSES, rng, cancel)
+        homes = home_positions(profile)
+        drawn = draw_stops(gate, profile, _DRAWN, rng, cancel)
+        near = np.all([_easily_reached(gate, name, q, homes[name]) for name, q in drawn.items()], axis=0)
+        if not near.any():
+            raise InputError("propose: no candidate can be reached on a straight way; make plan.clearance smaller")
+        drawn = {name: rows[near][:_POSES] for name, rows in drawn.items()}
         q, posture = rolled_stops(gate, drawn, _ROLLS, rng)
         mixed = rng.permutation(len(posture))
         q = {name: rows[mixed] for name, rows in q.items()}
-        return _Poses(q, posture[mixed], gate, home_positions(profile)), []
+        return _Poses(q, posture[mixed], gate, homes), []
     common = set.intersection(*(set(arm.configuration.tolist()) for arm in readings.values()))
     numbers = rng.permutation(np.array(sorted(common), dtype=np.int64))[: _POSES * (1 + _ROLLS)]
     if not len(numbers):
@@ -251,6 +249,23 @@ def _poses(
         " no collision was looked for on the way to them"
     )
     return _Poses(q, np.arange(len(numbers)), None, {}), [note]
+
+
+def _easily_reached(gate: CellBodies, name: str, q: Array, home: Array) -> Array:
+    """Which of the configurations (n, N) an arm that is alone can go straight to from some others, (n,) bool.
+
+    What stands apart from all others (just above the floor, folded up) says much and is hardly ever come by.
+    """
+    alone = _alone(gate, name)
+    reached = np.zeros(len(q), dtype=bool)
+    for k, one in enumerate(q):
+        free = 0
+        for hub in (home, *q[[(k + 1 + i) % len(q) for i in range(min(_HUBS, len(q) - 1))]]):
+            free += not refuse_motion(alone, {name: hub}, {name: one})
+            if free >= _FREE_WAYS:
+                reached[k] = True
+                break
+    return reached
 
 
 # -- what each arm asks -----------------------------------------------------------------------------------------------
@@ -325,7 +340,8 @@ class _Asking:
             for asked in asking.questions
         )
         # each contest keeps its columns twice
-        asking.affordable = max(20, int(_MEMORY / max(2 * width * asking.ways * 24, 1)))
+        affordable = min(int(_MEMORY / max(2 * width * 24, 1)), _MOST_CANDIDATES) // asking.ways
+        asking.affordable = max(20, affordable)
         return asking
 
     @property
@@ -407,9 +423,23 @@ class _Asking:
         for asked in self.questions:
             if id(asked.fit) not in seen:
                 seen[id(asked.fit)] = There.of(asked.data, asked.fit, q, known)
-            contests = asked.contests(seen[id(asked.fit)])
-            self.contests.append((asked, contests))
-            self.races += [(asked, contest.begin()) for contest in contests]
+            self.contests.append((asked, self._open(asked, asked.contests(seen[id(asked.fit)]))))
+
+    def _open(self, asked: Question, contests: list[Contest]) -> list[Contest]:
+        """Without the laws that hold the effect itself (dry friction is backlash), unless they are all there is."""
+        open_ones = []
+        for contest in contests:
+            race = contest.begin()
+            most = race.value + self.count * float(race.gains().max(initial=0.0))
+            if most > _HOPELESS * asked.needed:
+                open_ones.append(contest)
+        return open_ones or contests
+
+    def restart(self, taken: Iterable[tuple[int, int]]) -> None:
+        """Begin the contests anew with some candidates measured."""
+        self.races = [(asked, contest.begin()) for asked, contests in self.contests for contest in contests]
+        for pose, way in taken:
+            self.take(pose, way)
 
     def worth(self, left: int) -> Array:
         """How much each candidate (n, f) brings on the questions, those that are worst off first; -inf where banned."""
@@ -461,121 +491,205 @@ def _last_steps(n: int, joints: int, rng: np.random.Generator) -> Array:
 
 # -- the choice -------------------------------------------------------------------------------------------------------
 
-_Chosen = tuple[int, tuple[int, ...]]
-"""A pose and the way of each arm."""
+
+@dataclass(frozen=True)
+class _Chosen:
+    """The pose of each arm, and the way of coming to it."""
+
+    poses: tuple[int, ...]
+    ways: tuple[int, ...]
 
 
-def _select(
-    asking: Mapping[str, _Asking], poses: _Poses, count: int, listener: Listener, cancel: CancelToken
-) -> list[_Chosen]:
-    """Stop after stop the one that brings on the questions of all arms most, as far as the gate lets them."""
-    chosen: list[_Chosen] = []
-    arms = list(asking.values())
-    used = np.zeros(int(poses.posture.max()) + 1, dtype=np.intp)
-    open_to = np.ones(len(poses), dtype=bool)
-    while len(chosen) < count:
-        cancel.check()
-        listener(Progress("propose", len(chosen), count, "stops"))
-        worths = [arm.worth(count - len(chosen)) for arm in arms]
-        one = None
+@dataclass(eq=False)
+class _Choice:
+    """Choosing stops for all arms. ``paired`` keeps the poses together that were drawn together, as it must be where
+    anything depends on the other arm; else each arm's best poses meet, if they may."""
+
+    arms: list[_Asking]
+    poses: _Poses
+    paired: bool
+    rng: np.random.Generator
+    refused: set[_Chosen] = field(default_factory=set)
+    free: dict[tuple[_Chosen | None, _Chosen | None], bool] = field(default_factory=dict)
+
+    def select(self, count: int, listener: Listener, cancel: CancelToken) -> list[_Chosen]:
+        """``count`` stops in an order in which each can be reached from the one before; fewer if the gate says so."""
+        kept: list[_Chosen] = []
+        for _ in range(_ROUNDS):
+            for number, arm in enumerate(self.arms):
+                arm.restart(zip((one.poses[number] for one in kept), (one.ways[number] for one in kept), strict=True))
+            before = len(kept)
+            kept = self._ordered([*kept, *self._further(kept, count, listener, cancel)])
+            if len(kept) == count or len(kept) == before:
+                break
+        return kept
+
+    def _further(
+        self, kept: Sequence[_Chosen], count: int, listener: Listener, cancel: CancelToken
+    ) -> list[_Chosen]:
+        """Stop after stop the one that brings on the questions of all arms most."""
+        used = [np.zeros(int(self.poses.posture.max()) + 1, dtype=np.intp) for _ in self.arms]
+        for earlier in kept:
+            self._use(used, earlier)
+        found: list[_Chosen] = []
+        while len(kept) + len(found) < count:
+            cancel.check()
+            listener(Progress("propose", len(kept) + len(found), count, "stops"))
+            one = self._next(used, count - len(kept) - len(found))
+            if one is None:
+                break
+            for arm, pose, way in zip(self.arms, one.poses, one.ways, strict=True):
+                arm.take(pose, way)
+            self._use(used, one)
+            found.append(one)
+        return found
+
+    def _use(self, used: list[NDArray[np.intp]], one: _Chosen) -> None:
+        for counts, pose in zip(used, one.poses, strict=True):
+            counts[self.poses.posture[pose]] += 1
+
+    def _next(self, used: list[NDArray[np.intp]], left: int) -> _Chosen | None:
+        """The best stop that the gate lets the arms come to."""
+        worths = [arm.worth(left) for arm in self.arms]
+        for worth, counts in zip(worths, used, strict=True):
+            worth[counts[self.poses.posture] >= _MOST_OFTEN] = -math.inf
         for _ in range(_REFUSALS):
-            best = sum(worth.max(axis=1) for worth in worths)
-            best = np.where(open_to & (used[poses.posture] < _TWICE), best, -math.inf)
-            pose = int(np.argmax(best))
-            if not math.isfinite(float(best[pose])):
-                break
-            ways = tuple(int(np.argmax(worth[pose])) for worth in worths)
-            banned = _banned(arms, poses, pose, ways)
-            if banned is None:
-                one = (pose, ways)
-                break
-            if not banned:
-                open_to[pose] = False
-            for number in banned:
-                arms[number].allowed[pose, ways[number]] = False
-                worths[number][pose, ways[number]] = -math.inf
-        if one is None:
-            break
-        pose, ways = one
-        for arm, way in zip(arms, ways, strict=True):
-            arm.take(pose, way)
-        used[poses.posture[pose]] += 1
-        chosen.append(one)
-    return chosen
-
-
-def _banned(arms: Sequence[_Asking], poses: _Poses, pose: int, ways: Sequence[int]) -> list[int] | None:
-    """Which arms' ways to a pose the gate refuses; none of them if it is the pose itself; None if all is free."""
-    if poses.gate is None:
+            by_pose = [worth.max(axis=1) for worth in worths]
+            if self.paired:
+                by_pose = [np.sum(by_pose, axis=0)] * len(self.arms)
+            picked = tuple(int(np.argmax(best)) for best in by_pose)
+            if any(not math.isfinite(float(best[pose])) for best, pose in zip(by_pose, picked, strict=True)):
+                return None
+            ways = tuple(int(np.argmax(worth[pose])) for worth, pose in zip(worths, picked, strict=True))
+            one = _Chosen(picked, ways)
+            alone = self._refused_alone(one)
+            if not alone and one not in self.refused and not self._refused_together(one):
+                return one
+            self.refused.add(one)
+            for number in alone:
+                self.arms[number].allowed[one.poses[number], one.ways[number]] = False
+            for number in alone or [self._who_gives_way(worths, one)]:
+                worths[number][one.poses[number], one.ways[number]] = -math.inf
         return None
-    there = poses.at(pose)
-    vias = _vias(arms, poses, pose, ways)
-    start = {**there, **vias}
-    if not poses.home_is_free(there):
-        return []
-    moving = [number for number, arm in enumerate(arms) if arm.name in vias]
-    alone = [
-        number
-        for number in moving
-        if refuse_motion(poses.gate, {**there, arms[number].name: vias[arms[number].name]}, there)
-    ]
-    if alone:
-        return alone
-    if refuse_motion(poses.gate, start, there) or refuse_motion(poses.gate, poses.homes, start):
-        return moving
-    return None
+
+    @staticmethod
+    def _who_gives_way(worths: Sequence[Array], one: _Chosen) -> int:
+        """The arm whose next best candidate is nearest to its best."""
+        costs = []
+        for number, worth in enumerate(worths):
+            rest = worth.copy()
+            rest[one.poses[number], one.ways[number]] = -math.inf
+            costs.append(float(worth[one.poses[number], one.ways[number]] - rest.max()))
+        return int(np.argmin(costs))
+
+    # -- the gate --
+
+    def target(self, one: _Chosen) -> dict[str, Array]:
+        """Where the arms stand."""
+        return {arm.name: self.poses.q[arm.name][pose] for arm, pose in zip(self.arms, one.poses, strict=True)}
+
+    def factors(self, one: _Chosen) -> dict[str, Factors]:
+        """How they come there."""
+        ways = zip(self.arms, one.poses, one.ways, strict=True)
+        return {arm.name: arm.factors(self.poses, pose, way) for arm, pose, way in ways}
+
+    def start(self, one: _Chosen) -> dict[str, Array]:
+        """Where the last leg begins; an arm without one is already there."""
+        vias = {name: asked.via for name, asked in self.factors(one).items() if asked.via is not None}
+        return {**self.target(one), **vias}
+
+    def _refused_alone(self, one: _Chosen) -> list[int]:
+        """The arms whose last leg the gate refuses whatever the others do."""
+        if self.poses.gate is None:
+            return []
+        there, start = self.target(one), self.start(one)
+        return [
+            number
+            for number, arm in enumerate(self.arms)
+            if start[arm.name] is not there[arm.name]
+            and refuse_motion(_alone(self.poses.gate, arm.name), _only(start, arm.name), _only(there, arm.name))
+        ]
+
+    def _refused_together(self, one: _Chosen) -> bool:
+        if self.poses.gate is None:
+            return False
+        there = self.target(one)
+        if not self.paired and not all_seen(self.poses.gate, there):
+            return True
+        return bool(refuse_motion(self.poses.gate, self.start(one), there))
+
+    def _ordered(self, chosen: Sequence[_Chosen]) -> list[_Chosen]:
+        """In random order, so that time is tied to nothing, as far as each stop can be reached from the one before.
+
+        Stops that fit nowhere are left out.
+        """
+        waiting = [chosen[k] for k in self.rng.permutation(len(chosen))]
+        if self.poses.gate is None:
+            return waiting
+        path: list[_Chosen] = []
+        grown = True
+        while waiting and grown:
+            grown = False
+            for one in list(waiting):
+                for place in self.rng.permutation(len(path) + 1).tolist():
+                    before = path[place - 1] if place else None
+                    after = path[place] if place < len(path) else None
+                    if self._reachable(before, one) and self._reachable(one, after):
+                        path.insert(place, one)
+                        waiting.remove(one)
+                        grown = True
+                        break
+        self.refused.update(waiting)
+        return path
+
+    def _reachable(self, before: _Chosen | None, after: _Chosen | None) -> bool:
+        """Whether the arms can go from one stop to where the last leg to another begins; None is home.
+
+        As the collection does: all at once, or one after the other.
+        """
+        if (before, after) not in self.free:
+            gate = self.poses.gate
+            assert gate is not None
+            here = self.poses.homes if before is None else self.target(before)
+            there = self.poses.homes if after is None else self.start(after)
+            self.free[before, after] = _may_go(gate, here, there)
+        return self.free[before, after]
 
 
-def _vias(arms: Sequence[_Asking], poses: _Poses, pose: int, ways: Sequence[int]) -> dict[str, Array]:
-    found = {}
-    for arm, way in zip(arms, ways, strict=True):
-        via = arm.factors(poses, pose, way).via
-        if via is not None:
-            found[arm.name] = via
-    return found
-
-
-def _ordered(
-    chosen: Sequence[_Chosen], asking: Mapping[str, _Asking], poses: _Poses, rng: np.random.Generator
-) -> list[_Chosen]:
-    """In random order, so that time is tied to nothing; with few ways by home where the straight one is refused."""
-    left = [chosen[k] for k in rng.permutation(len(chosen))]
-    if poses.gate is None:
-        return left
-    arms, here, ordered = list(asking.values()), dict(poses.homes), list[_Chosen]()
-    while left:
-        for one in left[:6]:
-            start = {**poses.at(one[0]), **_vias(arms, poses, *one)}
-            if not refuse_motion(poses.gate, here, start):
+def _may_go(gate: CellBodies, here: Mapping[str, Array], there: Mapping[str, Array]) -> bool:
+    if not refuse_motion(gate, here, there):
+        return True
+    for order in permutations(there):
+        now = dict(here)
+        for name in order:
+            then = {**now, name: there[name]}
+            if refuse_motion(gate, now, then):
                 break
+            now = then
         else:
-            one = left[0]
-        left.remove(one)
-        ordered.append(one)
-        here = poses.at(one[0])
-    return ordered
+            return True
+    return False
 
 
-def _stop(asking: Mapping[str, _Asking], poses: _Poses, one: _Chosen) -> ProposedStop:
-    pose, ways = one
-    factors = {arm.name: arm.factors(poses, pose, way) for arm, way in zip(asking.values(), ways, strict=True)}
-    return ProposedStop(poses.at(pose), factors)
+def _alone(gate: CellBodies, name: str) -> CellBodies:
+    """The cell with one arm only."""
+    return replace(gate, arms={name: gate.arms[name]})
+
+
+def _only(q: Mapping[str, Array], name: str) -> dict[str, Array]:
+    return {name: q[name]}
 
 
 # -- what it is worth -------------------------------------------------------------------------------------------------
 
 
 def _answers(
-    asking: Mapping[str, _Asking],
-    poses: _Poses,
-    chosen: Sequence[_Chosen],
-    model: CellModel,
-    rng: np.random.Generator,
+    arms: Sequence[_Asking], poses: _Poses, chosen: Sequence[_Chosen], rng: np.random.Generator
 ) -> tuple[tuple[Answer, ...], tuple[str, ...]]:
     """Discrimination of each question now, with the chosen stops, and with as many random ones (mean of some draws)."""
     answers, advice = [], []
-    for number, arm in enumerate(asking.values()):
-        picked = np.array([pose * arm.ways + ways[number] for pose, ways in chosen], dtype=np.intp)
+    for number, arm in enumerate(arms):
+        picked = np.array([one.poses[number] * arm.ways + one.ways[number] for one in chosen], dtype=np.intp)
         draws = [rng.integers(0, len(poses) * arm.ways, len(chosen)) for _ in range(_DRAWS)]
         nothing = np.array([], dtype=np.intp)
         for asked, contests in arm.contests:
@@ -596,15 +710,17 @@ def _answers(
 def _load_advice(
     arm: _Asking, asked: Question, poses: _Poses, chosen: Sequence[_Chosen], number: int, answer: Answer
 ) -> list[str]:
-    """What another load at every second stop would do, where the effects feel one and the run had but one."""
+    """What another load at every second stop would do, where the stops alone do not tell and the run had but one."""
     slugs = [asked.effect, *([asked.against] if asked.against else [])]
-    if not any("payload" in EFFECTS[slug].variables for slug in slugs) or varies(arm.known.payload_kg):
+    felt = any("payload" in EFFECTS[slug].variables for slug in slugs)
+    if not felt or varies(arm.known.payload_kg) or (asked.against and answer.proposed >= answer.needed):
         return []
     present = _last(arm.known.payload_kg, 1)
     now_kg = arm.model.bodies.payload_mass if present is None else float(present[0])
-    load_kg: Array = now_kg + _LOAD_KG * (np.arange(len(chosen)) % 2).astype(np.float64)
-    pose = np.array([pose for pose, _ in chosen], dtype=np.intp)
-    way = np.array([ways[number] for _, ways in chosen], dtype=np.intp)
+    more_kg = max(round(2.0 * _LOAD_SHARE * float(arm.model.bodies.masses.sum())) / 2.0, 0.5)
+    load_kg: Array = now_kg + more_kg * (np.arange(len(chosen)) % 2).astype(np.float64)
+    pose = np.array([one.poses[number] for one in chosen], dtype=np.intp)
+    way = np.array([one.ways[number] for one in chosen], dtype=np.intp)
     q, known = arm.of_candidates(poses, pose, way, load_kg)
     everything = np.arange(len(chosen))
     contests = asked.contests(There.of(asked.data, asked.fit, q, known))
@@ -614,9 +730,9 @@ def _load_advice(
     what = f"{EFFECTS[asked.effect].title} and {EFFECTS[asked.against].title}" if asked.against else ""
     aim = f"tell {what} apart" if what else f"show {EFFECTS[asked.effect].title}"
     return [
-        f"arm {arm.name}: another load would {aim} better: {now_kg + _LOAD_KG:g} kg instead of {now_kg:g} kg at every"
+        f"arm {arm.name}: another load would {aim} better: {now_kg + more_kg:g} kg instead of {now_kg:g} kg at every"
         f" second stop would bring the discrimination to {loaded:.0f} instead of {answer.proposed:.0f}; a person must"
-        " hang it on and enter it in the controller"
+        " hang it on, if the arm may carry it, and enter it in the controller"
     ]
 
 

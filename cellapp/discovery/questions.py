@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cellapp.discovery.discover import Discovery
 
 _MOST_COLUMNS = 40
-_MOST_LAWS = 6
+_MOST_LAWS = 4
 _MOST_UNSEEN = 3
 _CURABLE = frozenset({"approach", "step", "dwell", "other_arm"})
 """What the factors of further stops can make vary where a run did not."""

@@ -200,9 +200,10 @@ class Seen:
             np.maximum.at(best, owner, value)
         return best
 
-    def scores(self, MY: Array, square: float) -> list[Score]:
+    def scores(self, MY: Array, square: float, *, refined: bool = False) -> list[Score]:
         """Scores of the candidates for one residual ``MY`` (d,) with ``square = y^T M y``, best first.
 
+        With blocks that only refine where ``refined``: a name is given for what an effect plainly is.
         Of each effect only the laws are gone through whose best block alone is among its best.
         """
         ahead = self.block_scores(MY[:, None], np.array([square]))[:, 0]
@@ -211,16 +212,17 @@ class Seen:
             if np.isfinite(ahead[number]):
                 by_slug.setdefault(self.candidates[number].slug, []).append(number)
         chosen = [number for numbers in by_slug.values() for number in numbers[:_MOST_LAWS]]
-        found = [self.greedy(number, MY, square) for number in chosen]
+        found = [self.greedy(number, MY, square, refined=refined) for number in chosen]
         return sorted((one for one in found if one is not None), key=lambda s: -s.value)
 
-    def greedy(self, number: int, MY: Array, square: float) -> Score | None:
+    def greedy(self, number: int, MY: Array, square: float, *, refined: bool = True) -> Score | None:
         """Blocks of one candidate, the best first, while the score grows; or all of them at once, then fewer."""
         one = self.candidates[number]
         B, MB = self.part(number)
         raw = np.maximum(np.linalg.norm(B, axis=1), 1e-300)
         keep = self.fraction[int(self.first[number]) :][: len(B)] > VISIBLE
-        blocks = [visible for block in one.blocks if (visible := tuple(i for i in block if keep[i]))]
+        wanted = [block for block in one.blocks if refined or not one.refines(block)]
+        blocks = [visible for block in wanted if (visible := tuple(i for i in block if keep[i]))]
         if not blocks:
             return None
         N = len(MY)

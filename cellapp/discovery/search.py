@@ -39,7 +39,10 @@ _RIVAL = 10.0
 _SAME_CAUSE = 0.05
 """A later effect that depends on what an earlier one does and removes less than this share of what that one removed is
 more likely the rest of an imperfect law than a second cause."""
-_REACHED = 0.01
+_REMAINDER = 0.02
+"""So much of what an effect does may be left over by its law, in rms, and look like another."""
+_DOMINATED = 0.9
+_REACHED = 0.001
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,7 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken) -> Search:
     if not engine.floor_reached(best):
         further = engine.beyond_library(best)
         ways = [best] if further is None else [best, engine.reviewed_way(engine.named(further, None))]
-        if best.fit.choice and further is not None:
+        if best.fit.choice and further is not None and not engine.dominates(best, further):
             first = engine.beyond_library(_Way(here, fit))
             if first is not None:
                 ways.append(engine.reviewed_way(engine.named(first, None)))
@@ -170,6 +173,18 @@ class _Engine:
                 way = self._curve(way) or way
         return way
 
+    def dominates(self, named: _Way, further: _Way) -> bool:
+        """Whether the names explain nearly all of what is explained with a data-driven term as well."""
+        nothing = self._unexplained(_Way(*self.refit(())))
+        total = nothing - self._unexplained(further)
+        return nothing - self._unexplained(named) > _DOMINATED * total
+
+    @staticmethod
+    def _unexplained(way: _Way) -> float:
+        """Sum of squares of what a way leaves, against the stated uncertainty."""
+        white = whitening(way.data.stated, len(way.data))
+        return float(np.sum(np.einsum("acn,nc->an", white, way.fit.identification.residuals) ** 2))
+
     def criterion(self, way: _Way) -> float:
         """Bayesian information criterion of a way, for the same weights: the stated uncertainty.
 
@@ -180,9 +195,7 @@ class _Engine:
             rest = tuple(part for part in way.fit.choice if part is not curved)
             gain = curved.curves.evidence - _curve_price(curved.curves, way.data)
             return self.criterion(_Way(*self.refit(rest))) - gain + _RIVAL
-        residuals = way.fit.identification.residuals
-        white = whitening(way.data.stated, len(way.data))
-        total = float(np.sum(np.einsum("acn,nc->an", white, residuals) ** 2))
+        total = self._unexplained(way)
         N = 3 * len(way.data)
         price = float(np.sum(way.fit.follower.basis**2)) * math.log(N)
         for part in way.fit.choice:
@@ -227,7 +240,7 @@ class _Engine:
         sharp = [
             k
             for k, column in enumerate(candidate.columns)
-            if column.joint not in part.curves.joints or cycles_of(column.name) > CYCLES
+            if column.joint in part.curves.joints and cycles_of(column.name) > CYCLES
         ]
         columns = tuple(candidate.columns[k] for k in sharp)
         candidate = replace(candidate, columns=columns, B=candidate.B[sharp])
@@ -284,7 +297,7 @@ class _Engine:
     def _accept(self, here: ArmData, fit: Fit, score: Score, seen: Seen, MY: Array, square: float) -> Step | None:
         """Try to add an effect: without the blocks where it would be impossible, and confirmed on readings left out."""
         possible = self._plausible(here, fit, score, seen, MY, square)
-        if possible is None or possible.value <= self.least:
+        if possible is None or possible.value <= self.least or self._remainder(here, fit, possible, square):
             return None
         number = seen.candidates.index(possible.candidate)
         B, _ = seen.part(number)
@@ -294,6 +307,20 @@ class _Engine:
         title = EFFECTS[possible.slug].title
         p_value = corrected_p(self.maxima, possible.value)
         return Step(possible.slug, f"{title} added", possible.value, p_value, (*fit.choice, part))
+
+    def _remainder(self, here: ArmData, fit: Fit, score: Score, square: float) -> bool:
+        """Whether a look-alike of something far larger is not needed: then it is what is left of that one's law."""
+        if not self.floor_reached(_Way(here, fit)):
+            return False
+        for place, part in enumerate(fit.choice):
+            if part.slug == UNKNOWN or part.curves is not None:
+                continue
+            alike = score.slug in EFFECTS[part.slug].look_alikes or part.slug in EFFECTS[score.slug].look_alikes
+            if alike:
+                removed = float(np.sum(fit.follower_without(place).without(fit.signal(place)) ** 2))
+                if score.explained * square < _REMAINDER**2 * removed:
+                    return True
+        return False
 
     def _plausible(
         self, here: ArmData, fit: Fit, score: Score, seen: Seen, MY: Array, square: float
@@ -323,7 +350,8 @@ class _Engine:
             B, _ = seen.part(number)
             fewer = replace(candidate, columns=tuple(candidate.columns[p] for p in keep), B=B[keep])
             alone = Seen.of([fewer], fit.follower)
-            again = alone.greedy(0, MY, square)
+            refined = any(candidate.columns[place].block.startswith("+") for place in score.chosen)
+            again = alone.greedy(0, MY, square, refined=refined)
             if again is None:
                 return None
             names = set(again.names)
@@ -352,7 +380,7 @@ class _Engine:
                 candidates += [here.candidate(fit, part.slug, law) for law in further]
             seen = Seen.of(candidates, follower)
             own = _value(fit, place, follower, MY, square)
-            for score in seen.scores(MY, square)[:3]:
+            for score in seen.scores(MY, square, refined=True)[:3]:
                 gain = score.value - own
                 same = score.candidate.law.name == part.law.name and set(score.names) == set(part.names)
                 if same or gain <= needed or (best is not None and gain <= best.score):
@@ -449,10 +477,10 @@ class _Engine:
     def data_driven(self, way: _Way) -> _Way | None:
         """The channel and the one or two variables that explain most of what is left, added."""
         here, fit = way.data, way.fit
-        taken = {part.law.name for part in fit.choice if part.slug == UNKNOWN}
+        taken = {_subject(part.law) for part in fit.choice if part.slug == UNKNOWN}
         MY = fit.follower.without(fit.residual)
         square = float(fit.residual @ MY)
-        laws = [law for _, _, law in dictionary(here.context) if law.name not in taken]
+        laws = [law for _, _, law in dictionary(here.context) if _subject(law) not in taken]
         best = self._best_law(here, fit, laws, MY, square)
         two_laws = list(pairs(here.context))
         if best is not None:
@@ -604,6 +632,13 @@ def _nearby(law: Law, data: ArmData, shrink: float) -> list[Law]:
             for factor in (math.exp(-0.3 * shrink), math.exp(0.3 * shrink)):
                 found.append(replace(law, constants={**law.constants, key: value * factor}))
     return found
+
+
+def _subject(law: Law) -> tuple[str, ...]:
+    """What a data-driven law speaks of: its channel, whatever the direction, and its variables."""
+    channel, *variables = law.name.split("|")
+    kind = next((kind for kind in ("base shift", "tool") if channel.startswith(kind)), channel)
+    return (kind, *variables)
 
 
 def _curve_price(curves: Curves, data: ArmData) -> float:

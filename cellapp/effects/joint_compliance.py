@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,10 +27,8 @@ class JointCompliance:
     two_slope
         ``dq_j = c_j tau_j + s_j clip(tau_j, -T_j, T_j)``: softer below a knee torque T_j, as catalogues of strain-wave
         gears show (K1 < K2 < K3).
-    In both, a share of the load's torque may be added at a joint: the load was weighed, the arm's own masses were not.
-    free_moments
-        ``dq_j = sum_i c_ji tau_ji``, tau_ji the torque of body i alone about joint j (the payload goes with the last
-        body): masses and centres are known to some 10 % only.
+    In both, a share of the torque of the load, or of one body, may be added at a joint: the load was weighed, the arm's
+    own masses were not.
 
     Size: strain-wave drives of this class have K = 1e4 to 1e5 Nm/rad (Harmonic Drive CSG catalogue, ratio 1:50,
     sourced); times the torques of a UR10, 1 to 3 mm at its flange (computed). Visible with a range of q2, q3; a payload
@@ -52,21 +51,25 @@ class JointCompliance:
         return "" if np.abs(context.torques).max(initial=0.0) > _ROUNDING else "gravity turns no joint (no masses)"
 
     def laws(self, context: EffectContext) -> list[Law]:
-        """One stiffness; two with each knee; free masses."""
+        """One stiffness; two with each knee."""
         largest = np.abs(context.torques).max(axis=0).tolist()
         knees = [
             Law("two_slope", {f"knee{j}": share * torque for j, torque in enumerate(largest, 1)}, tried=len(KNEES))
             for share in KNEES
         ]
-        return [Law("linear"), *knees, Law("free_moments")]
+        return [Law("linear"), *knees]
 
     def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
-        """One column a joint; two with a knee; one for each body beyond the joint where the masses are free."""
+        """One column a joint, and what refines it: bodies, load, knee."""
         if law.name in ("", "linear", "two_slope"):
-            columns = []
+            columns = [
+                replace(column, block=f"+ {column.name}", lower=-1e-4, upper=1e-4)
+                for column in self._free_moments(context, wanted)
+            ]
             loads = _load_torques(context)
             for j, stiff in enumerate(_of_torques("compliance", context.torques)):
-                load = joint_column(f"load{j + 1}", "rad/Nm", j, loads[:, j], -1e-4, 1e-4, f"+ load {j + 1}")
+                turned = _without_rounding(loads[:, j])
+                load = joint_column(f"load{j + 1}", "rad/Nm", j, turned, -1e-4, 1e-4, f"+ load {j + 1}")
                 columns += [stiff, load]
                 if law.name != "two_slope":
                     continue
@@ -75,8 +78,6 @@ class JointCompliance:
                 soft = np.clip(stiff.offset, -knee, knee)
                 columns.append(joint_column(f"soft{j + 1}", "rad/Nm", j, soft, -1e-3, 1e-3, f"+ knee {j + 1}"))
             return columns
-        if law.name == "free_moments":
-            return self._free_moments(context, wanted)
         raise unknown_law(self.slug, law)
 
     @staticmethod

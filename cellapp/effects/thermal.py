@@ -100,13 +100,13 @@ class ThermalGrowth:
 
     @staticmethod
     def _conduction(context: EffectContext, law: Law, wanted: Collection[str] | None) -> list[EffectColumn]:
-        """Columns of the lagged laws, each a block of its own; without a record, as if all had settled long ago."""
+        """Columns of the lagged laws, each a block of its own; without record or time, as if all had settled long ago."""
         known, n = context.known, len(context)
         joints = above_joint_means(context, law)
         air = above_mean(known.air_c, law, n)
         warmer = joints - air[:, None]
         ends = (warmer + np.column_stack([warmer[:, 1:], warmer[:, -1]])) / 2.0
-        if known.record is not None and known.time_s is not None and np.isfinite(known.time_s).all():
+        if known.record is not None and known.time_s is not None:
             record = known.record
             mean = np.array([law.constants[f"mean_c{j + 1}"] for j in range(context.joints)])
             air_then = record.air_c - law.constants["mean_c"]
@@ -114,8 +114,10 @@ class ThermalGrowth:
             ends_then = (warmer_then + np.column_stack([warmer_then[:, 1:], warmer_then[:, -1]])) / 2.0
             behind = lagged(np.column_stack([ends_then, air_then]), record.time_s, law.constants["lag_s"])
             order = np.argsort(record.time_s, kind="stable")
-            now = np.column_stack([np.interp(known.time_s, record.time_s[order], one[order]) for one in behind.T])
-            ends, air = now[:, :-1], now[:, -1]
+            timed = np.isfinite(known.time_s)
+            at = known.time_s[timed]
+            now = np.column_stack([np.interp(at, record.time_s[order], one[order]) for one in behind.T])
+            ends[timed], air[timed] = now[:, :-1], now[:, -1]
         by_joints = context.link_growth * ends.T[:, :, None]
         by_air = context.link_growth.sum(axis=0) * air[:, None]
         rotations = context.frames[0]

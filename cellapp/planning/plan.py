@@ -56,7 +56,7 @@ def plan_stops(profile: Profile, listener: Listener = ignore, cancel: CancelToke
             listener(Progress("plan", done, wanted))
         for _ in range(_TRIES_PER_STOP):
             there = {name: pool.draw() for name, pool in pools.items()}
-            if not _all_seen(cell, there):
+            if not all_seen(cell, there):
                 refusal = "an arm hides the other's SMR from the tracker"
                 continue
             refusal = refuse_motion(cell, here, there)
@@ -92,7 +92,7 @@ def draw_stops(
     for _ in range(count * _TRIES_PER_STOP):
         cancel.check()
         q = {name: pool.draw() for name, pool in pools.items()}
-        if _all_seen(cell, q) and not refuse_stop(cell, q):
+        if all_seen(cell, q) and not refuse_stop(cell, q):
             found.append(q)
             if len(found) == count:
                 return {name: np.array([stop[name] for stop in found]) for name in cell.arms}
@@ -116,13 +116,14 @@ def rolled_stops(
         for name, q in turned.items():
             low, high = cell.arms[name].limits[-1]
             q[-1] = np.clip(q[-1] + rng.uniform(-math.pi, math.pi), low, high)
-        if _all_seen(cell, turned) and not refuse_stop(cell, turned):
+        if all_seen(cell, turned) and not refuse_stop(cell, turned):
             place_of.append(k)
             kept.append(turned)
     return {name: np.array([stop[name] for stop in kept]) for name in stops}, np.array(place_of, dtype=np.intp)
 
 
-def _all_seen(cell: CellBodies, q: Mapping[str, Array]) -> bool:
+def all_seen(cell: CellBodies, q: Mapping[str, Array]) -> bool:
+    """Whether the tracker sees the SMRs of all arms at one stop, name -> (N,)."""
     for name in q:
         others = {other: value[None] for other, value in q.items() if other != name}
         if not visible(cell, name, q[name][None], others)[0]:

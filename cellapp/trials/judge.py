@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -157,14 +158,16 @@ def _judge_all(
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, context, initializer=_ignore_ctrl_c)
     with _environment(_ONE_THREAD), pool, _ended_with_us():
-        for run in islice(waiting, jobs):
-            under_way[pool.submit(judge_run, run, source)] = run
+        with _deaf_to_ctrl_c():  # the first task starts all processes
+            for run in islice(waiting, jobs):
+                under_way[pool.submit(judge_run, run, source)] = run
         while under_way:
             ended, _ = wait(under_way, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             for future in ended:
                 run, done = under_way.pop(future), done + 1
                 error = future.exception()
                 if isinstance(error, BrokenProcessPool):
+                    cancel.check()
                     raise CellappError(
                         f"{run}: the process that judged it ended by itself, perhaps for lack of memory;"
                         " what was judged is kept: judge again with fewer --jobs"
@@ -180,8 +183,21 @@ def _judge_all(
     return failures
 
 
+@contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """Processes started in here leave Ctrl-C, which reaches the whole group, to this one; it hears it afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows: see the pool's initializer
+        yield
+        return
+    resource_tracker.ensure_running()  # which would lift the mask when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _ignore_ctrl_c() -> None:
-    """In a worker: Ctrl-C reaches the whole group, but the first process decides."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

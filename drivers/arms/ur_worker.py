@@ -40,6 +40,9 @@ _SILENT_S = 0.5
 _SILENT_TICKS = 10
 _STARTS_WITHIN_S = 1.0
 _PROGRAM_WITHIN_S = 5.0
+_HALT_WITHIN_S = 0.25
+"""The application stops the program over another connection first and says so then; a stop that nobody owns up to
+within this is a fault."""
 _STANDING_S = 1.0
 """A motion that is said to run while the arm stands for so long is no longer believed."""
 _STREAMS_APART_S = 0.05
@@ -132,6 +135,7 @@ class Worker:
         self._rests_since: _Sample | None = None
         self._fault: Refusal | None = None
         self._halted = False
+        self._stopped_s: float | None = None  # since when the program is seen stopped and nobody owns up to it
         self._orphaned = False
         self._kicked_s = 0.0
         self._last_time = -1.0
@@ -289,6 +293,8 @@ class Worker:
         self._motion = None
         sample = self._next_sample()
         self._ready(sample)
+        if self._stopped_s is not None:
+            raise self._program_stopped()
         if max(map(abs, sample.qd)) > self._rest.speed:
             raise Refusal("failed", "it is still moving; wait until it rests, or stop it")
         speed, acceleration = leading(sample.q, request["q"], request["speed"], request["acceleration"])
@@ -357,6 +363,7 @@ class Worker:
         self._opened()
         self._motion = None
         self._halted = True
+        self._stopped_s = None
         self._rests_since = None
 
     def _settled(self, number: int, request: Mapping[str, Any]) -> None:
@@ -380,12 +387,12 @@ class Worker:
         else:
             self._last_time, self._last_news_s, self._ticks_without_news = sample.time_s, now, 0
             news = True
-        self._notice(sample)
+        self._notice(sample, now)
         if news:
             self._settle(sample)
         if self._motion is not None and self._motion.under_way:
             self._follow(self._motion, sample, now)
-        if self._fault is None and not self._halted:
+        if self._fault is None and not self._halted and self._stopped_s is None:
             self._kick(now)
         if self._waiting and (news or self._fault is not None):
             self._waiting = [waiting for waiting in self._waiting if not self._answered(waiting, sample)]
@@ -394,18 +401,23 @@ class Worker:
             self._waiting.remove(waiting)
             self._answer({"id": waiting.request, "error": "timeout", "text": "it did not come to rest in time"})
 
-    def _notice(self, sample: _Sample) -> None:
+    def _notice(self, sample: _Sample, now: float) -> None:
         """Faults are remembered even if a person takes them back before anybody asks."""
         if self._fault is not None:
             return
         with suppress(Refusal):
             self._ready(sample)
-            if sample.program != "PLAYING" and not self._halted:
-                # a packet of the other stream tells whether this one is only older
-                if self._control.isProgramRunning():
-                    return
-                text = "its program was stopped: on the pendant, or because this computer fell silent for too long"
-                raise self._remember(Refusal("failed", text))
+            # a packet of the other stream tells whether this one is only older
+            if sample.program == "PLAYING" or self._halted or self._control.isProgramRunning():
+                self._stopped_s = None
+            elif self._stopped_s is None:
+                self._stopped_s = now
+            elif now - self._stopped_s > _HALT_WITHIN_S:
+                raise self._program_stopped()
+
+    def _program_stopped(self) -> Refusal:
+        text = "its program was stopped: on the pendant, or because this computer fell silent for too long"
+        return self._remember(Refusal("failed", text))
 
     def _follow(self, motion: _Motion, sample: _Sample, now: float) -> None:
         """See whether a motion has ended."""

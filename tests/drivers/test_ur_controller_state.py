@@ -322,9 +322,12 @@ def test_an_emergency_stop_takes_the_power_and_coming_back_goes_in_order() -> No
     bench.start_script()
     bench.command(MOVE, (*goal(bench, j1=2.0), 1.0, 2.0), argument=1)
     bench.until(lambda: bench.controller.q[0] > 0.3)
+    speed, at = bench.controller.values["actual_qd"][0], bench.controller.q[0]
     bench.controller.emergency_stop()
-    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    braking = bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
     assert not bench.controller.moving
+    assert braking == pytest.approx(speed / 10.0, abs=2 * bench.controller.period_s), "as hard as the drives can"
+    assert bench.controller.q[0] - at == pytest.approx(0.5 * speed**2 / 10.0, rel=0.1)
     assert bench.bits == (0, 1 << 6 | 1 << 7 | 1 << 10)
     assert answer(bench.controller, "robotmode") == "Robotmode: POWER_OFF"
     assert answer(bench.controller, "power on") == "Failed to execute: power on"
@@ -350,6 +353,9 @@ def test_the_cell_may_go_faster_than_the_wall() -> None:
     clock = bench.controller.values["timestamp"][0]
     bench.cycles(1)
     assert bench.controller.values["timestamp"][0] - clock == pytest.approx(20.0 * bench.controller.period_s)
+    short = (*goal(bench, j1=2.001), 0.5, 2.0)  # over before the next cycle
+    bench.command(MOVE, short)
+    assert bench.controller.values["actual_q"] == pytest.approx(short[:6], abs=1e-12)
     bench.controller.protective_stop()
     took = bench.until(lambda: answer(bench.controller, "unlock protective stop") == "Protective stop releasing")
     assert took == pytest.approx(5.0 / 20.0, abs=2 * bench.controller.period_s)

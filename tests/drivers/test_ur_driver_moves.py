@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import io
+import json
+import queue
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +23,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.trials.links import link_trials, travel_s
+from drivers.arms import ur_worker
 from drivers.arms.protocol import (
     ArmError,
     ArmTimeout,
@@ -444,13 +449,130 @@ def test_what_is_no_rtde_server_is_refused(answer: bytes) -> None:
         assert not thread.is_alive()
 
 
+# -- positions that are late ------------------------------------------------------------------------------------------
+
+
+class LateClient:
+    """A client that says at once that a motion is over, while its positions come late."""
+
+    def __init__(self) -> None:
+        self.q, self.stamp = list(HOME), 0.0
+        self.playing = True
+
+    def tick(self, _: float) -> None:
+        self.stamp += 0.16  # a cell at twenty times the pace
+
+    def getTimestamp(self) -> float:
+        return self.stamp
+
+    def getActualQ(self) -> list[float]:
+        return self.q
+
+    def getActualQd(self) -> list[float]:
+        return [0.0] * 6
+
+    def getJointTemperatures(self) -> list[float]:
+        return [30.0] * 6
+
+    def getRobotMode(self) -> int:
+        return 7
+
+    def getSafetyMode(self) -> int:
+        return 1
+
+    def getRuntimeState(self) -> int:
+        return 2 if self.playing else 1
+
+    def isConnected(self) -> bool:
+        return True
+
+    def isProgramRunning(self) -> bool:
+        return self.playing
+
+    def kickWatchdog(self) -> bool:
+        return True
+
+    def getAsyncOperationProgressEx(self) -> LateClient:
+        return self
+
+    def operationId(self) -> int:
+        return 2
+
+    def isAsyncOperationRunning(self) -> bool:
+        return False
+
+
+@pytest.fixture
+def late(monkeypatch: pytest.MonkeyPatch) -> tuple[LateClient, Callable[..., list[dict[str, Any]]]]:
+    """The client, and a way to let its worker look at it for some seconds, after a request: what it answers."""
+    client, answers, now = LateClient(), io.BytesIO(), [1000.0]
+    monkeypatch.setattr(ur_worker, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=client.tick))
+    monkeypatch.setattr(ur_worker, "stop_program", lambda host, within_s: None)
+    worker = ur_worker.Worker(queue.SimpleQueue(), answers)
+    worker._control = worker._receive = client
+    worker._watchdog_hz = 5.0
+    worker._rest = ur_worker._Rest(dwell_s=0.1, speed=0.005, position=2e-4)
+    worker._motion = ur_worker._Motion(list(AWAY), number_before=1, began_s=now[0])
+    worker._waiting = [ur_worker._Waiting(7, now[0] + 60.0)]
+
+    def look(for_s: float, **request: Any) -> list[dict[str, Any]]:
+        if request:
+            worker._serve({"id": 8, "timeout_s": 5.0, **request})
+        end_s = now[0] + for_s
+        while now[0] < end_s:
+            now[0] += 0.008
+            client.tick(0.008)
+            worker._watch()
+        return [json.loads(line) for line in answers.getvalue().splitlines()]
+
+    return client, look
+
+
+def test_positions_from_before_a_motion_do_not_end_it(late: Any) -> None:
+    client, look = late
+    assert look(0.2) == []
+    client.q = list(AWAY)
+    (answer,) = look(0.2)
+    assert answer["ok"]["q"] == list(AWAY)
+
+
+def test_an_arm_that_stays_where_it_was_is_told(late: Any) -> None:
+    _, look = late
+    (answer,) = look(1.0)
+    assert (answer["error"], answer["id"]) == ("failed", 7)
+    assert "cut short: it rests 20.05 deg from where it was sent" in answer["text"]
+
+
+def test_a_stop_of_ones_own_is_no_fault_though_its_word_comes_late(late: Any) -> None:
+    client, look = late
+    client.playing = False
+    assert look(0.1) == []
+    assert look(2.0, do="halt")[0] == {"id": 8, "ok": {}}
+    assert look(0.1, do="state")[-1]["ok"]["fault"] is None
+
+
+@pytest.mark.parametrize("asked", [False, True], ids=["waited for", "asked at once"])
+def test_a_stop_that_nobody_owns_up_to_is_a_fault(late: Any, asked: bool) -> None:
+    client, look = late
+    if asked:
+        client.q = list(AWAY)
+        assert "ok" in look(0.2)[-1]
+    client.playing = False
+    if asked:
+        look(0.02)
+        answer = look(0.01, do="move", q=list(HOME), speed=[1.0] * 6, acceleration=[1.0] * 6)[-1]
+    else:
+        (answer,) = look(0.4)
+    assert "its program was stopped: on the pendant" in answer["text"]
+
+
 # -- many motions, many faults ----------------------------------------------------------------------------------------
 
 
 def test_motions_with_random_faults() -> None:
-    trial = link_trials(32, 8, seed=3, hosts=TRIAL_HOSTS)
+    trial = link_trials(16, 4, seed=10, hosts=TRIAL_HOSTS)
     assert trial.complaints == []
-    assert trial.moves == 32
+    assert trial.moves == 16
     assert len(trial.struck) == 4
     written = trial.as_dict()
     assert written["faults"] == 4

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.calibration.setup import bodies_of, nominal_arm, pose_matrix, up_in_tracker
-from cellapp.effects import Circumstances, EffectColumn, EffectContext
+from cellapp.effects import Circumstances, EffectColumn, EffectContext, Record
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from cellapp.profile import load_profile
 from tests.arms import Array, true_geometry
@@ -22,9 +22,9 @@ EYE = np.eye(3)
 
 
 def known_of(rng: np.random.Generator, n: int, joints: int = 6) -> Circumstances:
-    """Everything known, and varying, at n stops."""
+    """Everything known, and varying, at the n stops of a run."""
     step = rng.uniform(-1.0, 1.0, (n, joints))
-    return Circumstances(
+    known = Circumstances(
         approach=np.sign(step),
         step=step,
         dwell_s=rng.uniform(0.5, 5.0, n),
@@ -35,6 +35,10 @@ def known_of(rng: np.random.Generator, n: int, joints: int = 6) -> Circumstances
         other_moment_M=np.column_stack([rng.normal(0.0, 30.0, (n, 2)), np.zeros(n)]),
         other_q=rng.uniform(-2.0, 2.0, (n, joints)),
     )
+    assert known.time_s is not None
+    assert known.joints_c is not None
+    assert known.air_c is not None
+    return replace(known, record=Record(known.time_s, known.joints_c, known.air_c))
 
 
 def context_of(n: int = 40, seed: int = 0, arm: str = "left", known: Circumstances | None = None) -> EffectContext:

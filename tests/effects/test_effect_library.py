@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellapp.effects import EFFECTS, Circumstances, EffectTerm, Law, moved_by
-from cellapp.effects.unknown import dictionary, pairs
+from cellapp.effects.unknown import channels, dictionary, pairs, variables
 from tests.effects.cell import NOTHING, by_name, chain, context_of, knowing, rows_of
 
 CONTEXT = context_of()
@@ -20,12 +20,25 @@ NAMED = [
     if law.name != "onset" or number % 12 == 5
 ]
 CURVE = Law("curve", {"cycles": 12.0, "length2": 0.3, "amplitude2": 1e-4, "length3": 0.5, "amplitude3": 2e-4})
-NAMED.append(("transmission_error", CURVE))
-DATA_DRIVEN = [("unknown", law) for _, _, law in dictionary(CONTEXT)[::7]]
-DATA_DRIVEN += [("unknown", law) for law in pairs(CONTEXT, "tool y")[::11]]
-ALL = NAMED + DATA_DRIVEN
-BY_ROWS = [(slug, law) for slug, law in ALL if not law.name.startswith("conduction")]
-"""Without laws that follow the whole history of a run: there no stop stands alone."""
+GEAR = Law("gear", {"ratio": 50.0}, 209)
+NAMED += [("transmission_error", CURVE), ("transmission_error", GEAR)]
+TERMS = dictionary(CONTEXT)
+WHOLE = [(channel, name, law) for channel, name, law in TERMS if "period_s" not in law.constants]
+SWAYS = [(channel, law) for channel, _, law in TERMS if "period_s" in law.constants]
+
+
+def data_driven():
+    """Every channel with one variable, every variable with one channel, a few periods, pairs of every kind."""
+    ways, names = channels(6), variables(CONTEXT)
+    meeting = {(ways[k % len(ways)], names[k % len(names)]) for k in range(max(len(ways), len(names)))}
+    sampled = [law for channel, name, law in WHOLE if (channel, name) in meeting]
+    sampled += [law for _, law in SWAYS[::173]]
+    sampled += pairs(CONTEXT, "tool y", {"q2", "other q3", "time", "torque2", "payload", "azimuth"})[::2]
+    sampled += pairs(CONTEXT, "base shift", {"q1", "q5", "elevation"})
+    return [("unknown", law) for law in sampled]
+
+
+ALL = NAMED + data_driven()
 
 
 def label(value):
@@ -99,9 +112,21 @@ def test_columns_are_well_formed(slug, law):
             assert column.unit in ("rad", "rad/Nm", "rad/rad", "rad/K")
 
 
-@pytest.mark.parametrize(("slug", "law"), BY_ROWS, ids=label)
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_only_some_blocks_refine(slug, law):
+    """There is always a block that can be the effect by itself, and all columns of it can."""
+    columns = EFFECTS[slug].columns(CONTEXT, law)
+    assert any(not column.block.startswith("+") for column in columns)
+    for column in columns:
+        if column.block.startswith("+"):
+            assert column.block.removeprefix("+ ").strip()
+            assert slug in ("joint_compliance", "link_bending")
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
 def test_the_same_columns_and_values_on_any_other_data(slug, law):
-    """A law carries all that it took from its run: some of the stops, alone, give the values they had among all."""
+    """A law and the record of its run carry all that it took from it: some of the stops, alone, give the same values.
+    """
     columns = EFFECTS[slug].columns(CONTEXT, law)
     rows = np.array([3, 17, 5])
     for column, part in zip(columns, EFFECTS[slug].columns(rows_of(CONTEXT, rows), law), strict=True):
@@ -119,14 +144,15 @@ def test_the_same_columns_where_nothing_is_known(slug, law):
             assert np.isfinite(values_of(part)).all()
 
 
-@pytest.mark.parametrize(("slug", "law"), BY_ROWS, ids=label)
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
 def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
     known = CONTEXT.known
     holed = {}
     for name, values in vars(known).items():
-        holed[name] = np.array(values, dtype=np.float64)
-        holed[name][4] = 0.0 if name == "approach" else np.nan
-    some = EFFECTS[slug].columns(knowing(CONTEXT, Circumstances(**holed)), law)
+        if name != "record":  # which is of the run, not of its stops
+            holed[name] = np.array(values, dtype=np.float64)
+            holed[name][4] = 0.0 if name == "approach" else np.nan
+    some = EFFECTS[slug].columns(knowing(CONTEXT, replace(known, **holed)), law)
     full = EFFECTS[slug].columns(CONTEXT, law)
     none = EFFECTS[slug].columns(knowing(CONTEXT, NOTHING), law)
     rest = np.arange(len(CONTEXT)) != 4
@@ -163,9 +189,17 @@ def test_no_two_effects_share_a_parameter_name():
 
 
 def test_data_driven_terms_have_names_of_their_own():
-    laws = [law for _, _, law in dictionary(CONTEXT)]
-    names = [column.name for law in laws for column in EFFECTS["unknown"].columns(CONTEXT, law)]
+    """Only the directions of a vector are those of its channels, and a time has many periods."""
+    named = {(c, v): list(by_name(EFFECTS["unknown"].columns(CONTEXT, law))) for c, v, law in WHOLE}
+    vectors = ("base shift", "tool")
+    names = [name for (channel, _), found in named.items() if channel not in vectors for name in found]
     assert len(names) == len(set(names))
+    for channel in vectors:
+        for variable in variables(CONTEXT):
+            parts = [name for axis in "xyz" for name in named[f"{channel} {axis}", variable]]
+            assert named[channel, variable] == parts
+    swaying = {column.name for _, law in SWAYS for column in EFFECTS["unknown"].columns(CONTEXT, law)}
+    assert not swaying & set(names)
 
 
 @pytest.mark.parametrize("slug", [slug for slug in EFFECTS if slug != "unknown"])
@@ -270,6 +304,7 @@ def test_laws_follow_what_is_known():
         return list(dict.fromkeys(law.name for law in EFFECTS[slug].laws(knowing(CONTEXT, known))))
 
     known = CONTEXT.known
+    unrecorded = replace(known, record=None)
     assert names("joint_compliance", NOTHING) == ["linear", "two_slope", "free_moments"]
     assert names("transmission_error", NOTHING) == ["two", "lines"]
     assert names("backlash", Circumstances(approach=known.approach)) == ["constant"]
@@ -280,6 +315,9 @@ def test_laws_follow_what_is_known():
     assert names("thermal_growth", Circumstances(time_s=known.time_s)) == ["warm_up", "warm_up_links"]
     assert names("thermal_growth", known) == [
         *("air", "air_links", "joints", "joints_links", "conduction", "conduction_links", "warm_up", "warm_up_links")
+    ]
+    assert names("thermal_growth", unrecorded) == [
+        *("air", "air_links", "joints", "joints_links", "warm_up", "warm_up_links")
     ]
     assert names("joint_drift", known) == ["linear", "warm_up", "joint_temperature"]
     assert names("joint_drift", Circumstances(joints_c=known.joints_c)) == ["joint_temperature"]

@@ -25,7 +25,7 @@ from cellapp.kinematics.transforms import transform
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import Cancelled, CancelToken, Progress
 from cellapp.run import RunFile
-from cellapp.trials.judge import TRIAL_RESULT, judge_trials
+from cellapp.trials.judge import TRIAL_RESULT, judge_run, judge_trials, source_digest
 from cellapp.trials.sealed import (
     EXPECTED,
     KINDS,
@@ -69,9 +69,9 @@ def all_kinds(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], Mapping[str, Any]]:
-    """Three sealed runs, judged in two goes: the folder, what the first go left in the runs, and the outcome."""
+    """Three sealed runs that hide nothing, judged in two goes: folder, what the first go left in them, and outcome."""
     folder = tmp_path_factory.mktemp("judged") / "trials"
-    seal_trials(small(), folder, 3, seed=SEED, kind="mixed")
+    seal_trials(small(), folder, 3, seed=SEED, kind="none")
     cancel = CancelToken()
 
     def stop_after_the_first(event: Progress) -> None:
@@ -197,7 +197,7 @@ def test_every_law_meets_both_arms() -> None:
 def test_a_seed_gives_the_same_trials_and_none_gives_others(
     judged_once: tuple[Path, list[str], Mapping[str, Any]], tmp_path: Path
 ) -> None:
-    seal_trials(small(), tmp_path / "again", 3, seed=SEED, kind="mixed")
+    seal_trials(small(), tmp_path / "again", 3, seed=SEED, kind="none")
     assert open_truth(tmp_path / "again").trials == open_truth(judged_once[0]).trials
     drawn = []
     for name in ("a", "b"):
@@ -358,6 +358,23 @@ def test_what_judging_says(judged_once: tuple[Path, list[str], Mapping[str, Any]
             assert arm["seconds"] > 0.0
     with RunFile.open(folder / "run-0001") as run:
         assert run.read_result("calibrate") is not None
+
+
+def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Path) -> None:
+    folder = tmp_path / "trials"
+    seal_trials(small(), folder, 1, seed=SEED, kind="one")
+    judge_run(folder / "run-0001", source_digest())
+    result = judge_trials(folder).result
+    (trial,) = result["trials"]
+    assert [hidden["effect"] for hidden in trial["hidden"]] == ["joint_compliance"]
+    assert trial["visible"]
+    arm = trial["arms"][trial["arm"]]
+    assert "joint_compliance" in {slug for answers in arm["answer_sets"] for slug in answers}
+    assert trial["in_answer_set"]
+    assert arm["heldout_um"]["after"] < 0.2 * arm["heldout_um"]["before"]
+    assert arm["noise_um"]["stated"] == pytest.approx(arm["noise_um"]["drawn"], rel=0.6)
+    assert result["judged_by_other_source"] == 0
+    assert {target["target"] for target in result["targets"]} >= {"visible: exactly its name", "one arm within 3 s"}
 
 
 def test_a_run_that_fails_is_told_and_keeps_no_other_from_being_judged(

@@ -19,11 +19,14 @@ from textual.widgets import Button, DataTable, Input, Label, OptionList, Progres
 
 from cellapp.errors import HardwareError, InputError
 from cellapp.progress import CancelToken, Listener, Progress
+from cellapp.reporting.findings import discovery_tables
 from cellapp.tui.app import ERROR_LOG, CellApp, LeaveScreen
 from cellapp.whole import Outcome
+from tests.reporting.made import made_arm
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"
 WAIT_S = 30.0
+WHOLE_RUN_S = 150.0
 SMALL = (80, 24)
 
 SUMMARY = {"mean": 0.1234, "rms": 0.2, "std": 0.05, "max": 0.4, "n": 17}
@@ -34,17 +37,7 @@ RESULTS: dict[str, dict[str, Any]] = {
         },
         "pair": {"nominal": {"cooperative_mm": SUMMARY}},
     },
-    "discover": {
-        "arms": {
-            "left": {
-                "verdict": "explained",
-                "sentence": "arm left: backlash [joint 2] explains it",
-                "heldout_mm": {"before": 0.4, "after": 0.1},
-                "noise_floor_mm": None,
-                "accepted": [],
-            }
-        }
-    },
+    "discover": {"arms": {"left": {**made_arm("left"), "sentence": "arm left: backlash [joint 2] explains it"}}},
 }
 
 
@@ -84,9 +77,9 @@ def _surroundings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # runs without a name go to logs in the working directory
 
 
-async def until(pilot: Pilot[None], holds: Callable[[], bool], what: str) -> None:
+async def until(pilot: Pilot[None], holds: Callable[[], bool], what: str, wait_s: float = WAIT_S) -> None:
     try:
-        async with asyncio.timeout(WAIT_S):
+        async with asyncio.timeout(wait_s):
             while not holds():
                 await pilot.pause()
     except TimeoutError:
@@ -100,8 +93,8 @@ async def started(pilot: Pilot[None], run: HeldRun, key: str = "f5") -> None:
     await pilot.pause()
 
 
-async def ended(pilot: Pilot[None], app: CellApp) -> None:
-    await until(pilot, lambda: not app.running, "the end of the run")
+async def ended(pilot: Pilot[None], app: CellApp, wait_s: float = WAIT_S) -> None:
+    await until(pilot, lambda: not app.running, "the end of the run", wait_s)
     await pilot.pause()
 
 
@@ -151,8 +144,13 @@ async def test_tables_verdict_and_notes_appear_when_the_run_is_done() -> None:
         assert "Arm left: held-out errors [mm] (27 parameters, 4 iterations)" in shown
         assert "Note: target left-17: not [reached]" in shown
         assert "target left-17" in log(app)
-        heads = [str(column.label) for table in app.query(DataTable) for column in table.columns.values()]
-        assert "held-out rms [mm]" in heads
+        steps, accepted = list(app.query(DataTable))[2:]
+        expected = discovery_tables(RESULTS["discover"])
+        assert [table.title for table in expected] == [text for text in shown if text.startswith("Arm left: ")][-2:]
+        for drawn, table in zip((steps, accepted), expected, strict=True):
+            assert [str(column.label) for column in drawn.columns.values()] == list(table.columns)
+            rows = [tuple(str(cell) for cell in drawn.get_row_at(place)) for place in range(drawn.row_count)]
+            assert rows == list(table.rows)
         assert status(pilot).startswith("Done")
 
         run.hold_again()
@@ -162,7 +160,7 @@ async def test_tables_verdict_and_notes_appear_when_the_run_is_done() -> None:
         assert not app.query(DataTable)
         assert app.query_one("#collect-bar", ProgressBar).percentage == 0.0
         run.go_on.set()
-        await until(pilot, lambda: len(app.query(DataTable)) == 3, "the new tables")
+        await until(pilot, lambda: len(app.query(DataTable)) == 4, "the new tables")
         assert await exit_code(pilot, app) == 0
 
 
@@ -418,8 +416,12 @@ def small_profiles(folder: Path) -> Path:
         path.unlink()
     twin = folder / "profiles" / "twin.yaml"
     text = twin.read_text(encoding="utf-8")
-    wanted = {"stops": 30, "identify": 15, "train": 5, "validate": 10, "pair_identify": 10, "pair_validate": 10}
+    wanted: dict[str, object] = {
+        "stops": 30, "identify": 15, "train": 5, "validate": 10, "pair_identify": 10, "pair_validate": 10,
+        "kind": "none", "null_simulations": 20,
+    }  # fmt: skip
     for key, value in wanted.items():
+        # of the network's `kind`; those of the drivers stand further in
         text, count = re.subn(rf"^(  {key}:) .*$", rf"\1 {value}", text, flags=re.MULTILINE)
         assert count == 1, key
     twin.write_text(text, encoding="utf-8")
@@ -436,9 +438,13 @@ async def test_the_real_run_of_a_small_twin(tmp_path: Path) -> None:
     async with app.run_test(size=(140, 45)) as pilot:
         await pilot.pause()
         await pilot.press("r")
-        await ended(pilot, app)
+        await ended(pilot, app, WHOLE_RUN_S)
         assert status(pilot).startswith("Done"), status(pilot)
-        await until(pilot, lambda: len(app.query(DataTable)) == 6, "tables of arms, pair, findings and targets")
+        # of either arm and the pair, steps of either arm and what was accepted, targets
+        await until(pilot, lambda: len(app.query(DataTable)) in (6, 7, 8), "tables of all steps")
+        titles = [text for text in texts(app) if text.startswith(("Arm left: ", "Arm right: "))]
+        verdicts = ("explained", "nothing missing", "unknown effect", "ambiguous")
+        assert sum(title.endswith(verdicts) for title in titles) == 2
         assert sum(text.startswith("arm ") for text in texts(app)) == 2
         for job, count in (("plan", "30/30"), ("collect", "30/30"), ("push", "2/2")):
             assert str(app.query_one(f"#{job}-count", Label).render()) == count

@@ -140,7 +140,7 @@ class Controller:
         self.moves = 0
         self.now_s = 0.0
         self._waiting: tuple[float, Program] | None = None
-        self._braking = False
+        self._has_moved = False
         self._goal: tuple[Array, Array, Array] | None = None
         self._stopped_at_s = -math.inf
         self._releasing_at_s = math.inf
@@ -252,6 +252,7 @@ class Controller:
         self._goal = (goal, speed, acceleration)
         self._move_from = self.motions.q(self.name)
         self.motions.start_move(self.name, goal, speed, acceleration)
+        self._has_moved = True  # at a high pace it may be over before the next cycle
         self.moves += 1
 
     def brake(self) -> None:
@@ -398,7 +399,7 @@ class Controller:
         clock_s = self.motions.clock_s
         elapsed_s = clock_s - self._clock_s
         moving = self.moving
-        if moving or self._braking or self._qd != _ZERO6:
+        if moving or self._has_moved or self._qd != _ZERO6:
             q: Values = tuple(self.motions.q(self.name).tolist())
             if elapsed_s > 0.0:
                 qd = tuple((a - b) / elapsed_s for a, b in zip(q, self._q, strict=True))
@@ -407,7 +408,7 @@ class Controller:
             values = self.values
             values["actual_q"] = values["target_q"] = q
             values["actual_qd"] = values["target_qd"] = self._qd
-        self._braking = moving
+        self._has_moved = moving
         if moving:
             self._rest_since_s = clock_s
         self._clock_s = clock_s

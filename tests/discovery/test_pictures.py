@@ -1,0 +1,158 @@
+"""Pictures of a fit: what they show is what the fit says, on the axis that makes it plain."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from cellapp.calibration.circumstances import circumstances
+from cellapp.calibration.setup import bodies_of, nominal_arm
+from cellapp.discovery.data import ArmData, Part
+from cellapp.discovery.pictures import cycles, pictures
+from cellapp.effects import Law
+from cellapp.kinematics.chain import parameter_names, smr_positions
+from cellapp.model import ArmModel
+from cellapp.profile import load_profile
+from cellapp.run import Readings
+from tests.arms import STATION
+from tests.reporting.test_page import PROFILE
+
+N = 120
+SIGMA_M = 10e-6
+UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
+
+
+def test_cycles_hold_the_middle_of_the_power():
+    names = [f"{wave}{k}q2" for k in range(2, 12) for wave in ("cos", "sin")]
+    values = np.zeros(len(names))
+    for k, amplitude in ((3, 1.0), (5, 10.0), (6, 12.0), (9, 8.0), (11, 1.0)):
+        values[names.index(f"sin{k}q2")] = -amplitude * 1e-6
+    found = cycles([*names, "cos2q1"], np.append(values, 4e-6))
+    assert list(found) == ["1", "2"]
+    assert found["1"] == {"from": 2, "to": 2, "peak": 2, "rms_urad": pytest.approx(4.0 / math.sqrt(2.0))}
+    assert (found["2"]["from"], found["2"]["to"], found["2"]["peak"]) == (5, 9, 6)
+    assert found["2"]["rms_urad"] == pytest.approx(math.sqrt((1 + 100 + 144 + 64 + 1) / 2.0))
+    json.dumps(found)
+
+
+def test_what_is_no_wave_has_no_cycles():
+    assert cycles(["half_play1", "cos1q"], np.array([1.0, 1.0])) == {}
+    assert cycles(["cos3q1", "sin3q1"], np.zeros(2)) == {}
+
+
+def made(bend, *parts, off_axis_m=0.1):
+    """Pictures of a fit of ``parts`` to readings whose joints stand off by ``bend(q, approach)``."""
+    profile = load_profile(PROFILE)
+    geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
+    named = dict(zip(parameter_names(6), geometry.vector(), strict=True)) | {"tx": off_axis_m, "ty": 0.0}
+    geometry = geometry.with_vector(np.array(list(named.values())))
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-2.5, 2.5, (N, 6))
+    approach = rng.choice([-1, 1], (N, 6)).astype(np.int8)
+    readings = Readings(
+        configuration=np.arange(N, dtype=np.int64),
+        time_s=60.0 * np.arange(N),
+        q=q,
+        approach=approach,
+        p_M=smr_positions(geometry, q + bend(q, approach)) + rng.normal(0.0, SIGMA_M, (N, 3)),
+        sigma_m=np.full(N, SIGMA_M),
+    )
+    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=UP)
+    data = ArmData.of(profile, model, readings, circumstances(readings))
+    fit = data.fit(tuple(parts))
+    found = pictures(data, fit)
+    for picture in found:
+        assert len(picture.x) == len(picture.measured) == len(picture.computed) == len(picture.band) > 0
+        assert list(picture.x) == sorted(picture.x)
+        assert min(picture.band) >= 0.0
+        json.dumps(picture.as_dict(), allow_nan=False)
+    return found
+
+
+def only(joint, values):
+    """Offsets of one joint (counted from 1)."""
+    bent = np.zeros((len(values), 6))
+    bent[:, joint - 1] = values
+    return bent
+
+
+def test_backlash_stands_on_two_levels():
+    part = Part("backlash", Law("constant"), ("half_play2",))
+    (picture,) = made(lambda q, approach: only(2, -2e-4 * approach[:, 1]), part)
+    assert picture.title.endswith(", joint 2")
+    assert picture.x_label == "approach direction of joint 2"
+    assert picture.y_label == "offset of joint 2 [urad]"
+    assert picture.curve is None
+    assert set(picture.x) == {-1.0, 1.0}
+    computed = np.array(picture.computed)
+    assert np.abs(computed) == pytest.approx(200.0, abs=5.0 * picture.band[0])
+    assert (np.sign(computed) == -np.sign(picture.x)).all()
+    # the dots scatter about what was computed and hold it
+    off = np.array(picture.measured) - computed
+    assert abs(np.median(off)) < 10.0
+    assert np.sqrt(np.mean(off**2)) < 60.0
+
+
+def test_a_wave_has_its_curve_over_the_whole_turn():
+    part = Part("transmission_error", Law("lines"), ("cos3q1", "sin3q1"))
+    (picture,) = made(lambda q, approach: only(1, 3e-4 * np.sin(3.0 * q[:, 0])), part)
+    assert picture.x_label == "joint 1 [deg]"
+    assert -180.0 <= picture.x[0] <= picture.x[-1] <= 180.0
+    curve = picture.curve
+    assert (curve.x[0], curve.x[-1]) == (-180.0, 180.0)
+    off = np.array(curve.value) - 300.0 * np.sin(3.0 * np.radians(curve.x))
+    assert (np.abs(off) < 5.0 * np.array(curve.band) + 0.1).all()
+    assert np.interp(picture.x, curve.x, curve.value) == pytest.approx(picture.computed, abs=1.0)
+
+
+def test_fast_lines_are_laid_over_one_another_and_slow_ones_are_not():
+    names = tuple(f"{wave}{k}q2" for k in (2, 60, 120) for wave in ("cos", "sin"))
+    part = Part("transmission_error", Law("gear", {"ratio": 60.0}), names)
+    slow, fast = made(lambda q, approach: only(2, 1e-4 * np.sin(2.0 * q[:, 1]) + 3e-4 * np.cos(60.0 * q[:, 1])), part)
+    assert (slow.curve.x[0], slow.curve.x[-1]) == (-180.0, 180.0)
+    assert np.ptp(slow.computed) == pytest.approx(200.0, rel=0.2)
+    assert fast.x_label == "joint 2, within a cycle of 6 deg [deg]"
+    assert "60 cycles a turn" in fast.title
+    assert 0.0 <= fast.x[0] <= fast.x[-1] <= 6.0 == fast.curve.x[-1]
+    off = np.array(fast.curve.value) - 300.0 * np.cos(60.0 * np.radians(fast.curve.x))
+    assert (np.abs(off) < 5.0 * np.array(fast.curve.band) + 0.1).all()
+
+
+def test_a_drift_of_the_base_is_drawn_along_its_way_against_time():
+    law = Law("linear", {"first_s": 0.0, "last_s": 60.0 * (N - 1)})
+    part = Part("base_drift", law, ("base_drift_x", "base_drift_y", "base_drift_z"))
+    (picture,) = made(lambda q, approach: np.zeros((N, 6)), part)
+    assert picture.x_label == "time [h]"
+    assert picture.x[-1] == pytest.approx((N - 1) / 60.0, rel=1e-4)
+    assert "of the tracker frame" in picture.title
+    # nothing drifted: what was computed is within its own uncertainty
+    assert np.abs(picture.computed).max() < 5.0 * max(picture.band)
+
+
+def test_axes_that_wobble_are_drawn_one_by_one():
+    names = tuple(f"wobble_{way}{joint}_{wave}" for joint in (1, 3) for way in "xy" for wave in ("cos", "sin"))
+    first, second = made(lambda q, approach: np.zeros((N, 6)), Part("joint_axis_wobble", Law(), names))
+    assert (first.x_label, second.x_label) == ("joint 1 [deg]", "joint 3 [deg]")
+
+
+def test_a_data_driven_term_is_drawn_against_each_of_its_variables():
+    law = Law("joint 3|q1|time", {"order": 3.0, "order2": 2.0, "low2": 0.0, "high2": 60.0 * N, "typical2": 0.0})
+    part = Part("unknown", law, ("joint_3.sin1_q1", "joint_3.cos1_q1"))
+    first, second = made(lambda q, approach: only(3, 2e-4 * np.sin(q[:, 0])), part)
+    assert (first.x_label, second.x_label) == ("joint 1 [deg]", "time [h]")
+    assert first.y_label == second.y_label == "offset of joint 3 [urad]"
+    assert sorted(first.computed) == sorted(second.computed)
+    law = Law("tracker radial|range", {"order": 2.0, "low": 1.0, "high": 5.0, "typical": 3.0})
+    (radial,) = made(lambda q, approach: np.zeros((N, 6)), Part("unknown", law, ("tracker_radial.p2_range",)))
+    assert radial.x_label == "distance from the tracker [m]"
+    assert "tracker radial" in radial.title
+
+
+def test_a_joint_that_does_not_move_the_smr_has_no_picture():
+    part = Part("backlash", Law("constant"), ("half_play2", "half_play6"))
+    for off_axis, seen in ((0.2, ["joint 2", "joint 6"]), (0.002, ["joint 2"])):
+        found = made(lambda q, approach: np.zeros((N, 6)), part, off_axis_m=off_axis)
+        assert [picture.title[-7:] for picture in found] == seen
