@@ -331,8 +331,7 @@ def tracker_bridge(
     from dataclasses import asdict
 
     from cellapp.profile import load_profile
-    from cellapp.tracker_bridge import ServedTracker, serve_tracker
-    from drivers.trackers.bridge_wire import LOOPBACK_PORT
+    from cellapp.tracker_bridge import DEFAULT_PORT, ServedTracker, serve_tracker
 
     with _Job(json_file) as job:
         if token_file is not None and token_env is not None:
@@ -347,7 +346,7 @@ def tracker_bridge(
             job.cancel,
             announce,
             host=host,
-            port=LOOPBACK_PORT if port is None and serial is None else port,
+            port=DEFAULT_PORT if port is None and serial is None else port,
             serial=serial,
             baud=baud,
             token_file=token_file,

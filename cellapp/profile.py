@@ -468,8 +468,8 @@ class Pair(Section):
 class Discovery(Section):
     """How missing effects are looked for: the false-alarm rate for the whole scan and the simulations that set it."""
 
-    false_alarm: Annotated[float, Field(strict=True, gt=0.0, lt=0.5)] = 0.01
-    null_simulations: Annotated[int, Field(strict=True, ge=20, le=100_000)] = 200
+    false_alarm: Annotated[float, Field(strict=True, gt=0.0, lt=0.5)] = 0.003
+    null_simulations: Annotated[int, Field(strict=True, ge=20, le=100_000)] = 400
     folds: Annotated[int, Field(strict=True, ge=2, le=50)] = 5
 
 

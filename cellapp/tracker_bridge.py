@@ -14,6 +14,7 @@ from cellapp.progress import CancelToken
 from drivers.trackers.bridge_server import TrackerService, is_loopback
 from drivers.trackers.bridge_wire import LOOPBACK_PORT
 
+DEFAULT_PORT = LOOPBACK_PORT
 _STEP_S = 0.2
 
 
@@ -42,7 +43,7 @@ def serve_tracker(
     announce: Callable[[ServedTracker], None],
     *,
     host: str = "127.0.0.1",
-    port: int | None = LOOPBACK_PORT,
+    port: int | None = DEFAULT_PORT,
     serial: str | None = None,
     baud: int = 115200,
     token_file: Path | None = None,

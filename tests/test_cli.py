@@ -20,6 +20,7 @@ import pytest
 
 from cellapp import cli
 from cellapp.run import RunFile
+from cellapp.trials.links import LinkTrial, Struck
 from tests.twin import PROFILES, write_profile
 
 ROOT = Path(__file__).parents[1]
@@ -223,6 +224,43 @@ def test_trials(work: Path, call: Any) -> None:
     assert found["arms"]["left"]["runs"] == 2
 
 
+def test_a_trial_of_the_bridge(work: Path, call: Any) -> None:
+    found = call("trials", "bridge", "twin.yaml", "--measurements", "10", "--every", "5", "--json", "-").json
+    assert (found["delivered"], found["lost"], found["doubled"], found["strange"]) == (10, 0, 0, 0)
+    shown = call("trials", "bridge", "twin.yaml", "--measurements", "4", "--every", "2")
+    assert shown.code == 0
+    assert "4 measurements asked for, 4 delivered; 0 lost, 0 doubled, 0 mixed up" in shown.out
+
+
+@pytest.mark.parametrize("complaints", [[], ["move 3: an arm still moves"]])
+def test_a_trial_of_links_that_breaks_a_promise_exits_with_one(
+    work: Path, call: Any, monkeypatch: pytest.MonkeyPatch, complaints: list[str]
+) -> None:
+    struck = [Struck("link closed", "during", "left", 0.07, 0.15, 0.22)]
+    monkeypatch.setattr(
+        "cellapp.trials.links.link_trials",
+        lambda *_: LinkTrial(4, struck, complaints, connect_s=[0.2], state_s=[0.005], overhead_s=[0.04]),
+    )
+    ended = call("trials", "links", "--moves", "4", "--every", "2")
+    assert ended.code == (1 if complaints else 0)
+    assert "link closed: reported" in ended.out
+    assert all(complaint in ended.out for complaint in complaints)
+    found = call("trials", "links", "--json", "-").json
+    assert found["by_fault"]["link closed"]["at_rest_s"]["max"] == 0.15
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--host", "0.0.0.0"], "reachable from other machines: give a token"),
+        (["--token-file", "a", "--token-env", "B"], "give --token-file or --token-env, not both"),
+        (["--token-env", "CELLAPP_NO_SUCH_TOKEN"], "CELLAPP_NO_SUCH_TOKEN is not set"),
+    ],
+)
+def test_a_bridge_that_would_stand_open_is_refused(work: Path, call: Any, arguments: list[str], says: str) -> None:
+    one_sentence(call("tracker-bridge", "twin.yaml", *arguments), says)
+
+
 def test_a_verification_that_does_not_hold_exits_with_one(
     work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -417,11 +455,12 @@ def test_a_target_list_that_is_wrong_is_found_before_anything_moves(work: Path, 
     assert bytes_below(work) == before
 
 
-def test_a_real_controller_is_not_moved_yet(work: Path, call: Any) -> None:
+def test_a_controller_that_is_not_there_is_named_and_nothing_is_stored(work: Path, call: Any) -> None:
     edit(work / "ur10-ur5.yaml", "stops: 400", "stops: 3")
+    edit(work / "ur10-ur5.yaml", "192.168.0.10", "127.0.84.2")
     assert call("plan", "ur10-ur5.yaml", "--run", "real").code == 0
     before = bytes_below(work)
-    one_sentence(call("collect", "real"), "arm left: ", "nothing was moved", code=3)
+    one_sentence(call("collect", "real"), "arm left: 127.0.84.2:29999: no connection", code=3)
     assert bytes_below(work) == before
 
 
@@ -466,7 +505,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     ended = shell("--help", cwd=tmp_path)
     assert ended.code == 0
     for command in ("run", "doctor", "plan", "collect", "import", "export", "calibrate", "discover", "compensate",
-                    "push", "report", "trials", "emulate"):  # fmt: skip
+                    "push", "report", "trials", "emulate", "tracker-bridge"):  # fmt: skip
         assert f" {command} " in ended.out
 
 
@@ -546,10 +585,18 @@ def test_interrupted_it_exits_with_four_and_is_resumed(long_run: Path) -> None:
     check_resumes(long_run)
 
 
-def test_emulate_serves_until_it_is_interrupted(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("command", "begins"),
+    [
+        (["emulate", "twin.yaml", "--pace", "5"], "arm left: UR10 (CB3)"),
+        (["tracker-bridge", "twin.yaml", "--port", "0"], "tracker (simulated) at 127.0.0.1 port "),
+    ],
+    ids=["emulate", "tracker-bridge"],
+)
+def test_what_serves_does_so_until_it_is_interrupted(tmp_path: Path, command: list[str], begins: str) -> None:
     write_profile(tmp_path)
     process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", "emulate", "twin.yaml"],
+        [sys.executable, "-m", "cellapp", *command],
         cwd=tmp_path,
         env={**environment(), "PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,
@@ -568,5 +615,5 @@ def test_emulate_serves_until_it_is_interrupted(tmp_path: Path) -> None:
     if process.returncode == 3 and "in use" in err:
         pytest.skip("another emulator listens here")
     assert process.returncode == 0, err
-    assert first.startswith("arm left: UR10 (CB3)")
+    assert first.startswith(begins)
     assert "Traceback" not in out + err

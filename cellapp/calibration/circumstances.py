@@ -37,7 +37,7 @@ def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = 
             other_q[there] = theirs.q[match[there]]
     return Circumstances(
         approach=approach,
-        step=readings.step if readings.step is not None else _steps(readings),
+        step=_filled(readings.step, _steps(readings)),
         dwell_s=readings.dwell_s,
         time_s=time_s,
         payload_kg=readings.payload_kg,
@@ -47,6 +47,13 @@ def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = 
         other_q=other_q,
         record=_record(readings),
     )
+
+
+def _filled(logged: Array | None, derived: Array | None) -> Array | None:
+    """Logged steps; where a row has none (a run begun before they were logged), the derived ones."""
+    if logged is None or derived is None:
+        return derived if logged is None else logged
+    return np.where(np.isnan(logged), derived, logged)
 
 
 def _record(readings: Readings) -> Record | None:

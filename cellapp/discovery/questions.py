@@ -243,6 +243,8 @@ def _reverse(
     if not scores or not scores[0].names:
         return []
     instead = Part(rival, scores[0].candidate.law, scores[0].names)
+    if len(fit.rows) + len(instead.names) >= 3 * len(data):
+        return []  # too few readings to fit it
     other = data.fit((*fit.choice[:place], instead, *fit.choice[place + 1 :]))
     return _apart(data, other, place, fit.choice[place].slug, least, joined)
 

@@ -223,7 +223,7 @@ class Seen:
         keep = self.fraction[int(self.first[number]) :][: len(B)] > VISIBLE
         wanted = [block for block in one.blocks if refined or not one.refines(block)]
         blocks = [visible for block in wanted if (visible := tuple(i for i in block if keep[i]))]
-        if not blocks:
+        if all(one.refines(block) for block in blocks):  # none, or nothing that they could refine
             return None
         N = len(MY)
         projection = B @ MY

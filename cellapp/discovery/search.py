@@ -39,9 +39,12 @@ _RIVAL = 10.0
 _SAME_CAUSE = 0.05
 """A later effect that depends on what an earlier one does and removes less than this share of what that one removed is
 more likely the rest of an imperfect law than a second cause."""
-_REMAINDER = 0.02
+_REMAINDER = 0.1
 """So much of what an effect does may be left over by its law, in rms, and look like another."""
 _DOMINATED = 0.9
+_READINGS_EACH = 4
+"""Coordinates that each parameter of a model with a data-driven term needs."""
+_LEAST_FOR_CURVES = 60
 _REACHED = 0.001
 
 
@@ -372,6 +375,8 @@ class _Engine:
             MY = follower.without(y)
             square = float(y @ MY)
             candidates = here.candidates(fit, [part.slug])
+            if all(one.law != part.law for one in candidates):  # its constants were moved to where they explain most
+                candidates.append(here.candidate(fit, part.slug, part.law))
             if len(part.names) >= _MANY_LINES:  # rather a curve than one line after the other
                 candidates = [one for one in candidates if len(one.columns) <= 2 * _MANY_LINES]
             effect = EFFECTS[part.slug]
@@ -422,6 +427,8 @@ class _Engine:
     def _curve(self, way: _Way) -> _Way | None:
         """One free periodic curve a joint, instead of the lines found so far or beside them, where it pays."""
         if way.data.stated is None or any(part.curves is not None for part in way.fit.choice):
+            return None
+        if len(way.data) < _LEAST_FOR_CURVES:
             return None
         ways = [self._curve_beside(way, way)]
         rest = tuple(part for part in way.fit.choice if part.slug != "transmission_error")
@@ -487,6 +494,7 @@ class _Engine:
             channel = best.candidate.law.name.split("|")[0]
             known = {law.name for law in two_laws}
             two_laws += [law for law in pairs(here.context, channel) if law.name not in known]
+        two_laws = [law for law in two_laws if _subject(law) not in taken]
         two = self._best_law(here, fit, two_laws, MY, square)
         if two is not None and (best is None or two.value > best.value + _RIVAL):
             best = two
@@ -518,6 +526,8 @@ class _Engine:
         best: Score | None = None
         for begin in range(0, len(laws), 200):
             group = [here.candidate(fit, UNKNOWN, law) for law in laws[begin : begin + 200]]
+            # with few readings a rich term could follow anything
+            group = [one for one in group if _READINGS_EACH * (len(one.columns) + len(fit.rows)) <= 3 * len(here)]
             seen = Seen.of(group, fit.follower)
             for score in seen.scores(MY, square)[:1]:
                 if best is None or score.value > best.value:

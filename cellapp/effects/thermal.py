@@ -100,7 +100,7 @@ class ThermalGrowth:
 
     @staticmethod
     def _conduction(context: EffectContext, law: Law, wanted: Collection[str] | None) -> list[EffectColumn]:
-        """Columns of the lagged laws, each a block of its own; without record or time, as if all had settled long ago."""
+        """Columns of the lagged laws, each a block of its own; without record or time, as if all had long settled."""
         known, n = context.known, len(context)
         joints = above_joint_means(context, law)
         air = above_mean(known.air_c, law, n)

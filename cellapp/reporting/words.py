@@ -26,7 +26,6 @@ _TWO_SIDED = 1.959964
 _LAWS = {
     ("joint_compliance", "linear"): "in proportion to the torque, a stiffness each",
     ("joint_compliance", "two_slope"): "softer below a knee torque",
-    ("joint_compliance", "free_moments"): "in proportion to the torque, masses left free",
     ("backlash", "constant"): "the same after any motion",
     ("backlash", "saturating"): "taken up only by large steps",
     ("friction_windup", "load"): "in proportion to the load",

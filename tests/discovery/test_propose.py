@@ -84,6 +84,7 @@ def fewer_candidates() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(proposing, "_DRAWN", 70)
         patch.setattr(proposing, "_POSES", 50)
+        patch.setattr(proposing, "_MOST_CANDIDATES", 3000)
         yield
 
 
@@ -226,8 +227,12 @@ def test_it_stands_in_the_run_and_a_new_one_takes_its_place(tied: Tied, plan: di
         proposing._write(run, proposal.stops)
 
 
-def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path) -> None:
+def test_a_run_that_is_not_driven_gets_the_list_only(
+    tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run, _, _ = tied
+    monkeypatch.setattr(proposing, "_DRAWN", 20)
+    monkeypatch.setattr(proposing, "_MOST_CANDIDATES", 480)
     readings = {name: run.readings(name) for name in run.arms()}
 
     def fill(copy: RunFile) -> None:
@@ -251,8 +256,10 @@ def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path)
             assert not proposal.as_dict()["written"]
 
 
-def test_the_command(tied: Tied, tmp_path: Path) -> None:
+def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run, _, _ = tied
+    monkeypatch.setattr(proposing, "_DRAWN", 20)
+    monkeypatch.setattr(proposing, "_MOST_CANDIDATES", 480)
     out = tmp_path / "result.json"
     command = ["discover", str(run.folder), "--propose", "3", "--json", str(out)]
     try:

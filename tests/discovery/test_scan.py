@@ -92,11 +92,55 @@ def test_columns_of_one_block_come_together() -> None:
     assert scores(seen, follower, y)[0].names == ("a", "b")
 
 
+def refining(rng: np.random.Generator, main: np.ndarray) -> tuple[Candidate, np.ndarray]:
+    """An effect of two blocks and what only refines them, and rows of the latter."""
+    rows = np.stack([main, *rng.normal(size=(3, N))])
+    names = (column("a", "one"), column("b", "two"), column("c", "+ three"), column("d", "+ four"))
+    return Candidate("refined", Law(), names, rows), rows
+
+
+def test_what_only_refines_is_never_the_effect() -> None:
+    """However well it explains: it joins a block that is chosen, or is left."""
+    rng, _, follower, _, _ = problem(9)
+    one, rows = refining(rng, rng.normal(size=N))
+    seen = Seen.of([one], follower)
+    y = follower.without(3.0 * rows[2] + rng.normal(size=N))
+    MY = follower.without(y)[:, None]
+    alone = Seen.of([Candidate("main", Law(), one.columns[:2], rows[:2])], follower)
+    square = np.array([float(y @ MY[:, 0])])
+    np.testing.assert_allclose(seen.block_scores(MY, square), alone.block_scores(MY, square))
+    for refined in (False, True):
+        found = seen.greedy(0, MY[:, 0], float(square[0]), refined=refined)
+        assert found is not None
+        assert set(found.names) & {"a", "b"}
+
+
+def test_a_refinement_joins_the_effect_only_where_it_is_asked_for() -> None:
+    rng, _, follower, _, _ = problem(9)
+    one, rows = refining(rng, rng.normal(size=N))
+    seen = Seen.of([one], follower)
+    y = follower.without(rows[0] + 0.6 * rows[3] + 0.5 * rng.normal(size=N))
+    square = float(y @ follower.without(y))
+    (plain,) = seen.scores(follower.without(y), square)
+    (refined,) = seen.scores(follower.without(y), square, refined=True)
+    assert plain.names == ("a",)
+    assert refined.names == ("a", "d")
+    assert refined.value > plain.value + 6.0
+
+
+def test_without_a_block_that_can_be_seen_there_is_nothing_to_refine() -> None:
+    rng, design, follower, _, _ = problem(9)
+    one, rows = refining(rng, design[:, 0])
+    hidden = Candidate(one.slug, one.law, (one.columns[0], *one.columns[2:]), rows[[0, 2, 3]])
+    seen = Seen.of([hidden], follower)
+    y = follower.without(rows[2] + rows[3] + 0.1 * rng.normal(size=N))
+    assert seen.greedy(0, y, float(y @ y)) is None
+    assert seen.scores(y, float(y @ y), refined=True) == []
+
+
 def test_an_effect_spread_evenly_over_blocks_is_found_whole() -> None:
     rng, _, follower, _, _ = problem(7)
-    many = Candidate(
-        "many", Law(), tuple(column(f"x{i}", f"joint {i}") for i in range(6)), rng.normal(size=(6, N))
-    )
+    many = Candidate("many", Law(), tuple(column(f"x{i}", f"joint {i}") for i in range(6)), rng.normal(size=(6, N)))
     y = follower.without(0.45 * many.B.sum(axis=0) + rng.normal(size=N))
     assert len(scores(Seen.of([many], follower), follower, y)[0].names) == 6
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.effects import EFFECTS, PLAIN, Circumstances, Law
+from cellapp.effects import EFFECTS, PLAIN, Circumstances, Law, Refinable
 from cellapp.effects.periodic import LINES_MAX
 from tests.effects.cell import by_name, chain, context_of, knowing, offsets
 
 GRAVITY = 9.80665
 CONTEXT = context_of(12)
+KNOWN: Any = CONTEXT.known
 
 
 def laws(slug, name, context=CONTEXT):
@@ -52,7 +54,7 @@ def torques(masses, payload):
 
 
 def test_compliance_follows_the_torque_of_arm_and_payload():
-    expected = torques(CONTEXT.bodies.masses, CONTEXT.known.payload_kg)
+    expected = torques(CONTEXT.bodies.masses, KNOWN.payload_kg)
     assert np.abs(expected).max() > 50.0
     found = columns("joint_compliance", Law("linear"))
     for j in range(6):
@@ -60,17 +62,17 @@ def test_compliance_follows_the_torque_of_arm_and_payload():
 
 
 def test_payload_compliance_follows_the_torque_of_the_payload_alone():
-    expected = torques(np.zeros(6), CONTEXT.known.payload_kg)
+    expected = torques(np.zeros(6), KNOWN.payload_kg)
     found = columns("payload_compliance", PLAIN)
     for j in range(6):
         np.testing.assert_allclose(offsets(found[f"payload_compliance{j + 1}"]), expected[:, j], atol=1e-5)
 
 
-def test_free_moments_are_the_torque_body_by_body_and_sum_to_all():
-    found = columns("joint_compliance", Law("free_moments"))
+def test_moments_are_the_torque_body_by_body_and_sum_to_all():
+    found = columns("joint_compliance", Law("linear"))
     assert [name for name in found if name.startswith("moment5")] == ["moment5_5", "moment5_6"]
     for i in range(6):
-        expected = torques(np.where(np.arange(6) == i, CONTEXT.bodies.masses, 0.0), CONTEXT.known.payload_kg * (i == 5))
+        expected = torques(np.where(np.arange(6) == i, CONTEXT.bodies.masses, 0.0), KNOWN.payload_kg * (i == 5))
         for j in range(i + 1):
             np.testing.assert_allclose(offsets(found[f"moment{j + 1}_{i + 1}"]), expected[:, j], atol=1e-5)
     for j in range(6):
@@ -81,15 +83,42 @@ def test_free_moments_are_the_torque_body_by_body_and_sum_to_all():
 def test_a_body_without_mass_has_no_moment():
     masses = CONTEXT.bodies.masses * np.array([1, 1, 0, 1, 1, 1])
     context = replace(CONTEXT, bodies=replace(CONTEXT.bodies, masses=masses))
-    assert "moment2_3" not in columns("joint_compliance", Law("free_moments"), context)
-    assert "moment2_4" in columns("joint_compliance", Law("free_moments"), context)
+    found = columns("joint_compliance", Law("linear"), context)
+    assert "moment2_3" not in found
+    assert "moment2_4" in found
 
 
 def test_an_upright_arm_has_no_torque_at_its_first_joint():
     """Not even rounding errors, which a scan would take for a column like any other."""
     axis = CONTEXT.geometry.T_M_B()[:3, 2]
     upright = replace(CONTEXT, up_M=axis)
-    assert not offsets(columns("joint_compliance", Law("linear"), upright)["compliance1"]).any()
+    for law in (Law("linear"), laws("joint_compliance", "two_slope")[0]):
+        of_first = [c for c in columns("joint_compliance", law, upright).values() if c.joint == 0]
+        assert len(of_first) >= 8, "stiffness, load and six bodies"
+        for column in of_first:
+            assert not offsets(column).any(), column.name
+    assert not offsets(columns("payload_compliance", PLAIN, upright)["payload_compliance1"]).any()
+
+
+@pytest.mark.parametrize("name", ["linear", "two_slope"])
+def test_loads_and_bodies_only_refine_a_stiffness(name):
+    """The load's torque, or one body's, may count more or less than the rest's: it alone is not compliance."""
+    found = columns("joint_compliance", laws("joint_compliance", name)[0])
+    main = {key for key, column in found.items() if not column.block.startswith("+")}
+    assert main == {f"compliance{j}" for j in range(1, 7)}
+    moments = {f"moment{j}_{i}" for j in range(1, 7) for i in range(j, 7)}
+    loads = {f"load{j}" for j in range(1, 7)}
+    softer = {f"soft{j}" for j in range(1, 7)} if name == "two_slope" else set()
+    assert set(found) - main == moments | loads | softer
+    load = torques(np.zeros(6), KNOWN.payload_kg)
+    for j in range(6):
+        column = found[f"load{j + 1}"]
+        assert (column.block, column.joint) == (f"+ load {j + 1}", j)
+        np.testing.assert_allclose(offsets(column), load[:, j], atol=1e-5)
+    for key in moments | loads:
+        assert found[key].lower == -found[key].upper < 0.0, "more or less than the rest"
+    blocks = [column.block for key, column in found.items() if key not in main]
+    assert len(set(blocks)) == len(blocks), "each by itself"
 
 
 def test_two_slopes_meet_at_the_knee():
@@ -130,6 +159,36 @@ def test_every_line_is_a_block_that_pays_for_the_search():
         np.testing.assert_allclose(offsets(column), expected, atol=1e-12)
 
 
+def test_a_gear_has_two_cycles_its_ratio_and_twice_that_at_any_joint():
+    found = columns("transmission_error", Law("gear", {"ratio": 100.0}))
+    assert list(found)[:6] == ["cos2q1", "sin2q1", "cos100q1", "sin100q1", "cos200q1", "sin200q1"]
+    assert {column.block for column in found.values()} == {
+        f"joint {j} line {n}" for j in range(1, 7) for n in (2, 100, 200)
+    }
+    for n in (2, 100, 200):
+        np.testing.assert_allclose(offsets(found[f"cos{n}q4"]), np.cos(n * CONTEXT.q[:, 3]), atol=1e-12)
+        np.testing.assert_allclose(offsets(found[f"sin{n}q4"]), np.sin(n * CONTEXT.q[:, 3]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("names", "ratios"),
+    [
+        (["cos2q1", "sin2q1"], []),
+        (["cos51q3", "sin51q3"], [51.0]),
+        (["cos100q3", "sin100q3"], [50.0, 100.0]),
+        (["cos4q1", "sin100q3"], [4.0, 50.0, 100.0]),
+    ],
+)
+def test_a_line_that_was_found_proposes_the_gears_it_may_belong_to(names, ratios):
+    """A line is at the ratio or at twice that; two cycles a turn are of any gear."""
+    effect = EFFECTS["transmission_error"]
+    assert isinstance(effect, Refinable)
+    found = effect.refinements(CONTEXT, Law("lines"), names)
+    assert [(law.name, law.constants["ratio"]) for law in found] == [("gear", ratio) for ratio in ratios]
+    assert {law.tried for law in found} <= {LINES_MAX - 1}, "choosing a ratio costs as much as choosing a line"
+    assert not any(law.name == "gear" for law in effect.laws(CONTEXT))
+
+
 def test_a_curve_has_the_cycles_of_the_joints_that_carry_a_prior():
     law = Law("curve", {"cycles": 5.0, "length4": 0.3, "amplitude4": 1e-4})
     found = columns("transmission_error", law)
@@ -142,7 +201,7 @@ def test_a_joint_stays_half_the_play_behind():
     found = columns("backlash", Law("constant"))
     for j in range(6):
         column = found[f"half_play{j + 1}"]
-        np.testing.assert_array_equal(offsets(column), -CONTEXT.known.approach[:, j])
+        np.testing.assert_array_equal(offsets(column), -KNOWN.approach[:, j])
         assert (column.lower, column.unit) == (0.0, "rad")
 
 
@@ -150,12 +209,12 @@ def test_hysteresis_saturates_with_the_step():
     found = laws("backlash", "saturating")
     assert [law.constants["width"] for law in found] == [0.02, 0.05, 0.1, 0.2, 0.4, 0.8]
     assert {law.tried for law in found} == {6}
-    step = CONTEXT.known.step[:, 2]
+    step = KNOWN.step[:, 2]
     np.testing.assert_allclose(
         offsets(columns("backlash", found[3])["half_play3"]), -np.sign(step) * np.tanh(np.abs(step) / 0.2)
     )
-    only_signs = knowing(CONTEXT, Circumstances(approach=CONTEXT.known.approach))
-    typical = np.median(np.abs(CONTEXT.known.step[:, 2]))
+    only_signs = knowing(CONTEXT, Circumstances(approach=KNOWN.approach))
+    typical = np.median(np.abs(KNOWN.step[:, 2]))
     np.testing.assert_allclose(
         offsets(columns("backlash", found[3], only_signs)["half_play3"]), -np.sign(step) * np.tanh(typical / 0.2)
     )
@@ -170,7 +229,7 @@ def test_an_unknown_approach_is_no_lost_motion():
 
 
 def test_friction_winds_up_with_the_load():
-    signs, load = CONTEXT.known.approach[:, 1], np.abs(CONTEXT.torques[:, 1])
+    signs, load = KNOWN.approach[:, 1], np.abs(CONTEXT.torques[:, 1])
     both = columns("friction_windup", Law("both"))
     assert both["dry2"].block == both["windup2"].block == "joint 2"
     np.testing.assert_allclose(offsets(both["dry2"]), -signs)
@@ -181,21 +240,21 @@ def test_friction_winds_up_with_the_load():
 
 
 def test_an_unsettled_joint_lags_behind_its_motion():
-    step, dwell = CONTEXT.known.step[:, 0], CONTEXT.known.dwell_s
+    step, dwell = KNOWN.step[:, 0], KNOWN.dwell_s
     np.testing.assert_allclose(offsets(columns("unsettled_measurement", Law("step"))["lag1"]), -step)
     found = laws("unsettled_measurement", "creep")
     assert found[-1].constants["tau_s"] == pytest.approx(30.0)
     for law in found:
         expected = -step * np.exp(-dwell / law.constants["tau_s"])
         np.testing.assert_allclose(offsets(columns("unsettled_measurement", law)["lag1"]), expected)
-    no_dwell = knowing(CONTEXT, Circumstances(step=CONTEXT.known.step))
+    no_dwell = knowing(CONTEXT, Circumstances(step=KNOWN.step))
     np.testing.assert_allclose(
         offsets(columns("unsettled_measurement", found[-1], no_dwell)["lag1"]), -step * np.exp(-np.median(dwell) / 30.0)
     )
 
 
 def test_creep_that_is_over_before_any_reading_is_not_tried():
-    patient = replace(CONTEXT.known, dwell_s=CONTEXT.known.dwell_s + 20.0)
+    patient = replace(CONTEXT.known, dwell_s=KNOWN.dwell_s + 20.0)
     quick, slow = (
         laws("unsettled_measurement", "creep"),
         laws("unsettled_measurement", "creep", knowing(CONTEXT, patient)),
@@ -206,7 +265,7 @@ def test_creep_that_is_over_before_any_reading_is_not_tried():
 
 
 def test_joint_zeros_drift():
-    time = CONTEXT.known.time_s
+    time = KNOWN.time_s
     (law,) = laws("joint_drift", "linear")
     column = columns("joint_drift", law)["drift4"]
     assert (column.unit, column.joint) == ("rad", 3)
@@ -216,7 +275,7 @@ def test_joint_zeros_drift():
         np.testing.assert_allclose(offsets(columns("joint_drift", law)["drift4"]), expected)
     (law,) = laws("joint_drift", "joint_temperature")
     column = columns("joint_drift", law)["drift4"]
-    joints_c = CONTEXT.known.joints_c[:, 3]
+    joints_c = KNOWN.joints_c[:, 3]
     assert column.unit == "rad/K"
     np.testing.assert_allclose(offsets(column), joints_c - joints_c.mean())
 
@@ -224,7 +283,7 @@ def test_joint_zeros_drift():
 @given(late=st.floats(0.0, 1e6))
 def test_after_the_run_a_drift_stays_as_it_was_at_its_end(late):
     (law,) = laws("joint_drift", "linear")
-    last = float(CONTEXT.known.time_s[-1])
+    last = float(KNOWN.time_s[-1])
     context = replace(CONTEXT, q=CONTEXT.q[:1], known=Circumstances(time_s=np.array([last + late])))
     assert offsets(columns("joint_drift", law, context)["drift1"])[0] == 1.0
     now = replace(context, known=Circumstances())

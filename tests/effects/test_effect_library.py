@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +14,18 @@ from cellapp.effects.unknown import channels, dictionary, pairs, variables
 from tests.effects.cell import NOTHING, by_name, chain, context_of, knowing, rows_of
 
 CONTEXT = context_of()
-NAMED = [
-    (slug, law)
-    for slug, effect in EFFECTS.items()
-    for number, law in enumerate(effect.laws(CONTEXT))
-    if law.name != "onset" or number % 12 == 5
-]
+KNOWN: Any = CONTEXT.known
+
+
+def ends(laws):
+    """The first and the last law of each name: between them only a constant changes."""
+    by_law: dict[str, list[Law]] = {}
+    for law in laws:
+        by_law.setdefault(law.name, []).append(law)
+    return [law for same_name in by_law.values() for law in same_name[:: max(len(same_name) - 1, 1)]]
+
+
+NAMED = [(slug, law) for slug, effect in EFFECTS.items() for law in ends(effect.laws(CONTEXT))]
 CURVE = Law("curve", {"cycles": 12.0, "length2": 0.3, "amplitude2": 1e-4, "length3": 0.5, "amplitude3": 2e-4})
 GEAR = Law("gear", {"ratio": 50.0}, 209)
 NAMED += [("transmission_error", CURVE), ("transmission_error", GEAR)]
@@ -51,7 +58,16 @@ def values_of(column):
 
 def same(one, other):
     """Whether two columns are the same but for their values."""
-    return replace(one, offset=None, shift_M=None) == replace(other, offset=None, shift_M=None)
+    ones, others = vars(one), vars(other)
+    return all(ones[key] == others[key] for key in ones if key not in ("offset", "shift_M"))
+
+
+def close(columns, others, rows=slice(None), other_rows=slice(None), atol=1e-14):
+    """All values at once: one comparison a column takes most of the time where there are thousands."""
+    for is_joint in (True, False):
+        ours = [values_of(c)[rows] for c in columns if (c.joint is not None) == is_joint]
+        theirs = [values_of(c)[other_rows] for c in others if (c.joint is not None) == is_joint]
+        np.testing.assert_allclose(np.array(ours), np.array(theirs), rtol=1e-12, atol=atol)
 
 
 def test_the_vocabulary_is_complete_and_in_order():
@@ -114,24 +130,20 @@ def test_columns_are_well_formed(slug, law):
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
 def test_only_some_blocks_refine(slug, law):
-    """There is always a block that can be the effect by itself, and all columns of it can."""
+    """There is always a block that can be the effect by itself."""
     columns = EFFECTS[slug].columns(CONTEXT, law)
     assert any(not column.block.startswith("+") for column in columns)
-    for column in columns:
-        if column.block.startswith("+"):
-            assert column.block.removeprefix("+ ").strip()
-            assert slug in ("joint_compliance", "link_bending")
+    assert all(column.block.startswith("+ ") for column in columns if "+" in column.block)
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
 def test_the_same_columns_and_values_on_any_other_data(slug, law):
-    """A law and the record of its run carry all that it took from it: some of the stops, alone, give the same values.
-    """
+    """A law and the record of its run carry all that it took from it: some of the stops alone give the same values."""
     columns = EFFECTS[slug].columns(CONTEXT, law)
     rows = np.array([3, 17, 5])
-    for column, part in zip(columns, EFFECTS[slug].columns(rows_of(CONTEXT, rows), law), strict=True):
-        assert same(column, part)
-        np.testing.assert_allclose(values_of(part), values_of(column)[rows], rtol=1e-12, atol=1e-14)
+    parts = EFFECTS[slug].columns(rows_of(CONTEXT, rows), law)
+    assert all(same(column, part) for column, part in zip(columns, parts, strict=True))
+    close(parts, columns, other_rows=rows)
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
@@ -146,8 +158,8 @@ def test_the_same_columns_where_nothing_is_known(slug, law):
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
 def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
-    known = CONTEXT.known
-    holed = {}
+    known = KNOWN
+    holed: dict[str, Any] = {}
     for name, values in vars(known).items():
         if name != "record":  # which is of the run, not of its stops
             holed[name] = np.array(values, dtype=np.float64)
@@ -156,9 +168,9 @@ def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
     full = EFFECTS[slug].columns(CONTEXT, law)
     none = EFFECTS[slug].columns(knowing(CONTEXT, NOTHING), law)
     rest = np.arange(len(CONTEXT)) != 4
-    for column, whole, bare in zip(some, full, none, strict=True):
-        np.testing.assert_allclose(values_of(column)[4], values_of(bare)[4], rtol=1e-12, atol=1e-14)
-        np.testing.assert_allclose(values_of(column)[rest], values_of(whole)[rest], rtol=1e-12, atol=1e-14)
+    assert len(some) == len(full) == len(none)
+    close(some, none, rows=4, other_rows=4)
+    close(some, full, rows=rest, other_rows=rest)
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
@@ -234,8 +246,8 @@ def test_moved_by_adds_terms_up():
     expected = np.zeros(q.shape)
     expected[:, 0], expected[:, 2] = -1e-4 * s[:, 0], -2e-4 * s[:, 2] + 3e-5 * np.sin(100.0 * q[:, 2])
     np.testing.assert_allclose(moved.joints, expected, atol=1e-15)
-    bent = by_name(EFFECTS["link_bending"].columns(CONTEXT, Law("bending")))["flexibility2"].shift_M
-    np.testing.assert_allclose(moved.shift_M, 1e-5 * bent)
+    bent = by_name(EFFECTS["link_bending"].columns(CONTEXT, Law("bending")))["flexibility2"]
+    np.testing.assert_allclose(moved.shift_M, 1e-5 * values_of(bent))
 
 
 def test_the_chain_of_these_tests_is_the_arm():
@@ -303,9 +315,9 @@ def test_laws_follow_what_is_known():
     def names(slug, known):
         return list(dict.fromkeys(law.name for law in EFFECTS[slug].laws(knowing(CONTEXT, known))))
 
-    known = CONTEXT.known
+    known = KNOWN
     unrecorded = replace(known, record=None)
-    assert names("joint_compliance", NOTHING) == ["linear", "two_slope", "free_moments"]
+    assert names("joint_compliance", NOTHING) == ["linear", "two_slope"]
     assert names("transmission_error", NOTHING) == ["two", "lines"]
     assert names("backlash", Circumstances(approach=known.approach)) == ["constant"]
     assert names("backlash", known) == ["constant", "saturating"]

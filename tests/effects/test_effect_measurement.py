@@ -26,11 +26,12 @@ def read(p, *, longer=0.0, stretched=0.0, azimuth=0.0, elevation=0.0):
 
 def misread(**errors):
     """Derivative (n, 3) of the reading by errors that depend on azimuth and elevation."""
-    found = []
-    for p in CONTEXT.p_M:
+
+    def of(p):
         az, el = np.arctan2(p[1], p[0]), np.arcsin(p[2] / np.linalg.norm(p))
-        found.append(slope(lambda h, p=p, at=(az, el): read(p, **{k: h * error(*at) for k, error in errors.items()})))
-    return np.array(found)
+        return slope(lambda h: read(p, **{k: h * error(az, el) for k, error in errors.items()}))
+
+    return np.array([of(p) for p in CONTEXT.p_M])
 
 
 def test_a_scale_stretches_all_distances():

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.effects import EFFECTS, PLAIN, Circumstances, Law
+from cellapp.effects import EFFECTS, PLAIN, Circumstances, Law, Record
 from cellapp.effects.history import lagged
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, transform
 from tests.effects.cell import EYE, by_name, chain, context_of, knowing, shifts, slope
@@ -17,6 +19,8 @@ from tests.effects.cell import EYE, by_name, chain, context_of, knowing, shifts,
 GRAVITY = 9.80665
 CONTEXT = context_of(10)
 RUN = context_of(60, seed=3)
+KNOWN: Any = CONTEXT.known
+RUN_KNOWN: Any = RUN.known
 
 
 def laws(slug, name, context=CONTEXT):
@@ -29,7 +33,7 @@ def columns(slug, law, context=CONTEXT):
 
 def each_row(moved, context=CONTEXT, h=1e-5):
     """Derivative (n, 3) of ``moved(row, h)``, an SMR position."""
-    return np.array([slope(lambda x, row=row: moved(row, x), h) for row in range(len(context))])
+    return np.array([slope(partial(moved, row), h) for row in range(len(context))])
 
 
 # -- wobble ----------------------------------------------------------------------------------------------------------
@@ -58,7 +62,7 @@ def grown(strain_of):
 
 
 def test_links_grow_with_the_air():
-    warmer = CONTEXT.known.air_c - CONTEXT.known.air_c.mean()
+    warmer = KNOWN.air_c - KNOWN.air_c.mean()
     whole = columns("thermal_growth", laws("thermal_growth", "air")[0])
     assert list(whole) == ["growth"]
     assert (whole["growth"].lower, whole["growth"].upper, whole["growth"].unit) == (0.0, 1e-4, "1/K")
@@ -72,7 +76,7 @@ def test_links_grow_with_the_air():
 
 
 def test_links_grow_with_the_joints_at_their_ends():
-    joints = CONTEXT.known.joints_c - CONTEXT.known.joints_c.mean(axis=0)
+    joints = KNOWN.joints_c - KNOWN.joints_c.mean(axis=0)
     ends = np.array([[(row[i] + row[min(i + 1, 5)]) / 2.0 for i in range(6)] for row in joints])
     whole = columns("thermal_growth", laws("thermal_growth", "joints")[0])["growth"]
     np.testing.assert_allclose(shifts(whole), grown(lambda row: ends[row]), atol=1e-9)
@@ -84,7 +88,7 @@ def test_links_grow_while_warming_up():
     found = laws("thermal_growth", "warm_up")
     assert [law.constants["tau_s"] for law in found] == [900.0, 1800.0, 3600.0, 7200.0, 14400.0]
     assert {law.tried for law in found} == {5}
-    time = CONTEXT.known.time_s
+    time = KNOWN.time_s
     strain = 1.0 - np.exp(-(time - time[0]) / 3600.0)
     column = columns("thermal_growth", found[2])["growth"]
     assert column.unit == "m/m"
@@ -108,7 +112,7 @@ def test_a_lag_follows_a_ramp_at_its_distance():
 def test_links_follow_their_joints_and_the_air_and_housings_grow():
     """Each column grows its own part of the arm, by what it is warmer than on average."""
     law = laws("thermal_growth", "conduction_links")[2]
-    known = CONTEXT.known
+    known = KNOWN
     joints = known.joints_c - known.joints_c.mean(axis=0)
     air = known.air_c - known.air_c.mean()
     ends = np.array([[(row[i] + row[min(i + 1, 5)]) / 2.0 for i in range(6)] for row in joints - air[:, None]])
@@ -124,6 +128,38 @@ def test_links_follow_their_joints_and_the_air_and_housings_grow():
     np.testing.assert_allclose(
         shifts(whole["growth_joints"]), sum(shifts(found[f"growth{i}"]) for i in range(1, 7)), atol=1e-12
     )
+
+
+@pytest.mark.parametrize("name", ["conduction", "conduction_links"])
+def test_the_record_of_a_run_says_how_warm_the_links_were_at_any_stop(name):
+    """Whatever is known of the stops themselves, and in whatever order the run was recorded."""
+    law = laws("thermal_growth", name, RUN)[2]
+    known, rows = RUN_KNOWN, np.array([41, 5, 20])
+    mixed = np.random.default_rng(4).permutation(60)
+    record = Record(known.time_s[mixed], known.joints_c[mixed], known.air_c[mixed])
+    time_s = known.time_s[rows]
+    some = replace(RUN, q=RUN.q[rows], known=Circumstances(time_s=time_s, record=record))
+    whole, part = columns("thermal_growth", law, RUN), columns("thermal_growth", law, some)
+    followed = set(whole) - {"growth_housings"}  # which need the temperatures of the moment
+    assert {"growth_air"} < followed
+    for one in followed:
+        np.testing.assert_allclose(shifts(part[one]), shifts(whole[one])[rows], rtol=1e-9, atol=1e-12)
+        assert np.abs(shifts(part[one])).max() > 0.05
+    settled = columns("thermal_growth", law, knowing(RUN, replace(known, record=None)))
+    warmer = known.air_c - known.air_c.mean()
+    expected = RUN.link_growth.sum(axis=0) * warmer[:, None]
+    np.testing.assert_allclose(shifts(settled["growth_air"]), expected, atol=1e-12)
+    assert not np.allclose(shifts(whole["growth_air"]), expected, atol=0.1), "the lag is seen"
+
+
+def test_between_two_moments_of_the_record_the_links_are_between():
+    law = laws("thermal_growth", "conduction", RUN)[2]
+    known = RUN_KNOWN
+    times = np.array([known.time_s[7], known.time_s[7:9].mean(), known.time_s[8], known.time_s[-1], 1e9])
+    still = replace(RUN, q=np.tile(RUN.q[0], (5, 1)), known=Circumstances(time_s=times, record=known.record))
+    grown_by_air = shifts(columns("thermal_growth", law, still)["growth_air"])
+    np.testing.assert_allclose(grown_by_air[1], (grown_by_air[0] + grown_by_air[2]) / 2.0, rtol=1e-9)
+    np.testing.assert_allclose(grown_by_air[4], grown_by_air[3])
 
 
 def test_a_link_too_short_to_be_judged_by_itself_has_no_column_but_grows_with_the_rest():
@@ -149,7 +185,7 @@ TWISTS = {
 @pytest.mark.parametrize("way", TWISTS)
 def test_a_base_drifts_and_steps(way):
     twisted = each_row(TWISTS[way], RUN)
-    time = RUN.known.time_s
+    time = RUN_KNOWN.time_s
     along = ((time - time[0]) / (time[-1] - time[0]))[:, None]
     found = columns("base_drift", laws("base_drift", "linear", RUN)[0], RUN)
     assert {column.block for column in found.values()} == {"base"}
@@ -173,7 +209,7 @@ def test_a_target_slips_in_the_flange(axis):
     column = columns("target_slip", law, RUN)[f"slip_{'xyz'[axis]}"]
     assert column.block == column.where == "tool"
     np.testing.assert_allclose(
-        shifts(column), moved * (RUN.known.time_s >= law.constants["onset_s"])[:, None], atol=1e-9
+        shifts(column), moved * (RUN_KNOWN.time_s >= law.constants["onset_s"])[:, None], atol=1e-9
     )
 
 
@@ -223,7 +259,7 @@ def own_moment(row):
         for mass, pose, center in zip(CONTEXT.bodies.masses, walked.frames[1:], CONTEXT.bodies.centers, strict=True)
     ]
     end = walked.frames[-1]
-    loads.append((CONTEXT.known.payload_kg[row], end[:3, :3] @ CONTEXT.bodies.payload_center + end[:3, 3]))
+    loads.append((KNOWN.payload_kg[row], end[:3, :3] @ CONTEXT.bodies.payload_center + end[:3, 3]))
     return sum(np.cross(center - origin, -mass * GRAVITY * CONTEXT.up_M) for mass, center in loads)
 
 
@@ -291,7 +327,7 @@ def test_a_pedestal_on_a_wall_or_under_a_ceiling(turn):
 
 
 def test_a_pedestal_tilts_with_the_other_arm():
-    other = CONTEXT.known.other_moment_M
+    other = KNOWN.other_moment_M
     above = other - other.mean(axis=0)
     isotropic, tilt, general = EFFECTS["pedestal_coupling"].laws(CONTEXT)
     assert [law.name for law in (isotropic, tilt, general)] == ["isotropic", "tilt", "general"]
@@ -348,7 +384,7 @@ def beam_by_integration(row, link, *, torsion, own_weight, slices=4000):
         moment += np.cross(center - r, -bodies.masses[body] * GRAVITY * CONTEXT.up_M)
     flange = walked.frames[-1]
     load = flange[:3, :3] @ bodies.payload_center + flange[:3, 3]
-    moment += np.cross(load - r, -CONTEXT.known.payload_kg[row] * GRAVITY * CONTEXT.up_M)
+    moment += np.cross(load - r, -KNOWN.payload_kg[row] * GRAVITY * CONTEXT.up_M)
     if own_weight:
         pose = walked.frames[link]
         center = pose[:3, :3] @ bodies.centers[link - 1] + pose[:3, 3]
@@ -374,6 +410,21 @@ def test_a_link_bends_and_twists_as_a_beam(link, own_weight):
         # a slice too many or too few under the link's own weight is 1/4000 of its moment
         np.testing.assert_allclose(shifts(column), expected, atol=2e-2 if own_weight else 1e-4)
         assert np.abs(expected).max() > 1.0
+
+
+def test_a_link_may_bend_under_its_own_weight_as_much_as_the_data_want():
+    free = columns("link_bending", Law("bending_torsion_free_weight"))
+    own = columns("link_bending", Law("bending_torsion_own_weight"))
+    bare = columns("link_bending", Law("bending_torsion"))
+    for link in (2, 3):
+        column = free[f"own_weight{link}"]
+        assert column.block == f"+ link {link} own weight"
+        assert free[f"flexibility{link}"].block == free[f"torsion{link}"].block == f"link {link}"
+        bent = shifts(own[f"flexibility{link}"]) - shifts(bare[f"flexibility{link}"])
+        np.testing.assert_allclose(shifts(column), bent, atol=1e-9)
+        assert np.abs(bent).max() > 0.1
+        np.testing.assert_allclose(shifts(free[f"flexibility{link}"]), shifts(bare[f"flexibility{link}"]), atol=1e-12)
+        np.testing.assert_allclose(shifts(free[f"torsion{link}"]), shifts(own[f"torsion{link}"]), atol=1e-12)
 
 
 def test_the_long_links_bend():

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.effects import EFFECTS, Circumstances, Law
+from cellapp.effects import EFFECTS, Circumstances, EffectColumn, Law
 from cellapp.effects.unknown import channels, dictionary, pairs, variables
 from cellapp.kinematics.transforms import rotation_z
 from tests.effects.cell import EYE, NOTHING, by_name, chain, context_of, knowing, offsets, shifts, slope
 
 CONTEXT = context_of(40)
+KNOWN: Any = CONTEXT.known
 UNKNOWN = EFFECTS["unknown"]
 EVERY = (
     *(f"q{j}" for j in range(1, 7)),
@@ -24,8 +26,15 @@ EVERY = (
 )
 
 
+VECTORS = ("base shift", "tool")
+
+
 def law_of(channel, variable, context=CONTEXT):
-    (law,) = [law for one, other, law in dictionary(context) if (one, other) == (channel, variable)]
+    (law,) = [
+        law
+        for one, other, law in dictionary(context)
+        if (one, other) == (channel, variable) and "period_s" not in law.constants
+    ]
     return law
 
 
@@ -36,11 +45,12 @@ def columns(law, context=CONTEXT):
 def test_the_dictionary_is_every_channel_times_every_variable():
     assert channels(6) == (
         *(f"joint {j}" for j in range(1, 7)),
-        *(f"base {kind} {axis}" for kind in ("shift", "turn") for axis in "xyz"),
+        *("base shift", "tool"),
+        *("base shift x", "base shift y", "base shift z", "base turn x", "base turn y"),
         *("tool x", "tool y", "tool z", "tracker radial", "tracker azimuth", "tracker elevation"),
     )
     assert variables(CONTEXT) == EVERY
-    terms = dictionary(CONTEXT)
+    terms = [term for term in dictionary(CONTEXT) if "period_s" not in term[2].constants]
     assert [(channel, name) for channel, name, _ in terms] == [(c, v) for c in channels(6) for v in EVERY]
     assert all(law.name == f"{channel}|{name}" for channel, name, law in terms)
 
@@ -61,9 +71,10 @@ def moved_of(channel, context, row):
     axis = EYE["xyz".index(rest[-1])] if rest[-1] in ("x", "y", "z") else None
     if kind == "joint":
         return lambda h: chain(context, row, joints=h * np.eye(6)[int(rest[0]) - 1]).smr
+    if kind == "base" and rest[0] == "shift":
+        return lambda h: chain(context, row, shift={0: h * axis}).smr
     if kind == "base":
-        name = "shift" if rest[0] == "shift" else "twist"
-        return lambda h: chain(context, row, **{name: {0: h * axis}}).smr
+        return lambda h: chain(context, row, twist={0: h * axis}).smr
     if kind == "tool":
         return lambda h: chain(context, row, tool=h * axis).smr
     p = context.p_M[row]
@@ -76,7 +87,7 @@ def moved_of(channel, context, row):
     return lambda h: rho * np.array([np.cos(el + h) * np.cos(az), np.cos(el + h) * np.sin(az), np.sin(el + h)])
 
 
-@pytest.mark.parametrize("channel", channels(6))
+@pytest.mark.parametrize("channel", [channel for channel in channels(6) if channel not in VECTORS])
 def test_a_channel_moves_what_it_says(channel):
     law = law_of(channel, "q5")
     found = columns(law)
@@ -95,9 +106,42 @@ def test_a_channel_moves_what_it_says(channel):
         np.testing.assert_allclose(shifts(column)[row], expected, atol=1e-8)
 
 
+@pytest.mark.parametrize("channel", VECTORS)
+def test_a_vector_is_its_three_directions_in_one_block(channel):
+    found = columns(law_of(channel, "q5"))
+    parts: dict[str, EffectColumn] = {}
+    for axis in "xyz":
+        parts |= columns(law_of(f"{channel} {axis}", "q5"))
+    assert list(found) == list(parts)
+    assert len(found) == 3 * 8
+    for name, column in found.items():
+        assert (column.block, column.unit, column.where) == (channel, "m", channel.split()[0])
+        np.testing.assert_array_equal(shifts(column), shifts(parts[name]))
+
+
+def test_a_sway_has_one_period_of_those_the_run_can_tell():
+    time = KNOWN.time_s
+    run_s = time[-1] - time[0]
+    laws = [law for channel, _, law in dictionary(CONTEXT) if channel == "tool" and "period_s" in law.constants]
+    periods = np.array([law.constants["period_s"] for law in laws])
+    assert len(periods) == 48
+    np.testing.assert_allclose(periods[[0, -1]], [2.0 * run_s, 12.0 * run_s / 40.0])
+    np.testing.assert_allclose(np.diff(np.log(periods)), np.log(0.15) / 47.0)
+    law = Law("joint 3|time", laws[20].constants)
+    found = columns(law)
+    assert list(found) == ["joint_3.cos_time", "joint_3.sin_time"]
+    phase = 2.0 * np.pi * (time - time[0]) / periods[20]
+    np.testing.assert_allclose(offsets(found["joint_3.cos_time"]), np.cos(phase), atol=1e-12)
+    np.testing.assert_allclose(offsets(found["joint_3.sin_time"]), np.sin(phase), atol=1e-12)
+    later = columns(law, knowing(CONTEXT, Circumstances(time_s=time + 1e6)))
+    for name, column in columns(law, knowing(CONTEXT, NOTHING)).items():
+        np.testing.assert_allclose(offsets(column), offsets(found[name])[-1], err_msg="now is the end of the run")
+        np.testing.assert_allclose(offsets(later[name]), offsets(column), err_msg="nobody knows how it went on")
+
+
 def test_time_is_linear_and_half_cycles_over_the_run():
     law = law_of("base shift x", "time")
-    time = CONTEXT.known.time_s
+    time = KNOWN.time_s
     assert law.constants == {"order": 20.0, "low": time[0], "high": time[-1], "typical": time[-1]}
     found = columns(law_of("joint 1", "time"))
     assert len(found) == 21
@@ -112,9 +156,9 @@ def test_other_variables_are_polynomials_on_their_range(variable):
     """Orthogonal on -1 to 1, so what spans them is all polynomials to the fourth order, but for the constant."""
     values = {
         "torque2": CONTEXT.torques[:, 1],
-        "step3": CONTEXT.known.step[:, 2],
-        "dwell": CONTEXT.known.dwell_s,
-        "temperature": CONTEXT.known.air_c,
+        "step3": KNOWN.step[:, 2],
+        "dwell": KNOWN.dwell_s,
+        "temperature": KNOWN.air_c,
         "range": np.linalg.norm(CONTEXT.p_M, axis=1),
         "elevation": np.arcsin(CONTEXT.p_M[:, 2] / np.linalg.norm(CONTEXT.p_M, axis=1)),
         "incidence": np.arccos(
@@ -151,11 +195,11 @@ def test_beyond_its_range_a_variable_is_held_at_the_end():
 @pytest.mark.parametrize(
     ("variable", "known"),
     [
-        ("time", Circumstances(time_s=np.full(40, CONTEXT.known.time_s[-1]))),
+        ("time", Circumstances(time_s=np.full(40, KNOWN.time_s[-1]))),
         ("step3", Circumstances(step=np.zeros((40, 6)))),
-        ("dwell", Circumstances(dwell_s=np.full(40, np.median(CONTEXT.known.dwell_s)))),
+        ("dwell", Circumstances(dwell_s=np.full(40, np.median(KNOWN.dwell_s)))),
         ("payload", Circumstances(payload_kg=np.full(40, CONTEXT.bodies.payload_mass))),
-        ("temperature", Circumstances(air_c=np.full(40, CONTEXT.known.air_c.mean()))),
+        ("temperature", Circumstances(air_c=np.full(40, KNOWN.air_c.mean()))),
     ],
 )
 def test_where_nobody_knows_the_usual_is_taken(variable, known):
@@ -168,7 +212,7 @@ def test_where_nobody_knows_the_usual_is_taken(variable, known):
 def test_an_unknown_angle_of_the_other_arm_is_left_out():
     law = law_of("joint 2", "other q3")
     found = columns(law)
-    np.testing.assert_allclose(offsets(found["joint_2.cos2_other_q3"]), np.cos(2.0 * CONTEXT.known.other_q[:, 2]))
+    np.testing.assert_allclose(offsets(found["joint_2.cos2_other_q3"]), np.cos(2.0 * KNOWN.other_q[:, 2]))
     for column in columns(law, knowing(CONTEXT, NOTHING)).values():
         assert not offsets(column).any()
 
@@ -225,7 +269,7 @@ def test_pairs_of_one_channel_are_of_all_variables_and_of_all_channels_of_joint_
     of_one = pairs(CONTEXT, "tool z")
     assert len(of_one) == len(EVERY) * (len(EVERY) - 1) / 2
     of_all = pairs(CONTEXT)
-    assert len(of_all) == 15 * 18
+    assert len(of_all) == 15 * len(channels(6))
     assert {law.name.split("|")[0] for law in of_all} == set(channels(6))
     assert all(name[0] == "q" for law in of_all for name in law.name.split("|")[1:])
 
@@ -233,9 +277,10 @@ def test_pairs_of_one_channel_are_of_all_variables_and_of_all_channels_of_joint_
 def test_a_curve_of_one_variable_can_be_found_again():
     """A sag of |sin q5| of the tool and a 47 minute sway of the base are within a few per cent of their term's span."""
     context = context_of(300, seed=8)
+    time_s: Any = context.known.time_s
     for channel, variable, truth in (
         ("joint 1", "q5", np.abs(np.sin(context.q[:, 4]))),
-        ("joint 1", "time", np.sin(2.0 * np.pi * context.known.time_s / (47.0 * 60.0) / 2.0)),
+        ("joint 1", "time", np.sin(2.0 * np.pi * time_s / (47.0 * 60.0) / 2.0)),
     ):
         found = columns(law_of(channel, variable, context), context)
         design = np.column_stack([np.ones(300), *(offsets(column) for column in found.values())])
@@ -243,7 +288,7 @@ def test_a_curve_of_one_variable_can_be_found_again():
         assert np.std(left) < 0.15 * np.std(truth)
 
 
-@pytest.mark.parametrize("name", ["joint 9|q1", "nonsense|q1", "joint 1", "joint 1|q1|q2|q3"])
+@pytest.mark.parametrize("name", ["joint 9|q1", "nonsense|q1", "joint 1", "joint 1|q1|q2|q3", "base turn z|q1"])
 def test_a_term_that_says_nothing_is_refused(name):
     with pytest.raises(ValueError, match="effect unknown has no law"):
         UNKNOWN.columns(CONTEXT, Law(name, {"order": 4.0}))
