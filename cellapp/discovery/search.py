@@ -215,9 +215,7 @@ class _Engine:
         MY = fit.follower.without(fit.residual)
         square = float(fit.residual @ MY)
         found = [
-            score
-            for score in best_of_each(seen.scores(MY, square))
-            if (score.slug, score.candidate.law.name) not in refused
+            score for score in seen.scores(MY, square) if (score.slug, score.candidate.law.name) not in refused
         ]
         # before a second name is given, the law of the first is refined; without one it takes more to complicate it
         best_new = found[0].value if found else -math.inf
@@ -228,6 +226,8 @@ class _Engine:
         for score in found:
             if score.value <= self.least or len(taken) >= _MOST_EFFECTS:
                 break
+            if (score.slug, score.candidate.law.name) in refused:
+                continue
             accepted = self._accept(here, fit, score, seen, MY, square)
             if accepted is not None:
                 return accepted
