@@ -28,9 +28,9 @@ from scipy.linalg import lapack, solve_triangular
 from cellapp.effects import EffectColumn, Law
 from cellapp.kinematics.transforms import Array
 
-_NEXT_BLOCK = 6.0
-"""Another joint joins a law only if it gains this much: strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995)),
-as what a law leaves over of one joint often looks a little like another."""
+_NEXT_BLOCK = 10.0
+"""Another joint joins a law only if it gains this much: very strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90,
+1995), as what a law leaves over of one joint often looks a little like another."""
 VISIBLE = 1e-3
 """A direction of which the model takes all but this share (in norm) is invisible."""
 _TAIL = 0.15

@@ -118,7 +118,7 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken) -> Search:
             first = engine.beyond_library(_Way(here, fit))
             if first is not None:
                 ways.append(engine.reviewed_way(engine.named(first, None)))
-        best = min(ways, key=engine.criterion)
+        best = engine.best(ways)
     reviewed = tuple(engine.worth(best, place) for place in range(len(best.fit.choice)))
     return Search(best.data, fit, best.fit, reviewed, best.steps, maxima, least, seen, best.dropped)
 
@@ -188,16 +188,21 @@ class _Engine:
         white = whitening(way.data.stated, len(way.data))
         return float(np.sum(np.einsum("acn,nc->an", white, way.fit.identification.residuals) ** 2))
 
-    def criterion(self, way: _Way) -> float:
+    def best(self, ways: Sequence[_Way]) -> _Way:
+        """The way with the least criterion; what curves are worth is asked only where not all have them."""
+        curved = {any(part.curves is not None for part in way.fit.choice) for way in ways}
+        return min(ways, key=lambda way: self.criterion(way, evidence=len(curved) > 1))
+
+    def criterion(self, way: _Way, *, evidence: bool) -> float:
         """Bayesian information criterion of a way, for the same weights: the stated uncertainty.
 
-        Of free curves their evidence takes the place of what counting effective parameters would give.
+        With ``evidence``, that of free curves takes the place of what counting effective parameters would give.
         """
         curved = next((part for part in way.fit.choice if part.curves is not None), None)
-        if curved is not None and curved.curves is not None:
+        if evidence and curved is not None and curved.curves is not None:
             rest = tuple(part for part in way.fit.choice if part is not curved)
             gain = curved.curves.evidence - _curve_price(curved.curves, way.data)
-            return self.criterion(_Way(*self.refit(rest))) - gain + _RIVAL
+            return self.criterion(_Way(*self.refit(rest)), evidence=evidence) - gain + _RIVAL
         total = self._unexplained(way)
         N = 3 * len(way.data)
         price = float(np.sum(way.fit.follower.basis**2)) * math.log(N)
@@ -422,7 +427,7 @@ class _Engine:
             driven = further
         curved = None if driven is not None and self.floor_reached(driven) else self._curve(way)
         ways = [one for one in (curved, driven) if one is not None]
-        return min(ways, key=self.criterion) if ways else None
+        return self.best(ways) if ways else None
 
     def _curve(self, way: _Way) -> _Way | None:
         """One free periodic curve a joint, instead of the lines found so far or beside them, where it pays."""
@@ -434,8 +439,8 @@ class _Engine:
         rest = tuple(part for part in way.fit.choice if part.slug != "transmission_error")
         if len(rest) < len(way.fit.choice):
             ways.append(self._curve_beside(_Way(*self.refit(rest)), way))
-        better = [one for one in ways if one is not None and self.criterion(one) < self.criterion(way)]
-        return min(better, key=self.criterion) if better else None
+        best = self.best([way, *(one for one in ways if one is not None)])
+        return None if best is way else best
 
     def _curve_beside(self, base: _Way, way: _Way) -> _Way | None:
         """The curves that what ``base`` leaves asks for, added to it; the steps are those of ``way``."""
@@ -496,11 +501,13 @@ class _Engine:
             two_laws += [law for law in pairs(here.context, channel) if law.name not in known]
         two_laws = [law for law in two_laws if _subject(law) not in taken]
         two = self._best_law(here, fit, two_laws, MY, square)
-        if two is not None and (best is None or two.value > best.value + _RIVAL):
-            best = two
-        if best is None or best.value <= self.least:
-            return None
-        if here.confirmed(fit, best.candidate.B[list(best.chosen)], here.profile.discovery.folds) <= 0.0:
+        wanted = [score for score in (two, best) if score is not None and score.value > self.least]
+        if len(wanted) == 2 and wanted[0].value <= wanted[1].value + _RIVAL:
+            wanted = wanted[1:]
+        folds = here.profile.discovery.folds
+        held = (s for s in wanted if here.confirmed(fit, s.candidate.B[list(s.chosen)], folds) > 0.0)
+        best = next(held, None)
+        if best is None:
             return None
         law, p_value = best.candidate.law, corrected_p(self.maxima, best.value)
         choices: list[Choice] = [(*fit.choice, Part(UNKNOWN, law, best.names))]
@@ -511,7 +518,7 @@ class _Engine:
             names = tuple(column.name for column in here.columns(UNKNOWN, law))
             choices.append((*others, Part(UNKNOWN, law, names)))
         ways = [self.taken(way, Step(UNKNOWN, "a data-driven term added", best.value, p_value, c)) for c in choices]
-        return min(ways, key=self.criterion)
+        return self.best(ways)
 
     @staticmethod
     def _acts_on(here: ArmData, part: Part, place: str) -> bool:
@@ -527,7 +534,8 @@ class _Engine:
         for begin in range(0, len(laws), 200):
             group = [here.candidate(fit, UNKNOWN, law) for law in laws[begin : begin + 200]]
             # with few readings a rich term could follow anything
-            group = [one for one in group if _READINGS_EACH * (len(one.columns) + len(fit.rows)) <= 3 * len(here)]
+            free = int(np.count_nonzero(fit.precision == 0.0)) + len(fit.identification.parameter_set.columns)
+            group = [one for one in group if _READINGS_EACH * (len(one.columns) + free) <= 3 * len(here)]
             seen = Seen.of(group, fit.follower)
             for score in seen.scores(MY, square)[:1]:
                 if best is None or score.value > best.value:

@@ -12,6 +12,8 @@ from cellapp.kinematics.transforms import Array
 
 LAGS = (150.0, 400.0, 900.0, 2000.0, 4500.0)
 """With which links may follow their joints [s]."""
+_MOST_GROWTH = 4e-5
+"""No metal of which arms are made grows more [1/K]: aluminium 23e-6, magnesium 26e-6."""
 _NOTICEABLE = 0.1
 """A link shorter than this share of the longest is not judged by itself."""
 
@@ -87,7 +89,7 @@ class ThermalGrowth:
             warmer = np.tile(warm_up(context, law)[:, None], context.joints)
         else:
             raise unknown_law(self.slug, law)
-        unit, lower, upper = ("m/m", -2e-3, 2e-3) if source == "warm_up" else ("1/K", 0.0, 1e-4)
+        unit, lower, upper = ("m/m", -2e-3, 2e-3) if source == "warm_up" else ("1/K", 0.0, _MOST_GROWTH)
         grown = context.link_growth * warmer.T[:, :, None]
         if law.name == source:
             return [shift_column("growth", unit, "all links", grown.sum(axis=0), lower, upper)]
@@ -123,18 +125,18 @@ class ThermalGrowth:
         rotations = context.frames[0]
         housing = np.einsum("inc,ni->nc", rotations[:-1, :, :, 2], joints)
         columns = [
-            shift_column("growth_air", "1/K", "all links", by_air, 0.0, 1e-4, "air"),
+            shift_column("growth_air", "1/K", "all links", by_air, 0.0, _MOST_GROWTH, "air"),
             shift_column("growth_housings", "m/K", "all joints", housing, 0.0, 2e-5, "housings"),
         ]
         if law.name == "conduction":
             return [
-                shift_column("growth_joints", "1/K", "all links", by_joints.sum(axis=0), 0.0, 1e-4, "joints"),
+                shift_column("growth_joints", "1/K", "all links", by_joints.sum(axis=0), 0.0, _MOST_GROWTH, "joints"),
                 *columns,
             ]
         lengths = np.hypot(context.geometry.rows[:, 1], context.geometry.rows[:, 2])
         return [
             *(
-                shift_column(f"growth{i + 1}", "1/K", f"link {i + 1}", by_joints[i], 0.0, 1e-4)
+                shift_column(f"growth{i + 1}", "1/K", f"link {i + 1}", by_joints[i], 0.0, _MOST_GROWTH)
                 for i in range(context.joints)
                 if lengths[i] >= _NOTICEABLE * lengths.max() or (wanted is not None and f"growth{i + 1}" in wanted)
             ),

@@ -125,7 +125,14 @@ def dictionary(context: EffectContext) -> list[tuple[str, str, Law]]:
     Whoever chooses among them pays for as many as there are: a law cannot know with how many others it was tried.
     """
     constants = {name: _constants(context, name) for name in variables(context)}
+    # a straight line beside the curve: it is not led astray by a few stops far from the others
     terms = [
+        (channel, name, Law(f"{channel}|{name}", {**constants[name], "order": 1.0}))
+        for channel in channels(context.joints)
+        for name in constants
+        if not _is_angle(name) and name != "time" and constants[name]["order"] > 1.0
+    ]
+    terms += [
         (channel, name, Law(f"{channel}|{name}", constants[name]))
         for channel in channels(context.joints)
         for name in constants

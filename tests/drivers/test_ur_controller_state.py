@@ -317,6 +317,16 @@ def test_an_armed_protective_stop_waits_for_the_motion(how: str) -> None:
     assert bench.controller.q[0] == pytest.approx(0.125 if how == "speed" else 0.5, abs=0.02)
 
 
+def test_a_pause_of_the_emulator_is_no_silence_of_the_client() -> None:
+    bench = Bench()
+    bench.start_script()
+    bench.command(WATCHDOG, (5.0,))
+    bench.now_s += 1.0
+    bench.cycles(10)
+    assert bench.controller.runtime is Runtime.PLAYING
+    assert bench.until(lambda: bench.controller.runtime is not Runtime.PLAYING) < 0.2
+
+
 def test_an_emergency_stop_takes_the_power_and_coming_back_goes_in_order() -> None:
     bench = Bench("e-Series", boot_s=2.0, brake_release_s=1.0)
     bench.start_script()

@@ -65,7 +65,7 @@ def test_links_grow_with_the_air():
     warmer = KNOWN.air_c - KNOWN.air_c.mean()
     whole = columns("thermal_growth", laws("thermal_growth", "air")[0])
     assert list(whole) == ["growth"]
-    assert (whole["growth"].lower, whole["growth"].upper, whole["growth"].unit) == (0.0, 1e-4, "1/K")
+    assert (whole["growth"].lower, whole["growth"].upper, whole["growth"].unit) == (0.0, 4e-5, "1/K")
     np.testing.assert_allclose(shifts(whole["growth"]), grown(lambda row: np.full(6, warmer[row])), atol=1e-9)
     links = columns("thermal_growth", laws("thermal_growth", "air_links")[0])
     assert list(links) == [f"growth{i}" for i in range(1, 7)]

@@ -30,7 +30,7 @@ VECTORS = ("base shift", "tool")
 
 
 def law_of(channel, variable, context=CONTEXT):
-    (law,) = [
+    *_, law = [
         law
         for one, other, law in dictionary(context)
         if (one, other) == (channel, variable) and "period_s" not in law.constants
@@ -50,7 +50,11 @@ def test_the_dictionary_is_every_channel_times_every_variable():
         *("tool x", "tool y", "tool z", "tracker radial", "tracker azimuth", "tracker elevation"),
     )
     assert variables(CONTEXT) == EVERY
-    terms = [term for term in dictionary(CONTEXT) if "period_s" not in term[2].constants]
+    every = [term for term in dictionary(CONTEXT) if "period_s" not in term[2].constants]
+    straight = [term for term in every if term[2].constants["order"] == 1.0 and term[1] != "payload"]
+    assert {channel for channel, _, _ in straight} == set(channels(6))
+    assert not any(name.startswith(("q", "other q", "time")) for _, name, _ in straight)
+    terms = [term for term in every if all(term is not one for one in straight)]
     assert [(channel, name) for channel, name, _ in terms] == [(c, v) for c in channels(6) for v in EVERY]
     assert all(law.name == f"{channel}|{name}" for channel, name, law in terms)
 

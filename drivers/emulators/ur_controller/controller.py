@@ -23,6 +23,9 @@ from drivers.emulators.ur_controller.variables import zeros
 Values = tuple[float, ...]
 
 _TEMPERATURE_EVERY_S = 0.5
+_LONGEST_PAUSE_S = 0.05
+"""A real controller never pauses; of a pause of this process, which is no silence of the client, no more than this
+counts for the watchdog."""
 _STEADY_S = 0.1
 _ZERO6: Values = (0.0,) * 6
 
@@ -151,6 +154,7 @@ class Controller:
         self._temperature_due_s = -math.inf
         self._watchdog: tuple[float, int] | None = None
         self._watch_from_s = 0.0
+        self._awake_s = 0.0
         self._written_s: dict[int, float] = {}
         self._pose_of: tuple[Values, Values, Values] | None = None
         self._q: Values = tuple(float(v) for v in motions.q(self.name))
@@ -218,7 +222,7 @@ class Controller:
         """What a client wrote; the watchdog sees it."""
         self.values[name] = value
         if name.startswith("input_int_register_"):
-            self._written_s[int(name[19:])] = self.now_s
+            self._written_s[int(name[19:])] = self._awake_s
         elif name == "speed_slider_fraction" and self.values["speed_slider_mask"][0]:
             self.speed_fraction = min(max(value[0], 0.0), 1.0)
             self.values["target_speed_fraction"] = (self.speed_fraction,)
@@ -226,7 +230,7 @@ class Controller:
     def set_watchdog(self, least_hz: float, register: int) -> None:
         """Stop the program when an input register is not written ``least_hz`` times a second; 0 switches it off."""
         self._watchdog = (1.0 / least_hz, register) if least_hz > 0.0 else None
-        self._watch_from_s = self.now_s
+        self._watch_from_s = self._awake_s
 
     # -- motion ------------------------------------------------------------------------------------------------------
 
@@ -382,6 +386,7 @@ class Controller:
 
     def cycle(self, now_s: float) -> None:
         """One control period, at ``now_s`` on the wall's monotonic clock; the cell's time has passed already."""
+        self._awake_s += min(now_s - self.now_s, _LONGEST_PAUSE_S)
         self.now_s = now_s
         self._read_drives()
         while self._mode_due and self._clock_s >= self._mode_due[0][0]:
@@ -426,8 +431,9 @@ class Controller:
             return
         longest_s, register = self._watchdog
         fed_s = max(self._written_s.get(register, -math.inf), self._watch_from_s)
-        if self.now_s - fed_s > longest_s:
-            self.stop_program(f"watchdog: input_int_register_{register} not written for {self.now_s - fed_s:.3f} s")
+        silent_s = self._awake_s - fed_s
+        if silent_s > longest_s:
+            self.stop_program(f"watchdog: input_int_register_{register} not written for {silent_s:.3f} s")
 
     def _run(self) -> None:
         moving = self.moving

@@ -270,8 +270,6 @@ class UrControllerServer:
                 due_s = min(arm.due_s for arm in self._arms.values())
                 ready = self._selector.select(max(0.0, due_s - time.monotonic()))
                 with self.cell.lock:
-                    for arm in self._arms.values():  # what arrived while this process stood still came in time
-                        arm.controller.now_s = time.monotonic()
                     for key, events in ready:
                         self._attend(key, events)
                     now_s = time.monotonic()
