@@ -98,9 +98,10 @@ def _shapes(variables: list[str], known: list[Array]) -> list[tuple[str, Array]]
             for share in (0.05, 0.1, 0.2, 0.4, 0.8):
                 add(f"c exp(-time / {share * spread / 60.0:.3g} min)", np.exp(-(x - x.min()) / (share * spread)))
             return
-        for k in range(1, 9):
+        turning = v.startswith(("q", "other q")) or v in ("azimuth", "elevation", "incidence")
+        for k in range(1, 9 if turning else 1):
             add(f"c sin({k} {v} + phase)" if k > 1 else f"c sin({v} + phase)", np.cos(k * x), np.sin(k * x))
-        for k in range(1, 5):
+        for k in range(1, 5 if turning else 1):
             label = f"{k} {v}" if k > 1 else v
             add(f"c |sin({label})|", np.abs(np.sin(k * x)))
             add(f"c |cos({label})|", np.abs(np.cos(k * x)))

@@ -165,12 +165,17 @@ class _Engine:
     def named(self, way: _Way, seen: Seen | None) -> _Way:
         """Go on with effects of the library while one passes."""
         refused: set[tuple[str, str]] = set()
+        refining = True
         for _ in range(_MOST_STEPS):
             self.cancel.check()
-            step = self._next_step(way, seen, refused)
+            step = self._next_step(way, seen, refused, refining=refining)
             if step is None:
                 break
-            way, seen = self.taken(way, step), None
+            after = self.taken(way, step)
+            if step.slug in {part.slug for part in way.fit.choice} and self.best([after, way]) is way:
+                refining = False  # what promised to be better in the linear scan is not
+                continue
+            way, seen = after, None
             if step.slug == "transmission_error" and len(step.choice[-1].names) >= _MANY_LINES:
                 # so many lines are a curve: what it leaves is judged better than what some of its lines leave
                 way = self._curve(way) or way
@@ -210,7 +215,9 @@ class _Engine:
             price += 2.0 * math.log(max(part.law.tried, 1)) + _RIVAL * (2.0 if part.slug == UNKNOWN else 1.0)
         return N * math.log(total) + price
 
-    def _next_step(self, way: _Way, seen: Seen | None, refused: set[tuple[str, str]]) -> Step | None:
+    def _next_step(
+        self, way: _Way, seen: Seen | None, refused: set[tuple[str, str]], *, refining: bool
+    ) -> Step | None:
         """The best new effect or the best refinement of one that is there; None if nothing passes."""
         here, fit = way.data, way.fit
         taken = {part.slug for part in fit.choice}
@@ -225,7 +232,7 @@ class _Engine:
         # before a second name is given, the law of the first is refined; without one it takes more to complicate it
         best_new = found[0].value if found else -math.inf
         needed = max(best_new - _RIVAL, 0.0) if best_new > self.least else max(self.least, _RIVAL)
-        refinement = self._refinement(here, fit, needed)
+        refinement = self._refinement(here, fit, needed) if refining else None
         if refinement is not None:
             return refinement
         for score in found:
@@ -304,7 +311,7 @@ class _Engine:
 
     def _accept(self, here: ArmData, fit: Fit, score: Score, seen: Seen, MY: Array, square: float) -> Step | None:
         """Try to add an effect: without the blocks where it would be impossible, and confirmed on readings left out."""
-        possible = self._plausible(here, fit, score, seen, MY, square)
+        possible = self._plausible(here, fit.choice, fit.follower, score, seen, MY, square)
         if possible is None or possible.value <= self.least or self._remainder(here, fit, possible, square):
             return None
         number = seen.candidates.index(possible.candidate)
@@ -331,7 +338,7 @@ class _Engine:
         return False
 
     def _plausible(
-        self, here: ArmData, fit: Fit, score: Score, seen: Seen, MY: Array, square: float
+        self, here: ArmData, rest: Choice, follower: Follower, score: Score, seen: Seen, MY: Array, square: float
     ) -> Score | None:
         """The score without the blocks whose values would be impossible; None if none is left.
 
@@ -345,10 +352,10 @@ class _Engine:
         while current is not None:
             part = Part(current.slug, candidate.law, current.names)
             try:
-                trial = here.fit((*fit.choice, part))
+                trial = here.fit((*rest, part))
             except TooFewReadings:  # so many columns are more than the readings left can tell
                 return None
-            wrong = here.impossible(trial, len(fit.choice))
+            wrong = here.impossible(trial, len(rest))
             if not wrong:
                 return current
             banned |= wrong
@@ -357,7 +364,7 @@ class _Engine:
                 return None
             B, _ = seen.part(number)
             fewer = replace(candidate, columns=tuple(candidate.columns[p] for p in keep), B=B[keep])
-            alone = Seen.of([fewer], fit.follower)
+            alone = Seen.of([fewer], follower)
             refined = any(candidate.columns[place].block.startswith("+") for place in score.chosen)
             again = alone.greedy(0, MY, square, refined=refined)
             if again is None:
@@ -395,8 +402,8 @@ class _Engine:
                 same = score.candidate.law.name == part.law.name and set(score.names) == set(part.names)
                 if same or gain <= needed or (best is not None and gain <= best.score):
                     continue
-                without = replace(fit, choice=fit.choice[:place] + fit.choice[place + 1 :])
-                possible = self._plausible(here, without, score, seen, MY, square)
+                rest = fit.choice[:place] + fit.choice[place + 1 :]
+                possible = self._plausible(here, rest, follower, score, seen, MY, square)
                 if possible is None or possible.value - own <= needed:
                     continue
                 refined = Part(part.slug, possible.candidate.law, possible.names)

@@ -308,6 +308,7 @@ class Worker:
             if not obeyed:
                 self._ready(self._next_sample())
                 raise self._remember(Refusal("failed", "the control program did not take the motion"))
+        self._check_links()  # the client may say yes to a link that has just broken
         self._kicked_s = time.monotonic()
         self._rests_since = None
         self._motion = _Motion(request["q"], number, self._kicked_s)
