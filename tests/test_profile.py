@@ -126,7 +126,7 @@ WRONG = [
     ("averaging: 1.0", "averaging: 100 s", "tracker.averaging", "expected at most 60 (SI), got '100 s'"),
     ("speed_scale: 0.5 ", "speed_scale: 2 ", "arms.left.speed_scale", "expected at most 1, got 2"),
     ("speed_scale: 0.5 ", "speed_scale: 0 ", "arms.left.speed_scale", "expected more than 0, got 0"),
-    ("false_alarm: 0.01", "false_alarm: 0.5", "discovery.false_alarm", "expected less than 0.5, got 0.5"),
+    ("false_alarm: 0.003", "false_alarm: 0.5", "discovery.false_alarm", "expected less than 0.5, got 0.5"),
     ("offset: [0.045, 0.020, 0.060]", "offset: [45, 20, 60]", "arms.left.smr.offset[0]", "write '45 mm' for mm"),
     ("offset: [0.045, 0.020, 0.060]", "offset: [1, 2]", "arms.left.smr.offset", "expected 3 values, got a list of 2"),
     (
@@ -251,7 +251,7 @@ def test_an_arm_type_may_stand_in_the_profile(twin: Path) -> None:
 
 
 def test_several_errors_one_a_line_in_the_order_of_the_file(twin: Path) -> None:
-    wrong = [("stops: 400", "stops: x"), ("robust: none", "robust: yes"), ("simulations: 200", "simulations: 1")]
+    wrong = [("stops: 400", "stops: x"), ("robust: none", "robust: yes"), ("simulations: 400", "simulations: 1")]
     for old, new in wrong:
         edit(twin, old, new)
     lines = refusal(twin).splitlines()
