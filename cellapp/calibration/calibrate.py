@@ -124,9 +124,7 @@ def calibrate_readings(
     if profile.network.kind == "mlp":
         listener(Progress("calibrate", len(arms), total, "residual networks"))
         with ThreadPoolExecutor(max_workers=2) as pool:  # torch works outside the interpreter lock
-            tasks = {
-                name: pool.submit(train_arm, profile, arm, readings[name], cancel) for name, arm in arms.items()
-            }
+            tasks = {name: pool.submit(train_arm, profile, arm, readings[name], cancel) for name, arm in arms.items()}
             for name, task in tasks.items():
                 arms[name] = task.result()
                 listener(Progress("calibrate", len(arms) + 1, total, f"arm {name}: network"))

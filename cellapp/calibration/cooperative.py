@@ -176,9 +176,7 @@ def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> di
         ways["method_1"] = geometry_only
         if any(arm.model.network is not None for arm in arms):
             ways |= {"method_2": wrong_frame, "proposed": full}
-    return {
-        name: (way(arms[0], left, known[0]), way(arms[1], right, known[1])) for name, way in ways.items()
-    }
+    return {name: (way(arms[0], left, known[0]), way(arms[1], right, known[1])) for name, way in ways.items()}
 
 
 def _method_dict(method: PairMethod, pair: PairCalibration) -> dict[str, Any]:

@@ -127,9 +127,7 @@ def find_curves(
         variance = np.concatenate(prior)
         value, by_variance, by_noise = _evidence(gram, projection, square, freedom, variance, noise)
         grouped = by_variance.reshape(count, size)
-        gradient = np.concatenate(
-            [2.0 * grouped.sum(axis=1), np.sum(grouped * np.array(slope), axis=1), [by_noise]]
-        )
+        gradient = np.concatenate([2.0 * grouped.sum(axis=1), np.sum(grouped * np.array(slope), axis=1), [by_noise]])
         return -value, -gradient
 
     start = np.concatenate([np.zeros(count), np.full(count, math.log(_START_LENGTH)), [math.log(0.2)]])

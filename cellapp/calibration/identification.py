@@ -419,9 +419,7 @@ def identify_with_excess(
             break
         earlier = found
         found = identify(earlier.geometry, q, p_M, sigma=with_excess(sigma, tau_squared), **settings)
-        found = replace(
-            found, iterations=earlier.iterations + found.iterations, steps=(*earlier.steps, *found.steps)
-        )
+        found = replace(found, iterations=earlier.iterations + found.iterations, steps=(*earlier.steps, *found.steps))
     return found, math.sqrt(tau_squared)
 
 
@@ -450,9 +448,7 @@ class _Normal:
     residuals: Array
 
 
-def _choose(
-    wanted: SetName | ParameterSet, start: Geometry, rows: _Rows
-) -> tuple[ParameterSet, _Linear | None]:
+def _choose(wanted: SetName | ParameterSet, start: Geometry, rows: _Rows) -> tuple[ParameterSet, _Linear | None]:
     """The parameter set and, where it was evaluated on the way, positions and Jacobian at the start."""
     if isinstance(wanted, ParameterSet):
         return wanted, None
@@ -536,9 +532,7 @@ def _evaluate(
     return _Normal(plain if plainly else A, b, plain, cost, lever, residuals)
 
 
-def _linearise(
-    geometry: Geometry, turns: Turns, chosen: ParameterSet, rows: _Rows, first: int, last: int
-) -> _Linear:
+def _linearise(geometry: Geometry, turns: Turns, chosen: ParameterSet, rows: _Rows, first: int, last: int) -> _Linear:
     P, J = jacobian(geometry, turns, chosen.columns)
     effects = rows.effects
     if effects is not None:
@@ -593,9 +587,7 @@ def _robust_weights(rows: _Rows, normal: _Normal, robust: RobustName) -> Array:
     return np.asarray(np.where(u < _TUKEY, (1.0 - (np.minimum(u, _TUKEY) / _TUKEY) ** 2) ** 2, 0.0))
 
 
-def _covariance(
-    normal: _Normal, used: int, precision: Array, k: int, *, rescaled: bool
-) -> tuple[Array, float, int]:
+def _covariance(normal: _Normal, used: int, precision: Array, k: int, *, rescaled: bool) -> tuple[Array, float, int]:
     """Covariance (k, k), the scatter against the stated sigma, and the degrees of freedom.
 
     Priors are beliefs and are not scaled by the scatter; the readings' part is, where it is to be ``rescaled``.

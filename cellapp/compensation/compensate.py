@@ -126,9 +126,7 @@ def _compensate_arm(profile: Profile, model: CellModel, name: str, targets: Sequ
     starts = rng.uniform(low, high, size=(_STARTS, len(low)))
     n = len(targets)
     every = np.repeat(np.arange(n), _STARTS)
-    solved = solve_pose(
-        arm.nominal, nominal_M[every], (T_nominal[:3, :3] @ rotation_B)[every], np.tile(starts, (n, 1))
-    )
+    solved = solve_pose(arm.nominal, nominal_M[every], (T_nominal[:3, :3] @ rotation_B)[every], np.tile(starts, (n, 1)))
     q_all = _into_limits(solved.q, limits)
     homes = home_positions(profile)
     others = {other: q for other, q in homes.items() if other != name}

@@ -287,9 +287,7 @@ class ArmData:
             residual=np.einsum("acn,nc->an", white, found.residuals).ravel(),
         )
 
-    def model_of(
-        self, found: Identification, choice: Choice, columns: Sequence[EffectColumn]
-    ) -> ArmModel:
+    def model_of(self, found: Identification, choice: Choice, columns: Sequence[EffectColumn]) -> ArmModel:
         """The arm with a fitted choice; ``found`` has the columns in the order of the choice."""
         terms: list[EffectTerm] = []
         place = len(found.parameter_set.columns)

@@ -102,9 +102,7 @@ class Discovery:
         return {
             "noise_floor_mm": _number(self.noise_floor_mm),
             "heldout_mm": {"before": self.before_mm, "after": self.after_mm},
-            "steps": [
-                {"what": step.what, "effect": step.effect, "heldout_mm": step.heldout_mm} for step in self.steps
-            ],
+            "steps": [{"what": step.what, "effect": step.effect, "heldout_mm": step.heldout_mm} for step in self.steps],
             "threshold": self.threshold,
             "omnibus_p": _number(self.omnibus_p),
             "scatter": _number(self.scatter),
@@ -119,9 +117,7 @@ class Discovery:
         }
 
 
-def discover_run(
-    run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> dict[str, Discovery]:
+def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> dict[str, Discovery]:
     """Look for missing effects in every arm of a calibrated run, add what is found to ``calibration.json``.
 
     Raises
@@ -392,9 +388,7 @@ def _noise_floor_mm(readings: Readings) -> float:
     return math.nan if sigma is None else rms_length_mm(sigma)
 
 
-def _unseen(
-    found: Search, named: set[str]
-) -> tuple[tuple[Mapping[str, Any], ...], tuple[Mapping[str, Any], ...]]:
+def _unseen(found: Search, named: set[str]) -> tuple[tuple[Mapping[str, Any], ...], tuple[Mapping[str, Any], ...]]:
     """What these data cannot show, and what they could have shown and did not, with the smallest size of each."""
     invisible: list[Mapping[str, Any]] = []
     absent: list[Mapping[str, Any]] = []
@@ -513,8 +507,7 @@ def _finding_dict(finding: Finding) -> dict[str, Any]:
         },
         "answer_set": list(finding.answer_set),
         "runners_up": [
-            {"effect": rival.slug, "statistic": rival.score, "told_apart": rival.told_apart}
-            for rival in finding.rivals
+            {"effect": rival.slug, "statistic": rival.score, "told_apart": rival.told_apart} for rival in finding.rivals
         ],
         "correlated_with": None
         if finding.correlated is None

@@ -199,9 +199,7 @@ class _Seen:
         counts = [int(match[2]) for match in parsed if match is not None]
         return counts if counts and len(counts) == len(rows) else None
 
-    def _periodic(
-        self, joint: int, rows: Sequence[int], counts: Sequence[int]
-    ) -> list[_Shown]:
+    def _periodic(self, joint: int, rows: Sequence[int], counts: Sequence[int]) -> list[_Shown]:
         """Waves over a whole turn; fast lines, which would be a blur there, with their cycles laid over one another."""
         angle = np.degrees(self.data.readings.q[:, joint])
         fast = [] if self.part.curves is not None else sorted({count for count in counts if count > _FAST})

@@ -524,9 +524,7 @@ class _Choice:
                 break
         return kept
 
-    def _further(
-        self, kept: Sequence[_Chosen], count: int, listener: Listener, cancel: CancelToken
-    ) -> list[_Chosen]:
+    def _further(self, kept: Sequence[_Chosen], count: int, listener: Listener, cancel: CancelToken) -> list[_Chosen]:
         """Stop after stop the one that brings on the questions of all arms most."""
         used = [np.zeros(int(self.poses.posture.max()) + 1, dtype=np.intp) for _ in self.arms]
         for earlier in kept:

@@ -199,9 +199,7 @@ def questions(data: ArmData, fit: Fit, discovery: Discovery, sample: tuple[Array
     return asked or _unseen(data, fit, discovery, joined)
 
 
-def _apart(
-    data: ArmData, fit: Fit, place: int, rival: str, least: float, joined: EffectContext
-) -> list[Question]:
+def _apart(data: ArmData, fit: Fit, place: int, rival: str, least: float, joined: EffectContext) -> list[Question]:
     """The question whether a part of a fit can be told from another effect; none where that has no columns at all."""
     part = fit.choice[place]
     begin = sum(len(p.names) for p in fit.choice[:place])
@@ -231,9 +229,7 @@ def _apart(
     return [Question(part.slug, rival, needed, data, fit, place, part.law, part.names, values, laws)]
 
 
-def _reverse(
-    data: ArmData, fit: Fit, place: int, rival: str, least: float, joined: EffectContext
-) -> list[Question]:
+def _reverse(data: ArmData, fit: Fit, place: int, rival: str, least: float, joined: EffectContext) -> list[Question]:
     """The same question where the rival is the truth, as it would be fitted in the part's place."""
     follower = fit.follower_without(place)
     y = fit.residual + fit.signal(place)

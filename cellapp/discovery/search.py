@@ -215,9 +215,7 @@ class _Engine:
             price += 2.0 * math.log(max(part.law.tried, 1)) + _RIVAL * (2.0 if part.slug == UNKNOWN else 1.0)
         return N * math.log(total) + price
 
-    def _next_step(
-        self, way: _Way, seen: Seen | None, refused: set[tuple[str, str]], *, refining: bool
-    ) -> Step | None:
+    def _next_step(self, way: _Way, seen: Seen | None, refused: set[tuple[str, str]], *, refining: bool) -> Step | None:
         """The best new effect or the best refinement of one that is there; None if nothing passes."""
         here, fit = way.data, way.fit
         taken = {part.slug for part in fit.choice}
@@ -226,9 +224,7 @@ class _Engine:
             seen = Seen.of(here.candidates(fit, left), fit.follower)
         MY = fit.follower.without(fit.residual)
         square = float(fit.residual @ MY)
-        found = [
-            score for score in seen.scores(MY, square) if (score.slug, score.candidate.law.name) not in refused
-        ]
+        found = [score for score in seen.scores(MY, square) if (score.slug, score.candidate.law.name) not in refused]
         # before a second name is given, the law of the first is refined; without one it takes more to complicate it
         best_new = found[0].value if found else -math.inf
         needed = max(best_new - _RIVAL, 0.0) if best_new > self.least else max(self.least, _RIVAL)
@@ -269,12 +265,7 @@ class _Engine:
         for k in score.chosen:
             blocks.setdefault(candidate.columns[k].block, []).append(k)
         folds = here.profile.discovery.folds
-        held = [
-            k
-            for rows in blocks.values()
-            if here.confirmed(fit, candidate.B[rows], folds) > _RIVAL
-            for k in rows
-        ]
+        held = [k for rows in blocks.values() if here.confirmed(fit, candidate.B[rows], folds) > _RIVAL for k in rows]
         names = tuple(candidate.columns[k].name for k in held if candidate.columns[k].name not in part.names)
         if not names:
             return None
@@ -561,9 +552,7 @@ class _Engine:
             self.cancel.check()
             values = [self._own_value(fit, place) for place in range(len(fit.choice))]
             weak = [
-                place
-                for place, value in enumerate(values)
-                if value <= self.least and fit.choice[place].curves is None
+                place for place, value in enumerate(values) if value <= self.least and fit.choice[place].curves is None
             ]
             if weak:
                 out = min(weak, key=lambda place: values[place])
@@ -681,9 +670,7 @@ def _curve_law(curves: Curves) -> tuple[Law, tuple[str, ...]]:
     law = Law("curve", constants)
     # what the prior holds for nothing need not be carried along
     most = {j: _cycles_that_matter(length) for j, length in zip(curves.joints, curves.lengths.tolist(), strict=True)}
-    names = (
-        f"{wave}{k}q{j + 1}" for j in curves.joints for k in range(2, most[j] + 1) for wave in ("cos", "sin")
-    )
+    names = (f"{wave}{k}q{j + 1}" for j in curves.joints for k in range(2, most[j] + 1) for wave in ("cos", "sin"))
     return law, tuple(names)
 
 

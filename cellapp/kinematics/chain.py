@@ -71,9 +71,7 @@ class Geometry:
 
     def with_vector(self, vector: Array) -> Geometry:
         """The same arm with other parameters."""
-        return replace(
-            self, base=vector[:6].copy(), rows=vector[6:-3].reshape(-1, 5).copy(), tool=vector[-3:].copy()
-        )
+        return replace(self, base=vector[:6].copy(), rows=vector[6:-3].reshape(-1, 5).copy(), tool=vector[-3:].copy())
 
     def reference(self) -> Array:
         """``R_ref`` (3, 3)."""

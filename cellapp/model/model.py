@@ -222,7 +222,7 @@ class CellModel:
         except json.JSONDecodeError as error:
             raise InputError(f"{where}:{error.lineno}: not JSON; write it anew with 'cellapp calibrate'") from None
         if not isinstance(content, dict) or content.get("schema") != _SCHEMA:
-            raise InputError(f"{where}: expected a file with \"schema\": \"{_SCHEMA}\"")
+            raise InputError(f'{where}: expected a file with "schema": "{_SCHEMA}"')
         if content.get("version") != _VERSION:
             raise InputError(
                 f"{where}: version {content.get('version')} is not {_VERSION}, which this program reads; update cellapp"

@@ -72,9 +72,7 @@ class Placed:
 
     def take(self, rows: np.ndarray | slice) -> Placed:
         """Some of the configurations."""
-        return Placed(
-            self.start[rows], self.end[rows], self.radius, self.frames, self.smr[rows], self.normal[rows]
-        )
+        return Placed(self.start[rows], self.end[rows], self.radius, self.frames, self.smr[rows], self.normal[rows])
 
 
 def place(arm: ArmBodies, q: Array) -> Placed:
@@ -146,9 +144,7 @@ def _moving(placed: Placed) -> np.ndarray:
 
 def between_arms(first: Placed, second: Placed) -> Array:
     """Smallest distance between two arms, configuration by configuration, shape (n,) [m]."""
-    gap = segment_distance(
-        first.start[:, :, None], first.end[:, :, None], second.start[:, None], second.end[:, None]
-    )
+    gap = segment_distance(first.start[:, :, None], first.end[:, :, None], second.start[:, None], second.end[:, None])
     return np.asarray((gap - first.radius[:, None] - second.radius).min(axis=(1, 2)))
 
 

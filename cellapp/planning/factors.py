@@ -52,8 +52,7 @@ def read_factors(run: RunFile) -> dict[int, dict[str, Factors]]:
     try:
         content = json.loads(text)
         return {
-            int(stop): {arm: _checked(run, arm, entry) for arm, entry in arms.items()}
-            for stop, arms in content.items()
+            int(stop): {arm: _checked(run, arm, entry) for arm, entry in arms.items()} for stop, arms in content.items()
         }
     except (ValueError, TypeError, AttributeError, KeyError) as error:
         raise InputError(

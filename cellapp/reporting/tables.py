@@ -200,9 +200,7 @@ def link_table(result: Mapping[str, Any]) -> Table:
 def bridge_table(result: Mapping[str, Any]) -> Table:
     """How long measurements took by what befell them; from the object of ``trials bridge --json``."""
     undisturbed = ("none", str(result["asked"] - sum(result["faults"].values())), f"{result['undisturbed_s']:.3f}")
-    rows = [
-        (fault, str(result["faults"][fault]), f"{longest:.3f}") for fault, longest in result["recovery_s"].items()
-    ]
+    rows = [(fault, str(result["faults"][fault]), f"{longest:.3f}") for fault, longest in result["recovery_s"].items()]
     return Table("Times of a measurement [s]", ("fault", "n", "longest; none: median"), (undisturbed, *rows))
 
 

@@ -179,7 +179,5 @@ def _nests(profile: Profile) -> dict[str, np.ndarray]:
     nests = {}
     for name, azimuth in (("a", middle - 0.3), ("b", middle), ("c", middle + 0.3)):
         level = distance * np.cos(elevation)
-        nests[name] = np.array(
-            [level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)]
-        )
+        nests[name] = np.array([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)])
     return nests

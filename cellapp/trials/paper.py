@@ -74,9 +74,7 @@ def paper_trial(profile: Profile, seed: int, cancel: CancelToken | None = None) 
     """One seed of the comparison. Raises ``ValueError`` if the profile has no plant or not two arms."""
     if profile.plant is None or len(profile.arms) != 2:
         raise ValueError("the comparison needs a simulated cell of two arms")
-    profile = profile.model_copy(
-        update={"seed": seed, "plant": profile.plant.model_copy(update={"seed": seed})}
-    )
+    profile = profile.model_copy(update={"seed": seed, "plant": profile.plant.model_copy(update={"seed": seed})})
     plan = plan_stops(profile, cancel=cancel)
     readings = measured_plan(profile, plan, seed)
     calibration = calibrate_readings(profile, readings, cancel=cancel)

@@ -407,9 +407,7 @@ def _write_run(
         effects=tuple(effects),
         expected=None if expected is None else {"channel": expected[0], "variables": list(expected[1])},
         noise_um={name: _stated_um(arm) for name, arm in readings.items()},
-        held_out_um={
-            name: _rms_um((arm.p_M - with_all[name].p_M)[held_out[name]]) for name, arm in readings.items()
-        },
+        held_out_um={name: _rms_um((arm.p_M - with_all[name].p_M)[held_out[name]]) for name, arm in readings.items()},
         seeds={"plan": plan_seed, "plant": plant_seed, "noise": noise_seed},
         readings=digest_of(readings),
     )

@@ -107,9 +107,7 @@ def test_anisotropic_covariances_weigh_as_they_should():
     q = rng.uniform(-3, 3, (300, 6))
     axes = np.linalg.qr(rng.normal(size=(300, 3, 3)))[0]
     covariance = axes @ (np.diag([5e-6, 5e-6, 200e-6]) ** 2) @ axes.transpose(0, 2, 1)
-    p_M = smr_positions(truth, q) + np.einsum(
-        "nab,nb->na", np.linalg.cholesky(covariance), rng.normal(size=(300, 3))
-    )
+    p_M = smr_positions(truth, q) + np.einsum("nab,nb->na", np.linalg.cholesky(covariance), rng.normal(size=(300, 3)))
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
     weighted, plain = identify(start, q, p_M, sigma=covariance), identify(start, q, p_M)
     assert weighted.scale == pytest.approx(1.0, abs=0.1)

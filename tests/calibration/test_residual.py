@@ -97,9 +97,7 @@ def test_the_file_keeps_every_bit_and_needs_no_torch(trained):
     _, training = trained
     text = json.dumps(training.network.as_dict())
     q = poses(7, seed=8)
-    np.testing.assert_array_equal(
-        ResidualNetwork.from_dict(json.loads(text)).correct(q), training.network.correct(q)
-    )
+    np.testing.assert_array_equal(ResidualNetwork.from_dict(json.loads(text)).correct(q), training.network.correct(q))
     program = (
         "import json, sys, numpy as np\n"
         "from cellapp.model import ResidualNetwork\n"

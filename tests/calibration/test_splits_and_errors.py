@@ -18,9 +18,7 @@ from cellapp.calibration.evaluation import (
 from cellapp.calibration.splits import draw_splits, plan_splits
 
 
-@given(
-    st.integers(2, 600), st.integers(1, 300), st.integers(0, 300), st.one_of(st.none(), st.integers(1, 300))
-)
+@given(st.integers(2, 600), st.integers(1, 300), st.integers(0, 300), st.one_of(st.none(), st.integers(1, 300)))
 def test_sizes_fit_and_every_use_gets_something(n, identify, train, validate):
     plan = plan_splits(n, identify, train, validate)
     assert plan.identify + plan.train + plan.validate <= n

@@ -210,8 +210,9 @@ def test_lmf_that_is_not_ready_or_not_there(tmp_path: Path, room: Room) -> None:
     with pytest.raises(InputError, match="none fits 'Cateye'"), open_cell(profile):
         pass
     profile = with_sections(tmp_path / "c", driver="{kind: lmf, address: AT961Simulator}")
-    with pytest.raises(InputError, match=r"tracker\.driver\.address: 'AT961Simulator' is no simulator"), open_cell(
-        profile
+    with (
+        pytest.raises(InputError, match=r"tracker\.driver\.address: 'AT961Simulator' is no simulator"),
+        open_cell(profile),
     ):
         pass
 

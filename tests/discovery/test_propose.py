@@ -152,9 +152,7 @@ def test_what_a_poor_plan_cannot_tell_is_told_by_the_proposed_stops_more_than_by
         assert hardest.gain > 1.5
 
 
-def test_compliance_and_bending(
-    plan: dict[str, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(proposing, "_DRAWN", 200)
     monkeypatch.setattr(proposing, "_POSES", 140)
     with measured_run(tmp_path / "run", {"left": SOFT}, plan, tied=False) as run:

@@ -76,9 +76,7 @@ def test_a_collision_on_the_way_between_two_safe_ends_is_seen(make_arm, make_con
     right = make_arm("ur5", "right", 1.5)  # at zero it reaches towards the left arm
     here, there = np.zeros((2, 6))
     here[0], there[0] = np.pi - 1.3, np.pi + 1.3
-    plant, at_the_end = (
-        Plant(make_config(make_arm(home=home), right), watch_clearance=True) for home in (here, there)
-    )
+    plant, at_the_end = (Plant(make_config(make_arm(home=home), right), watch_clearance=True) for home in (here, there))
     assert min(plant.clearance.arms_m, at_the_end.clearance.arms_m) > 0.1
     plant.start_move("left", there, SPEED, ACCELERATION)
     plant.advance(60.0)

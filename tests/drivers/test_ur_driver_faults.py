@@ -211,9 +211,7 @@ with driven(sys.argv[1]) as arm:
 @pytest.mark.parametrize(
     ("name", "both"), [("left", False), ("right", True)], ids=["application", "application and worker"]
 )
-def test_when_the_application_is_killed_the_arm_comes_to_rest(
-    emulator: EmulatorProcess, name: str, both: bool
-) -> None:
+def test_when_the_application_is_killed_the_arm_comes_to_rest(emulator: EmulatorProcess, name: str, both: bool) -> None:
     mend(emulator, name)
     with driven(name) as arm:
         arm.connect()

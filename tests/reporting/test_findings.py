@@ -114,9 +114,7 @@ def test_parameters_have_intervals_in_people_s_units_and_curves_have_cycles() ->
     parameters, cycles = parameter_table("left", arm), cycle_table("left", arm)
     assert parameters is not None
     assert cycles is not None
-    assert parameters.rows == (
-        ("joint_compliance", "compliance2", "16.668", "16.633 to 16.703", "µrad/Nm"),
-    )
+    assert parameters.rows == (("joint_compliance", "compliance2", "16.668", "16.633 to 16.703", "µrad/Nm"),)
     assert cycles.rows == (("1", "9 to 37", "11", "212"), ("2", "14", "14", "80"))
     assert parameter_table("right", nothing_missing("right")) is None
     assert cycle_table("right", nothing_missing("right")) is None

@@ -148,7 +148,7 @@ def numbers_in(value: Any) -> Iterator[str]:
 
 def test_a_run_tells_nothing_of_its_truth(all_kinds: Path) -> None:
     content = json.loads((all_kinds / "truth.json").read_text("utf-8"))
-    words = {*REALISTIC, *OUTSIDE, "effects", "look_alike", "truth", "hidden", content["sealed"]["profile"] + "\""}
+    words = {*REALISTIC, *OUTSIDE, "effects", "look_alike", "truth", "hidden", content["sealed"]["profile"] + '"'}
     for entry in content["trials"]:
         data = (all_kinds / entry["run"] / "run.sqlite").read_bytes()
         assert b"sealed-" in data
@@ -401,9 +401,7 @@ def test_the_commands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out, table = tmp_path / "out.json", tmp_path / "table.md"
-    code, said, _ = call(
-        capsys, monkeypatch, "trials", "judge", judged_once[0], "--json", out, "--markdown", table
-    )
+    code, said, _ = call(capsys, monkeypatch, "trials", "judge", judged_once[0], "--json", out, "--markdown", table)
     assert code == 0
     assert "Sealed trials: targets" in said
     assert f"seed {SEED}" in said
