@@ -11,8 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(path for folder in ("cellapp", "drivers") for path in (ROOT / folder).rglob("*.py"))
 PURE = ("kinematics", "effects", "model", "calibration")
-TOUCH_DRIVERS = ("collection", "compensation", "trials")
-TOUCH_DRIVERS_FILES = ("doctor.py", "emulate.py", "tracker_bridge.py")
+TOUCH_DRIVERS = ("collection", "compensation", "commissioning", "trials")
 
 
 def imported(path: Path) -> Iterator[str]:
@@ -37,9 +36,9 @@ def name(path: Path) -> str:
 
 def test_the_modules_are_found() -> None:
     names = {name(path) for path in MODULES}
-    assert {"cellapp/cli.py", "cellapp/kinematics/chain.py", "drivers/plant/plant.py"} <= names
+    assert {"cellapp/cli/app.py", "cellapp/kinematics/chain.py", "drivers/plant/plant.py"} <= names
     assert imports_of(ROOT / "cellapp/collection/cell.py", "drivers") != []
-    assert "cellapp.whole" in imported(ROOT / "cellapp/cli.py"), "imports inside functions count"
+    assert "cellapp.pipeline" in imported(ROOT / "cellapp/cli/app.py"), "imports inside functions count"
 
 
 @pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("drivers/")], ids=name)
@@ -56,14 +55,14 @@ def test_the_plant_knows_no_driver_either(path: Path) -> None:
 @pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("cellapp/")], ids=name)
 def test_only_those_who_move_or_look_touch_drivers(path: Path) -> None:
     inside = path.relative_to(ROOT / "cellapp")
-    if inside.parts[0] in TOUCH_DRIVERS or inside.as_posix() in TOUCH_DRIVERS_FILES:
+    if inside.parts[0] in TOUCH_DRIVERS:
         return
     assert imports_of(path, "drivers") == []
 
 
 @pytest.mark.parametrize("package", PURE)
 def test_mathematics_knows_neither_devices_nor_those_who_use_them(package: str) -> None:
-    outer = ("collection", "compensation", "planning", "trials", "tui", "reporting", "cli", "whole", "doctor")
+    outer = ("collection", "compensation", "planning", "trials", "tui", "reporting", "cli", "pipeline", "commissioning")
     for path in (ROOT / "cellapp" / package).rglob("*.py"):
         for module in outer:
             assert imports_of(path, f"cellapp.{module}") == [], name(path)
@@ -71,7 +70,7 @@ def test_mathematics_knows_neither_devices_nor_those_who_use_them(package: str) 
 
 def test_doors_are_used_by_nobody_inside() -> None:
     for path in MODULES:
-        if name(path) not in ("cellapp/__main__.py", "cellapp/cli.py"):
+        if name(path) not in ("cellapp/__main__.py", "cellapp/cli/__init__.py", "cellapp/cli/app.py"):
             assert imports_of(path, "cellapp.cli") == [], name(path)
             if not name(path).startswith("cellapp/tui/"):
                 assert imports_of(path, "cellapp.tui") == [], name(path)

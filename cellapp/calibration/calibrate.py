@@ -23,19 +23,19 @@ from cellapp.calibration.identification import (
     start_from_nominal,
 )
 from cellapp.calibration.residual import SHAPES, Shape, Training, train_network
-from cellapp.calibration.setup import (
-    bodies_of,
-    nominal_arm,
-    prior_sigmas,
-    stated_uncertainty,
-    up_in_tracker,
-)
 from cellapp.calibration.splits import draw_splits
 from cellapp.calibration.station import station_change
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel, ResidualNetwork
+from cellapp.model.nominal import (
+    bodies_of,
+    nominal_arm,
+    prior_sigmas,
+    stated_uncertainty,
+    up_in_tracker,
+)
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings, RunFile

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.calibration.setup import pose_matrix
 from cellapp.collection.token import read_token
 from cellapp.errors import HardwareError, InputError
+from cellapp.model.nominal import pose_matrix
 from cellapp.profile import Arm as ArmProfile
 from cellapp.profile import (
     BridgeTrackerDriver,

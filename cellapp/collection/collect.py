@@ -13,10 +13,10 @@ from cellapp.collection.cell import open_cell
 from cellapp.collection.controllers import check_controllers
 from cellapp.collection.motion import MotionRefused, Mover
 from cellapp.errors import HardwareError, InputError
-from cellapp.planning.cell_bodies import cell_bodies, home_positions
 from cellapp.planning.factors import Factors, read_factors
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Reading, RunFile
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from drivers.arms.protocol import ArmState
 from drivers.sensors.protocol import AirSensor, SensorError
 from drivers.trackers.protocol import Point, TrackerError

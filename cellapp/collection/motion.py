@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from cellapp.collection.cell import Cell
 from cellapp.errors import CellappError, HardwareError
-from cellapp.planning.cell_bodies import home_positions
-from cellapp.planning.safety import CellBodies, predicted_smr, refuse_motion
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
+from cellapp.safety.cell_bodies import home_positions
+from cellapp.safety.gate import CellBodies, predicted_smr, refuse_motion
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout
 from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
 

@@ -16,9 +16,9 @@ from cellapp.errors import InputError
 from cellapp.kinematics.inverse import solve_pose
 from cellapp.kinematics.transforms import Array, rotation_zyx
 from cellapp.model import ArmModel, CellModel
-from cellapp.planning.cell_bodies import cell_bodies, home_positions
-from cellapp.planning.safety import refuse_stop, visible
 from cellapp.profile import Profile
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.gate import refuse_stop, visible
 
 _STARTS = 48
 _EFFECT_ROUNDS = 8

@@ -15,9 +15,9 @@ from cellapp.compensation.compensate import Command, arriving
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel
-from cellapp.planning.cell_bodies import cell_bodies, home_positions
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from drivers.trackers.protocol import TrackerError
 
 Way = Literal["nominal", "compensated"]

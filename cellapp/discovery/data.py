@@ -21,12 +21,12 @@ from cellapp.calibration.identification import (
     with_excess,
 )
 from cellapp.calibration.parameters import ParameterSet
-from cellapp.calibration.setup import prior_sigmas, stated_uncertainty
 from cellapp.discovery.scan import Candidate, Follower, displacements
 from cellapp.effects import EFFECTS, Circumstances, EffectColumn, EffectContext, EffectTerm, Law
 from cellapp.kinematics.chain import Turns, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
+from cellapp.model.nominal import prior_sigmas, stated_uncertainty
 from cellapp.profile import Profile
 from cellapp.run import Readings
 

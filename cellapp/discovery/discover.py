@@ -16,7 +16,6 @@ from cellapp.calibration.circumstances import circumstances
 from cellapp.calibration.cooperative import calibrate_pair
 from cellapp.calibration.evaluation import evaluate, position_errors, summarise
 from cellapp.calibration.residual import train_network
-from cellapp.calibration.setup import stated_uncertainty
 from cellapp.discovery.data import ArmData, Fit
 from cellapp.discovery.describe import Description, describe
 from cellapp.discovery.pictures import Picture, cycles, pictures
@@ -26,6 +25,7 @@ from cellapp.effects import EFFECTS, Circumstances, EffectTerm
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel, ResidualNetwork
+from cellapp.model.nominal import stated_uncertainty
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings, RunFile

@@ -13,21 +13,21 @@ from numpy.typing import NDArray
 
 from cellapp.calibration.calibrate import CALIBRATION_FILE
 from cellapp.calibration.circumstances import base_moment
+from cellapp.design.discrimination import Contest, Race
 from cellapp.discovery.data import ArmData, Fit
-from cellapp.discovery.design import Contest, Race
 from cellapp.discovery.discover import Discovery, known_of_all
 from cellapp.discovery.questions import Question, There, fitted, questions
 from cellapp.effects import EFFECTS, Circumstances, varies
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel
-from cellapp.planning.cell_bodies import cell_bodies, home_positions
 from cellapp.planning.factors import Factors, as_dict, read_factors, write_factors
 from cellapp.planning.plan import all_seen, draw_stops, rolled_stops
-from cellapp.planning.safety import CellBodies, refuse_motion
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings, RunFile
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.gate import CellBodies, refuse_motion
 
 _DRAWN = 280
 _POSES = 200

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellapp.calibration.curves import Curves
+from cellapp.design.discrimination import Contest
 from cellapp.discovery.data import ArmData, Choice, Fit, Part, whitening
-from cellapp.discovery.design import Contest
 from cellapp.discovery.scan import VISIBLE, Seen, displacements, explained_by
 from cellapp.discovery.search import UNKNOWN
 from cellapp.effects import EFFECTS, Circumstances, EffectColumn, EffectContext, EffectTerm, Law

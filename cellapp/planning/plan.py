@@ -9,12 +9,12 @@ import numpy as np
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.bodies import place
-from cellapp.planning.cell_bodies import cell_bodies, home_positions
-from cellapp.planning.safety import CellBodies, clear_alone, refuse_motion, refuse_stop, visible
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import RunFile
+from cellapp.safety.bodies import place
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.gate import CellBodies, clear_alone, refuse_motion, refuse_stop, visible
 
 _BATCH = 4000
 _MOST_BATCHES = 200

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 import cellapp
 from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT
 from cellapp.calibration.evaluation import position_errors
-from cellapp.calibration.setup import stated_uncertainty
 from cellapp.discovery.discover import DISCOVER_RESULT, known_of_all
 from cellapp.effects import Circumstances
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import Geometry, frame_poses, parameter_names, smr_positions
 from cellapp.kinematics.transforms import Array, apply, invert
 from cellapp.model import ArmModel, CellModel
+from cellapp.model.nominal import stated_uncertainty
 from cellapp.profile import Profile, profile_to_json
 from cellapp.reporting.discovery import arm_sections
 from cellapp.reporting.drawing import Drawing
@@ -43,7 +43,7 @@ from cellapp.run import Readings, RunFile
 
 PAGE_FILE = "report.html"
 
-_VERIFY_RESULT = "verify"  # as in cellapp.whole, which imports this module
+_VERIFY_RESULT = "verify"  # as in cellapp.pipeline, which imports this module
 _NO_PAIR = "pair: skipped"
 _MOST_EVENTS = 100
 _STAGE_WORDS = {

@@ -12,9 +12,9 @@ import numpy as np
 from cellapp.calibration.calibrate import profile_splits
 from cellapp.collection.cell import build_plant
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.cell_bodies import home_positions
 from cellapp.profile import Arm, Profile
 from cellapp.run import Readings
+from cellapp.safety.cell_bodies import home_positions
 
 DURATION_S = 18000.0
 _DWELLS_S = (1.0, 8.0)

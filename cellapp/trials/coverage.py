@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from cellapp.calibration.identification import identify, start_from_nominal
-from cellapp.calibration.setup import nominal_arm
 from cellapp.collection.cell import build_plant
+from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore

@@ -10,9 +10,9 @@ import numpy as np
 from cellapp.calibration.calibrate import profile_splits
 from cellapp.collection.cell import build_plant
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.cell_bodies import home_positions
 from cellapp.profile import Profile
 from cellapp.run import Readings
+from cellapp.safety.cell_bodies import home_positions
 
 
 def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dict[str, Readings]:

@@ -16,10 +16,10 @@ import numpy as np
 from cellapp.calibration.evaluation import position_errors, summarise
 from cellapp.calibration.identification import identify, start_from_nominal
 from cellapp.calibration.parameters import ParameterSet, auto_set, full_set, paper_set
-from cellapp.calibration.setup import nominal_arm
 from cellapp.collection.cell import build_plant
 from cellapp.kinematics.chain import Geometry, Turns, jacobian, smr_positions
 from cellapp.kinematics.transforms import Array
+from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore

@@ -24,11 +24,11 @@ from cellapp import __version__
 from cellapp.calibration.calibrate import rms_length_mm
 from cellapp.calibration.identification import start_from_nominal
 from cellapp.calibration.parameters import auto_set
-from cellapp.calibration.setup import nominal_arm, stated_uncertainty
 from cellapp.collection.cell import build_plant
 from cellapp.errors import CheckFailed, InputError
 from cellapp.kinematics.chain import Turns, jacobian
 from cellapp.kinematics.transforms import Array
+from cellapp.model.nominal import nominal_arm, stated_uncertainty
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Arm, NoDriver, Profile, Sensors
 from cellapp.progress import CancelToken, Listener, Progress, ignore

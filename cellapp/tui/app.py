@@ -37,9 +37,9 @@ from textual.widgets import (
 
 from cellapp.discovery.discover import DISCOVER_RESULT
 from cellapp.errors import CellappError, HardwareError
+from cellapp.pipeline import Outcome, default_folder, run_whole
 from cellapp.progress import Cancelled, CancelToken, Listener, Progress
 from cellapp.reporting.tables import Table, all_tables
-from cellapp.whole import Outcome, default_folder, run_whole
 
 W = TypeVar("W", bound=Widget)
 Run = Callable[[Path, Path | None, Listener, CancelToken | None], Outcome]

@@ -14,11 +14,11 @@ from cellapp.collection import collect as collecting
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.collect import collect_run
 from cellapp.errors import HardwareError, InputError
-from cellapp.planning.cell_bodies import home_positions
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
 from cellapp.progress import Cancelled, CancelToken, Progress
 from cellapp.run import RunFile
+from cellapp.safety.cell_bodies import home_positions
 from drivers.arms.protocol import ArmState
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.simulated import SimulatedTracker

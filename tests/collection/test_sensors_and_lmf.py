@@ -11,7 +11,7 @@ import pytest
 from cellapp.collection import cell as opening
 from cellapp.collection.cell import open_cell
 from cellapp.collection.collect import collect_run
-from cellapp.doctor import examine
+from cellapp.commissioning.doctor import examine
 from cellapp.errors import HardwareError, InputError
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile, load_profile
@@ -21,7 +21,7 @@ from drivers.sensors.protocol import AirReading, SensorLinkLost
 from drivers.sensors.serial_station import SerialStation
 from drivers.sensors.simulated import SimulatedAirSensor
 from drivers.trackers.lmf import LmfTracker
-from tests.drivers.fake_lmf import Room
+from tests.drivers.trackers.fake_lmf import Room
 from tests.twin import small_twin, write_profile
 
 STOPS = 4

@@ -22,9 +22,9 @@ from cellapp.effects import EffectTerm
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.model import ArmModel, CellModel
-from cellapp.planning.cell_bodies import cell_bodies, home_positions
-from cellapp.planning.safety import refuse_stop, visible
 from cellapp.run import RunFile
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.gate import refuse_stop, visible
 from tests.twin import PROFILES, small_twin, with_arms
 
 TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())

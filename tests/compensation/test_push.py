@@ -17,10 +17,10 @@ from cellapp.compensation.push import push, unverified
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.errors import HardwareError, InputError
 from cellapp.model import CellModel
-from cellapp.planning.cell_bodies import home_positions
+from cellapp.pipeline import push_run, stored_results
 from cellapp.progress import Cancelled, CancelToken, Progress
 from cellapp.run import RunFile
-from cellapp.whole import push_run, stored_results
+from cellapp.safety.cell_bodies import home_positions
 from tests.twin import PROFILES, small_twin
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from cellapp.calibration.circumstances import circumstances
-from cellapp.calibration.setup import bodies_of, nominal_arm
 from cellapp.discovery.data import ArmData, Part
 from cellapp.discovery.pictures import cycles, pictures
 from cellapp.effects import Law
 from cellapp.kinematics.chain import parameter_names, smr_positions
 from cellapp.model import ArmModel
+from cellapp.model.nominal import bodies_of, nominal_arm
 from cellapp.profile import load_profile
 from cellapp.run import Readings
 from tests.arms import STATION

@@ -17,19 +17,19 @@ from cellapp.cli import app
 from cellapp.collection.cell import Cell, build_plant, open_cell
 from cellapp.collection.collect import collect_run
 from cellapp.collection.motion import Mover
+from cellapp.design.discrimination import Contest
 from cellapp.discovery import propose as proposing
-from cellapp.discovery.design import Contest
 from cellapp.discovery.discover import Discovery, discover_run
 from cellapp.discovery.propose import STEPS_RAD, Proposal, propose_run
 from cellapp.errors import InputError
-from cellapp.planning.cell_bodies import cell_bodies, home_positions
 from cellapp.planning.factors import FACTORS_RESULT, Factors, read_factors, write_factors
 from cellapp.planning.plan import plan_stops
-from cellapp.planning.safety import refuse_motion
 from cellapp.profile import NoDriver, Profile
 from cellapp.progress import Cancelled, CancelToken
 from cellapp.reporting.proposal import proposal_lines
 from cellapp.run import Readings, RunFile
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.gate import refuse_motion
 from drivers.arms.simulated import SimulatedArm
 from tests.twin import small_twin, with_arms
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.calibration.setup import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.effects import Circumstances, EffectColumn, EffectContext, Record
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
+from cellapp.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.profile import load_profile
 from tests.arms import Array, true_geometry
 

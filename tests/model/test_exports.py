@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from cellapp.exports.geometry import ur_deltas, urdf_joints
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import rotation_z, rotation_zyx, transform
-from cellapp.model.exports import ur_deltas, urdf_joints
 from tests.arms import OFF_AXIS, SEVEN, UR10, at_station, true_geometry
 
 

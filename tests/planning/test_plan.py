@@ -11,13 +11,13 @@ import pytest
 
 from cellapp.collection.cell import open_cell
 from cellapp.errors import InputError
-from cellapp.planning.bodies import place
-from cellapp.planning.cell_bodies import cell_bodies, home_positions
 from cellapp.planning.plan import plan_run, plan_stops
-from cellapp.planning.safety import CellBodies, predicted_smr, refuse_motion
 from cellapp.profile import Profile
 from cellapp.progress import Cancelled, CancelToken, Progress
 from cellapp.run import RunFile
+from cellapp.safety.bodies import place
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.gate import CellBodies, predicted_smr, refuse_motion
 from drivers.plant.clearance import segment_distances
 from tests.twin import small_twin, with_arms
 

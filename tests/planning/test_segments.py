@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.optimize import lsq_linear
 
-from cellapp.planning.bodies import segment_distance
+from cellapp.safety.bodies import segment_distance
 
 KNOWN = [
     # a0, a1, b0, b1, distance

@@ -20,13 +20,13 @@ import pytest
 
 from cellapp.calibration.calibrate import CALIBRATION_FILE, calibrate_run
 from cellapp.calibration.evaluation import Summary, summarise
-from cellapp.calibration.setup import nominal_arm
 from cellapp.compensation.push import Verification, Verified, Way
 from cellapp.discovery.discover import discover_run
 from cellapp.effects import EffectTerm, Law
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import CellModel
+from cellapp.model.nominal import nominal_arm
 from cellapp.profile import Discovery, NoDriver, Profile, Splits, load_profile, profile_to_json
 from cellapp.reporting import figures
 from cellapp.reporting.findings import (

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from two_arm_cell import assert_same, two_arms
 
 from cellapp.errors import InputError
 from cellapp.profile import load_profile
 from cellapp.run import Reading, Readings, RunFile, import_csv, read_readings_csv, write_readings_csv
+from tests.run.two_arm_cell import assert_same, two_arms
 
 ROOT = Path(__file__).parents[2]
 REAL = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"

@@ -21,11 +21,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from two_arm_cell import assert_same, two_arms
 
 from cellapp.errors import InputError
 from cellapp.profile import Profile
 from cellapp.run import Reading, Readings, RunFile
+from tests.run.two_arm_cell import assert_same, two_arms
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 ALL_FLOATS = st.floats(allow_infinity=False)

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 from cellapp import cli
-from cellapp.calibration.setup import nominal_arm
 from cellapp.collection.cell import build_plant
 from cellapp.errors import CheckFailed, InputError
 from cellapp.kinematics.chain import Turns, jacobian, parameter_names, smr_positions
 from cellapp.kinematics.transforms import transform
+from cellapp.model.nominal import nominal_arm
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import Cancelled, CancelToken, Progress
 from cellapp.run import RunFile

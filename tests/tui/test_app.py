@@ -18,10 +18,10 @@ from textual.pilot import Pilot
 from textual.widgets import Button, DataTable, Input, Label, OptionList, ProgressBar, RichLog, Static, TabbedContent
 
 from cellapp.errors import HardwareError, InputError
+from cellapp.pipeline import Outcome
 from cellapp.progress import CancelToken, Listener, Progress
 from cellapp.reporting.findings import discovery_tables
 from cellapp.tui.app import ERROR_LOG, CellApp, LeaveScreen
-from cellapp.whole import Outcome
 from tests.reporting.made import made_arm
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"

@@ -1,7 +1,7 @@
 """What the real ur_rtde client does with controllers, in a process of its own: it holds the interpreter's lock while it
 connects, and may crash when a link breaks. Prints one line of JSON.
 
-    python -m tests.drivers.ur_rtde_scenario SCENARIO CONTROL_PORT HOST...
+    python -m tests.drivers.emulators.ur_rtde_scenario SCENARIO CONTROL_PORT HOST...
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ from drivers.trackers.protocol import (
     WrongTarget,
 )
 from drivers.trackers.simulated import Imperfections, SimulatedTracker
-from tests.drivers.fake_lmf import Room
 from tests.drivers.ptys import serial_cable
+from tests.drivers.trackers.fake_lmf import Room
 
 TOKEN = "correct horse battery staple"
 QUICK_S = 0.3

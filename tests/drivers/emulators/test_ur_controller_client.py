@@ -17,7 +17,7 @@ import pytest
 
 from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, personality, start_in_process
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 LONGEST_S = 40.0
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs loopback addresses beyond 127.0.0.1")
@@ -63,7 +63,7 @@ def client(emulator: EmulatorProcess, scenario: str) -> dict[str, Any]:
         [
             sys.executable,
             "-m",
-            "tests.drivers.ur_rtde_scenario",
+            "tests.drivers.emulators.ur_rtde_scenario",
             scenario,
             str(emulator.addresses.control[1]),
             *hosts(),

@@ -28,7 +28,7 @@ from drivers.trackers.protocol import (
     WrongTarget,
     measure_nests,
 )
-from tests.drivers.fake_lmf import E, LmfException, Room
+from tests.drivers.trackers.fake_lmf import E, LmfException, Room
 
 LEFT = np.array([3.0, 0.4, -0.2])
 RIGHT = np.array([3.0, -0.7, 0.1])

@@ -23,11 +23,11 @@ import pytest
 
 from cellapp.calibration.calibrate import Calibration, calibrate_run
 from cellapp.collection.collect import collect_run
-from cellapp.emulate import EmulatedTracker, emulate, emulated_arms
+from cellapp.commissioning.emulate import EmulatedTracker, emulate, emulated_arms
+from cellapp.pipeline import new_planned_run
 from cellapp.profile import BridgeTrackerDriver, Profile, UrArmDriver, profile_from_json, profile_to_json
 from cellapp.progress import CancelToken
 from cellapp.run import Readings
-from cellapp.whole import new_planned_run
 from tests.twin import PROFILES, small_twin
 
 PATIENT_S = 60.0

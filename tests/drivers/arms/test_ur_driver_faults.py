@@ -216,7 +216,7 @@ def test_when_the_application_is_killed_the_arm_comes_to_rest(emulator: Emulator
     with driven(name) as arm:
         arm.connect()
         go(arm, HOME)
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     command = [sys.executable, "-c", APPLICATION, name]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
         assert application.stdout is not None

@@ -23,7 +23,7 @@ from cellapp.run import RunFile
 from cellapp.trials.links import LinkTrial, Struck
 from tests.twin import PROFILES, write_profile
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 WAIT_S = 120.0
 FAR = "  - {name: far, arm: left, position: [9.0, 0.0, 0.0], rpy: [0, 0, 0]}"
 

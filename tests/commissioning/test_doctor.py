@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from cellapp.collection.cell import build_plant
-from cellapp.doctor import LONGEST_PROBE_S, Finding, examine
-from cellapp.emulate import EmulatedArm, emulate, emulated_arms
+from cellapp.commissioning.doctor import LONGEST_PROBE_S, Finding, examine
+from cellapp.commissioning.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken
@@ -25,7 +25,7 @@ from drivers.arms.ur_rtde_reader import UrSample
 from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrControllerServer, personality
 from drivers.plant import Plant
 
-PROFILES = Path(__file__).parents[1] / "profiles"
+PROFILES = Path(__file__).parents[2] / "profiles"
 PATIENT_S = 10.0
 READY = UrProbe(
     host="192.168.0.10",
@@ -267,8 +267,8 @@ def test_two_arms_at_one_address_are_refused(real: Profile) -> None:
 
 def test_looking_does_not_load_torch_or_the_robot_library() -> None:
     code = (
-        "import sys; from pathlib import Path; from cellapp.doctor import examine; from cellapp.profile import"
-        f" load_profile; examine(load_profile(Path({str(PROFILES / 'twin.yaml')!r})));"
+        "import sys; from pathlib import Path; from cellapp.commissioning.doctor import examine;"
+        f" from cellapp.profile import load_profile; examine(load_profile(Path({str(PROFILES / 'twin.yaml')!r})));"
         " sys.exit(','.join({'torch', 'rtde_control'} & set(sys.modules)) or None)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
@@ -382,7 +382,7 @@ def test_a_simulated_cell_that_fails_ends_the_emulation(twin: Profile, monkeypat
         monkeypatch.setattr(plant, "advance", failing)
         return plant
 
-    monkeypatch.setattr("cellapp.emulate.build_plant", fails_once_it_runs)
+    monkeypatch.setattr("cellapp.commissioning.emulate.build_plant", fails_once_it_runs)
     before = threading.active_count()
     with pytest.raises(HardwareError, match=r"cannot go on \(FloatingPointError: no equilibrium\)"):
         emulate(twin, CancelToken(), lambda _: up.set(), on_free_ports(twin))

@@ -31,7 +31,7 @@ from drivers.emulators.ur_controller import (
 from drivers.emulators.ur_controller.rtde import RtdeServer, RtdeSession
 from drivers.plant import Plant
 from drivers.plant.motion import travel
-from tests.drivers.test_ur_controller_state import Bench, control_text
+from tests.drivers.emulators.test_ur_controller_state import Bench, control_text
 
 PATIENT_S = 10.0
 MOVES_RECIPE = [f"input_double_register_{i}" for i in range(8)]

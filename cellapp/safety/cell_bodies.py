@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from cellapp.calibration.setup import nominal_arm, pose_matrix
 from cellapp.errors import InputError
 from cellapp.model import CellModel
-from cellapp.planning.bodies import ArmBodies
-from cellapp.planning.safety import CellBodies, TrackerField
+from cellapp.model.nominal import nominal_arm, pose_matrix
 from cellapp.profile import Profile
+from cellapp.safety.bodies import ArmBodies
+from cellapp.safety.gate import CellBodies, TrackerField
 
 
 def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:

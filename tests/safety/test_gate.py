@@ -10,9 +10,9 @@ import pytest
 
 from cellapp.kinematics.chain import nominal_geometry
 from cellapp.kinematics.transforms import transform
-from cellapp.planning.bodies import ArmBodies, place
-from cellapp.planning.cell_bodies import cell_bodies, home_positions
-from cellapp.planning.safety import CellBodies, TrackerField, predicted_smr, refuse_motion, refuse_stop, visible
+from cellapp.safety.bodies import ArmBodies, place
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.gate import CellBodies, TrackerField, predicted_smr, refuse_motion, refuse_stop, visible
 from drivers.plant.clearance import segment_distances
 from drivers.plant.config import TrackerConfig
 from drivers.plant.optics import why_hidden

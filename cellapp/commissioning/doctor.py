@@ -15,10 +15,10 @@ import numpy as np
 from cellapp.collection.cell import air_sensor, build_plant, lmf_tracker, ur_expectation
 from cellapp.collection.token import read_token
 from cellapp.errors import InputError
-from cellapp.planning.bodies import place
-from cellapp.planning.cell_bodies import cell_bodies, home_positions
-from cellapp.planning.safety import CellBodies, clear_alone, refuse_stop, visible
 from cellapp.profile import Arm, BridgeTrackerDriver, Profile, UrArmDriver
+from cellapp.safety.bodies import place
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.gate import CellBodies, clear_alone, refuse_stop, visible
 from drivers.arms.protocol import ArmError
 from drivers.arms.ur_checks import checks
 from drivers.arms.ur_probe import UrProbe, probe_ur

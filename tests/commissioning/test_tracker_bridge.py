@@ -15,12 +15,12 @@ import pytest
 
 from cellapp.collection.cell import TRACKER_DRIVERS
 from cellapp.collection.token import read_token
-from cellapp.doctor import examine
-from cellapp.emulate import EmulatedTracker, emulate, emulated_arms, emulated_tracker
+from cellapp.commissioning.doctor import examine
+from cellapp.commissioning.emulate import EmulatedTracker, emulate, emulated_arms, emulated_tracker
+from cellapp.commissioning.tracker_bridge import ServedTracker, serve_tracker
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import BridgeTrackerDriver, Profile, load_profile, profile_from_json, profile_to_json
 from cellapp.progress import Cancelled, CancelToken
-from cellapp.tracker_bridge import ServedTracker, serve_tracker
 from cellapp.trials.bridge import ALL_FAULTS, bridge_trial
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerRefused

@@ -58,9 +58,9 @@ def run(
     json_file: JsonOption = None,
 ) -> None:
     """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report."""
+    from cellapp.pipeline import VERIFY_RESULT, run_whole
     from cellapp.reporting.findings import discovery_lines
     from cellapp.reporting.tables import calibration_tables, tracker_sentences, verification_tables
-    from cellapp.whole import VERIFY_RESULT, run_whole
 
     with _Job(json_file) as job:
         outcome = run_whole(profile, folder, job.listen, job.cancel)
@@ -76,7 +76,7 @@ def run(
 @app.command()
 def doctor(profile: ProfilePath, json_file: JsonOption = None) -> None:
     """What is reachable, what is missing, what would be refused; nothing moves."""
-    from cellapp.doctor import examine
+    from cellapp.commissioning.doctor import examine
     from cellapp.profile import load_profile
 
     with _Job(json_file) as job:
@@ -93,8 +93,8 @@ def doctor(profile: ProfilePath, json_file: JsonOption = None) -> None:
 @app.command()
 def plan(profile: ProfilePath, folder: NewRun, json_file: JsonOption = None) -> None:
     """Plan the stops of a new run: seen by the tracker, safe to stand at and to reach."""
+    from cellapp.pipeline import new_planned_run
     from cellapp.profile import load_profile
-    from cellapp.whole import new_planned_run
 
     with _Job(json_file) as job:
         with new_planned_run(load_profile(profile), folder, job.listen, job.cancel) as new:
@@ -226,7 +226,7 @@ def compensate(
 ) -> None:
     """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
     from cellapp.compensation.targets import load_targets
-    from cellapp.whole import compensate_run
+    from cellapp.pipeline import compensate_run
 
     with _Job(json_file) as job, _open_run(folder, write=True) as opened:
         result = compensate_run(opened, load_targets(targets, opened.profile))
@@ -245,8 +245,8 @@ def push(
 ) -> None:
     """Move the arms to compensated targets; with --verify, measure them before and after compensation."""
     from cellapp.compensation.targets import load_targets
+    from cellapp.pipeline import PUSH_RESULT, VERIFY_RESULT, push_run, stored_results
     from cellapp.reporting.tables import verification_tables
-    from cellapp.whole import PUSH_RESULT, VERIFY_RESULT, push_run, stored_results
 
     with _Job(json_file) as job, _open_run(folder, write=True) as opened:
         notes = push_run(opened, load_targets(targets, opened.profile), job.listen, job.cancel, verify=verify)
@@ -261,9 +261,9 @@ def push(
 @app.command()
 def report(folder: RunFolder, json_file: JsonOption = None) -> None:
     """Write report.html, one page that needs nothing else, into the run's folder."""
+    from cellapp.pipeline import stored_results
     from cellapp.reporting.page import write_page
     from cellapp.reporting.tables import all_tables
-    from cellapp.whole import stored_results
 
     with _Job(json_file) as job, _open_run(folder) as opened:
         path = write_page(opened)
@@ -284,8 +284,8 @@ def emulate(
     """Stand in for this cell's controllers and, behind a bridge, its tracker, on loopback until interrupted."""
     from dataclasses import asdict
 
-    from cellapp.emulate import EmulatedArm, EmulatedTracker
-    from cellapp.emulate import emulate as serve
+    from cellapp.commissioning.emulate import EmulatedArm, EmulatedTracker
+    from cellapp.commissioning.emulate import emulate as serve
     from cellapp.profile import load_profile
 
     with _Job(json_file) as job:
@@ -330,8 +330,8 @@ def tracker_bridge(
     """Serve the tracker that this computer is wired to, to the cell PC, until interrupted."""
     from dataclasses import asdict
 
+    from cellapp.commissioning.tracker_bridge import DEFAULT_PORT, ServedTracker, serve_tracker
     from cellapp.profile import load_profile
-    from cellapp.tracker_bridge import DEFAULT_PORT, ServedTracker, serve_tracker
 
     with _Job(json_file) as job:
         if token_file is not None and token_env is not None:
@@ -647,8 +647,8 @@ class _Job:
 
 def _export_geometry(run: RunFile, path: Path) -> list[str]:
     from cellapp.calibration.calibrate import CALIBRATION_FILE
+    from cellapp.exports.geometry import geometry_export
     from cellapp.model import CellModel
-    from cellapp.model.exports import geometry_export
 
     content = geometry_export(CellModel.load(run.folder / CALIBRATION_FILE))
     try:
@@ -672,7 +672,7 @@ def _open_run(folder: Path, *, write: bool = False) -> Iterator[RunFile]:
 
 def _check_verified(results: Mapping[str, Any]) -> None:
     from cellapp.compensation.push import unverified
-    from cellapp.whole import VERIFY_RESULT
+    from cellapp.pipeline import VERIFY_RESULT
 
     complaints = unverified(results[VERIFY_RESULT]) if VERIFY_RESULT in results else []
     if complaints:

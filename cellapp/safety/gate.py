@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.bodies import (
+from cellapp.safety.bodies import (
     ArmBodies,
     Placed,
     beam_clearance,

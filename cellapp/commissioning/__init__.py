@@ -1,0 +1,1 @@
+"""What a cell needs beside measuring: doctor, emulator, tracker bridge."""

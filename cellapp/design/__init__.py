@@ -1,0 +1,1 @@
+"""Criteria of experimental design: what stops tell about parameters, effects and rivals."""
