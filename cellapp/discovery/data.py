@@ -12,15 +12,10 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from cellapp.calibration.curves import CYCLES, Curves, spread, variances
-from cellapp.calibration.identification import (
-    EffectColumns,
-    Identification,
-    excess_variance,
-    identify,
-    whitener,
-    with_excess,
-)
+from cellapp.calibration.identification import Identification, identify
+from cellapp.calibration.normal_equations import EffectColumns
 from cellapp.calibration.parameters import ParameterSet
+from cellapp.calibration.weights import excess_variance, whitener, with_excess
 from cellapp.discovery.scan import Candidate, Follower, displacements
 from cellapp.effects import EFFECTS, Circumstances, EffectColumn, EffectContext, EffectTerm, Law
 from cellapp.kinematics.chain import Turns, jacobian, joint_jacobian

@@ -87,7 +87,7 @@ def solve_pose(
 
 
 def _errors_and_jacobian(geometry: Geometry, position_M: Array, rotation_M: Array, q: Array) -> tuple[Array, Array]:
-    """Position error [m] and rotation vector [rad] to the wanted pose (n, 6), and their geometric Jacobian (n, 6, N)."""
+    """Position error [m] and rotation vector [rad] to the wanted pose (n, 6), and the geometric Jacobian (n, 6, N)."""
     rotations, origins = frame_poses(geometry, q)
     flange = rotations[-1]
     P = origins[-1] + flange @ geometry.tool

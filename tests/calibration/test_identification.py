@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from cellapp.calibration import identification
-from cellapp.calibration.identification import (
-    EffectColumns,
-    TooFewReadings,
-    identify,
-    identify_with_excess,
-    start_from_nominal,
-)
+from cellapp.calibration import normal_equations
+from cellapp.calibration.identification import TooFewReadings, identify, identify_with_excess, start_from_nominal
+from cellapp.calibration.normal_equations import EffectColumns
 from cellapp.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
 from cellapp.kinematics.chain import Turns, jacobian, nominal_geometry, smr_positions
 from drivers.plant import GeometryErrors
@@ -170,7 +165,7 @@ def test_rows_in_chunks_give_the_same_result(monkeypatch):
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
     sigma = np.random.default_rng(0).uniform(10e-6, 20e-6, 700)
     whole = identify(start, q, p_M, sigma=sigma)
-    monkeypatch.setattr(identification, "_CHUNK", 64)
+    monkeypatch.setattr(normal_equations, "_CHUNK", 64)
     chunked = identify(start, q, p_M, sigma=sigma)
     np.testing.assert_allclose(chunked.values, whole.values, atol=1e-10)
     np.testing.assert_allclose(chunked.standard_errors, whole.standard_errors, rtol=1e-6)
