@@ -21,9 +21,9 @@ from cellapp.effects import EFFECTS, Circumstances, EffectColumn, EffectContext,
 from cellapp.kinematics.chain import Turns, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
-from cellapp.model.nominal import prior_sigmas, stated_uncertainty
+from cellapp.model.nominal import prior_sigmas
 from cellapp.profile import Profile
-from cellapp.run import Readings
+from cellapp.run import Readings, stated_uncertainty
 
 _WEIGHING_ROUNDS = 3
 _CHANCE = 4.0

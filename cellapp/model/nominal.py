@@ -8,7 +8,6 @@ from cellapp.kinematics.chain import Geometry, nominal_geometry, parameter_names
 from cellapp.kinematics.statics import Bodies
 from cellapp.kinematics.transforms import Array, rotation_zyx, transform
 from cellapp.profile import Arm, Pose, Priors, Profile
-from cellapp.run import Readings
 
 
 def nominal_arm(arm: Arm) -> Geometry:
@@ -49,12 +48,3 @@ def prior_sigmas(geometry: Geometry, priors: Priors) -> dict[str, float]:
         for name in parameter_names(geometry.joints)[6:-3]
         if (value := sigma[parameter_unit(name)]) is not None
     }
-
-
-def stated_uncertainty(readings: Readings) -> Array | None:
-    """What the readings say of themselves: covariances (n, 3, 3) [m^2], sigmas (n,) [m], or None."""
-    if readings.covariance_M is not None and not np.isnan(readings.covariance_M).any():
-        return readings.covariance_M
-    if readings.sigma_m is not None and not np.isnan(readings.sigma_m).any():
-        return readings.sigma_m
-    return None

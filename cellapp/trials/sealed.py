@@ -28,11 +28,11 @@ from cellapp.collection.cell import build_plant
 from cellapp.errors import CheckFailed, InputError
 from cellapp.kinematics.chain import Turns, jacobian
 from cellapp.kinematics.transforms import Array
-from cellapp.model.nominal import nominal_arm, stated_uncertainty
+from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Arm, NoDriver, Profile, Sensors
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.run import Readings, RunFile
+from cellapp.run import Readings, RunFile, stated_uncertainty
 from cellapp.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
 from drivers.plant import OUTSIDE, REALISTIC, suggest
 
