@@ -35,7 +35,7 @@ from cellapp.calibration.parameters import (
     paper_set,
 )
 from cellapp.calibration.weights import RobustName, excess_variance, robust_weights, whitener, with_excess
-from cellapp.kinematics.chain import Geometry, Turns, jacobian, parameter_names, smr_positions
+from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, parameter_names, smr_positions
 from cellapp.kinematics.transforms import Array, register
 
 SetName = Literal["auto", "paper", "full"]
@@ -211,7 +211,7 @@ def identify(
         If there are fewer coordinates than parameters and not enough priors.
     """
     observations = Observations(
-        turns=Turns.of(q),
+        angles=JointAngles.of(q),
         q=q,
         p_M=np.ascontiguousarray(p_M.T),
         white=None if sigma is None else whitener(sigma),

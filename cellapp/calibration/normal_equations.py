@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.calibration.parameters import ParameterSet, gram_matrix
-from cellapp.kinematics.chain import Geometry, Turns, jacobian, joint_jacobian
+from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 
 _CHUNK = 2048
@@ -58,8 +58,8 @@ class Observations:
 
     Attributes
     ----------
-    turns : Turns
-        Of the n configurations.
+    angles : JointAngles
+        Joint positions of the n configurations.
     q : array, shape (n, N)
         Joint positions [rad].
     p_M : array, shape (3, n)
@@ -69,7 +69,7 @@ class Observations:
     effects : EffectColumns or None
     """
 
-    turns: Turns
+    angles: JointAngles
     q: Array
     p_M: Array
     white: Array | None
@@ -78,28 +78,30 @@ class Observations:
     @property
     def count(self) -> int:
         """Number of readings n."""
-        return self.turns.count
+        return self.angles.count
 
     def chunks(self) -> Iterator[tuple[int, int]]:
         """First and one past the last configuration of each chunk."""
         for first in range(0, self.count, _CHUNK):
             yield first, min(first + _CHUNK, self.count)
 
-    def sample(self) -> Turns:
+    def sample(self) -> JointAngles:
         """Evenly spaced configurations, at most two chunks of them: enough to find the rank of the Jacobian."""
         stride = max(1, self.count // _CHUNK)
-        return self.turns if stride == 1 else Turns(self.turns.cosines[:, ::stride], self.turns.sines[:, ::stride])
+        if stride == 1:
+            return self.angles
+        return JointAngles(self.angles.cosines[:, ::stride], self.angles.sines[:, ::stride])
 
-    def turns_with(self, beta: Array, first: int, last: int) -> Turns:
+    def angles_with(self, beta: Array, first: int, last: int) -> JointAngles:
         """Joint positions of a chunk after the effects' offsets."""
         if self.effects is None or not len(self.effects.joints):
-            return self.turns.part(first, last)
+            return self.angles.part(first, last)
         q = self.q[first:last].copy()
         joints, offsets = self.effects.joints, self.effects.offsets[:, first:last]
         for joint in np.unique(joints):
             columns = np.flatnonzero(joints == joint)
             q[:, joint] += beta[columns] @ offsets[columns]
-        return Turns.of(q)
+        return JointAngles.of(q)
 
     def shift(self, beta: Array, first: int, last: int) -> Array | None:
         """Shift of the SMR by the effects in a chunk, (3, last - first) [m]; None without such effects."""
@@ -209,10 +211,10 @@ def normal_equations(
 def _linearise(
     geometry: Geometry, observations: Observations, parameters: ParameterSet, beta: Array, first: int, last: int
 ) -> Linearisation:
-    turns, effects = observations.turns_with(beta, first, last), observations.effects
-    P, J = jacobian(geometry, turns, parameters.columns)
+    angles, effects = observations.angles_with(beta, first, last), observations.effects
+    P, J = jacobian(geometry, angles, parameters.columns)
     if effects is not None:
-        _, by_joint = joint_jacobian(geometry, turns)
+        _, by_joint = joint_jacobian(geometry, angles)
         by_offset = effects.offsets[None, :, first:last] * by_joint[:, effects.joints]
         J = np.concatenate([J, by_offset, effects.shifts_M[:, :, first:last].swapaxes(0, 1)], axis=1)
     return Linearisation(P, J, gram_matrix(J))

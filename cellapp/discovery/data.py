@@ -18,7 +18,7 @@ from cellapp.calibration.parameters import ParameterSet
 from cellapp.calibration.weights import excess_variance, whitener, with_excess
 from cellapp.discovery.scan import Candidate, Follower, displacements
 from cellapp.effects import EFFECTS, Circumstances, EffectColumn, EffectContext, EffectTerm, Law
-from cellapp.kinematics.chain import Turns, jacobian, joint_jacobian
+from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.model.nominal import prior_sigmas
@@ -255,7 +255,7 @@ class ArmData:
             effect_values=found.effect_values[back],
         )
         white = whitening(self.sigma, len(self))
-        turns = Turns.of(self.readings.q)
+        turns = JointAngles.of(self.readings.q)
         _, J = jacobian(found.geometry, turns, found.parameter_set.columns)
         _, by_joint = joint_jacobian(found.geometry, turns)
         by_joint = np.einsum("acn,cjn->ajn", white, by_joint)
