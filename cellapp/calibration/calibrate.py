@@ -33,12 +33,11 @@ from cellapp.model.nominal import (
     bodies_of,
     nominal_arm,
     prior_sigmas,
-    stated_uncertainty,
     up_in_tracker,
 )
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.run import Readings, RunFile
+from cellapp.run import Readings, RunFile, stated_uncertainty
 
 CALIBRATION_FILE = "calibration.json"
 RESULT = "calibrate"

@@ -25,10 +25,9 @@ from cellapp.effects import EFFECTS, Circumstances, EffectTerm
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel, ResidualNetwork
-from cellapp.model.nominal import stated_uncertainty
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.run import Readings, RunFile
+from cellapp.run import Readings, RunFile, stated_uncertainty
 
 DISCOVER_RESULT = "discover"
 _FLOOR = 1.05

@@ -21,8 +21,8 @@ from cellapp.effects import EFFECTS, Circumstances, varies
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel
-from cellapp.planning.factors import Factors, as_dict, read_factors, write_factors
 from cellapp.planning.plan import all_seen, draw_stops, rolled_stops
+from cellapp.planning.stop_conditions import StopConditions, as_dict, read_stop_conditions, write_stop_conditions
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings, RunFile
@@ -84,7 +84,7 @@ class ProposedStop:
     """Where the arms stand, arm -> (N,) [rad], and how they come there."""
 
     q: Mapping[str, Array]
-    factors: Mapping[str, Factors]
+    factors: Mapping[str, StopConditions]
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Proposal:
         rows = []
         for number, stop in enumerate(self.stops):
             for name, q in stop.q.items():
-                asked = as_dict(stop.factors.get(name, Factors()))
+                asked = as_dict(stop.factors.get(name, StopConditions()))
                 rows.append(
                     {
                         "configuration": (self.first or 0) + number,
@@ -463,11 +463,11 @@ class _Asking:
             race.take(pose * self.ways + way)
         self.allowed[pose, way] = False
 
-    def factors(self, poses: _Poses, pose: int, way: int) -> Factors:
+    def factors(self, poses: _Poses, pose: int, way: int) -> StopConditions:
         """What the collection is asked for."""
         step = self.steps[pose, way]
         via = poses.q[self.name][pose] - step if step.any() else None
-        return Factors(via, float(self.dwells[way]))
+        return StopConditions(via, float(self.dwells[way]))
 
 
 def _last(values: Array | None, m: int) -> Array | None:
@@ -586,7 +586,7 @@ class _Choice:
         """Where the arms stand."""
         return {arm.name: self.poses.q[arm.name][pose] for arm, pose in zip(self.arms, one.poses, strict=True)}
 
-    def factors(self, one: _Chosen) -> dict[str, Factors]:
+    def factors(self, one: _Chosen) -> dict[str, StopConditions]:
         """How they come there."""
         ways = zip(self.arms, one.poses, one.ways, strict=True)
         return {arm.name: arm.factors(self.poses, pose, way) for arm, pose, way in ways}
@@ -749,7 +749,7 @@ def _not_driven(run: RunFile) -> str:
 
 def _write(run: RunFile, stops: Sequence[ProposedStop]) -> int:
     """Put the stops behind the plan, in place of earlier proposals that were not measured. Returns the first number."""
-    plan, done, factors = run.read_plan(), run.stops_done(), read_factors(run)
+    plan, done, factors = run.read_plan(), run.stops_done(), read_stop_conditions(run)
     first = len(next(iter(plan.values())))
     while first - 1 in factors and first - 1 not in done:
         first -= 1
@@ -757,5 +757,5 @@ def _write(run: RunFile, stops: Sequence[ProposedStop]) -> int:
         {name: np.concatenate([rows[:first], [stop.q[name] for stop in stops]]) for name, rows in plan.items()}
     )
     kept = {stop: arms for stop, arms in factors.items() if stop < first}
-    write_factors(run, {**kept, **{first + k: stop.factors for k, stop in enumerate(stops)}})
+    write_stop_conditions(run, {**kept, **{first + k: stop.factors for k, stop in enumerate(stops)}})
     return first

@@ -25,7 +25,6 @@ from cellapp.errors import InputError
 from cellapp.kinematics.chain import Geometry, frame_poses, parameter_names, smr_positions
 from cellapp.kinematics.transforms import Array, apply, invert
 from cellapp.model import ArmModel, CellModel
-from cellapp.model.nominal import stated_uncertainty
 from cellapp.profile import Profile, profile_to_json
 from cellapp.reporting.discovery import arm_sections
 from cellapp.reporting.drawing import Drawing
@@ -39,7 +38,7 @@ from cellapp.reporting.tables import (
     transform_tables,
     verification_tables,
 )
-from cellapp.run import Readings, RunFile
+from cellapp.run import Readings, RunFile, stated_uncertainty
 
 PAGE_FILE = "report.html"
 

@@ -19,7 +19,7 @@ import pytest
 from cellapp import cli
 from cellapp.collection.cell import build_plant
 from cellapp.errors import CheckFailed, InputError
-from cellapp.kinematics.chain import Turns, jacobian, parameter_names, smr_positions
+from cellapp.kinematics.chain import JointAngles, jacobian, parameter_names, smr_positions
 from cellapp.kinematics.transforms import transform
 from cellapp.model.nominal import nominal_arm
 from cellapp.profile import Profile, load_profile
@@ -229,7 +229,7 @@ def test_what_geometry_can_follow_is_not_visible() -> None:
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (200, 6))
     geometry = nominal_arm(arm).with_T_M_B(transform(np.eye(3), np.array([3.0, 0.5, -0.4])))
     p_M = smr_positions(geometry, q)
-    _, J = jacobian(geometry, Turns.of(q), tuple(range(len(parameter_names(6)))))
+    _, J = jacobian(geometry, JointAngles.of(q), tuple(range(len(parameter_names(6)))))
     for column in np.moveaxis(J, 1, 0):
         moved = 1e-4 * column.T
         assert np.abs(beyond_geometry(arm, q, p_M, moved)).max() < 1e-9
