@@ -12,7 +12,7 @@ import numpy as np
 from cellapp.discovery.data import ArmData, Fit
 from cellapp.discovery.scan import Candidate, Follower, Seen, displacements, explained_by
 from cellapp.effects import Channel, EffectColumn, LawForm
-from cellapp.effects.data_driven import DataChannel, Quantity, Variable, data_driven
+from cellapp.effects.data_driven import DataChannel, Quantity, Variable, data_driven_form
 from cellapp.effects.unknown import channel_directions
 from cellapp.kinematics.transforms import Array
 
@@ -51,7 +51,7 @@ class Description:
 def describe(data: ArmData, fit: Fit, place: int) -> Description:
     """Describe the data-driven part at ``place`` of a fitted choice."""
     part = fit.choice[place]
-    channel, variables = data_driven(part.law).channel, data_driven(part.law).drivers
+    channel, variables = data_driven_form(part.law).channel, data_driven_form(part.law).drivers
     begin = sum(len(p.names) for p in fit.choice[:place])
     columns = fit.columns[begin : begin + len(part.names)]
     values = fit.identification.effect_values[begin : begin + len(part.names)]

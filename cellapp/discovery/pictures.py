@@ -11,7 +11,7 @@ import numpy as np
 
 from cellapp.discovery.data import ArmData, Fit, Part
 from cellapp.effects import EFFECTS, Channel, DriverVariable, EffectColumn
-from cellapp.effects.data_driven import Quantity, Variable, data_driven
+from cellapp.effects.data_driven import Quantity, Variable, data_driven_form
 from cellapp.kinematics.transforms import Array
 
 _MOST_POINTS = 600
@@ -156,7 +156,7 @@ class _Seen:
         ]
         self.title = EFFECTS[part.slug].title
         if part.slug == "unknown":
-            channel = data_driven(part.law).channel
+            channel = data_driven_form(part.law).channel
             self.title += "" if channel.channel is Channel.JOINT else f", {channel.name}"
 
     def of_joint(self, joint: int) -> list[Picture]:
@@ -305,7 +305,7 @@ def _against(data: ArmData, part: Part, turned: int | None, beside: int | None =
     if part.slug != "unknown":
         return [_against_named(data, part, turned, beside)]
     found = []
-    for variable in data_driven(part.law).drivers:
+    for variable in data_driven_form(part.law).drivers:
         values = variable.values(data.context)
         label, factor = _IN_WORDS[variable.quantity]
         if variable.joint is not None:

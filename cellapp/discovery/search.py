@@ -23,7 +23,7 @@ from cellapp.discovery.scan import (
     threshold,
 )
 from cellapp.effects import EFFECTS, DriverVariable, Law
-from cellapp.effects.data_driven import data_driven
+from cellapp.effects.data_driven import data_driven_form
 from cellapp.effects.periodic import LINES, curve_law, wave_names
 from cellapp.effects.unknown import dictionary, pairs
 from cellapp.kinematics.transforms import Array
@@ -488,17 +488,17 @@ class _Engine:
     def data_driven(self, way: _Way) -> _Way | None:
         """The channel and the one or two variables that explain most of what is left, added."""
         here, fit = way.data, way.fit
-        taken = {data_driven(part.law).subject for part in fit.choice if part.slug == UNKNOWN}
+        taken = {data_driven_form(part.law).subject for part in fit.choice if part.slug == UNKNOWN}
         MY = fit.follower.without(fit.residual)
         square = float(fit.residual @ MY)
-        laws = [law for law in dictionary(here.context) if data_driven(law).subject not in taken]
+        laws = [law for law in dictionary(here.context) if data_driven_form(law).subject not in taken]
         best = self._best_law(here, fit, laws, MY, square)
         two_laws = list(pairs(here.context))
         if best is not None:
-            channel = data_driven(best.candidate.law).channel
+            channel = data_driven_form(best.candidate.law).channel
             known = {law.name for law in two_laws}
             two_laws += [law for law in pairs(here.context, channel) if law.name not in known]
-        two_laws = [law for law in two_laws if data_driven(law).subject not in taken]
+        two_laws = [law for law in two_laws if data_driven_form(law).subject not in taken]
         two = self._best_law(here, fit, two_laws, MY, square)
         wanted = [score for score in (two, best) if score is not None and score.value > self.least]
         if len(wanted) == 2 and wanted[0].value <= wanted[1].value + _RIVAL:

@@ -267,7 +267,7 @@ class DataDrivenForm(LawForm):
         return self.channel.subject, self.drivers
 
 
-def data_driven(law: Law) -> DataDrivenForm:
+def data_driven_form(law: Law) -> DataDrivenForm:
     """The form of a data-driven law."""
     assert isinstance(law.form, DataDrivenForm)
     return law.form
@@ -335,7 +335,7 @@ def _about(azimuth: Array, center: float) -> Array:
 
 def functions(context: EffectContext, law: Law) -> dict[str, Array]:
     """Functions (n,) of a law's variables, by name."""
-    drivers = data_driven(law).drivers
+    drivers = data_driven_form(law).drivers
     first = _own(law.constants, FIRST_CONSTANTS, "")
     if len(drivers) == 1:
         if drivers[0].quantity is Quantity.TIME:

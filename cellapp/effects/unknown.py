@@ -19,7 +19,7 @@ from cellapp.effects.data_driven import (
     Quantity,
     Variable,
     channels,
-    data_driven,
+    data_driven_form,
     form_named,
     functions,
     run_constants,
@@ -65,7 +65,7 @@ class Unknown(Effect):
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per function and direction, all in one block."""
-        channel = data_driven(law).channel
+        channel = data_driven_form(law).channel
         if channel not in channels(context.joints):
             raise ValueError(f"effect {self.slug} has no law '{law.name}' for an arm with {context.joints} joints")
         values = functions(context, law)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.effects import Circumstances, EffectColumn, EffectContext, Record
+from cellapp.effects import Circumstances, EffectColumn, EffectContext, TemperatureRecord
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from cellapp.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.profile import load_profile
@@ -38,7 +38,7 @@ def known_of(rng: np.random.Generator, n: int, joints: int = 6) -> Circumstances
     assert known.time_s is not None
     assert known.joints_c is not None
     assert known.air_c is not None
-    return replace(known, record=Record(known.time_s, known.joints_c, known.air_c))
+    return replace(known, record=TemperatureRecord(known.time_s, known.joints_c, known.air_c))
 
 
 def context_of(n: int = 40, seed: int = 0, arm: str = "left", known: Circumstances | None = None) -> EffectContext:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellapp.effects import EFFECTS, PLAIN, Law
+from cellapp.effects import EFFECTS
 from tests.effects.cell import by_name, context_of, shifts, slope
 
 CONTEXT = context_of(10)
@@ -35,13 +35,13 @@ def misread(**errors):
 
 
 def test_a_scale_stretches_all_distances():
-    column = columns("tracker_scale", PLAIN)["scale"]
+    column = columns("tracker_scale", EFFECTS["tracker_scale"].law())["scale"]
     assert column.unit == "m/m"
     np.testing.assert_allclose(shifts(column), misread(stretched=lambda az, el: 1.0), atol=1e-9)
 
 
 def test_a_distance_offset_lengthens_all_distances():
-    column = columns("tracker_distance_offset", PLAIN)["distance_offset"]
+    column = columns("tracker_distance_offset", EFFECTS["tracker_distance_offset"].law())["distance_offset"]
     assert column.unit == "m"
     np.testing.assert_allclose(shifts(column), misread(longer=lambda az, el: 1.0), atol=1e-9)
 
@@ -49,7 +49,7 @@ def test_a_distance_offset_lengthens_all_distances():
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(("wave", "function"), [("cos", np.cos), ("sin", np.sin)])
 def test_angles_err_with_their_own_orders(order, wave, function):
-    found = columns("tracker_angle_error", Law("orders"))
+    found = columns("tracker_angle_error", EFFECTS["tracker_angle_error"].law("orders"))
     column = found[f"azimuth_{wave}{order}"]
     assert column.block == f"azimuth {order}"
     np.testing.assert_allclose(shifts(column), misread(azimuth=lambda az, el: function(order * az)), atol=1e-9)
@@ -66,7 +66,7 @@ def looking(towards):
 
 def test_a_target_that_looks_at_the_tracker_is_read_right():
     back = -CONTEXT.p_M[0] / np.linalg.norm(CONTEXT.p_M[0])
-    for column in columns("target_incidence", Law("lateral"), looking(back)).values():
+    for column in columns("target_incidence", EFFECTS["target_incidence"].law("lateral"), looking(back)).values():
         np.testing.assert_allclose(shifts(column)[0], 0.0, atol=1e-12)
 
 
@@ -76,11 +76,15 @@ def test_a_target_that_looks_aside_is_read_longer_and_aside(degrees):
     aside = np.cross(beam, [0.3, -0.5, 0.8])
     aside /= np.linalg.norm(aside)
     angle = np.deg2rad(degrees)
-    found = columns("target_incidence", Law("lateral"), looking(-np.cos(angle) * beam + np.sin(angle) * aside))
+    found = columns(
+        "target_incidence",
+        EFFECTS["target_incidence"].law("lateral"),
+        looking(-np.cos(angle) * beam + np.sin(angle) * aside),
+    )
     np.testing.assert_allclose(shifts(found["incidence_radial"])[0], (1.0 - np.cos(angle)) * beam, atol=1e-12)
     np.testing.assert_allclose(shifts(found["incidence_lateral"])[0], np.sin(angle) * aside, atol=1e-12)
 
 
 def test_incidence_along_the_beam_only_is_the_plain_law():
-    assert list(columns("target_incidence", Law("radial"))) == ["incidence_radial"]
+    assert list(columns("target_incidence", EFFECTS["target_incidence"].law("radial"))) == ["incidence_radial"]
     assert [law.name for law in EFFECTS["target_incidence"].laws(CONTEXT)] == ["radial", "lateral"]
