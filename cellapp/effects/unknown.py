@@ -11,7 +11,6 @@ import numpy as np
 from cellapp.effects.column import Channel, EffectColumn, joint_column, shift_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.data_driven import (
-    PAIR_ORDER,
     PERIOD,
     DataChannel,
     DataDrivenForm,
@@ -21,10 +20,9 @@ from cellapp.effects.data_driven import (
     channels,
     data_driven_form,
     form_named,
-    functions,
-    run_constants,
     variables,
 )
+from cellapp.effects.data_functions import PAIR_ORDER, functions, run_constants
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.kinematics.transforms import Array

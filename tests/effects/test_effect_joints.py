@@ -1,4 +1,4 @@
-"""Effects that turn joints, against energies, hand calculations and numbers worked out another way."""
+"""Effects that offset joints, against potential energies, hand calculations and independent formulas."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def energy(row, joints, masses, payload):
 
 
 def torques(masses, payload):
-    """Falling slope of the energy by each joint (n, N) [Nm]; ``masses`` (N,), ``payload`` (n,)."""
+    """Negative gradient of the energy by each joint (n, N) [Nm]; ``masses`` (N,), ``payload`` (n,)."""
     h = 1e-5
     return np.array(
         [
@@ -89,7 +89,7 @@ def test_a_body_without_mass_has_no_moment():
 
 
 def test_an_upright_arm_has_no_torque_at_its_first_joint():
-    """Not even rounding errors, which a scan would take for a column like any other."""
+    """Exact zero: a scan would treat rounding errors like any other column."""
     axis = CONTEXT.geometry.T_M_B()[:3, 2]
     upright = replace(CONTEXT, up_M=axis)
     for law in (EFFECTS["joint_compliance"].law("linear"), laws("joint_compliance", "two_slope")[0]):
@@ -148,7 +148,7 @@ def test_eccentricity_is_one_cycle_and_ovality_two():
     np.testing.assert_allclose(offsets(found["sin2q5"]), np.sin(2.0 * CONTEXT.q[:, 4]))
 
 
-def test_every_line_is_a_block_that_pays_for_the_search():
+def test_every_line_is_a_block_with_the_price_of_the_search():
     (law,) = laws("transmission_error", "lines")
     assert law.tried == LINES_MAX - 1 == 209
     found = columns("transmission_error", law)
@@ -200,7 +200,7 @@ def test_a_curve_has_the_cycles_of_the_joints_that_carry_a_prior():
     assert not any(law.name == "curve" for law in EFFECTS["transmission_error"].laws(CONTEXT))
 
 
-def test_a_joint_stays_half_the_play_behind():
+def test_a_joint_lags_half_the_play():
     found = columns("backlash", EFFECTS["backlash"].law("constant"))
     for j in range(6):
         column = found[f"half_play{j + 1}"]
@@ -224,10 +224,10 @@ def test_hysteresis_saturates_with_the_step():
 
 
 def test_an_unknown_approach_is_no_lost_motion():
-    nobody_knows = knowing(CONTEXT, Circumstances())
+    nothing_known = knowing(CONTEXT, Circumstances())
     for slug in ("backlash", "friction_windup", "unsettled_measurement"):
         for law in EFFECTS[slug].laws(CONTEXT):
-            for column in columns(slug, law, nobody_knows).values():
+            for column in columns(slug, law, nothing_known).values():
                 assert not offsets(column).any()
 
 
@@ -286,7 +286,7 @@ def test_joint_zeros_drift():
 
 
 @given(late=st.floats(0.0, 1e6))
-def test_after_the_run_a_drift_stays_as_it_was_at_its_end(late):
+def test_after_the_run_a_drift_is_constant(late):
     (law,) = laws("joint_drift", "linear")
     last = float(KNOWN.time_s[-1])
     context = replace(CONTEXT, q=CONTEXT.q[:1], known=Circumstances(time_s=np.array([last + late])))

@@ -1,4 +1,4 @@
-"""What holds for every effect and every law: names, shapes, units, the same columns and values on any other data."""
+"""Properties of every effect and law: names, shapes, units, the same columns and values on any data."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KNOWN: Any = CONTEXT.known
 
 
 def ends(laws):
-    """The first and the last law of each name: between them only a constant changes."""
+    """First and last law of each form: those between differ only in a constant."""
     by_law: dict[str, list[Law]] = {}
     for law in laws:
         by_law.setdefault(law.name, []).append(law)
@@ -61,13 +61,13 @@ def values_of(column):
 
 
 def same(one, other):
-    """Whether two columns are the same but for their values."""
+    """Whether two columns are equal except for their values."""
     ones, others = vars(one), vars(other)
     return all(ones[key] == others[key] for key in ones if key not in ("offset", "shift_M"))
 
 
 def close(columns, others, rows=slice(None), other_rows=slice(None), atol=1e-14):
-    """All values at once: one comparison a column takes most of the time where there are thousands."""
+    """Compare all values at once: one comparison per column is slow with thousands of columns."""
     for is_joint in (True, False):
         ours = [values_of(c)[rows] for c in columns if (c.joint is not None) == is_joint]
         theirs = [values_of(c)[other_rows] for c in others if (c.joint is not None) == is_joint]
@@ -132,8 +132,8 @@ def test_columns_are_well_formed(slug, law):
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
-def test_only_some_blocks_refine(slug, law):
-    """There is always a block that can be the effect by itself."""
+def test_not_all_blocks_refine(slug, law):
+    """At least one block is the effect by itself."""
     columns = EFFECTS[slug].columns(CONTEXT, law)
     refining = {column.block for column in columns if column.refines}
     main = {column.block for column in columns if not column.refines}
@@ -142,8 +142,8 @@ def test_only_some_blocks_refine(slug, law):
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
-def test_the_same_columns_and_values_on_any_other_data(slug, law):
-    """A law and the record of its run carry all that it took from it: some of the stops alone give the same values."""
+def test_a_subset_of_the_stops_has_the_same_values(slug, law):
+    """A law carries all constants that it took from its run: a subset of the stops gives the same values."""
     columns = EFFECTS[slug].columns(CONTEXT, law)
     rows = np.array([3, 17, 5])
     parts = EFFECTS[slug].columns(rows_of(CONTEXT, rows), law)
@@ -166,7 +166,7 @@ def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
     known = KNOWN
     holed: dict[str, Any] = {}
     for name, values in vars(known).items():
-        if name != "record":  # which is of the run, not of its stops
+        if name != "record":  # of the whole run, not per stop
             holed[name] = np.array(values, dtype=np.float64)
             holed[name][4] = 0.0 if name == "approach" else np.nan
     some = EFFECTS[slug].columns(knowing(CONTEXT, replace(known, **holed)), law)
@@ -179,7 +179,7 @@ def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
-def test_wanted_columns_are_there_and_the_same(slug, law):
+def test_requested_columns_are_present_and_equal(slug, law):
     columns = by_name(EFFECTS[slug].columns(CONTEXT, law))
     wanted = {min(columns), max(columns)}
     some = by_name(EFFECTS[slug].columns(CONTEXT, law, wanted))
@@ -227,7 +227,7 @@ def test_a_law_of_another_version_is_refused(slug):
 
 
 def test_units_are_per_unit_of_what_varies():
-    """Numbers that a person can check: 1e-5 rad/Nm times the torque; 20e-6 1/K of 0.612 m is 12 um a kelvin."""
+    """Checked by hand: 1e-5 rad/Nm times the torque; 20e-6 1/K of 0.612 m is 12 um per kelvin."""
     torque = CONTEXT.torques[:, 1]
     term = term_of("joint_compliance", EFFECTS["joint_compliance"].law("linear"), {"compliance2": 1e-5})
     np.testing.assert_allclose(displacement([term], EFFECTS, CONTEXT).joints[:, 1], 1e-5 * torque)
@@ -252,7 +252,7 @@ def test_displacements_of_terms_add_up():
     np.testing.assert_allclose(moved.shift_M, 1e-5 * values_of(bent))
 
 
-def test_the_chain_of_these_tests_is_the_arm():
+def test_the_independent_chain_agrees_with_the_arm():
     for row in range(3):
         walked = chain(CONTEXT, row)
         np.testing.assert_allclose(walked.smr, CONTEXT.p_M[row], atol=1e-12)
@@ -260,7 +260,7 @@ def test_the_chain_of_these_tests_is_the_arm():
             np.testing.assert_allclose(pose[:3, :3], CONTEXT.frames[0][i, row], atol=1e-12)
 
 
-# -- what the data lack ----------------------------------------------------------------------------------------------
+# -- missing data ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -285,12 +285,12 @@ def test_the_chain_of_these_tests_is_the_arm():
         ("pedestal_coupling", Circumstances(other_moment_M=np.ones((40, 3))), "the other arm did not move"),
     ],
 )
-def test_what_is_lacking_is_said(slug, known, words):
+def test_missing_data_are_reported(slug, known, words):
     assert EFFECTS[slug].untestable(knowing(CONTEXT, known)) == words
     assert EFFECTS[slug].untestable(CONTEXT) == ""
 
 
-def test_what_an_arm_lacks_is_said():
+def test_missing_properties_of_an_arm_are_reported():
     weightless = replace(
         CONTEXT,
         bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=0.0),

@@ -53,7 +53,7 @@ def test_an_axis_tilts_twice_a_turn(joint, letter, axis, wave, function):
     assert len(found) == 24
 
 
-# -- heat ------------------------------------------------------------------------------------------------------------
+# -- thermal ---------------------------------------------------------------------------------------------------------
 
 
 def grown(strain_of):
@@ -96,7 +96,7 @@ def test_links_grow_while_warming_up():
 
 
 def test_a_lag_follows_a_ramp_at_its_distance():
-    """Behind a ramp of slope b, started at rest, a first-order lag stands at b (t - tau (1 - exp(-t / tau)))."""
+    """A first-order lag follows a ramp of slope b, from rest, with b (t - tau (1 - exp(-t / tau)))."""
     rng = np.random.default_rng(2)
     t = np.sort(rng.uniform(0.0, 18000.0, 3000))
     t -= t[0]
@@ -110,7 +110,7 @@ def test_a_lag_follows_a_ramp_at_its_distance():
 
 
 def test_links_follow_their_joints_and_the_air_and_housings_grow():
-    """Each column grows its own part of the arm, by what it is warmer than on average."""
+    """Each column grows its own part of the arm, by its temperature above the mean."""
     law = laws("thermal_growth", "conduction_links")[2]
     known = KNOWN
     joints = known.joints_c - known.joints_c.mean(axis=0)
@@ -131,8 +131,8 @@ def test_links_follow_their_joints_and_the_air_and_housings_grow():
 
 
 @pytest.mark.parametrize("name", ["conduction", "conduction_links"])
-def test_the_record_of_a_run_says_how_warm_the_links_were_at_any_stop(name):
-    """Whatever is known of the stops themselves, and in whatever order the run was recorded."""
+def test_the_record_of_a_run_gives_link_temperatures_at_any_stop(name):
+    """Regardless of what the stops themselves know, and of the order of the record."""
     law = laws("thermal_growth", name, RUN)[2]
     known, rows = RUN_KNOWN, np.array([41, 5, 20])
     mixed = np.random.default_rng(4).permutation(60)
@@ -140,7 +140,7 @@ def test_the_record_of_a_run_says_how_warm_the_links_were_at_any_stop(name):
     time_s = known.time_s[rows]
     some = replace(RUN, q=RUN.q[rows], known=Circumstances(time_s=time_s, record=record))
     whole, part = columns("thermal_growth", law, RUN), columns("thermal_growth", law, some)
-    followed = set(whole) - {"growth_housings"}  # which need the temperatures of the moment
+    followed = set(whole) - {"growth_housings"}  # which need the temperatures at the stop
     assert {"growth_air"} < followed
     for one in followed:
         np.testing.assert_allclose(shifts(part[one]), shifts(whole[one])[rows], rtol=1e-9, atol=1e-12)
@@ -152,7 +152,7 @@ def test_the_record_of_a_run_says_how_warm_the_links_were_at_any_stop(name):
     assert not np.allclose(shifts(whole["growth_air"]), expected, atol=0.1), "the lag is seen"
 
 
-def test_between_two_moments_of_the_record_the_links_are_between():
+def test_between_two_moments_of_the_record_link_temperatures_are_interpolated():
     law = laws("thermal_growth", "conduction", RUN)[2]
     known = RUN_KNOWN
     times = np.array([known.time_s[7], known.time_s[7:9].mean(), known.time_s[8], known.time_s[-1], 1e9])
@@ -162,7 +162,7 @@ def test_between_two_moments_of_the_record_the_links_are_between():
     np.testing.assert_allclose(grown_by_air[4], grown_by_air[3])
 
 
-def test_a_link_too_short_to_be_judged_by_itself_has_no_column_but_grows_with_the_rest():
+def test_a_short_link_has_no_column_unless_requested():
     rows = CONTEXT.geometry.rows.copy()
     rows[5, 1] = 0.02
     context = replace(CONTEXT, geometry=replace(CONTEXT.geometry, rows=rows))
@@ -214,7 +214,7 @@ def test_a_target_slips_in_the_flange(axis):
 
 
 @pytest.mark.parametrize("slug", ["base_step", "target_slip"])
-def test_after_an_onset_it_stays(slug):
+def test_a_step_is_permanent(slug):
     law = EFFECTS[slug].laws(RUN)[0]
     after = EFFECTS[slug].columns(knowing(RUN, Circumstances(time_s=np.full(60, 1e9))), law)
     for time_s in (None, np.full(60, np.nan)):
@@ -314,7 +314,7 @@ def test_a_pedestal_tilts_about_a_pivot_below():
 
 @pytest.mark.parametrize("turn", [rotation_x(np.pi), rotation_x(np.pi / 2.0), rotation_y(np.pi / 2.0)])
 def test_a_pedestal_on_a_wall_or_under_a_ceiling(turn):
-    """All of the moment counts, however the arm is mounted."""
+    """The whole moment counts, for any mounting of the arm."""
     up = turn.T @ CONTEXT.geometry.T_M_B()[:3, 2]
     context = replace(CONTEXT, up_M=up)
     origin = context.geometry.T_M_B()[:3, 3]
@@ -360,7 +360,7 @@ def test_a_pedestal_tilts_with_the_other_arm():
     )
 
 
-def test_where_the_other_arm_is_not_known_it_stands_as_on_average():
+def test_an_unknown_pose_of_the_other_arm_counts_as_the_mean():
     for law in EFFECTS["pedestal_coupling"].laws(CONTEXT):
         for column in columns("pedestal_coupling", law, knowing(CONTEXT, Circumstances())).values():
             assert not shifts(column).any()
@@ -370,7 +370,7 @@ def test_where_the_other_arm_is_not_known_it_stands_as_on_average():
 
 
 def beam_by_integration(row, link, *, torsion, own_weight, slices=4000):
-    """Shift of the SMR (3,) for EI = 1 (or GJ = 1): each slice of the beam turns all that is beyond it.
+    """Shift of the SMR (3,) for EI = 1 (or GJ = 1): each slice of the beam rotates all that is beyond it.
 
     ``dP = int M_part(x) x (P - r(x)) dx``, M(x) the moment at x of every weight beyond x, added up body by body.
     """
@@ -411,12 +411,12 @@ def test_a_link_bends_and_twists_as_a_beam(link, own_weight):
         column = found[name]
         assert column.block == column.where == f"link {link}"
         assert (column.lower, column.unit) == (0.0, "1/(N m^2)")
-        # a slice too many or too few under the link's own weight is 1/4000 of its moment
+        # where the own weight begins is resolved to one slice: 1/4000 of its moment
         np.testing.assert_allclose(shifts(column), expected, atol=2e-2 if own_weight else 1e-4)
         assert np.abs(expected).max() > 1.0
 
 
-def test_a_link_may_bend_under_its_own_weight_as_much_as_the_data_want():
+def test_bending_under_the_own_weight_may_be_a_parameter_of_its_own():
     free = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion_free_weight"))
     own = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion_own_weight"))
     bare = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion"))

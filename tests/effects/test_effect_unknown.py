@@ -1,4 +1,4 @@
-"""Data-driven terms: channels, variables, functions, and what is taken where nobody knows."""
+"""Data-driven terms: channels, variables, functions, and defaults where a variable is unknown."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_shifts_in_any_direction_are_about_the_same_motion():
     assert subjects["tracker radial"] == "tracker radial"
 
 
-def test_a_variable_that_is_not_known_or_does_not_vary_is_not_tried():
+def test_a_variable_that_is_unknown_or_constant_is_not_tried():
     bare = replace(knowing(CONTEXT, NOTHING), smr_normal=None)
     torques = tuple(f"torque{j}" for j in range(1, 7))
     assert names_of(variables(bare)) == (*EVERY[:6], *torques, "range", "azimuth", "elevation")
@@ -114,7 +114,7 @@ def test_a_variable_that_is_not_known_or_does_not_vary_is_not_tried():
 
 
 def moved_of(channel, context, row):
-    """The SMR of one stop as a function of the channel's size."""
+    """SMR position of one stop as a function of the channel's amplitude."""
     kind, *rest = channel.split()
     axis = EYE["xyz".index(rest[-1])] if rest[-1] in ("x", "y", "z") else None
     if kind == "joint":
@@ -136,7 +136,7 @@ def moved_of(channel, context, row):
 
 
 @pytest.mark.parametrize("channel", [channel for channel in CHANNELS if channel not in VECTORS])
-def test_a_channel_moves_what_it_says(channel):
+def test_a_channel_moves_the_smr_as_declared(channel):
     law = law_of(channel, "q5")
     found = columns(law)
     prefix = channel.replace(" ", "_")
@@ -167,7 +167,7 @@ def test_a_vector_is_its_three_directions_in_one_block(channel):
         np.testing.assert_array_equal(shifts(column), shifts(parts[name]))
 
 
-def test_a_sway_has_one_period_of_those_the_run_can_tell():
+def test_a_sway_has_one_of_the_periods_that_the_run_resolves():
     time = KNOWN.time_s
     run_s = time[-1] - time[0]
     laws = [law for law in dictionary(CONTEXT) if law.name == "tool|time" and "period_s" in law.constants]
@@ -184,7 +184,7 @@ def test_a_sway_has_one_period_of_those_the_run_can_tell():
     later = columns(law, knowing(CONTEXT, Circumstances(time_s=time + 1e6)))
     for name, column in columns(law, knowing(CONTEXT, NOTHING)).items():
         np.testing.assert_allclose(offsets(column), offsets(found[name])[-1], err_msg="now is the end of the run")
-        np.testing.assert_allclose(offsets(later[name]), offsets(column), err_msg="nobody knows how it went on")
+        np.testing.assert_allclose(offsets(later[name]), offsets(column), err_msg="constant beyond the run")
 
 
 def test_time_is_linear_and_half_cycles_over_the_run():
@@ -201,7 +201,7 @@ def test_time_is_linear_and_half_cycles_over_the_run():
 
 @pytest.mark.parametrize("variable", ["torque2", "step3", "dwell", "temperature", "range", "elevation", "incidence"])
 def test_other_variables_are_polynomials_on_their_range(variable):
-    """Orthogonal on -1 to 1, so what spans them is all polynomials to the fourth order, but for the constant."""
+    """Orthogonal on -1 to 1: they span all polynomials to the fourth order, except the constant."""
     values = {
         "torque2": CONTEXT.torques[:, 1],
         "step3": KNOWN.step[:, 2],
@@ -233,7 +233,7 @@ def test_a_payload_of_two_values_is_a_straight_line():
     assert law_of("tool x", "payload").constants["typical"] == CONTEXT.bodies.payload_mass
 
 
-def test_beyond_its_range_a_variable_is_held_at_the_end():
+def test_beyond_its_range_a_variable_is_held_at_its_limit():
     law = law_of("joint 2", "temperature")
     hot = knowing(CONTEXT, Circumstances(air_c=np.full(40, 80.0)))
     for column in columns(law, hot).values():
@@ -250,7 +250,7 @@ def test_beyond_its_range_a_variable_is_held_at_the_end():
         ("temperature", Circumstances(air_c=np.full(40, KNOWN.air_c.mean()))),
     ],
 )
-def test_where_nobody_knows_the_usual_is_taken(variable, known):
+def test_an_unknown_variable_has_its_default(variable, known):
     law = law_of("joint 2", variable)
     unknown, usual = columns(law, knowing(CONTEXT, NOTHING)), columns(law, knowing(CONTEXT, known))
     for name, column in unknown.items():
@@ -325,7 +325,7 @@ def test_pairs_of_one_channel_are_of_all_variables_and_of_all_channels_of_joint_
 
 
 def test_a_curve_of_one_variable_can_be_found_again():
-    """A sag of |sin q5| of the tool and a 47 minute sway of the base are within a few per cent of their term's span."""
+    """A sag of |sin q5| and a 47 minute sway are fitted to 15 % of their size."""
     context = context_of(300, seed=8)
     time_s: Any = context.known.time_s
     for channel, variable, truth in (
@@ -339,6 +339,6 @@ def test_a_curve_of_one_variable_can_be_found_again():
 
 
 @pytest.mark.parametrize("name", ["joint 9|q1", "nonsense|q1", "joint 1", "joint 1|q1|q2|q3", "base turn z|q1"])
-def test_a_term_that_says_nothing_is_refused(name):
+def test_a_name_that_is_no_term_is_refused(name):
     with pytest.raises(ValueError, match="effect unknown has no law"):
         UNKNOWN.columns(CONTEXT, UNKNOWN.law(name, {"order": 4.0}))
