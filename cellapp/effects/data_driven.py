@@ -239,23 +239,24 @@ class DataDrivenForm(LawForm):
     channel: DataChannel = field(kw_only=True)
     drivers: tuple[Variable, ...] = field(kw_only=True)
 
-    @classmethod
-    def of(cls, channel: DataChannel, drivers: tuple[Variable, ...]) -> DataDrivenForm:
-        """With its name and words."""
-        names = [one.name for one in drivers]
-        return cls(
-            name="|".join([channel.name, *names]),
-            words=f"{channel.name} as a function of {' and '.join(names)}",
-            constants=FIRST_CONSTANTS + SECOND_CONSTANTS,
-            variables=frozenset(_DRIVERS[one.quantity] for one in drivers),
-            channel=channel,
-            drivers=drivers,
-        )
-
     @property
     def subject(self) -> tuple[DataChannel, tuple[Variable, ...]]:
         """Channel regardless of a shift's direction, and variables."""
         return self.channel.subject, self.drivers
+
+
+@lru_cache(maxsize=16384)
+def form_of(channel: DataChannel, drivers: tuple[Variable, ...]) -> DataDrivenForm:
+    """The form of one or two driver variables in a channel; cached, as a search makes the same thousands repeatedly."""
+    names = [one.name for one in drivers]
+    return DataDrivenForm(
+        name="|".join([channel.name, *names]),
+        words=f"{channel.name} as a function of {' and '.join(names)}",
+        constants=FIRST_CONSTANTS + SECOND_CONSTANTS,
+        variables=frozenset(_DRIVERS[one.quantity] for one in drivers),
+        channel=channel,
+        drivers=drivers,
+    )
 
 
 def data_driven_form(law: Law) -> DataDrivenForm:
@@ -275,7 +276,7 @@ def form_named(name: str) -> DataDrivenForm | None:
     drivers = tuple(one for one in found if one is not None)
     if channel is None or not 1 <= len(rest) <= 2 or len(drivers) < len(rest):
         return None
-    return DataDrivenForm.of(channel, drivers)
+    return form_of(channel, drivers)
 
 
 def _channel_named(name: str) -> DataChannel | None:

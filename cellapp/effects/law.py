@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -163,19 +162,13 @@ class LawForm:
         """A law of this form with values for its constants."""
         return Law(self, {} if constants is None else constants, tried)
 
-    @cached_property
-    def _keys(self) -> frozenset[str]:
-        return frozenset(constant.name for constant in self.constants if not constant.per_joint)
-
     def constant(self, key: str) -> Constant | None:
         """The declaration that ``key`` belongs to."""
-        if key in self._keys:
-            return next(one for one in self.constants if one.name == key and not one.per_joint)
-        return next((one for one in self.constants if one.per_joint and one.declares(key)), None)
+        return next((one for one in self.constants if one.declares(key)), None)
 
     def undeclared(self, keys: Iterable[str]) -> list[str]:
         """Keys without a declaration."""
-        return [key for key in keys if key not in self._keys and self.constant(key) is None]
+        return [key for key in keys if self.constant(key) is None]
 
     def missing(self, keys: Iterable[str]) -> list[str]:
         """Names of mandatory constants that are not among ``keys``."""

@@ -126,13 +126,17 @@ def curve_prior(law: Law, joints: int) -> dict[int, tuple[float, float]]:
 
 def wave_names(joint: int, counts: Iterable[int]) -> tuple[str, ...]:
     """Names of the columns of some cycle counts of a joint (from 0), cosine and sine in turn."""
-    return tuple(name for count in counts for name in _labels(joint, count)[:2])
+    return tuple(name for count in counts for name, _ in _line(joint, count)[1])
 
 
 @lru_cache(maxsize=8192)
-def _labels(joint: int, cycles: int) -> tuple[str, str, str]:
-    """Names of cosine and sine, and of the line."""
-    return f"cos{cycles}q{joint + 1}", f"sin{cycles}q{joint + 1}", f"joint {joint + 1} line {cycles}"
+def _line(joint: int, cycles: int) -> tuple[str, tuple[tuple[str, Wave], ...]]:
+    """Name of a line, and names and waves of its cosine and sine; cached, as a scan makes thousands of them."""
+    waves = (
+        (f"cos{cycles}q{joint + 1}", Wave(cycles, sine=False)),
+        (f"sin{cycles}q{joint + 1}", Wave(cycles, sine=True)),
+    )
+    return f"joint {joint + 1} line {cycles}", waves
 
 
 @lru_cache(maxsize=8)
@@ -142,7 +146,7 @@ def _by_name(joints: int) -> Mapping[str, tuple[int, int]]:
         name: (joint, count)
         for joint in range(joints)
         for count in range(1, 2 * LINES_MAX + 1)
-        for name in _labels(joint, count)[:2]
+        for name, _ in _line(joint, count)[1]
     }
 
 
@@ -164,11 +168,9 @@ def _waves(context: EffectContext, cycles: Mapping[int, Sequence[int]], by_line:
     for joint, counts in cycles.items():
         harmonics = _harmonics(context.q[:, joint], counts)
         for count, values in zip(counts, harmonics, strict=True):
-            cos_name, sin_name, line = _labels(joint, count)
+            line, waves = _line(joint, count)
             block = line if by_line else None
-            for name, sine in ((cos_name, False), (sin_name, True)):
-                wave = Wave(count, sine)
-                offset = values[int(sine)]
+            for (name, wave), offset in zip(waves, values, strict=True):
                 columns.append(joint_column(name, "rad", joint, offset, -_LARGEST, _LARGEST, block, wave=wave))
     return columns
 

@@ -13,13 +13,13 @@ from cellapp.effects.context import EffectContext
 from cellapp.effects.data_driven import (
     PERIOD,
     DataChannel,
-    DataDrivenForm,
     Direction,
     Quantity,
     Variable,
     channels,
     data_driven_form,
     form_named,
+    form_of,
     variables,
 )
 from cellapp.effects.data_functions import PAIR_ORDER, functions, run_constants
@@ -153,7 +153,7 @@ def channel_directions(context: EffectContext, channel: DataChannel) -> list[Arr
 
 
 def _law(channel: DataChannel, drivers: tuple[Variable, ...], constants: Mapping[str, float]) -> Law:
-    return DataDrivenForm.of(channel, drivers).law(constants)
+    return form_of(channel, drivers).law(constants)
 
 
 def _label(channel: DataChannel) -> str:
