@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellapp.effects import Circumstances, Record
-from cellapp.kinematics.chain import frame_poses
-from cellapp.kinematics.statics import STANDARD_GRAVITY
+from cellapp.effects import Circumstances, TemperatureRecord
+from cellapp.kinematics.statics import base_moment
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.run import Readings
@@ -32,7 +31,7 @@ def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = 
         if there.any():
             payload = None if theirs.payload_kg is None else theirs.payload_kg[match[there]]
             moment = np.full((len(readings), 3), np.nan)
-            moment[there] = base_moment(model, theirs.q[match[there]], payload)
+            moment[there] = base_moment(model.geometry, model.bodies, theirs.q[match[there]], model.up_M, payload)
             other_q = np.full((len(readings), theirs.joints), np.nan)
             other_q[there] = theirs.q[match[there]]
     return Circumstances(
@@ -56,7 +55,7 @@ def _filled(logged: Array | None, derived: Array | None) -> Array | None:
     return np.where(np.isnan(logged), derived, logged)
 
 
-def _record(readings: Readings) -> Record | None:
+def _record(readings: Readings) -> TemperatureRecord | None:
     """The run's temperatures where times and joint temperatures are known throughout."""
     joints_c, time_s = readings.joint_temperature_c, readings.time_s
     if joints_c is None or not np.isfinite(joints_c).all() or not np.isfinite(time_s).all():
@@ -64,20 +63,7 @@ def _record(readings: Readings) -> Record | None:
     air_c = readings.temperature_c
     if air_c is None or not np.isfinite(air_c).all():
         air_c = joints_c.mean(axis=1)
-    return Record(time_s, joints_c, air_c)
-
-
-def base_moment(model: ArmModel, q: Array, payload_kg: Array | None = None) -> Array:
-    """Moment of gravity on an arm at ``q`` (n, N) about the origin of its base, in the tracker frame, (n, 3) [Nm]."""
-    rotations, origins = frame_poses(model.geometry, q)
-    bodies = model.bodies
-    payload = np.full(len(q), bodies.payload_mass)
-    if payload_kg is not None:
-        payload = np.where(np.isnan(payload_kg), payload, payload_kg)
-    centers = origins[1:] + np.einsum("inab,ib->ina", rotations[1:], bodies.centers)
-    moment = np.einsum("i,ina->na", bodies.masses, centers - origins[0])
-    moment += payload[:, None] * (origins[-1] + rotations[-1] @ bodies.payload_center - origins[0])
-    return np.cross(moment, -STANDARD_GRAVITY * model.up_M)
+    return TemperatureRecord(time_s, joints_c, air_c)
 
 
 def _steps(readings: Readings) -> Array | None:

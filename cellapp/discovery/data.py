@@ -136,7 +136,7 @@ class ArmData:
     @cached_property
     def context(self) -> EffectContext:
         """What effects may depend on, at the geometry of ``model``."""
-        return replace(self.model.context(self.readings.q, known=self.known), stands=self.stands)
+        return replace(self.model.context(self.readings.q, known=self.known), q_actual=self.stands)
 
     def at(self, model: ArmModel) -> ArmData:
         """The same with another model for what effects depend on: its geometry, and where its joints really stand."""
@@ -220,7 +220,7 @@ class ArmData:
         order = _order(columns)
         turning = [columns[place] for place in order if columns[place].joint is not None]
         shifting = [columns[place] for place in order if columns[place].joint is None]
-        prior = self.prior_sd(choice)
+        prior = self.prior_sd(choice, columns)
         n = len(self)
         return EffectColumns(
             names=tuple(columns[place].name for place in order),
@@ -231,11 +231,14 @@ class ArmData:
             prior_sd=None if prior is None else prior[order],
         )
 
-    def prior_sd(self, choice: Choice) -> Array | None:
-        """Standard deviation of each column's prior, infinite without; None where no part has any."""
+    def prior_sd(self, choice: Choice, columns: Sequence[EffectColumn]) -> Array | None:
+        """Standard deviation of the prior of each column of a choice, infinite without; None where no part has any."""
         if all(part.curves is None for part in choice):
             return None
-        return np.concatenate([curve_prior(part) for part in choice])
+        begins = np.cumsum([0, *(len(part.names) for part in choice)]).tolist()
+        return np.concatenate(
+            [curve_prior(part, columns[begin : begin + len(part.names)]) for part, begin in zip(choice, begins)]
+        )
 
     def fit(self, choice: Choice) -> Fit:
         """Fit a choice and linearise there."""
@@ -261,7 +264,7 @@ class ArmData:
         by_joint = np.einsum("acn,cjn->ajn", white, by_joint)
         geometric = np.einsum("acn,ckn->kan", white, J).reshape(size, -1)
         rows = np.concatenate([geometric, displacements(columns, by_joint, white)])
-        sd = self.prior_sd(choice)
+        sd = self.prior_sd(choice, columns)
         precision = np.zeros(len(rows))
         if self.sigma is not None:
             beliefs = prior_sigmas(self.model.nominal, self.profile.calibration.priors)
@@ -297,7 +300,7 @@ class ArmData:
                     rows = [
                         place + i
                         for i, column in enumerate(own)
-                        if column.joint == joint and cycles_of(column.name) <= CYCLES
+                        if column.joint == joint and column.cycles is not None and column.cycles <= CYCLES
                     ]
                     bands[joint] = spread(found.covariance[np.ix_(rows, rows)], _SPREAD_POINTS)
             terms.append(
@@ -383,8 +386,8 @@ def _solutions(
         yield out, solution * scale
 
 
-def curve_prior(part: Part) -> Array:
-    """Standard deviation of the prior of each of a part's columns, infinite for those without."""
+def curve_prior(part: Part, columns: Sequence[EffectColumn]) -> Array:
+    """Standard deviation of the prior of each of a part's ``columns``, infinite for those without."""
     sd = np.full(len(part.names), math.inf)
     if part.curves is None:
         return sd
@@ -394,18 +397,12 @@ def curve_prior(part: Part) -> Array:
             part.curves.joints, part.curves.lengths.tolist(), part.curves.amplitudes.tolist(), strict=True
         )
     }
-    for place, name in enumerate(part.names):
-        cycles, joint = cycles_of(name), int(name.rpartition("q")[2]) - 1
-        if name in part.free:
+    for place, column in enumerate(columns):
+        if column.name in part.free or column.cycles is None or column.joint is None:
             continue
-        if cycles <= CYCLES and joint in by_joint:
-            sd[place] = max(float(by_joint[joint][cycles - 1]), 1e-9)
+        if column.cycles <= CYCLES and column.joint in by_joint:
+            sd[place] = max(float(by_joint[column.joint][column.cycles - 1]), 1e-9)
     return sd
-
-
-def cycles_of(name: str) -> int:
-    """Cycles a turn of a column such as ``cos12q3``."""
-    return int(name[3:].partition("q")[0])
 
 
 def _order(columns: Sequence[EffectColumn]) -> NDArray[np.intp]:

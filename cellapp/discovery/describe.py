@@ -11,8 +11,9 @@ import numpy as np
 
 from cellapp.discovery.data import ArmData, Fit
 from cellapp.discovery.scan import Candidate, Follower, Seen, displacements, explained_by
-from cellapp.effects import EffectColumn, Law
-from cellapp.effects.unknown import channel_directions, values_of
+from cellapp.effects import Channel, EffectColumn, LawForm
+from cellapp.effects.data_driven import DataChannel, Quantity, Variable, data_driven_form
+from cellapp.effects.unknown import channel_directions
 from cellapp.kinematics.transforms import Array
 
 _POINTS = 60
@@ -50,7 +51,7 @@ class Description:
 def describe(data: ArmData, fit: Fit, place: int) -> Description:
     """Describe the data-driven part at ``place`` of a fitted choice."""
     part = fit.choice[place]
-    channel, *variables = part.law.name.split("|")
+    channel, variables = data_driven_form(part.law).channel, data_driven_form(part.law).drivers
     begin = sum(len(p.names) for p in fit.choice[:place])
     columns = fit.columns[begin : begin + len(part.names)]
     values = fit.identification.effect_values[begin : begin + len(part.names)]
@@ -63,20 +64,21 @@ def describe(data: ArmData, fit: Fit, place: int) -> Description:
     seen = fit.follower_without(place).without(fit.signal(place)).reshape(3, -1)
     moved = np.linalg.solve(fit.white.transpose(2, 0, 1), seen.T[:, :, None])[..., 0]
     size = float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
-    known = [values_of(data.context, name) for name in variables]
+    known = [variable.values(data.context) for variable in variables]
     formula, gain = _formula(data, fit, place, channel, variables, known)
     curve: tuple[tuple[float, float], ...] = ()
     if len(variables) == 1 and by_joint:
         order = np.argsort(known[0], kind="stable")
         picked = order[np.linspace(0, len(order) - 1, min(_POINTS, len(order))).astype(np.intp)]
         curve = tuple((float(known[0][i]), float(curve_values[i])) for i in picked)
-    depends = " and ".join(variables)
+    names = tuple(variable.name for variable in variables)
+    depends = " and ".join(names)
     shape = f", about {formula}" if formula else ""
-    sentence = f"{channel} depends on {depends}{shape}; {size * 1e6:.0f} um rms at the SMR"
-    return Description(channel, tuple(variables), size * 1e6, formula, gain, curve, sentence)
+    sentence = f"{channel.name} depends on {depends}{shape}; {size * 1e6:.0f} um rms at the SMR"
+    return Description(channel.name, names, size * 1e6, formula, gain, curve, sentence)
 
 
-def _shapes(variables: list[str], known: list[Array]) -> list[tuple[str, Array]]:
+def _shapes(variables: tuple[Variable, ...], known: list[Array]) -> list[tuple[str, Array]]:
     """Short formulas to try, each with the free factor ``c`` left out: text and values (n, k) of its columns."""
     shapes: list[tuple[str, Array]] = []
 
@@ -85,12 +87,13 @@ def _shapes(variables: list[str], known: list[Array]) -> list[tuple[str, Array]]
         if np.isfinite(stacked).all() and np.ptp(stacked, axis=0).max() > 0.0:
             shapes.append((text, stacked))
 
-    def singles(v: str, x: Array) -> None:
+    def singles(variable: Variable, x: Array) -> None:
+        v = variable.name
         add(f"c {v}", x)
         add(f"c {v}^2", x**2)
         add(f"c |{v}|", np.abs(x))
         spread = float(np.ptp(x)) or 1.0
-        if v == "time":
+        if variable.quantity is Quantity.TIME:
             for count in np.arange(0.5, 24.25, 0.25):
                 period = spread / float(count)
                 phase = 2.0 * np.pi * x / period
@@ -98,20 +101,19 @@ def _shapes(variables: list[str], known: list[Array]) -> list[tuple[str, Array]]
             for share in (0.05, 0.1, 0.2, 0.4, 0.8):
                 add(f"c exp(-time / {share * spread / 60.0:.3g} min)", np.exp(-(x - x.min()) / (share * spread)))
             return
-        turning = v.startswith(("q", "other q")) or v in ("azimuth", "elevation", "incidence")
-        for k in range(1, 9 if turning else 1):
+        for k in range(1, 9 if variable.is_angle else 1):
             add(f"c sin({k} {v} + phase)" if k > 1 else f"c sin({v} + phase)", np.cos(k * x), np.sin(k * x))
-        for k in range(1, 5 if turning else 1):
+        for k in range(1, 5 if variable.is_angle else 1):
             label = f"{k} {v}" if k > 1 else v
             add(f"c |sin({label})|", np.abs(np.sin(k * x)))
             add(f"c |cos({label})|", np.abs(np.cos(k * x)))
         for width in (0.1, 0.2, 0.4, 0.8):
             add(f"c tanh({v} / {width * spread:.2g})", np.tanh((x - np.median(x)) / (width * spread)))
 
-    for v, x in zip(variables, known, strict=True):
-        singles(v, x)
+    for variable, x in zip(variables, known, strict=True):
+        singles(variable, x)
     if len(variables) == 2:
-        (v, w), (x, y) = variables, known
+        (v, w), (x, y) = (variable.name for variable in variables), known
         for a, b in ((1, 1), (1, -1), (1, 0.5), (0.5, 1), (1, -0.5), (0.5, -1), (2, 1), (1, 2)):
             total = a * x + b * y
             text = f"{_times(a, v)} {'+' if b > 0 else '-'} {_times(abs(b), w)}"
@@ -130,7 +132,7 @@ def _times(factor: float, name: str) -> str:
 
 
 def _formula(
-    data: ArmData, fit: Fit, place: int, channel: str, variables: list[str], known: list[Array]
+    data: ArmData, fit: Fit, place: int, channel: DataChannel, variables: tuple[Variable, ...], known: list[Array]
 ) -> tuple[str, float | None]:
     """The short formula that explains at least nearly as well as the curve for its number of parameters."""
     if any(not np.isfinite(values).all() for values in known):
@@ -146,19 +148,16 @@ def _formula(
     candidates = []
     shapes = _shapes(variables, known)
     for text, values in shapes:
-        common = ("", text, -math.inf, math.inf, basis.where)
-        if basis.joint is not None:
-            columns = tuple(
-                EffectColumn(f"{text}#{k}", *common, joint=basis.joint, offset=values[:, k])
-                for k in range(values.shape[1])
-            )
+        common = ("", text, -math.inf, math.inf, basis.channel, basis.index)
+        if basis.channel is Channel.JOINT:
+            columns = tuple(EffectColumn(f"{text}#{k}", *common, offset=values[:, k]) for k in range(values.shape[1]))
         else:
             columns = tuple(
                 EffectColumn(f"{text}#{k}#{d}", *common, shift_M=values[:, k, None] * direction)
                 for k in range(values.shape[1])
                 for d, direction in enumerate(directions)
             )
-        law = Law(text, {}, len(shapes))
+        law = LawForm(text, text).law(tried=len(shapes))
         candidates.append(Candidate("unknown", law, columns, displacements(columns, fit.by_joint, fit.white)))
     if not candidates:
         return "", None

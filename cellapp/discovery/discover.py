@@ -21,7 +21,8 @@ from cellapp.discovery.describe import Description, describe
 from cellapp.discovery.pictures import Picture, cycles, pictures
 from cellapp.discovery.scan import VISIBLE, Seen, smallest_seen
 from cellapp.discovery.search import UNKNOWN, Rival, Search, on_all, scatter, search
-from cellapp.effects import EFFECTS, Circumstances, EffectTerm
+from cellapp.effects import EFFECTS, Circumstances, EffectTerm, term_to_json
+from cellapp.effects.periodic import TransmissionError
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel, ResidualNetwork
@@ -45,7 +46,8 @@ _BARELY_VISIBLE = 0.03
 class Finding:
     """An accepted effect with its evidence.
 
-    ``correlated`` is the geometric parameter that its values are most correlated with, and how much.
+    ``correlated`` is the geometric parameter that its values are most correlated with, and how much. ``cycles`` are the
+    dominating cycles per turn of each joint, of a transmission error.
     """
 
     term: EffectTerm
@@ -57,6 +59,7 @@ class Finding:
     heldout_after_mm: float
     rivals: tuple[Rival, ...]
     correlated: tuple[str, float] | None
+    cycles: Mapping[str, Mapping[str, float]] | None = None
     description: Description | None = None
 
     @property
@@ -297,6 +300,7 @@ def _findings(found: Search, gap: Callable[[ArmModel], float]) -> tuple[Finding,
                 heldout_after_mm=after,
                 rivals=reviewed.rivals,
                 correlated=_correlated(fit, place),
+                cycles=cycles(columns, term.values) if part.slug == TransmissionError.slug else None,
                 description=description,
             )
         )
@@ -487,18 +491,13 @@ def _number(value: float) -> float | None:
 
 
 def _finding_dict(finding: Finding) -> dict[str, Any]:
-    term = finding.term
+    term, shared = finding.term, term_to_json(finding.term)
     entry: dict[str, Any] = {
-        "effect": term.slug,
+        "effect": shared["effect"],
         "title": EFFECTS[term.slug].title,
-        "law": {"name": term.law.name, "constants": dict(term.law.constants)},
+        "law": {"name": shared["law"], "constants": shared["constants"]},
         "where": {"joints": list(finding.joints), "acts_on": list(finding.acts_on)},
-        "parameters": {
-            name: {"value": value, "standard_error": error, "unit": unit}
-            for name, value, error, unit in zip(
-                term.names, term.values.tolist(), term.standard_errors.tolist(), term.units, strict=True
-            )
-        },
+        "parameters": shared["parameters"],
         "evidence": {
             "statistic": finding.score,
             "corrected_p": finding.p_value,
@@ -512,8 +511,8 @@ def _finding_dict(finding: Finding) -> dict[str, Any]:
         if finding.correlated is None
         else {"parameter": finding.correlated[0], "correlation": finding.correlated[1]},
     }
-    if term.slug == "transmission_error":
-        entry["cycles"] = cycles(term.names, term.values)
+    if finding.cycles is not None:
+        entry["cycles"] = finding.cycles
     if finding.description is not None:
         entry["description"] = finding.description.as_dict()
         entry["where"] |= {"channel": finding.description.channel, "variables": list(finding.description.variables)}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,29 +10,33 @@ from typing import Any
 import numpy as np
 
 from cellapp.discovery.data import ArmData, Fit, Part
-from cellapp.effects import EFFECTS, EffectColumn
-from cellapp.effects.unknown import values_of
+from cellapp.effects import EFFECTS, Channel, DriverVariable, EffectColumn
+from cellapp.effects.data_driven import Quantity, Variable, data_driven_form
 from cellapp.kinematics.transforms import Array
 
 _MOST_POINTS = 600
 _MOST_JOINTS = 6
 _FEEBLE = 0.05
 """A joint whose lever is below this share of the longest moves the SMR too little for its offsets to be seen."""
-_WAVE = re.compile(r"(cos|sin)(\d+)q(\d+)")
 _FAST = 40
 """Lines of more cycles a turn are too dense to be drawn over the whole turn."""
 _ONE_WAY = 0.9
 """A shift of which one direction holds this share of the squares is shown along that direction, with its sign."""
 _IN_WORDS = {
-    "time": ("time [h]", 1.0 / 3600.0),
-    "dwell": ("dwell [s]", 1.0),
-    "payload": ("payload [kg]", 1.0),
-    "temperature": ("air temperature [degC]", 1.0),
-    "range": ("distance from the tracker [m]", 1.0),
-    "azimuth": ("azimuth seen by the tracker [deg]", np.degrees(1.0)),
-    "elevation": ("elevation seen by the tracker [deg]", np.degrees(1.0)),
-    "incidence": ("incidence [deg]", np.degrees(1.0)),
+    Quantity.JOINT_ANGLE: ("joint {} [deg]", np.degrees(1.0)),
+    Quantity.OTHER_JOINT_ANGLE: ("joint {} of the other arm [deg]", np.degrees(1.0)),
+    Quantity.TORQUE: ("gravity torque on joint {} [Nm]", 1.0),
+    Quantity.STEP: ("last step of joint {} [deg]", np.degrees(1.0)),
+    Quantity.TIME: ("time [h]", 1.0 / 3600.0),
+    Quantity.DWELL: ("dwell [s]", 1.0),
+    Quantity.PAYLOAD: ("payload [kg]", 1.0),
+    Quantity.TEMPERATURE: ("air temperature [degC]", 1.0),
+    Quantity.RANGE: ("distance from the tracker [m]", 1.0),
+    Quantity.AZIMUTH: ("azimuth seen by the tracker [deg]", np.degrees(1.0)),
+    Quantity.ELEVATION: ("elevation seen by the tracker [deg]", np.degrees(1.0)),
+    Quantity.INCIDENCE: ("incidence [deg]", np.degrees(1.0)),
 }
+"""Axis label, with the joint's number where there is one per joint, and factor from SI."""
 
 
 @dataclass(frozen=True)
@@ -88,28 +91,26 @@ class Picture:
         }
 
 
-def cycles(names: Sequence[str], values: Array) -> dict[str, dict[str, float]]:
-    """The dominating cycles a turn of each joint (key: its number) of periodic errors named as ``cos12q3``, [rad].
+def cycles(columns: Sequence[EffectColumn], values: Array) -> dict[str, dict[str, float]]:
+    """Dominating cycles per turn of each joint (key: its number) of columns that are waves, with values [rad].
 
     ``from`` and ``to`` hold the middle 80 % of the power between them, ``peak`` has most of it; ``rms_urad`` is over a
     whole turn.
     """
-    power: dict[str, dict[int, float]] = {}
-    for name, value in zip(names, values.tolist(), strict=True):
-        parsed = _WAVE.fullmatch(name)
-        if parsed is not None:
-            count, joint = int(parsed[2]), parsed[3]
-            of_joint = power.setdefault(joint, {})
-            of_joint[count] = of_joint.get(count, 0.0) + 0.5 * value**2
+    power: dict[int, dict[int, float]] = {}
+    for column, value in zip(columns, values.tolist(), strict=True):
+        if column.cycles is not None and column.joint is not None:
+            of_joint = power.setdefault(column.joint, {})
+            of_joint[column.cycles] = of_joint.get(column.cycles, 0.0) + 0.5 * value**2
     found = {}
-    for joint in sorted(power, key=int):
+    for joint in sorted(power):
         counts = sorted(power[joint])
         each = np.array([power[joint][count] for count in counts])
         if not each.any():
             continue
         share = np.cumsum(each) / each.sum()
         first, last = (counts[min(int(np.searchsorted(share, at)), len(counts) - 1)] for at in (0.1, 0.9))
-        found[joint] = {
+        found[str(joint + 1)] = {
             "from": first,
             "to": last,
             "peak": counts[int(np.argmax(each))],
@@ -135,10 +136,10 @@ def pictures(data: ArmData, fit: Fit) -> tuple[Picture, ...]:
             if levers[joint] > _FEEBLE * levers.max():
                 shown += seen.of_joint(joint)
         if not joints:
-            # an axis that wobbles is looked at against its own joint; all else shifts the SMR together
-            places = dict.fromkeys(one.where if one.where.startswith("joint ") else "" for one in seen.columns)
-            for place in places:
-                shown += seen.of_shift(place)
+            # a joint axis that tilts is shown against its own joint; all else shifts the SMR together
+            axes = dict.fromkeys(one.index if one.channel is Channel.AXIS else None for one in seen.columns)
+            for axis in axes:
+                shown += seen.of_shift(axis)
     return tuple(picture for picture in shown if picture.x)
 
 
@@ -154,9 +155,9 @@ class _Seen:
             size + here.start : size + here.stop, size + here.start : size + here.stop
         ]
         self.title = EFFECTS[part.slug].title
-        channel = part.law.name.partition("|")[0]
-        if part.slug == "unknown" and not channel.startswith("joint "):
-            self.title += f", {channel}"
+        if part.slug == "unknown":
+            channel = data_driven_form(part.law).channel
+            self.title += "" if channel.channel is Channel.JOINT else f", {channel.name}"
 
     def of_joint(self, joint: int) -> list[Picture]:
         """The offset of a joint, from what the readings show along the way that the joint moves the SMR."""
@@ -195,8 +196,7 @@ class _Seen:
 
     def _counts(self, rows: Sequence[int]) -> list[int] | None:
         """The cycle counts of columns that are all waves of the joint angle; None where one is not."""
-        parsed = [_WAVE.fullmatch(self.columns[k].name) for k in rows]
-        counts = [int(match[2]) for match in parsed if match is not None]
+        counts = [count for k in rows if (count := self.columns[k].cycles) is not None]
         return counts if counts and len(counts) == len(rows) else None
 
     def _periodic(self, joint: int, rows: Sequence[int], counts: Sequence[int]) -> list[_Shown]:
@@ -221,13 +221,13 @@ class _Seen:
             fast = [count for count in fast if count not in together]
         return shown
 
-    def of_shift(self, place: str) -> list[Picture]:
+    def of_shift(self, axis: int | None) -> list[Picture]:
         """The shift of the SMR, along its one direction, or its length where it goes every way.
 
-        Of the columns that act on ``place``; of all where that is empty.
+        Of the columns that act on the axis of joint ``axis`` (from 0); of all where that is None.
         """
         shifting = [k for k, column in enumerate(self.columns) if column.shift_M is not None]
-        rows = [k for k in shifting if place in ("", self.columns[k].where)]
+        rows = [k for k in shifting if axis in (None, self.columns[k].index)]
         shifts = np.array([self.columns[k].shift_M for k in rows]).reshape(-1, len(self.data), 3)
         shift = np.einsum("k,kna->na", self.values[rows], shifts)
         length = np.linalg.norm(shift, axis=1)
@@ -245,10 +245,10 @@ class _Seen:
         computed = np.einsum("na,na->n", way, shift)
         left = np.einsum("na,na->n", way, self.fit.identification.residuals)
         band = _deviation(np.einsum("kna,na->kn", shifts, way), self.covariance[np.ix_(rows, rows)])
-        joint = int(place.removeprefix("joint ")) - 1 if place else None
+        place = "" if axis is None else f", joint {axis + 1}"
         return [
             _picture(
-                f"{self.title}, {place}{along}" if place else f"{self.title}{along}",
+                f"{self.title}{place}{along}",
                 self.part.slug,
                 x_label,
                 label,
@@ -258,14 +258,13 @@ class _Seen:
                 band[seen] * 1e6,
                 None,
             )
-            for x_label, x in _against(self.data, self.part, None, joint)
+            for x_label, x in _against(self.data, self.part, None, axis)
         ]
 
     def _curve(self, rows: Sequence[int], around: Array) -> Curve:
         """The curve of waves over ``around`` [deg], also where no reading was taken."""
-        waves = {"cos": np.cos, "sin": np.sin}
-        parsed = [_WAVE.fullmatch(self.columns[k].name) for k in rows]
-        B = np.array([waves[match[1]](int(match[2]) * np.radians(around)) for match in parsed if match is not None])
+        waves = [wave for k in rows if (wave := self.columns[k].wave) is not None]
+        B = np.array([wave(np.radians(around)) for wave in waves])
         band = _deviation(B, self.covariance[np.ix_(rows, rows)])
         return Curve(_told(around), _told(self.values[rows] @ B * 1e6), _told(band * 1e6))
 
@@ -306,17 +305,11 @@ def _against(data: ArmData, part: Part, turned: int | None, beside: int | None =
     if part.slug != "unknown":
         return [_against_named(data, part, turned, beside)]
     found = []
-    for name in part.law.name.split("|")[1:]:
-        values = values_of(data.context, name)
-        if name in _IN_WORDS:
-            label, factor = _IN_WORDS[name]
-        elif name.startswith("torque"):
-            label, factor = f"gravity torque on joint {name[6:]} [Nm]", 1.0
-        elif name.startswith("step"):
-            label, factor = f"last step of joint {name[4:]} [deg]", np.degrees(1.0)
-        else:
-            whose = " of the other arm" if name.startswith("other ") else ""
-            label, factor = f"joint {name.rpartition('q')[2]}{whose} [deg]", np.degrees(1.0)
+    for variable in data_driven_form(part.law).drivers:
+        values = variable.values(data.context)
+        label, factor = _IN_WORDS[variable.quantity]
+        if variable.joint is not None:
+            label = label.format(variable.joint + 1)
         if np.isfinite(values).any():
             found.append((label, values * factor))
     return found
@@ -325,31 +318,31 @@ def _against(data: ArmData, part: Part, turned: int | None, beside: int | None =
 def _against_named(data: ArmData, part: Part, turned: int | None, beside: int | None) -> tuple[str, Array]:
     """What an effect of the library is best looked at against: label and values (n,)."""
     context, known = data.context, data.known
-    variables = EFFECTS[part.slug].variables
+    variables = part.law.form.variables or EFFECTS[part.slug].variables
     if turned is not None:
-        if "step" in variables and known.step is not None:
+        if DriverVariable.STEP in variables and known.step is not None:
             return f"last step of joint {turned + 1} [deg]", np.degrees(context.step[:, turned])
-        if "torque" in variables:
-            sign = context.approach[:, turned] if "approach" in variables else 1.0
-            signed = ", signed by the approach" if "approach" in variables else ""
+        if DriverVariable.TORQUE in variables:
+            sign = context.approach[:, turned] if DriverVariable.APPROACH in variables else 1.0
+            signed = ", signed by the approach" if DriverVariable.APPROACH in variables else ""
             return f"gravity torque on joint {turned + 1} [Nm]{signed}", np.asarray(context.torques[:, turned] * sign)
-        if "approach" in variables:
+        if DriverVariable.APPROACH in variables:
             return f"approach direction of joint {turned + 1}", context.approach[:, turned]
-    if "temperature" in variables and part.law.name.startswith("air") and known.air_c is not None:
+    if DriverVariable.TIME in variables and known.time_s is not None and np.isfinite(known.time_s).any():
+        return "time [h]", known.time_s / 3600.0
+    if DriverVariable.AIR_TEMPERATURE in variables and known.air_c is not None:
         return "air temperature [degC]", known.air_c
-    if "temperature" in variables and part.law.name.startswith("joint") and known.joints_c is not None:
+    if DriverVariable.JOINT_TEMPERATURE in variables and known.joints_c is not None:
         if turned is None:
             return "mean temperature of the joints [degC]", known.joints_c.mean(axis=1)
         return f"temperature of joint {turned + 1} [degC]", known.joints_c[:, turned]
-    if "time" in variables and known.time_s is not None and np.isfinite(known.time_s).any():
-        return "time [h]", known.time_s / 3600.0
-    if "other_arm" in variables and known.other_moment_M is not None:
+    if DriverVariable.OTHER_ARM in variables and known.other_moment_M is not None:
         return "moment of the other arm [Nm]", np.linalg.norm(known.other_moment_M, axis=1)
-    if "beam" in variables:
+    if DriverVariable.BEAM in variables:
         return "distance from the tracker [m]", context.beam[0]
-    if "incidence" in variables and context.smr_normal is not None:
-        return "incidence [deg]", np.degrees(values_of(context, "incidence"))
-    if turned is None and "torque" in variables:
+    if DriverVariable.INCIDENCE in variables and context.smr_normal is not None:
+        return "incidence [deg]", np.degrees(Variable(Quantity.INCIDENCE).values(context))
+    if turned is None and DriverVariable.TORQUE in variables:
         return "gravity torque on joint 2 [Nm]", context.torques[:, min(1, context.joints - 1)]
     number = beside or 0 if turned is None else turned
     return f"joint {number + 1} [deg]", np.degrees(data.readings.q[:, number])

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.calibration.calibrate import CALIBRATION_FILE
-from cellapp.calibration.circumstances import base_moment
 from cellapp.design.discrimination import Contest, Race
 from cellapp.discovery.data import ArmData, Fit
 from cellapp.discovery.discover import Discovery, known_of_all
 from cellapp.discovery.questions import Question, There, fitted, questions
-from cellapp.effects import EFFECTS, Circumstances, varies
+from cellapp.effects import EFFECTS, Circumstances, DriverVariable, varies
 from cellapp.errors import InputError
+from cellapp.kinematics.statics import base_moment
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel
 from cellapp.planning.plan import all_seen, draw_stops, rolled_stops
@@ -177,8 +177,10 @@ def propose_run(
     poses = poses.first(min(asked.affordable for asked in asking.values()))
     for asked in asking.values():
         asked.prepare(poses)
-    variables = frozenset[str]().union(*(asked.variables for arm in asking.values() for asked in arm.questions))
-    choice = _Choice(list(asking.values()), poses, "other_arm" in variables or poses.gate is None, rng)
+    variables = frozenset[DriverVariable]().union(
+        *(asked.variables for arm in asking.values() for asked in arm.questions)
+    )
+    choice = _Choice(list(asking.values()), poses, DriverVariable.OTHER_ARM in variables or poses.gate is None, rng)
     chosen = choice.select(count, listener, cancel)
     if not chosen:
         raise InputError("propose: the gate refused every candidate; make plan.clearance smaller, or move the bases")
@@ -356,10 +358,10 @@ class _Asking:
 
     def _without_needless(self) -> None:
         """Neither detours nor pauses where nothing that is asked depends on them."""
-        variables = frozenset[str]().union(*(asked.variables for asked in self.questions))
-        if "dwell" not in variables:
+        variables = frozenset[DriverVariable]().union(*(asked.variables for asked in self.questions))
+        if DriverVariable.DWELL not in variables:
             self.steps, self.dwells = self.steps[:, :: len(DWELLS_S)], np.zeros(self.ways // len(DWELLS_S))
-        if not variables & {"approach", "step"}:
+        if not variables & {DriverVariable.APPROACH, DriverVariable.STEP}:
             dwells = np.unique(self.dwells)
             self.steps, self.dwells = np.zeros((len(self.steps), len(dwells), self.steps.shape[2])), dwells
 
@@ -378,7 +380,7 @@ class _Asking:
         theirs = next((name for name in poses.q if name != self.name), None)
         if self.other is not None and theirs is not None:
             other_q = poses.q[theirs][pose]
-            moment = base_moment(self.other, other_q)
+            moment = base_moment(self.other.geometry, self.other.bodies, other_q, self.other.up_M)
         asked = bool(steps.any())
         dwell_s = None if known.dwell_s is None and not self.dwells.any() else self.dwells[way] + self._pause_s()
         payload = _last(known.payload_kg, m) if load_kg is None else load_kg
@@ -710,7 +712,7 @@ def _load_advice(
 ) -> list[str]:
     """What another load at every second stop would do, where the stops alone do not tell and the run had but one."""
     slugs = [asked.effect, *([asked.against] if asked.against else [])]
-    felt = any("payload" in EFFECTS[slug].variables for slug in slugs)
+    felt = any(DriverVariable.PAYLOAD in EFFECTS[slug].variables for slug in slugs)
     if not felt or varies(arm.known.payload_kg) or (asked.against and answer.proposed >= answer.needed):
         return []
     present = _last(arm.known.payload_kg, 1)

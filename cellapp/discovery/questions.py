@@ -14,7 +14,8 @@ from cellapp.design.discrimination import Contest
 from cellapp.discovery.data import ArmData, Choice, Fit, Part, whitening
 from cellapp.discovery.scan import VISIBLE, Seen, displacements, explained_by
 from cellapp.discovery.search import UNKNOWN
-from cellapp.effects import EFFECTS, Circumstances, EffectColumn, EffectContext, EffectTerm, Law
+from cellapp.effects import EFFECTS, Circumstances, DriverVariable, EffectColumn, EffectContext, EffectTerm, Law
+from cellapp.effects.periodic import curve_prior
 from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 _MOST_COLUMNS = 40
 _MOST_LAWS = 4
 _MOST_UNSEEN = 3
-_CURABLE = frozenset({"approach", "step", "dwell", "other_arm"})
+_CURABLE = frozenset({DriverVariable.APPROACH, DriverVariable.STEP, DriverVariable.DWELL, DriverVariable.OTHER_ARM})
 """What the factors of further stops can make vary where a run did not."""
 _JOINED = 200
 
@@ -44,7 +45,7 @@ class There:
         """At configurations ``q`` (m, N) in the circumstances ``known``."""
         model, found = fit.model, fit.identification
         stands = model.true_joints(q, known=known) if model.effects else None
-        context = replace(model.context(q, known=known), stands=stands)
+        context = replace(model.context(q, known=known), q_actual=stands)
         white = whitening(_expected_sigma(data, context), len(q))
         turns = JointAngles.of(q)
         columns = found.parameter_set.columns
@@ -104,7 +105,7 @@ class Question:
     rivals: tuple[tuple[Law, tuple[str, ...]], ...] = ()
 
     @property
-    def variables(self) -> frozenset[str]:
+    def variables(self) -> frozenset[DriverVariable]:
         """All that the models of either side depend on."""
         slugs = [self.effect, *(part.slug for part in self.fit.choice), *([self.against] if self.against else [])]
         return frozenset().union(*(EFFECTS[slug].variables for slug in slugs))
@@ -126,7 +127,7 @@ class Question:
         signals = self.values @ displacements(own, fit.by_joint, fit.white)
         signals_there = there.by_stop(self.values @ there.columns(self.effect, self.law, self.names))
         found = []
-        for law, names in self.rivals or ((Law(), ()),):
+        for law, names in self.rivals or ((self.law, ()),):
             columns = data.columns(self.against, law, names) if names else []
             more = [there.columns(self.against, law, names)] if names else []
             found.append(
@@ -153,7 +154,8 @@ def fitted(data: ArmData, terms: Sequence[EffectTerm], scatter: float) -> tuple[
     ``scatter`` is that of the search: the noise that goes with the prior of free curves.
     """
     choice: Choice = tuple(
-        Part(term.slug, term.law, term.names, _curves(term, scatter), note=term.note) for term in terms
+        Part(term.slug, term.law, term.names, _curves(term, scatter, data.readings.joints), note=term.note)
+        for term in terms
     )
     here = data.weighed(choice)
     fit = here.fit(choice)
@@ -161,16 +163,15 @@ def fitted(data: ArmData, terms: Sequence[EffectTerm], scatter: float) -> tuple[
     return here, here.fit(choice)
 
 
-def _curves(term: EffectTerm, scatter: float) -> Curves | None:
+def _curves(term: EffectTerm, scatter: float, joints: int) -> Curves | None:
     """The prior of a free curve, from the constants of its law."""
-    if term.law.name != "curve":
+    prior = curve_prior(term.law, joints)
+    if not prior:
         return None
-    constants = term.law.constants
-    joints = sorted(int(key.removeprefix("length")) - 1 for key in constants if key.startswith("length"))
     return Curves(
-        joints=tuple(joints),
-        lengths=np.array([constants[f"length{j + 1}"] for j in joints]),
-        amplitudes=np.array([constants[f"amplitude{j + 1}"] for j in joints]),
+        joints=tuple(prior),
+        lengths=np.array([length for length, _ in prior.values()]),
+        amplitudes=np.array([amplitude for _, amplitude in prior.values()]),
         noise=scatter if math.isfinite(scatter) else 1.0,
         evidence=0.0,
     )

@@ -85,7 +85,7 @@ class Candidate:
 
     def refines(self, block: Sequence[int]) -> bool:
         """Whether a block only refines others."""
-        return self.columns[block[0]].block.startswith("+")
+        return self.columns[block[0]].refines
 
 
 def displacements(columns: Sequence[EffectColumn], by_joint: Array, white: Array) -> Array:

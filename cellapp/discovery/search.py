@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from cellapp.calibration.curves import CYCLES, Curves, find_curves, variances
 from cellapp.calibration.identification import TooFewReadings
-from cellapp.discovery.data import ArmData, Choice, Fit, Part, cycles_of, whitening
+from cellapp.discovery.data import ArmData, Choice, Fit, Part, whitening
 from cellapp.discovery.scan import (
     Follower,
     Score,
@@ -22,7 +22,9 @@ from cellapp.discovery.scan import (
     null_maxima,
     threshold,
 )
-from cellapp.effects import EFFECTS, Law, Refinable
+from cellapp.effects import EFFECTS, DriverVariable, Law
+from cellapp.effects.data_driven import data_driven_form
+from cellapp.effects.periodic import LINES, curve_law, wave_names
 from cellapp.effects.unknown import dictionary, pairs
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
@@ -245,13 +247,13 @@ class _Engine:
     def _line_beside(self, here: ArmData, fit: Fit, place: int, needed: float) -> Step | None:
         """A sharp line beside a free curve, which is smooth."""
         part = fit.choice[place]
-        lines = next(law for law in EFFECTS[part.slug].laws(here.context) if law.name == "lines")
+        lines = next(law for law in EFFECTS[part.slug].laws(here.context) if law.form == LINES)
         candidate = here.candidate(fit, part.slug, lines)
         assert part.curves is not None
         sharp = [
             k
             for k, column in enumerate(candidate.columns)
-            if column.joint in part.curves.joints and cycles_of(column.name) > CYCLES
+            if column.joint in part.curves.joints and column.cycles is not None and column.cycles > CYCLES
         ]
         columns = tuple(candidate.columns[k] for k in sharp)
         candidate = replace(candidate, columns=columns, B=candidate.B[sharp])
@@ -288,7 +290,7 @@ class _Engine:
             names = set(part.names)
             law, value = part.law, float(explained_by(_own(fit, place), follower, MY))
             for shrink in (1.0, 1.0, 0.5, 0.5, 0.25, 0.12):
-                for nearby in _nearby(law, here, shrink):
+                for nearby in law.nearby(here.context, shrink):
                     columns = [c for c in here.columns(part.slug, nearby) if c.name in names]
                     rows = displacements(columns, fit.by_joint, fit.white)
                     trial = explained_by(rows, follower, MY)
@@ -356,7 +358,7 @@ class _Engine:
             B, _ = seen.part(number)
             fewer = replace(candidate, columns=tuple(candidate.columns[p] for p in keep), B=B[keep])
             alone = Seen.of([fewer], follower)
-            refined = any(candidate.columns[place].block.startswith("+") for place in score.chosen)
+            refined = any(candidate.columns[place].refines for place in score.chosen)
             again = alone.greedy(0, MY, square, refined=refined)
             if again is None:
                 return None
@@ -383,9 +385,8 @@ class _Engine:
             if len(part.names) >= _MANY_LINES:  # rather a curve than one line after the other
                 candidates = [one for one in candidates if len(one.columns) <= 2 * _MANY_LINES]
             effect = EFFECTS[part.slug]
-            if isinstance(effect, Refinable):
-                further = effect.refinements(here.context, part.law, part.names)
-                candidates += [here.candidate(fit, part.slug, law) for law in further]
+            further = effect.refinements(here.context, part.law, part.names)
+            candidates += [here.candidate(fit, part.slug, law) for law in further]
             seen = Seen.of(candidates, follower)
             own = _value(fit, place, follower, MY, square)
             for score in seen.scores(MY, square, refined=True)[:3]:
@@ -487,17 +488,17 @@ class _Engine:
     def data_driven(self, way: _Way) -> _Way | None:
         """The channel and the one or two variables that explain most of what is left, added."""
         here, fit = way.data, way.fit
-        taken = {_subject(part.law) for part in fit.choice if part.slug == UNKNOWN}
+        taken = {data_driven_form(part.law).subject for part in fit.choice if part.slug == UNKNOWN}
         MY = fit.follower.without(fit.residual)
         square = float(fit.residual @ MY)
-        laws = [law for _, _, law in dictionary(here.context) if _subject(law) not in taken]
+        laws = [law for law in dictionary(here.context) if data_driven_form(law).subject not in taken]
         best = self._best_law(here, fit, laws, MY, square)
         two_laws = list(pairs(here.context))
         if best is not None:
-            channel = best.candidate.law.name.split("|")[0]
+            channel = data_driven_form(best.candidate.law).channel
             known = {law.name for law in two_laws}
             two_laws += [law for law in pairs(here.context, channel) if law.name not in known]
-        two_laws = [law for law in two_laws if _subject(law) not in taken]
+        two_laws = [law for law in two_laws if data_driven_form(law).subject not in taken]
         two = self._best_law(here, fit, two_laws, MY, square)
         wanted = [score for score in (two, best) if score is not None and score.value > self.least]
         if len(wanted) == 2 and wanted[0].value <= wanted[1].value + _RIVAL:
@@ -575,7 +576,7 @@ class _Engine:
                 if more.slug == UNKNOWN or other == place:
                     continue
                 # everything depends on the posture; that alone makes no kin
-                shared = (EFFECTS[part.slug].variables & EFFECTS[more.slug].variables) - {"q"}
+                shared = (EFFECTS[part.slug].variables & EFFECTS[more.slug].variables) - {DriverVariable.JOINT_ANGLE}
                 if shared and removed[place] < _SAME_CAUSE * removed[other]:
                     return place
         return None
@@ -632,29 +633,6 @@ def _own(fit: Fit, place: int) -> Array:
     return fit.rows[_place_of(fit, place)]
 
 
-def _nearby(law: Law, data: ArmData, shrink: float) -> list[Law]:
-    """Laws whose constants are a little different: an onset in a neighbouring pause, a time or size some 20 % away."""
-    found = []
-    for key, value in law.constants.items():
-        if key == "onset_s":
-            times = np.sort(np.asarray(data.known.time_s))
-            pauses = (times[1:] + times[:-1]) / 2.0
-            place = int(np.searchsorted(pauses, value))
-            around = range(max(place - 6, 7), min(place + 7, len(pauses) - 7))
-            found += [replace(law, constants={**law.constants, key: float(pauses[i])}) for i in around]
-        elif key.startswith(("tau", "knee", "width", "lag")):
-            for factor in (math.exp(-0.3 * shrink), math.exp(0.3 * shrink)):
-                found.append(replace(law, constants={**law.constants, key: value * factor}))
-    return found
-
-
-def _subject(law: Law) -> tuple[str, ...]:
-    """What a data-driven law speaks of: its channel, whatever the direction, and its variables."""
-    channel, *variables = law.name.split("|")
-    kind = next((kind for kind in ("base shift", "tool") if channel.startswith(kind)), channel)
-    return (kind, *variables)
-
-
 def _curve_price(curves: Curves, data: ArmData) -> float:
     """What the length and amplitude of each curve, and the noise, cost."""
     return (2 * len(curves.joints) + 1) * math.log(3 * len(data))
@@ -662,15 +640,13 @@ def _curve_price(curves: Curves, data: ArmData) -> float:
 
 def _curve_law(curves: Curves) -> tuple[Law, tuple[str, ...]]:
     """The law ``curve`` with the prior's constants, and the names of its columns."""
-    constants: dict[str, float] = {"cycles": float(CYCLES)}
-    for joint, length, amplitude in zip(
-        curves.joints, curves.lengths.tolist(), curves.amplitudes.tolist(), strict=True
-    ):
-        constants |= {f"length{joint + 1}": length, f"amplitude{joint + 1}": amplitude}
-    law = Law("curve", constants)
-    # what the prior holds for nothing need not be carried along
-    most = {j: _cycles_that_matter(length) for j, length in zip(curves.joints, curves.lengths.tolist(), strict=True)}
-    names = (f"{wave}{k}q{j + 1}" for j in curves.joints for k in range(2, most[j] + 1) for wave in ("cos", "sin"))
+    lengths = dict(zip(curves.joints, curves.lengths.tolist(), strict=True))
+    amplitudes = dict(zip(curves.joints, curves.amplitudes.tolist(), strict=True))
+    law = curve_law({joint: (lengths[joint], amplitudes[joint]) for joint in curves.joints}, CYCLES)
+    # cycles whose prior is close to zero need no column
+    names = [
+        name for joint in curves.joints for name in wave_names(joint, range(2, _cycles_that_matter(lengths[joint]) + 1))
+    ]
     return law, tuple(names)
 
 
@@ -687,7 +663,7 @@ def _value(fit: Fit, place: int, follower: Follower, MY: Array, square: float) -
     N = len(MY)
     begin = sum(len(p.names) for p in fit.choice[:place])
     blocks = len({column.block for column in fit.columns[begin : begin + len(own)]})
-    many = part.slug == "transmission_error" and part.law.name == "lines"
+    many = part.law.form == LINES
     price = 2.0 * math.log(max(part.law.tried, 1)) * (blocks if many else 1)
     return -N * math.log1p(-share) - len(own) * math.log(N) - price
 

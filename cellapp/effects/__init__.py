@@ -1,37 +1,45 @@
-"""The library of named physical effects. A new one is one new file and one line in ``registry``."""
+"""The library of physical effects. A new effect is one file and one line in ``registry``."""
 
-from cellapp.effects.effect import (
-    PLAIN,
-    Circumstances,
-    Effect,
-    EffectColumn,
-    EffectContext,
-    EffectTerm,
+from cellapp.effects.column import Channel, EffectColumn, Wave, joint_column, shift_column
+from cellapp.effects.context import Circumstances, EffectContext, TemperatureRecord, varies
+from cellapp.effects.effect import Effect
+from cellapp.effects.law import (
+    FIXED,
+    SCALED,
+    Constant,
+    DriverVariable,
     Law,
-    Moved,
-    Record,
-    Refinable,
-    joint_column,
-    moved_by,
-    shift_column,
-    varies,
+    LawForm,
+    NeighbouringPauses,
+    Scaled,
 )
-from cellapp.effects.registry import EFFECTS
+from cellapp.effects.registry import EFFECTS, registered
+from cellapp.effects.term import Displacement, EffectTerm, displacement, term_from_json, term_to_json
 
 __all__ = [
     "EFFECTS",
-    "PLAIN",
+    "FIXED",
+    "SCALED",
+    "Channel",
     "Circumstances",
+    "Constant",
+    "Displacement",
+    "DriverVariable",
     "Effect",
     "EffectColumn",
     "EffectContext",
     "EffectTerm",
     "Law",
-    "Moved",
-    "Record",
-    "Refinable",
+    "LawForm",
+    "NeighbouringPauses",
+    "Scaled",
+    "TemperatureRecord",
+    "Wave",
+    "displacement",
     "joint_column",
-    "moved_by",
+    "registered",
     "shift_column",
+    "term_from_json",
+    "term_to_json",
     "varies",
 ]

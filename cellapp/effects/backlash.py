@@ -1,4 +1,4 @@
-"""Lost motion on reversal: play, hysteresis, and what friction winds up."""
+"""Lost motion on reversal: backlash, hysteresis and friction wind-up."""
 
 from __future__ import annotations
 
@@ -6,32 +6,49 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.effects.effect import EffectColumn, EffectContext, Law, joint_column, unknown_law, varies
+from cellapp.effects.column import EffectColumn, joint_column
+from cellapp.effects.context import EffectContext, varies
+from cellapp.effects.effect import Effect
+from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
+from cellapp.kinematics.transforms import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
-"""Steps [rad] after which hysteresis may be saturated."""
+"""Steps [rad] after which hysteresis may be saturated: 1 to 45 degrees, a factor of 2 to 2.5 apart."""
+_MOST_PLAY = 5e-3
+"""Largest plausible half play [rad]: ten times the worst published lost motion of such gears."""
+_MOST_WINDUP = 1e-4
+"""Largest plausible wind-up [rad/Nm]: fifty times the estimated one."""
+
+WIDTH = Constant("width", "rad", SCALED, "saturated beyond some {} deg", factor=float(np.degrees(1.0)))
+TYPICAL_STEP = Constant("step", "rad", FIXED, per_joint=True)
+"""Median step of the run, for stops whose step is unknown."""
+CONSTANT = LawForm("constant", "the same after any motion")
+SATURATING = LawForm("saturating", "taken up only by large steps", (WIDTH, TYPICAL_STEP))
+LOAD = LawForm("load", "in proportion to the load")
+BOTH = LawForm("both", "dry friction, and in proportion to the load")
 
 
-class Backlash:
-    """The joint stands half the play behind its last motion: ``dq_j = -h_j s_j``, s_j = +1 or -1, h_j > 0 [rad].
+class Backlash(Effect):
+    """The joint lags half the play behind its last motion: ``dq_j = -h_j s_j``, s_j = +1 or -1, h_j > 0 [rad].
 
     Laws
     ----
     constant
         Any motion takes up all of the play.
     saturating
-        ``dq_j = -h_j s_j tanh(|step_j| / w)``: hysteresis that a small step does not take up; w is searched. A step
-        that nobody knows counts as the run's median step of that joint.
+        ``dq_j = -h_j s_j tanh(|step_j| / w)``: hysteresis that a small step does not take up; w is searched. An
+        unknown step counts as the run's median step of that joint.
 
     Size: strain-wave gears are specified in arc minutes of lost motion (sourced), h some 10 to 150 urad; 40 urad are
     25 to 55 um at a UR10's flange. 90 % visible with stops approached from both sides; from one side only it hides in
-    the joint zero. Look-alikes: unsettled measurement where sign and step are tied, friction wind-up.
+    the joint zero. Look-alikes: unsettled measurement where sign and step are correlated, friction wind-up.
     """
 
     slug = "backlash"
     title = "backlash or hysteresis of joints"
-    look_alikes: tuple[str, ...] = ("friction_windup", "unsettled_measurement")
-    variables = frozenset({"approach", "step"})
+    look_alikes = ("friction_windup", "unsettled_measurement")
+    variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
+    forms = (CONSTANT, SATURATING)
 
     def untestable(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
@@ -40,30 +57,29 @@ class Backlash:
     def laws(self, context: EffectContext) -> list[Law]:
         """Constant; saturating where steps are known."""
         if not varies(context.known.step):
-            return [Law("constant")]
-        typical = {f"step{j}": size for j, size in enumerate(np.median(np.abs(context.step), axis=0).tolist(), 1)}
-        return [Law("constant"), *(Law("saturating", {"width": w, **typical}, len(WIDTHS)) for w in WIDTHS)]
+            return [CONSTANT.law()]
+        medians = np.median(np.abs(context.step), axis=0).tolist()
+        typical = {TYPICAL_STEP.key(j): size for j, size in enumerate(medians)}
+        return [CONSTANT.law(), *(SATURATING.law({WIDTH.name: w, **typical}, len(WIDTHS)) for w in WIDTHS)]
 
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
-        """One column a joint; zero where the side of approach is not known."""
-        if law.name in ("", "constant"):
-            sizes = np.ones(context.q.shape)
-        elif law.name == "saturating":
-            typical = np.array([law.constants.get(f"step{j + 1}", np.inf) for j in range(context.joints)])
-            step = context.known.step
-            steps = (
-                np.broadcast_to(typical, context.q.shape)
-                if step is None
-                else np.where(np.isnan(step), typical, np.abs(step))
-            )
-            sizes = np.tanh(steps / law.constants["width"])
-        else:
-            raise unknown_law(self.slug, law)
-        behind = -context.approach * sizes
-        return [joint_column(f"half_play{j + 1}", "rad", j, behind[:, j], 0.0, 5e-3) for j in range(context.joints)]
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """One column per joint; zero where the side of approach is unknown."""
+        lag = -context.approach
+        if law.form == SATURATING:
+            lag = lag * np.tanh(_step_sizes(context, law) / law.constants[WIDTH.name])
+        return [joint_column(f"half_play{j + 1}", "rad", j, lag[:, j], 0.0, _MOST_PLAY) for j in range(context.joints)]
 
 
-class FrictionWindup:
+def _step_sizes(context: EffectContext, law: Law) -> Array:
+    """Size of each joint's last step (n, N) [rad]; the run's median where unknown."""
+    typical = np.array([law.constants.get(TYPICAL_STEP.key(j), np.inf) for j in range(context.joints)])
+    step = context.known.step
+    if step is None:
+        return np.broadcast_to(typical, context.q.shape)
+    return np.where(np.isnan(step), typical, np.abs(step))
+
+
+class FrictionWindup(Effect):
     """Friction under load winds the drive up against the last motion: ``dq_j = -s_j (f_j + w_j |tau_j|)``.
 
     Laws
@@ -75,32 +91,29 @@ class FrictionWindup:
 
     Size: 1e-4 rad at 50 Nm (2e-6 rad/Nm) are 50 to 130 um at a UR10's flange (estimate, not sourced). 80 % visible with
     stops approached from both sides under different loads. Look-alikes: backlash (0.7 of what is visible; a payload
-    change tells them apart), unsettled measurement.
+    change distinguishes them), unsettled measurement.
     """
 
     slug = "friction_windup"
     title = "friction wind-up of joints"
-    look_alikes: tuple[str, ...] = ("backlash", "unsettled_measurement")
-    variables = frozenset({"approach", "torque", "payload", "q"})
+    look_alikes = ("backlash", "unsettled_measurement")
+    variables = frozenset(
+        {DriverVariable.APPROACH, DriverVariable.TORQUE, DriverVariable.PAYLOAD, DriverVariable.JOINT_ANGLE}
+    )
+    forms = (LOAD, BOTH)
 
     def untestable(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
         return no_reversal(context)
 
-    def laws(self, context: EffectContext) -> list[Law]:
-        """In proportion to the load; with dry friction."""
-        return [Law("load"), Law("both")]
-
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
-        """One column a joint or two; zero where the side of approach is not known."""
-        if law.name not in ("", "load", "both"):
-            raise unknown_law(self.slug, law)
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """One column per joint, or two; zero where the side of approach is unknown."""
         loaded = -context.approach * np.abs(context.torques)
         columns = []
         for j in range(context.joints):
-            if law.name == "both":
-                columns.append(joint_column(f"dry{j + 1}", "rad", j, -context.approach[:, j], 0.0, 5e-3))
-            columns.append(joint_column(f"windup{j + 1}", "rad/Nm", j, loaded[:, j], 0.0, 1e-4))
+            if law.form == BOTH:
+                columns.append(joint_column(f"dry{j + 1}", "rad", j, -context.approach[:, j], 0.0, _MOST_PLAY))
+            columns.append(joint_column(f"windup{j + 1}", "rad/Nm", j, loaded[:, j], 0.0, _MOST_WINDUP))
         return columns
 
 

@@ -1,4 +1,4 @@
-"""Functions of time, and of quantities that drift with it, whose constants are taken from a run."""
+"""Functions of time, and of quantities that change with it; their constants are taken from a run."""
 
 from __future__ import annotations
 
@@ -6,48 +6,66 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cellapp.effects.effect import EffectContext, Law
+from cellapp.effects.context import EffectContext
+from cellapp.effects.law import FIXED, SCALED, Constant, Law, LawForm, NeighbouringPauses
 from cellapp.kinematics.transforms import Array
 
 TIME_CONSTANTS = (900.0, 1800.0, 3600.0, 7200.0, 14400.0)
-"""In which machines of this size may warm up [s]."""
+"""Time constants of warm-up to try [s]: a quarter of an hour to four hours covers machines of this size."""
 ONSETS_MOST = 120
+"""Onsets to try: one every few minutes of a run of some hours; tuning then moves to the neighbouring pauses."""
 ONSET_MARGIN = 8
-"""Readings before the first onset that is tried, and after the last."""
+"""Readings before the first onset to try, and after the last: enough to estimate the six parameters of a step."""
+FIRST = Constant("first_s", "s", FIXED)
+"""Beginning of the run."""
+LAST = Constant("last_s", "s", FIXED)
+"""End of the run."""
+WARM_UP_TIME = Constant("tau_s", "s", SCALED, "time constant {} min", factor=1.0 / 60.0)
+ONSET = Constant(
+    "onset_s",
+    "s",
+    NeighbouringPauses(reach=6, margin=ONSET_MARGIN - 1),
+    "{} h after the run began",
+    factor=1.0 / 3600.0,
+)
+LINEAR_FORM = LawForm("linear", "steadily over the run", (FIRST, LAST))
+WARM_UP_FORM = LawForm("warm_up", "warming up", (FIRST, LAST, WARM_UP_TIME))
+ONSET_FORM = LawForm("onset", "at once", (ONSET,))
 
 
 def span(context: EffectContext) -> dict[str, float]:
-    """``first_s`` and ``last_s``: when the run began and ended; empty where times are not known."""
+    """Constants ``FIRST`` and ``LAST`` of a run; empty where times are unknown."""
     known = context.known.time_s
     if known is None or not np.isfinite(known).any():
         return {}
-    return {"first_s": float(np.nanmin(known)), "last_s": float(np.nanmax(known))}
+    return {FIRST.name: float(np.nanmin(known)), LAST.name: float(np.nanmax(known))}
 
 
 def times(context: EffectContext, constants: Mapping[str, float]) -> Array:
-    """Times (n,) [s]; the end of the run that taught the law where unknown."""
-    return filled(context.known.time_s, constants["last_s"], len(context))
+    """Times (n,) [s]; the end of the fitted run where unknown."""
+    return filled(context.known.time_s, constants[LAST.name], len(context))
 
 
 def linear(context: EffectContext, law: Law) -> Array:
-    """0 at the beginning of the run to 1 at its end (n,), and held beyond: nobody knows how it went on."""
-    first, last = law.constants["first_s"], law.constants["last_s"]
+    """Fraction of the run (n,), 0 at its beginning to 1 at its end; constant beyond, where nothing was measured."""
+    first, last = law.constants[FIRST.name], law.constants[LAST.name]
     return np.clip((times(context, law.constants) - first) / (last - first), 0.0, 1.0)
 
 
 def warm_up(context: EffectContext, law: Law) -> Array:
     """``1 - exp(-(t - first) / tau)`` (n,), 0 at the beginning of the run."""
-    elapsed = np.maximum(times(context, law.constants) - law.constants["first_s"], 0.0)
-    return -np.expm1(-elapsed / law.constants["tau_s"])
+    elapsed = np.maximum(times(context, law.constants) - law.constants[FIRST.name], 0.0)
+    return -np.expm1(-elapsed / law.constants[WARM_UP_TIME.name])
 
 
-def warm_up_laws(context: EffectContext, name: str = "warm_up") -> list[Law]:
-    """One law for each time constant."""
-    return [Law(name, {**span(context), "tau_s": tau}, len(TIME_CONSTANTS)) for tau in TIME_CONSTANTS]
+def warm_up_laws(context: EffectContext, form: LawForm = WARM_UP_FORM) -> list[Law]:
+    """One law for each time constant to try."""
+    run = span(context)
+    return [form.law({**run, WARM_UP_TIME.name: tau}, len(TIME_CONSTANTS)) for tau in TIME_CONSTANTS]
 
 
 def onset_laws(context: EffectContext) -> list[Law]:
-    """Laws ``onset`` of something that happened between two readings; the onsets are spread over the run."""
+    """Laws of a sudden change between two readings; the onsets are spread over the run."""
     known = context.known.time_s
     if known is None or not np.isfinite(known).all():
         return []
@@ -56,12 +74,12 @@ def onset_laws(context: EffectContext) -> list[Law]:
     onsets = ((before + after) / 2.0)[before < after]
     if len(onsets) > ONSETS_MOST:
         onsets = onsets[np.unique(np.rint(np.linspace(0, len(onsets) - 1, ONSETS_MOST)).astype(np.intp))]
-    return [Law("onset", {"onset_s": onset}, len(onsets)) for onset in onsets.tolist()]
+    return [ONSET_FORM.law({ONSET.name: onset}, len(onsets)) for onset in onsets.tolist()]
 
 
 def after_onset(context: EffectContext, law: Law) -> Array:
-    """1 after the onset, else 0 (n,); after it where the time is unknown."""
-    return (filled(context.known.time_s, np.inf, len(context)) >= law.constants["onset_s"]).astype(np.float64)
+    """1 after the onset, else 0 (n,); 1 where the time is unknown."""
+    return (filled(context.known.time_s, np.inf, len(context)) >= law.constants[ONSET.name]).astype(np.float64)
 
 
 def no_onset(context: EffectContext) -> str:
@@ -78,11 +96,12 @@ def times_known(context: EffectContext) -> bool:
 
 
 def lagged(values: Array, time_s: Array, lag_s: float) -> Array:
-    """Values (n, k) at times (n,) behind a first-order lag that was settled at the first of them.
+    """Response of a first-order lag to inputs (n, k) at times (n,), settled at the first of them.
 
-    Between two times the input is their mean. Exact for the sampled input, by one cumulative sum.
+    Between two times the input is their mean. One cumulative sum, exact for the sampled input.
     """
     order = np.argsort(time_s, kind="stable")
+    # exp(t / lag) must not overflow: below 1/500 of the run a lag is not distinguishable from none
     t = (time_s[order] - time_s[order[0]]) / max(lag_s, float(np.ptp(time_s)) / 500.0)
     inputs = values[order]
     steps = 0.5 * (inputs[1:] + inputs[:-1]) * np.diff(np.exp(t))[:, None]
@@ -94,8 +113,8 @@ def lagged(values: Array, time_s: Array, lag_s: float) -> Array:
     return found
 
 
-def filled(values: Array | None, instead: float | Array, rows: int) -> Array:
-    """Values (n, ...) with ``instead`` where nobody knows."""
+def filled(values: Array | None, default: float | Array, rows: int) -> Array:
+    """Values (n, ...) with ``default`` where unknown."""
     if values is None:
-        return np.broadcast_to(instead, (rows, *np.shape(instead))).astype(np.float64)
-    return np.where(np.isnan(values), instead, values)
+        return np.broadcast_to(default, (rows, *np.shape(default))).astype(np.float64)
+    return np.where(np.isnan(values), default, values)

@@ -7,26 +7,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.effects.effect import EffectColumn, EffectContext, Law, shift_column, unknown_law
-from cellapp.kinematics.statics import STANDARD_GRAVITY
+from cellapp.effects.column import Channel, EffectColumn, shift_column
+from cellapp.effects.context import EffectContext
+from cellapp.effects.effect import Effect
+from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.kinematics.transforms import Array
 
 _LONG = 0.3
-"""A link shorter than this share of the longest does not bend noticeably: deflections grow with the third power."""
-_LAWS = (
-    "bending",
-    "bending_torsion",
-    "bending_own_weight",
-    "bending_torsion_own_weight",
-    "bending_torsion_free_weight",
-)
+"""A link shorter than this fraction of the longest does not bend noticeably: deflection grows with the third power."""
+_UNIT = "1/(N m^2)"
+_MOST_FLEXIBILITY = 1e-3
+"""Bound of 1/EI and 1/GJ: a hundred times the estimated one."""
+_SHORTEST = 1e-9
+"""Length [m] below which a link has no direction."""
+
+BENDING = LawForm("bending", "bending under what the link carries")
+TORSION = LawForm("bending_torsion", "bending and torsion under what the link carries")
+OWN_WEIGHT = LawForm("bending_own_weight", "bending, own weight included")
+TORSION_OWN_WEIGHT = LawForm("bending_torsion_own_weight", "bending and torsion, own weight included")
+FREE_WEIGHT = LawForm("bending_torsion_free_weight", "bending and torsion, own weight left free")
 
 
-class LinkBending:
+class LinkBending(Effect):
     """A long link is a beam clamped at the joint before it and loaded at its end by the weight F of all beyond it.
 
-    With e from D-H origin i-1 to origin i, length L, M the moment of that weight about the end, perp the part square to
-    e (Euler-Bernoulli, tip load and tip moment):
+    With e from D-H origin i-1 to origin i, length L, M the moment of that weight about the end, perp the part
+    perpendicular to e (Euler-Bernoulli, tip load and tip moment):
 
         turn  = (M_perp L + e x F L^2 / 2) / EI
         shift = (F_perp L^3 / 3 + M x e L^2 / 2) / EI
@@ -35,92 +41,88 @@ class LinkBending:
     Laws
     ----
     bending
-        One flexibility 1/EI a link [1/(N m^2)].
+        One flexibility 1/EI per link [1/(N m^2)].
     bending_torsion
         1/GJ as well.
     bending_own_weight, bending_torsion_own_weight
         The link's own weight loads it too, where its centre of mass projects on the beam.
     bending_torsion_free_weight
-        Its own weight bends it as much as the data want, a block of its own: how the mass is spread along the beam is
-        not known.
+        The bending by its own weight is a parameter and block of its own: how the mass is distributed along the beam is
+        unknown.
 
     Size: EI of 1e5 N m^2 (estimate) gives 0.2 to 0.4 mm on a UR10, 0.1 mm on a UR5. 54 % visible. Look-alikes: joint
-    compliance explains 0.99 of what is visible, 0.96 with two payloads; readings of both encoders of a joint tell them
-    apart, as the second shows compliance only.
+    compliance explains 0.99 of what is visible, 0.96 with two payloads; readings of both encoders of a joint
+    distinguish them, as the second shows compliance only.
     """
 
     slug = "link_bending"
     title = "bending of links"
-    look_alikes: tuple[str, ...] = (
-        "joint_compliance",
-        "payload_compliance",
-        "encoder_eccentricity",
-        "pedestal_compliance",
-    )
-    variables = frozenset({"q", "torque", "payload"})
+    look_alikes = ("joint_compliance", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
+    variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
+    forms = (BENDING, TORSION, OWN_WEIGHT, TORSION_OWN_WEIGHT, FREE_WEIGHT)
 
     def untestable(self, context: EffectContext) -> str:
         """Needs masses."""
         return "" if context.bodies.masses.any() or context.payload_kg.any() else "no masses"
 
-    def laws(self, context: EffectContext) -> list[Law]:
-        """Bending; torsion too; each with the link's own weight."""
-        return [Law(name) for name in _LAWS]
-
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
-        """One or two columns for each long link, a block a link."""
-        if law.name not in ("", *_LAWS):
-            raise unknown_law(self.slug, law)
-        lengths = np.hypot(context.geometry.rows[:, 1], context.geometry.rows[:, 2])
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """One to three columns for each long link, a block per link."""
+        longest = context.link_lengths.max()
         columns = []
-        for i in range(1, context.joints + 1):
-            names = f"flexibility{i}", f"torsion{i}", f"own_weight{i}"
-            if lengths[i - 1] < _LONG * lengths.max() and (wanted is None or not {*names} & {*wanted}):
-                continue
-            link = _Link.of(context, i)
-            force, moment = context.load_beyond(i)
-            bent, twisted = link.bent(force, moment, np.ones(len(context))), link.twisted(moment)
-            free = law.name.endswith("free_weight")
-            if free:
-                own_force, own_moment, share = link.own_weight(context, i)
-                own = link.bent(own_force, own_moment, share)
-                twisted = twisted + link.twisted(own_moment, share)
-                block = f"+ link {i} own weight"
-                columns.append(shift_column(f"own_weight{i}", "1/(N m^2)", f"link {i}", own, 0.0, 1e-3, block))
-            if law.name.endswith("own_weight"):
-                own_force, own_moment, share = link.own_weight(context, i)
-                bent, twisted = (
-                    bent + link.bent(own_force, own_moment, share),
-                    twisted + link.twisted(own_moment, share),
-                )
-            columns.append(shift_column(names[0], "1/(N m^2)", f"link {i}", bent, 0.0, 1e-3))
-            if "torsion" in law.name:
-                columns.append(shift_column(names[1], "1/(N m^2)", f"link {i}", twisted, 0.0, 1e-3))
+        for i in range(context.joints):
+            wanted = names is not None and {f"flexibility{i + 1}", f"torsion{i + 1}", f"own_weight{i + 1}"} & {*names}
+            if context.link_lengths[i] >= _LONG * longest or wanted:
+                columns += _link_columns(context, law.form, i)
         return columns
 
 
+def _link_columns(context: EffectContext, form: LawForm, i: int) -> list[EffectColumn]:
+    """Columns of link ``i`` (from 0)."""
+    beam = _Beam.of(context, i)
+    force, moment = context.loads.beyond(i + 1)
+    bent, twisted = beam.bent(force, moment, np.ones(len(context))), beam.twisted(moment)
+
+    def column(name: str, shift_M: Array, block: str | None = None, *, refines: bool = False) -> EffectColumn:
+        full = f"{name}{i + 1}"
+        return shift_column(full, _UNIT, Channel.LINK, shift_M, 0.0, _MOST_FLEXIBILITY, block, index=i, refines=refines)
+
+    columns = []
+    if form in (OWN_WEIGHT, TORSION_OWN_WEIGHT, FREE_WEIGHT):
+        own_force, own_moment, fraction = beam.own_weight(context, i)
+        bent_by_own = beam.bent(own_force, own_moment, fraction)
+        twisted = twisted + beam.twisted(own_moment, fraction)
+        if form == FREE_WEIGHT:
+            columns.append(column("own_weight", bent_by_own, f"link {i + 1} own weight", refines=True))
+        else:
+            bent = bent + bent_by_own
+    columns.append(column("flexibility", bent))
+    if form in (TORSION, TORSION_OWN_WEIGHT, FREE_WEIGHT):
+        columns.append(column("torsion", twisted))
+    return columns
+
+
 @dataclass(frozen=True)
-class _Link:
-    """A beam at n configurations: direction (n, 3), length (n,) [m], and from its end to the SMR (n, 3) [m]."""
+class _Beam:
+    """A link at n configurations: direction (n, 3), length (n,) [m], and vector from its end to the SMR (n, 3) [m]."""
 
     along: Array
     length: Array
     to_smr: Array
 
     @classmethod
-    def of(cls, context: EffectContext, i: int) -> _Link:
-        """From D-H origin i - 1 to origin i."""
+    def of(cls, context: EffectContext, i: int) -> _Beam:
+        """From D-H origin ``i`` to origin ``i + 1``."""
         _, origins = context.frames
-        along = origins[i] - origins[i - 1]
+        along = origins[i + 1] - origins[i]
         length = np.linalg.norm(along, axis=1)
-        return cls(along / np.maximum(length, 1e-9)[:, None], length, context.p_M - origins[i])
+        return cls(along / np.maximum(length, _SHORTEST)[:, None], length, context.p_M - origins[i + 1])
 
-    def bent(self, force: Array, moment: Array, share: Array) -> Array:
-        """Shift of the SMR (n, 3) for EI = 1, under a force and a moment (n, 3) at a share (n,) of the length.
+    def bent(self, force: Array, moment: Array, fraction: Array) -> Array:
+        """SMR shift (n, 3) for EI = 1, under a force and a moment (n, 3) at a fraction (n,) of the length.
 
-        Beyond the load the beam is straight and leads on with the slope it has there.
+        Beyond the load the beam is straight and continues with the slope it has there.
         """
-        e, L = self.along, (share * self.length)[:, None]
+        e, L = self.along, (fraction * self.length)[:, None]
         lever = np.cross(e, force)
         moment_across = moment - np.einsum("na,na->n", moment, e)[:, None] * e
         turn = moment_across * L + lever * L**2 / 2.0
@@ -128,17 +130,17 @@ class _Link:
         beyond = self.to_smr + e * (self.length[:, None] - L)
         return np.asarray(shift + np.cross(turn, beyond))
 
-    def twisted(self, moment: Array, share: Array | float = 1.0) -> Array:
-        """Shift of the SMR (n, 3) for GJ = 1, under a moment (n, 3) at a share of the length."""
-        turn = np.einsum("na,na->n", moment, self.along) * share * self.length
+    def twisted(self, moment: Array, fraction: Array | float = 1.0) -> Array:
+        """SMR shift (n, 3) for GJ = 1, under a moment (n, 3) at a fraction of the length."""
+        turn = np.einsum("na,na->n", moment, self.along) * fraction * self.length
         return np.cross(turn[:, None] * self.along, self.to_smr)
 
     def own_weight(self, context: EffectContext, i: int) -> tuple[Array, Array, Array]:
-        """Weight of body i, its moment about the point of the beam that is nearest to it, and where that is (share)."""
-        rotations, origins = context.frames
-        center = origins[i] + rotations[i] @ context.bodies.centers[i - 1]
-        from_joint = center - origins[i - 1]
-        share = np.clip(np.einsum("na,na->n", from_joint, self.along) / np.maximum(self.length, 1e-9), 0.0, 1.0)
-        force = np.tile(-STANDARD_GRAVITY * context.bodies.masses[i - 1] * context.up_M, (len(context), 1))
-        aside = from_joint - (share * self.length)[:, None] * self.along
-        return force, np.cross(aside, force), share
+        """Weight of body ``i``, its moment about the nearest point of the beam, and where that is (fraction)."""
+        loads = context.loads
+        from_joint = loads.centers[i] - loads.origins[i]
+        along = np.einsum("na,na->n", from_joint, self.along)
+        fraction = np.clip(along / np.maximum(self.length, _SHORTEST), 0.0, 1.0)
+        force = loads.masses[i][:, None] * loads.gravity
+        aside = from_joint - (fraction * self.length)[:, None] * self.along
+        return force, np.cross(aside, force), fraction

@@ -1,4 +1,4 @@
-"""What stands under an arm gives way: to the arm's own moment, and to its neighbour's."""
+"""Pedestals that tilt under an arm: from the arm's own gravity moment, and from the other arm's."""
 
 from __future__ import annotations
 
@@ -6,18 +6,35 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.effects.effect import EffectColumn, EffectContext, Law, shift_column, unknown_law, varies
+from cellapp.effects.column import Channel, EffectColumn, shift_column
+from cellapp.effects.context import EffectContext, varies
+from cellapp.effects.effect import Effect
 from cellapp.effects.history import filled
+from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.kinematics.transforms import Array
 
 _LARGEST = 1e-5
-"""Generous: a pedestal of 1e5 Nm/rad is a wooden table [rad/Nm]."""
+"""Bound [rad/Nm, m/Nm]: a pedestal of 1e5 Nm/rad is as soft as a wooden table."""
+_WEIGHTLESS = 1e-6
+"""A moment that never exceeds this [Nm] is rounding error."""
+_STEEP = 0.9
+"""Vertical component of the base's x above which its y is the better horizontal direction."""
+
+OWN_ISOTROPIC = LawForm("isotropic", "equally stiff both ways")
+OWN_TILT = LawForm("tilt", "a stiffness for each way")
+OWN_PIVOT = LawForm("pivot", "a stiffness for each way, about a point below the base")
+
+MEAN_MOMENT = tuple(Constant(f"mean_{axis}", "Nm", FIXED) for axis in "xyz")
+"""Mean moment of the other arm in the run, in this base: it is part of the identified base pose."""
+OTHER_ISOTROPIC = LawForm("isotropic", "in proportion to the other arm's moment, equal both ways", MEAN_MOMENT)
+OTHER_TILT = LawForm("tilt", "tilt in proportion to the other arm's moment, each way", MEAN_MOMENT)
+OTHER_GENERAL = LawForm("general", "tilt and shift in proportion to the other arm's moment", MEAN_MOMENT)
 
 
-class PedestalCompliance:
+class PedestalCompliance(Effect):
     """The base tilts under the arm's own gravity moment M about the base's origin: ``w = C M`` [rad/Nm].
 
-    M is square to gravity, so only two of its components count, along the base's x and y where it stands upright.
+    M is perpendicular to gravity, so only two of its components count, along x and y of an upright base.
 
     Laws
     ----
@@ -29,54 +46,39 @@ class PedestalCompliance:
         The tilt is about points h_x, h_y below the base: its origin moves by ``w x (h z)`` as well, ``c h`` in m/Nm.
 
     Size: 2e6 Nm/rad under 127 Nm is 60 urad, 70 to 140 um on a UR10 (stiffness is an estimate, moment computed). 36 %
-    visible. Look-alikes: joint compliance (0.7 to 0.8), a bending link (0.6); an SMR on the pedestal shows it at once.
+    visible. Look-alikes: joint compliance (0.7 to 0.8), a bending link (0.6); an SMR on the pedestal shows it directly.
     """
 
     slug = "pedestal_compliance"
     title = "pedestal tilting under the arm's own weight"
-    look_alikes: tuple[str, ...] = ("joint_compliance", "link_bending", "transmission_error", "tracker_angle_error")
-    variables = frozenset({"q", "torque", "payload"})
+    look_alikes = ("joint_compliance", "link_bending", "transmission_error", "tracker_angle_error")
+    variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
+    forms = (OWN_ISOTROPIC, OWN_TILT, OWN_PIVOT)
 
     def untestable(self, context: EffectContext) -> str:
         """Needs masses."""
-        return "" if np.abs(context.load_beyond(0)[1]).max(initial=0.0) > 1e-6 else "no masses"
+        return "" if np.abs(context.loads.beyond(0)[1]).max(initial=0.0) > _WEIGHTLESS else "no masses"
 
-    def laws(self, context: EffectContext) -> list[Law]:
-        """The same both ways; each way; about a pivot."""
-        return [Law("isotropic"), Law("tilt"), Law("pivot")]
-
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One, two or four columns in one block."""
-        ways = horizontal_ways(context)
-        moments = _in_base(context, context.load_beyond(0)[1]) @ ways.T
-        tilted = [moments[:, k, None] * context.twist_shift(0, None, way) for k, way in enumerate(ways)]
-        if law.name in ("", "isotropic"):
-            return [shift_column("pedestal_tilt", "rad/Nm", "base", tilted[0] + tilted[1], 0.0, _LARGEST)]
-        if law.name not in ("tilt", "pivot"):
-            raise unknown_law(self.slug, law)
-        columns = [
-            shift_column(f"pedestal_tilt_{letter}", "rad/Nm", "base", moved, 0.0, _LARGEST)
-            for letter, moved in zip("xy", tilted, strict=True)
-        ]
-        if law.name == "pivot":
-            columns += [
-                shift_column(
-                    f"pedestal_sway_{letter}",
-                    "m/Nm",
-                    "base",
-                    moments[:, k, None] * context.twist_shift(0, np.cross(ways[k], [0.0, 0.0, 1.0]), None),
-                    0.0,
-                    _LARGEST,
-                )
-                for k, letter in enumerate("xy")
-            ]
+        axes = horizontal_axes(context)
+        moments = _in_base(context, context.loads.beyond(0)[1]) @ axes.T
+        tilted = [moments[:, k, None] * context.twist_shift(0, None, axis) for k, axis in enumerate(axes)]
+        if law.form == OWN_ISOTROPIC:
+            return [_own_column("pedestal_tilt", "rad/Nm", tilted[0] + tilted[1])]
+        columns = [_own_column(f"pedestal_tilt_{by}", "rad/Nm", moved) for by, moved in zip("xy", tilted, strict=True)]
+        if law.form == OWN_PIVOT:
+            up = np.array([0.0, 0.0, 1.0])
+            for k, by in enumerate("xy"):
+                swayed = moments[:, k, None] * context.twist_shift(0, np.cross(axes[k], up), None)
+                columns.append(_own_column(f"pedestal_sway_{by}", "m/Nm", swayed))
         return columns
 
 
-class PedestalCoupling:
-    """The base tilts under the other arm's gravity moment, through what both stand on: ``w = C (M' - M'_mean)``.
+class PedestalCoupling(Effect):
+    """The base tilts under the other arm's gravity moment, through the common foundation: ``w = C (M' - M'_mean)``.
 
-    M' is the moment about the other base's origin, seen in this base's x and y; the mean of the run is geometry.
+    M' is the moment about the other base's origin, in this base's x and y; the mean of the run is part of the geometry.
 
     Laws
     ----
@@ -94,55 +96,64 @@ class PedestalCoupling:
 
     slug = "pedestal_coupling"
     title = "pedestal tilting under the other arm's weight"
-    look_alikes: tuple[str, ...] = ("base_step", "base_drift")
-    variables = frozenset({"other_arm"})
+    look_alikes = ("base_step", "base_drift")
+    variables = frozenset({DriverVariable.OTHER_ARM})
+    forms = (OTHER_ISOTROPIC, OTHER_TILT, OTHER_GENERAL)
 
     def untestable(self, context: EffectContext) -> str:
-        """Needs an other arm that moves."""
+        """Needs another arm that moves."""
         known = context.known.other_moment_M
         if known is None or not np.isfinite(known).all():
-            return "the other arm's readings are not there"
+            return "no readings of the other arm"
         return "" if varies(known) else "the other arm did not move"
 
     def laws(self, context: EffectContext) -> list[Law]:
-        """The same both ways; all of the tilt; shifts too."""
+        """Isotropic; general tilt; shifts too."""
         known = context.known.other_moment_M
         if known is None:
             return []
-        mean = _in_base(context, known).mean(axis=0).tolist()
-        constants = {f"mean_{letter}": value for letter, value in zip("xyz", mean, strict=True)}
-        return [Law(name, constants) for name in ("isotropic", "tilt", "general")]
+        means = _in_base(context, known).mean(axis=0).tolist()
+        constants = {constant.name: mean for constant, mean in zip(MEAN_MOMENT, means, strict=True)}
+        return [form.law(constants) for form in self.forms]
 
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
-        """One, four or ten columns in one block; zero, as at the run's mean, where the other arm is not known."""
-        ways = horizontal_ways(context)
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """One, four or ten columns in one block; zero, as at the run's mean, where the other arm is unknown."""
+        axes = horizontal_axes(context)
         known = context.known.other_moment_M
-        mean = np.array([law.constants[f"mean_{letter}"] for letter in "xyz"])
+        mean = np.array([law.constants[constant.name] for constant in MEAN_MOMENT])
         in_base = filled(None if known is None else _in_base(context, known), mean, len(context)) - mean
-        moments = in_base @ ways.T
-        tilts = [context.twist_shift(0, None, way) for way in ways]
-        if law.name in ("", "isotropic"):
+        moments = in_base @ axes.T
+        tilts = [context.twist_shift(0, None, axis) for axis in axes]
+        if law.form == OTHER_ISOTROPIC:
             moved = moments[:, 0, None] * tilts[0] + moments[:, 1, None] * tilts[1]
-            return [shift_column("coupling", "rad/Nm", "base", moved, -_LARGEST, _LARGEST)]
-        if law.name not in ("tilt", "general"):
-            raise unknown_law(self.slug, law)
+            return [_other_column("coupling", "rad/Nm", moved)]
         moves = [(f"tilt_{letter}", "rad/Nm", moved) for letter, moved in zip("xy", tilts, strict=True)]
-        if law.name == "general":
+        if law.form == OTHER_GENERAL:
             moves += [(f"shift_{letter}", "m/Nm", context.base_twists[k]) for k, letter in enumerate("xyz")]
         return [
-            shift_column(f"coupling_{name}_{by}", unit, "base", moments[:, k, None] * moved, -_LARGEST, _LARGEST)
+            _other_column(f"coupling_{name}_{by}", unit, moments[:, k, None] * moved)
             for name, unit, moved in moves
             for k, by in enumerate("xy")
         ]
 
 
-def horizontal_ways(context: EffectContext) -> Array:
-    """Two horizontal unit vectors (2, 3) in the base frame: its x and y where it stands upright.
+def _own_column(name: str, unit: str, shift_M: Array) -> EffectColumn:
+    """The arm's own moment tilts its base in the direction of the moment only."""
+    return shift_column(name, unit, Channel.BASE, shift_M, 0.0, _LARGEST)
 
-    The first is the base's x or, where that is steep, its y, without the part along gravity.
+
+def _other_column(name: str, unit: str, shift_M: Array) -> EffectColumn:
+    """The common foundation may tilt this base either way."""
+    return shift_column(name, unit, Channel.BASE, shift_M, -_LARGEST, _LARGEST)
+
+
+def horizontal_axes(context: EffectContext) -> Array:
+    """Two horizontal unit vectors (2, 3) in the base frame: x and y of an upright base.
+
+    The first is the base's x or, where that is steep, its y, without the component along gravity.
     """
     up = context.geometry.T_M_B()[:3, :3].T @ context.up_M
-    first = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    first = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < _STEEP else np.array([0.0, 1.0, 0.0])
     first = first - (first @ up) * up
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(up, first)])

@@ -2,47 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from cellapp.effects.effect import PLAIN, EffectColumn, EffectContext, Law, joint_column, unknown_law
+from cellapp.effects.column import EffectColumn, Wave, joint_column
+from cellapp.effects.context import EffectContext
+from cellapp.effects.effect import Effect
+from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.kinematics.transforms import Array
 
 LINES_MAX = 210
-"""The largest cycle count that is searched: twice the ratio of a 1:100 strain-wave gear, and a little beyond."""
+"""Largest cycle count to search: twice the ratio of a 1:100 strain-wave gear, and a margin."""
 _LARGEST = 5e-3
+"""Bound of each amplitude [rad]: sixty times what a graduated disc 2 um off its axis gives."""
+_MANY = 8
+"""Cycle counts from which powers of exp(i angle) are faster than a cosine each."""
+
+GEAR_RATIO = Constant("ratio", "", FIXED, "ratio {}")
+CYCLES = Constant("cycles", "", FIXED)
+"""Highest cycle count of a free curve."""
+CURVE_LENGTH = Constant("length", "rad", FIXED, per_joint=True)
+"""Correlation length of a joint's curve; its amplitude is the next constant. The search sets both by the evidence."""
+CURVE_AMPLITUDE = Constant("amplitude", "rad", FIXED, per_joint=True)
+
+TWO = LawForm("two", "two cycles a turn")
+LINES = LawForm("lines", "single lines of the spectrum")
+GEAR = LawForm("gear", "two cycles a turn and the lines of a gear", (GEAR_RATIO,))
+CURVE = LawForm("curve", "a free curve for each joint", (CYCLES, CURVE_LENGTH, CURVE_AMPLITUDE))
 
 
-class EncoderEccentricity:
+class EncoderEccentricity(Effect):
     """One cycle a turn: ``dq_j = (e / r) sin(q_j + phi) = A cos q_j + B sin q_j``, A and B in rad.
 
-    A graduated disc of radius r whose centre lies e off the axis, read by one head; 2 um on 25 mm is 80 urad, 50 to
-    110 um at a UR10's flange (estimate, not sourced). A gear's first-order error has exactly this shape and is not told
-    apart, except by a second encoder. Visible with most of a turn of the joint; geometry takes some 40 % of it.
+    A graduated disc of radius r whose centre is e off the axis, read by one head; 2 um on 25 mm is 80 urad, 50 to
+    110 um at a UR10's flange (estimate, not sourced). A gear's first-order error has exactly this shape; only a second
+    encoder distinguishes them. Visible with most of a turn of the joint; geometry takes some 40 % of it.
     Look-alikes: joint compliance, two cycles a turn over a small range.
     """
 
     slug = "encoder_eccentricity"
     title = "encoder eccentricity (one cycle a turn)"
-    look_alikes: tuple[str, ...] = ("joint_compliance", "transmission_error")
-    variables = frozenset({"q"})
+    look_alikes = ("joint_compliance", "transmission_error")
+    variables = frozenset({DriverVariable.JOINT_ANGLE})
+    forms = (LawForm("", "one cycle a turn"),)
 
-    def untestable(self, context: EffectContext) -> str:
-        """Joint positions are always there."""
-        return ""
-
-    def laws(self, context: EffectContext) -> list[Law]:
-        """One."""
-        return [PLAIN]
-
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each joint."""
         return _waves(context, {j: (1,) for j in range(context.joints)})
 
 
-class TransmissionError:
+class TransmissionError(Effect):
     """Periodic error of a gear, two cycles a turn and up: ``dq_j = sum_n A_n cos n q_j + B_n sin n q_j`` [rad].
 
     Laws
@@ -56,8 +67,8 @@ class TransmissionError:
         2, N and 2 N cycles of any joint, N being the gear ratio in ``ratio``: proposed once a line was found, as drives
         of one arm are alike.
     curve
-        All counts from 2 to ``cycles`` under a prior that prefers smooth curves, for an error with too
-        many components to name each. Not scanned: whoever finds that lines do not suffice proposes it.
+        All counts from 2 to ``cycles`` under a prior that prefers smooth curves, for an error with too many components
+        to name each. Not scanned: the search proposes it where lines are not sufficient.
 
     Size: 20 to 80 urad, 13 to 80 um at a UR10's flange (estimate; the spectrum with its components at flexspline, wave
     generator and tooth frequency is published). Two cycles: 79 % visible; many cycles: 99 %, once the cycle count is
@@ -66,83 +77,111 @@ class TransmissionError:
 
     slug = "transmission_error"
     title = "transmission error (two cycles a turn and up)"
-    look_alikes: tuple[str, ...] = ("encoder_eccentricity", "joint_axis_wobble")
-    variables = frozenset({"q"})
-
-    def untestable(self, context: EffectContext) -> str:
-        """Joint positions are always there."""
-        return ""
+    look_alikes = ("encoder_eccentricity", "joint_axis_wobble")
+    variables = frozenset({DriverVariable.JOINT_ANGLE})
+    forms = (TWO, LINES, GEAR, CURVE)
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Two cycles; any lines."""
-        return [Law("two"), Law("lines", tried=LINES_MAX - 1)]
+        return [TWO.law(), LINES.law(tried=LINES_MAX - 1)]
 
     def refinements(self, context: EffectContext, law: Law, names: Collection[str]) -> list[Law]:
-        """Gears that the lines found so far belong to."""
-        lines = {_parsed(name)[0] for name in names} - {2}
+        """Gears that the lines found so far may belong to: a line is at the ratio or at twice that."""
+        lines = {count for counts in _counts_of(names, context.joints).values() for count in counts} - {2}
         ratios = {n for line in lines for n in (line, line // 2 if line % 2 == 0 else 0) if n > 2}
-        return [Law("gear", {"ratio": float(ratio)}, LINES_MAX - 1) for ratio in sorted(ratios)]
+        return [GEAR.law({GEAR_RATIO.name: float(ratio)}, LINES_MAX - 1) for ratio in sorted(ratios)]
 
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
-        """Cosine and sine of each cycle count of each joint; of a curve those of joints that have a ``length``."""
-        joints: Collection[int] = range(context.joints)
-        if law.name in ("", "two"):
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """Cosine and sine of each cycle count of each joint; of a curve those of joints that have a length."""
+        joints = range(context.joints)
+        if law.form == TWO:
             return _waves(context, {j: (2,) for j in joints})
-        if law.name == "lines":
-            counts = range(2, LINES_MAX + 1)
-            return _waves(context, dict.fromkeys(joints, counts) if wanted is None else _parsed_all(wanted), True)
-        if law.name == "gear":
-            ratio = round(law.constants["ratio"])
-            of_gear = sorted({2, ratio, 2 * ratio})
-            return _waves(context, dict.fromkeys(joints, of_gear) if wanted is None else _parsed_all(wanted), True)
-        if law.name == "curve":
-            counts = range(2, round(law.constants["cycles"]) + 1)
-            curved = [j for j in joints if f"length{j + 1}" in law.constants] or joints
-            return _waves(context, dict.fromkeys(curved, counts) if wanted is None else _parsed_all(wanted))
-        raise unknown_law(self.slug, law)
+        if names is not None:
+            return _waves(context, _counts_of(names, context.joints), by_line=law.form != CURVE)
+        if law.form == LINES:
+            return _waves(context, dict.fromkeys(joints, range(2, LINES_MAX + 1)), by_line=True)
+        if law.form == GEAR:
+            ratio = round(law.constants[GEAR_RATIO.name])
+            return _waves(context, dict.fromkeys(joints, sorted({2, ratio, 2 * ratio})), by_line=True)
+        curved = [j for j in joints if CURVE_LENGTH.key(j) in law.constants] or joints
+        return _waves(context, dict.fromkeys(curved, range(2, round(law.constants[CYCLES.name]) + 1)))
 
 
-def _parsed(name: str) -> tuple[int, int]:
-    """Cycle count and joint (from 0) of a name such as ``cos12q3``."""
-    cycles, joint = name[3:].split("q")
-    return int(cycles), int(joint) - 1
+def curve_law(prior: Mapping[int, tuple[float, float]], cycles: int) -> Law:
+    """The law of free curves with the length and amplitude [rad] of each joint's prior (joints from 0)."""
+    constants = {CYCLES.name: float(cycles)}
+    for joint, (length, amplitude) in prior.items():
+        constants |= {CURVE_LENGTH.key(joint): length, CURVE_AMPLITUDE.key(joint): amplitude}
+    return CURVE.law(constants)
 
 
-def _parsed_all(names: Collection[str]) -> dict[int, Sequence[int]]:
-    """Joint (from 0) -> cycle counts of names such as ``cos12q3``."""
-    found: dict[int, set[int]] = {}
-    for name in names:
-        cycles, joint = _parsed(name)
-        found.setdefault(joint, set()).add(cycles)
-    return {joint: sorted(found[joint]) for joint in sorted(found)}
+def curve_prior(law: Law, joints: int) -> dict[int, tuple[float, float]]:
+    """Length and amplitude [rad] of each joint's prior (joints from 0) of a law of free curves; else empty."""
+    return {
+        j: (law.constants[CURVE_LENGTH.key(j)], law.constants[CURVE_AMPLITUDE.key(j)])
+        for j in range(joints)
+        if law.form == CURVE and CURVE_LENGTH.key(j) in law.constants
+    }
+
+
+def wave_names(joint: int, counts: Iterable[int]) -> tuple[str, ...]:
+    """Names of the columns of some cycle counts of a joint (from 0), cosine and sine in turn."""
+    return tuple(name for count in counts for name, _ in _line(joint, count)[1])
 
 
 @lru_cache(maxsize=8192)
-def _labels(joint: int, cycles: int) -> tuple[str, str, str]:
-    """Names of cosine and sine, and of the line."""
-    return f"cos{cycles}q{joint + 1}", f"sin{cycles}q{joint + 1}", f"joint {joint + 1} line {cycles}"
+def _line(joint: int, cycles: int) -> tuple[str, tuple[tuple[str, Wave], ...]]:
+    """Name of a line, and names and waves of its cosine and sine; cached, as a scan makes thousands of them."""
+    waves = (
+        (f"cos{cycles}q{joint + 1}", Wave(cycles, sine=False)),
+        (f"sin{cycles}q{joint + 1}", Wave(cycles, sine=True)),
+    )
+    return f"joint {joint + 1} line {cycles}", waves
+
+
+@lru_cache(maxsize=8)
+def _by_name(joints: int) -> Mapping[str, tuple[int, int]]:
+    """Joint (from 0) and cycle count of every column name; twice the search range, as gears reach that far."""
+    return {
+        name: (joint, count)
+        for joint in range(joints)
+        for count in range(1, 2 * LINES_MAX + 1)
+        for name, _ in _line(joint, count)[1]
+    }
+
+
+def _counts_of(names: Collection[str], joints: int) -> dict[int, Sequence[int]]:
+    """Joint (from 0) -> cycle counts of some column names."""
+    known = _by_name(joints)
+    found: dict[int, set[int]] = {}
+    for name in names:
+        if name not in known:
+            raise ValueError(f"'{name}' is not a periodic error of one of {joints} joints")
+        joint, count = known[name]
+        found.setdefault(joint, set()).add(count)
+    return {joint: sorted(found[joint]) for joint in sorted(found)}
 
 
 def _waves(context: EffectContext, cycles: Mapping[int, Sequence[int]], by_line: bool = False) -> list[EffectColumn]:
-    """Cosine and sine of each joint's cycle counts, a block a joint or a block a line."""
+    """Cosine and sine of each joint's cycle counts, a block per joint or a block per line."""
     columns = []
     for joint, counts in cycles.items():
         harmonics = _harmonics(context.q[:, joint], counts)
-        for count, wave in zip(counts, harmonics, strict=True):
-            cos_name, sin_name, line = _labels(joint, count)
+        for count, values in zip(counts, harmonics, strict=True):
+            line, waves = _line(joint, count)
             block = line if by_line else None
-            columns.append(joint_column(cos_name, "rad", joint, wave[0], -_LARGEST, _LARGEST, block))
-            columns.append(joint_column(sin_name, "rad", joint, wave[1], -_LARGEST, _LARGEST, block))
+            for (name, wave), offset in zip(waves, values, strict=True):
+                columns.append(joint_column(name, "rad", joint, offset, -_LARGEST, _LARGEST, block, wave=wave))
     return columns
 
 
 def _harmonics(angle: Array, counts: Sequence[int]) -> Array:
     """Cosines and sines (len(counts), 2, n) of multiples of an angle (n,) [rad].
 
-    Many of them come from powers of exp(i angle), each twice as many from those before: a product costs a tenth of a
-    cosine, and rounding grows with the logarithm of the count only.
+    Many of them come from powers of exp(i angle), doubled in number at each step: a product costs a tenth of a cosine,
+    and rounding grows only with the logarithm of the count.
     """
-    if len(counts) < 8:
+    if len(counts) < _MANY:
         phases = np.multiply.outer(np.asarray(counts, dtype=np.float64), angle)
         return np.stack([np.cos(phases), np.sin(phases)], axis=1)
     most = max(counts)

@@ -1,8 +1,8 @@
-"""All effects that are looked for, by slug, the plainest first: ties go to the first."""
+"""The list of all effects. Discovery looks for them in this order, the simplest first: ties go to the first."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from cellapp.effects.backlash import Backlash, FrictionWindup
 from cellapp.effects.base import BaseDrift, BaseStep
@@ -18,27 +18,45 @@ from cellapp.effects.tracker import TrackerAngleError, TrackerDistanceOffset, Tr
 from cellapp.effects.unknown import Unknown
 from cellapp.effects.unsettled_measurement import UnsettledMeasurement
 
-_ALL: tuple[Effect, ...] = (
-    JointCompliance(),
-    PayloadCompliance(),
-    EncoderEccentricity(),
-    TransmissionError(),
-    Backlash(),
-    FrictionWindup(),
-    UnsettledMeasurement(),
-    JointAxisWobble(),
-    ThermalGrowth(),
-    JointDrift(),
-    BaseDrift(),
-    BaseStep(),
-    TargetSlip(),
-    PedestalCompliance(),
-    PedestalCoupling(),
-    LinkBending(),
-    TrackerScale(),
-    TrackerDistanceOffset(),
-    TrackerAngleError(),
-    TargetIncidence(),
-    Unknown(),
+
+def registered(effects: Iterable[Effect]) -> Mapping[str, Effect]:
+    """Effects by slug. Raises ``ValueError`` where a declaration is incomplete or ambiguous."""
+    found: dict[str, Effect] = {}
+    for effect in effects:
+        if effect.slug in found:
+            raise ValueError(f"two effects are called {effect.slug}")
+        found[effect.slug] = effect
+        names = [form.name for form in effect.forms]
+        if len(set(names)) < len(names):
+            raise ValueError(f"effect {effect.slug}: two laws have the same name")
+        silent = [form.name for form in effect.forms if not form.words]
+        if silent or not effect.title:
+            raise ValueError(f"effect {effect.slug}: no words for people{f' for law {silent[0]}' if silent else ''}")
+    return found
+
+
+EFFECTS: Mapping[str, Effect] = registered(
+    (
+        JointCompliance(),
+        PayloadCompliance(),
+        EncoderEccentricity(),
+        TransmissionError(),
+        Backlash(),
+        FrictionWindup(),
+        UnsettledMeasurement(),
+        JointAxisWobble(),
+        ThermalGrowth(),
+        JointDrift(),
+        BaseDrift(),
+        BaseStep(),
+        TargetSlip(),
+        PedestalCompliance(),
+        PedestalCoupling(),
+        LinkBending(),
+        TrackerScale(),
+        TrackerDistanceOffset(),
+        TrackerAngleError(),
+        TargetIncidence(),
+        Unknown(),
+    )
 )
-EFFECTS: Mapping[str, Effect] = {effect.slug: effect for effect in _ALL}

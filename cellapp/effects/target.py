@@ -1,4 +1,4 @@
-"""The retroreflector on the flange: it slips, and it is read a little differently when it looks aside."""
+"""The retroreflector on the flange: slip of its mount, and errors with the angle of incidence."""
 
 from __future__ import annotations
 
@@ -6,22 +6,33 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.effects.effect import EffectColumn, EffectContext, Law, shift_column, unknown_law
-from cellapp.effects.history import after_onset, no_onset, onset_laws
+from cellapp.effects.column import Channel, EffectColumn, shift_column
+from cellapp.effects.context import EffectContext
+from cellapp.effects.effect import Effect
+from cellapp.effects.history import ONSET_FORM, after_onset, no_onset, onset_laws
+from cellapp.effects.law import DriverVariable, Law, LawForm
+
+_MOST_SLIP = 1e-2
+"""Bound [m]: a target that slipped by a centimetre has fallen off."""
+_MOST_INCIDENCE = 1e-3
+"""Bound [m]: fifty times the error of a glass prism."""
+RADIAL = LawForm("radial", "along the beam")
+LATERAL = LawForm("lateral", "along and across the beam")
 
 
-class TargetSlip:
+class TargetSlip(Effect):
     """The SMR's mount slips: the SMR moves in the flange by ``d`` [m] along its x, y, z after an onset.
 
     Onsets between readings are searched, none of them with fewer than 8 readings before or after it. Size: 20 to 200 um
-    (estimate); 59 % visible, as it turns with the wrist. Look-alikes: no close one; a step of the base where the wrist
-    hardly turns.
+    (estimate); 59 % visible, as it rotates with the wrist. Look-alikes: no close one; a step of the base where the
+    wrist hardly rotates.
     """
 
     slug = "target_slip"
     title = "slip of the target in the flange"
-    look_alikes: tuple[str, ...] = ("base_step",)
-    variables = frozenset({"time"})
+    look_alikes = ("base_step",)
+    variables = frozenset({DriverVariable.TIME})
+    forms = (ONSET_FORM,)
 
     def untestable(self, context: EffectContext) -> str:
         """Needs times."""
@@ -31,55 +42,52 @@ class TargetSlip:
         """One for each onset."""
         return onset_laws(context)
 
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Three columns; after the onset where the time is unknown."""
-        if law.name != "onset":
-            raise unknown_law(self.slug, law)
         moved = context.frames[0][-1] * after_onset(context, law)[:, None, None]
         return [
-            shift_column(f"slip_{letter}", "m", "tool", moved[:, :, k], -1e-2, 1e-2) for k, letter in enumerate("xyz")
+            shift_column(f"slip_{letter}", "m", Channel.TOOL, moved[:, :, k], -_MOST_SLIP, _MOST_SLIP)
+            for k, letter in enumerate("xyz")
         ]
 
 
-class TargetIncidence:
-    """The reading depends on the angle th between the SMR's axis and the way back to the tracker.
+class TargetIncidence(Effect):
+    """The reading depends on the angle th between the SMR's axis and the direction back to the tracker.
 
     Laws
     ----
     radial
-        ``dP = k (1 - cos th) u / rho``, k in m: glass or a vertex off the centre lengthen the way.
+        ``dP = k (1 - cos th) u / rho``, k in m: glass or a vertex off the centre lengthen the path.
     lateral
         Also ``dP = l (n - (n.b) b)``, n the SMR's axis and b the unit vector along the beam, which is sin th across the
         beam in the plane of incidence, l in m: dihedral errors of the three mirrors.
 
     Size: 2 to 20 um, more for glass prisms (makers' notes on both; the sizes are an estimate). 43 % visible, the rest
-    is an SMR offset. Visible with the same point at several wrist rolls. Look-alikes: none close once wrists turn.
+    is an SMR offset. Visible with the same point at several wrist rolls. Look-alikes: none close once wrists rotate.
     """
 
     slug = "target_incidence"
     title = "target's error with the angle of incidence"
-    look_alikes: tuple[str, ...] = ("tracker_distance_offset",)
-    variables = frozenset({"incidence"})
+    look_alikes = ("tracker_distance_offset",)
+    variables = frozenset({DriverVariable.INCIDENCE})
+    forms = (RADIAL, LATERAL)
 
     def untestable(self, context: EffectContext) -> str:
-        """Needs the way the SMR looks."""
-        return "the way the SMR looks is not known" if context.smr_normal is None else ""
+        """Needs the SMR viewing direction."""
+        return "the SMR viewing direction is not known" if context.smr_normal is None else ""
 
-    def laws(self, context: EffectContext) -> list[Law]:
-        """Along the beam; across it too."""
-        return [Law("radial"), Law("lateral")]
-
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
-        """One column or two; zero where nobody knows how the SMR looks."""
-        if law.name not in ("", "radial", "lateral"):
-            raise unknown_law(self.slug, law)
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """One column or two; zero where the SMR viewing direction is unknown."""
         radial, lateral = np.zeros((len(context), 3)), np.zeros((len(context), 3))
         if context.smr_normal is not None:
             _, beam = context.beam
             normal = context.frames[0][-1] @ context.smr_normal
             along = np.einsum("na,na->n", normal, beam)
             radial, lateral = (1.0 + along)[:, None] * beam, normal - along[:, None] * beam
-        columns = [shift_column("incidence_radial", "m", "tracker", radial, -1e-3, 1e-3)]
-        if law.name == "lateral":
-            columns.append(shift_column("incidence_lateral", "m", "tracker", lateral, -1e-3, 1e-3))
-        return columns
+        shifts = {"incidence_radial": radial}
+        if law.form == LATERAL:
+            shifts["incidence_lateral"] = lateral
+        return [
+            shift_column(name, "m", Channel.TRACKER, shift_M, -_MOST_INCIDENCE, _MOST_INCIDENCE)
+            for name, shift_M in shifts.items()
+        ]

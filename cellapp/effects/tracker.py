@@ -1,4 +1,4 @@
-"""What a laser tracker misreads."""
+"""Reading errors of a laser tracker."""
 
 from __future__ import annotations
 
@@ -6,38 +6,41 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.effects.effect import PLAIN, EffectColumn, EffectContext, Law, shift_column
+from cellapp.effects.column import Channel, EffectColumn, shift_column
+from cellapp.effects.context import EffectContext
+from cellapp.effects.effect import Effect
+from cellapp.effects.law import DriverVariable, Law, LawForm
 
 _ORDERS = (1, 2)
+"""Harmonics of the tracker's angles: eccentricity and ovality of its circles."""
+_MOST_SCALE = 1e-4
+"""Bound [m/m]: ten times the largest error of an uncorrected refractive index."""
+_MOST_OFFSET = 1e-3
+"""Bound [m]: a hundred times the permissible error."""
+_MOST_ANGLE = 5e-4
+"""Bound of each amplitude [rad]: ten times the permissible error at 3 m."""
 
 
-class TrackerScale:
+class TrackerScale(Effect):
     """All distances read too long or too short: ``dP = k u``, k in m/m, u from the tracker to the SMR.
 
     Refractive index: 1 ppm/K and 0.27 ppm/hPa of opposite signs (published); 1 to 10 ppm of 3 m are 3 to 30 um. It is
-    exactly the same as all lengths of the arm being out by one factor, so that one arm alone cannot show it: a scale
-    bar in view can. Visible only where lengths of the arm are held by a prior.
+    the same as one common scale error of all lengths of the arm, so one arm alone cannot show it: a scale bar in view
+    can. Visible only where lengths of the arm are held by a prior.
     """
 
     slug = "tracker_scale"
     title = "scale of the tracker"
-    look_alikes: tuple[str, ...] = ("thermal_growth", "tracker_distance_offset")
-    variables = frozenset({"beam"})
+    look_alikes = ("thermal_growth", "tracker_distance_offset")
+    variables = frozenset({DriverVariable.BEAM})
+    forms = (LawForm("", "in proportion to the distance"),)
 
-    def untestable(self, context: EffectContext) -> str:
-        """The beam is always known."""
-        return ""
-
-    def laws(self, context: EffectContext) -> list[Law]:
-        """One."""
-        return [PLAIN]
-
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column."""
-        return [shift_column("scale", "m/m", "tracker", context.p_M, -1e-4, 1e-4)]
+        return [shift_column("scale", "m/m", Channel.TRACKER, context.p_M, -_MOST_SCALE, _MOST_SCALE)]
 
 
-class TrackerDistanceOffset:
+class TrackerDistanceOffset(Effect):
     """All distances read too long by the same: ``dP = k u / rho``, k in m.
 
     Home distance or the absolute distance meter's zero: permissible errors are 5 and 10 um for a tracker of this class
@@ -47,46 +50,32 @@ class TrackerDistanceOffset:
 
     slug = "tracker_distance_offset"
     title = "zero of the tracker's distance"
-    look_alikes: tuple[str, ...] = ("tracker_angle_error", "pedestal_compliance", "target_incidence")
-    variables = frozenset({"beam"})
+    look_alikes = ("tracker_angle_error", "pedestal_compliance", "target_incidence")
+    variables = frozenset({DriverVariable.BEAM})
+    forms = (LawForm("", "the same at any distance"),)
 
-    def untestable(self, context: EffectContext) -> str:
-        """The beam is always known."""
-        return ""
-
-    def laws(self, context: EffectContext) -> list[Law]:
-        """One."""
-        return [PLAIN]
-
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column."""
-        return [shift_column("distance_offset", "m", "tracker", context.beam[1], -1e-3, 1e-3)]
+        return [shift_column("distance_offset", "m", Channel.TRACKER, context.beam[1], -_MOST_OFFSET, _MOST_OFFSET)]
 
 
-class TrackerAngleError:
+class TrackerAngleError(Effect):
     """The tracker's angles err with one and two cycles a turn: ``d_az = sum_n a_n cos n az + b_n sin n az``, so for el.
 
     Eccentricity and runout of the graduated circles; amplitudes in rad. Across the beam, azimuth moves the point by
     ``rho cos el d_az``, elevation by ``rho d_el``. Even orders survive two-face averaging (published). Size: half of
     the permissible 15 um + 6 um/m is typical (maker's manual). 23 % is visible from one station. Look-alikes: the zero
-    of the distance, joint compliance; a second station, or both faces, tell them apart.
+    of the distance, joint compliance; a second station, or both faces, distinguish them.
     """
 
     slug = "tracker_angle_error"
     title = "errors of the tracker's angles"
-    look_alikes: tuple[str, ...] = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
-    variables = frozenset({"beam"})
+    look_alikes = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
+    variables = frozenset({DriverVariable.BEAM})
+    forms = (LawForm("orders", "one and two cycles a turn of either angle"),)
 
-    def untestable(self, context: EffectContext) -> str:
-        """The beam is always known."""
-        return ""
-
-    def laws(self, context: EffectContext) -> list[Law]:
-        """First and second order."""
-        return [Law("orders")]
-
-    def columns(self, context: EffectContext, law: Law, wanted: Collection[str] | None = None) -> list[EffectColumn]:
-        """Cosine and sine of each order of each angle, a block an order."""
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """Cosine and sine of each order of each angle, a block per order."""
         distance, _ = context.beam
         azimuth, elevation, horizontal, upward = context.across
         angles = (
@@ -97,10 +86,10 @@ class TrackerAngleError:
             shift_column(
                 f"{name}_{letter}{n}",
                 "rad",
-                "tracker",
+                Channel.TRACKER,
                 wave(n * angle)[:, None] * across,
-                -5e-4,
-                5e-4,
+                -_MOST_ANGLE,
+                _MOST_ANGLE,
                 f"{name} {n}",
             )
             for name, angle, across in angles

@@ -11,7 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.effects import EFFECTS, Circumstances, EffectContext, EffectTerm, Law, Moved, moved_by
+from cellapp.effects import (
+    EFFECTS,
+    Circumstances,
+    Displacement,
+    EffectContext,
+    EffectTerm,
+    displacement,
+    term_from_json,
+    term_to_json,
+)
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import (
     Geometry,
@@ -96,14 +105,14 @@ class ArmModel:
         approach: Signs | None = None,
         payload_kg: Array | None = None,
         known: Circumstances | None = None,
-    ) -> Moved:
-        """Joint offsets and SMR shifts of all effects where the controller reads ``q`` (n, N) [rad]."""
+    ) -> Displacement:
+        """Displacement by all known effects when the controller reads ``q`` (n, N)."""
         context = self.context(q, approach, payload_kg, known)
-        moved = moved_by(self.effects, EFFECTS, context)
+        moved = displacement(self.effects, EFFECTS, context)
         if not moved.joints.any():
             return moved
-        # Loads depend on the true joint positions. One update suffices: offsets of a few mrad change them by 0.1 %.
-        return moved_by(self.effects, EFFECTS, replace(context, stands=q + moved.joints))
+        # loads act at the actual joint positions: a few mrad off, which changes them by some parts in a thousand
+        return displacement(self.effects, EFFECTS, replace(context, q_actual=q + moved.joints))
 
     def true_joints(
         self,
@@ -302,22 +311,7 @@ def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
             "payload_center": arm.bodies.payload_center.tolist(),
         },
         "up_M": arm.up_M.tolist(),
-        "effects": [
-            {
-                "effect": term.slug,
-                "law": term.law.name,
-                "constants": dict(term.law.constants),
-                "note": term.note,
-                "spread_rad": {str(joint + 1): values.tolist() for joint, values in term.spread.items()},
-                "parameters": {
-                    name: {"value": value, "standard_error": error, "unit": unit}
-                    for name, value, error, unit in zip(
-                        term.names, term.values.tolist(), term.standard_errors.tolist(), term.units, strict=True
-                    )
-                },
-            }
-            for term in arm.effects
-        ],
+        "effects": [term_to_json(term) for term in arm.effects],
         "network": None if arm.network is None else arm.network.as_dict(),
         "identified": list(arm.identified),
         "covariance": None if arm.covariance is None else arm.covariance.tolist(),
@@ -327,26 +321,6 @@ def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
 
 def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
     bodies = content["bodies"]
-    terms = []
-    for entry in content["effects"]:
-        if entry["effect"] not in EFFECTS:
-            raise ValueError(f"this version does not know the effect '{entry['effect']}'")
-        parameters = entry["parameters"]
-        terms.append(
-            EffectTerm(
-                slug=entry["effect"],
-                names=tuple(parameters),
-                values=np.array([p["value"] for p in parameters.values()], dtype=np.float64),
-                standard_errors=np.array([p["standard_error"] for p in parameters.values()], dtype=np.float64),
-                units=tuple(p["unit"] for p in parameters.values()),
-                law=Law(entry.get("law", ""), {k: float(v) for k, v in entry.get("constants", {}).items()}),
-                note=entry.get("note", ""),
-                spread={
-                    int(joint) - 1: np.array(values, dtype=np.float64)
-                    for joint, values in entry.get("spread_rad", {}).items()
-                },
-            )
-        )
     return ArmModel(
         geometry=_geometry_from_json(content["geometry"]),
         nominal=_geometry_from_json(content["nominal"]),
@@ -357,7 +331,7 @@ def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
             payload_center=np.array(bodies["payload_center"], dtype=np.float64),
         ),
         up_M=np.array(content["up_M"], dtype=np.float64),
-        effects=tuple(terms),
+        effects=tuple(term_from_json(entry, EFFECTS) for entry in content["effects"]),
         network=None if content["network"] is None else ResidualNetwork.from_dict(content["network"]),
         identified=tuple(content["identified"]),
         covariance=None if content["covariance"] is None else np.array(content["covariance"], dtype=np.float64),

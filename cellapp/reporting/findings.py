@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 from cellapp.reporting.table import Table
-from cellapp.reporting.words import interval_95, knees, law_words, place_words, short_reason
+from cellapp.reporting.words import interval_95, law_words, place_words, short_reason
 
 WIDTH = 80
 """Columns of a terminal."""
@@ -167,12 +167,10 @@ def accepted_table(name: str, arm: Mapping[str, Any]) -> Table | None:
     rows = []
     for found in arm["accepted"]:
         evidence, correlated = found["evidence"], found["correlated_with"]
-        law = law_words(found["effect"], found["law"])
-        knee = knees(found["law"], found["where"]["joints"])
         rows.append(
             (
                 found.get("title", found["effect"]),
-                f"{law}; {knee}" if knee else law,
+                law_words(found["effect"], found["law"], found["where"]["joints"]),
                 place_words(found["where"]),
                 f"{evidence['statistic']:.1f}",
                 f"{evidence['corrected_p']:.2g}",

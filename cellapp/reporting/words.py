@@ -1,10 +1,12 @@
-"""Laws, places and units of effects in words and in the units that people use."""
+"""Laws, places, units and intervals as text for people."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+from cellapp.effects import EFFECTS
 
 _UNITS = {
     "rad": (1e6, "µrad"),
@@ -19,100 +21,27 @@ _UNITS = {
     "1/(N m^2)": (1e6, "1e-6/(N m²)"),
 }
 _MILLIMETRES = 1e-3
-"""A length is told in mm from here on [m]."""
+"""Lengths from here on are in mm [m]."""
 _TWO_SIDED = 1.959964
-"""Of a 95 % interval, in standard errors."""
-
-_LAWS = {
-    ("joint_compliance", "linear"): "in proportion to the torque, a stiffness each",
-    ("joint_compliance", "two_slope"): "softer below a knee torque",
-    ("backlash", "constant"): "the same after any motion",
-    ("backlash", "saturating"): "taken up only by large steps",
-    ("friction_windup", "load"): "in proportion to the load",
-    ("friction_windup", "both"): "dry friction, and in proportion to the load",
-    ("unsettled_measurement", "step"): "in proportion to the last step",
-    ("unsettled_measurement", "creep"): "in proportion to the last step, dying away while the arm dwells",
-    ("transmission_error", "two"): "two cycles a turn",
-    ("transmission_error", "lines"): "single lines of the spectrum",
-    ("transmission_error", "gear"): "two cycles a turn and the lines of a gear",
-    ("transmission_error", "curve"): "a free curve for each joint",
-    ("link_bending", "bending"): "bending under what the link carries",
-    ("link_bending", "bending_torsion"): "bending and torsion under what the link carries",
-    ("link_bending", "bending_own_weight"): "bending, own weight included",
-    ("link_bending", "bending_torsion_own_weight"): "bending and torsion, own weight included",
-    ("link_bending", "bending_torsion_free_weight"): "bending and torsion, own weight left free",
-    ("pedestal_compliance", "isotropic"): "equally stiff both ways",
-    ("pedestal_compliance", "tilt"): "a stiffness for each way",
-    ("pedestal_compliance", "pivot"): "a stiffness for each way, about a point below the base",
-    ("pedestal_coupling", "isotropic"): "in proportion to the other arm's moment, equal both ways",
-    ("pedestal_coupling", "tilt"): "tilt in proportion to the other arm's moment, each way",
-    ("pedestal_coupling", "general"): "tilt and shift in proportion to the other arm's moment",
-    ("thermal_growth", "air"): "with the air temperature, all links alike",
-    ("thermal_growth", "air_links"): "with the air temperature, link by link",
-    ("thermal_growth", "joints"): "with the joints' temperatures, all links alike",
-    ("thermal_growth", "joints_links"): "with the joints' temperatures, link by link",
-    ("thermal_growth", "conduction"): "links follow air and joints with a lag, all alike",
-    ("thermal_growth", "conduction_links"): "links follow air and joints with a lag, link by link",
-    ("thermal_growth", "warm_up"): "warming up, all links alike",
-    ("thermal_growth", "warm_up_links"): "warming up, link by link",
-    ("joint_drift", "joint_temperature"): "with the joint's temperature",
-    ("target_incidence", "radial"): "along the beam",
-    ("target_incidence", "lateral"): "along and across the beam",
-    ("tracker_angle_error", "orders"): "one and two cycles a turn of either angle",
-}
-_ANY_EFFECT = {
-    "linear": "steadily over the run",
-    "warm_up": "warming up",
-    "quadratic": "over the run, with a bow",
-    "onset": "at once",
-}
-_PLAIN = {
-    "encoder_eccentricity": "one cycle a turn",
-    "joint_axis_wobble": "two cycles a turn",
-    "payload_compliance": "in proportion to the payload's torque",
-    "tracker_scale": "in proportion to the distance",
-    "tracker_distance_offset": "the same at any distance",
-}
+"""Half width of a 95 % interval, in standard errors."""
+_MOST_DIGITS = 9
+"""Decimals beyond which a standard error is rounding error."""
 
 
-def law_words(effect: str, law: Mapping[str, Any]) -> str:
-    """A law in words, with those of its constants that were searched for."""
-    name, constants = law["name"], law["constants"]
-    if effect == "unknown":
-        channel, *variables = name.split("|")
-        words = f"{channel} as a function of {' and '.join(variables)}"
-        if "period_s" in constants:
-            words += f", period {constants['period_s'] / 60.0:.3g} min"
-        return words
-    words = _LAWS.get((effect, name)) or _ANY_EFFECT.get(name) or _PLAIN.get(effect) or name.replace("_", " ")
-    return ", ".join([words, *_constants(constants)])
+def law_words(effect: str, law: Mapping[str, Any], joints: Sequence[int] = ()) -> str:
+    """The effect's own words for a law of a stored result; its name where this version does not know it.
 
-
-def _constants(constants: Mapping[str, float]) -> list[str]:
-    words = []
-    for name, text, factor, unit in (
-        ("onset_s", "{} after the run began", 1.0 / 3600.0, "h"),
-        ("ratio", "ratio {}", 1.0, ""),
-        ("lag_s", "lag {}", 1.0 / 60.0, "min"),
-        ("width", "saturated beyond some {}", math.degrees(1.0), "deg"),
-    ):
-        if name in constants:
-            words.append(text.format(f"{constants[name] * factor:.3g} {unit}".rstrip()))
-    if "tau_s" in constants:
-        tau = constants["tau_s"]
-        words.append(f"time constant {tau / 60.0:.3g} min" if tau >= 120.0 else f"time constant {tau:.2g} s")
-    return words
-
-
-def knees(law: Mapping[str, Any], joints: Sequence[int]) -> str:
-    """The knee torques of some joints of a compliance with two slopes; empty for any other law."""
-    found = {joint: law["constants"].get(f"knee{joint}") for joint in joints}
-    known = [f"{value:.3g} Nm for joint {joint}" for joint, value in found.items() if value is not None]
-    return f"knee at {', '.join(known)}" if known else ""
+    ``joints`` (from 1) are those whose constants are included, such as knee torques.
+    """
+    try:
+        known = EFFECTS[effect].law(law["name"], law["constants"])
+    except (KeyError, ValueError):
+        return str(law["name"]).replace("_", " ")
+    return known.words([joint - 1 for joint in joints])
 
 
 def place_words(where: Mapping[str, Any]) -> str:
-    """Where an effect acts: ``joints 1-3, 6``, or a frame."""
+    """What an effect acts on: ``joints 1-3, 6``, or a frame."""
     places = where["acts_on"]
     joints = where["joints"]
     if not joints and all(place.startswith("joint ") for place in places):
@@ -136,7 +65,7 @@ def ranges(numbers: Sequence[int]) -> str:
 
 
 def interval_95(entry: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Value, 95 % interval and unit of a parameter, as exact as its standard error is."""
+    """Value, 95 % interval and unit of a parameter, with the digits that its standard error supports."""
     value, error = entry["value"], entry["standard_error"]
     factor, unit = _UNITS.get(entry["unit"], (1.0, entry["unit"]))
     if entry["unit"] == "m" and abs(value) >= _MILLIMETRES:
@@ -145,12 +74,12 @@ def interval_95(entry: Mapping[str, Any]) -> tuple[str, str, str]:
     half = _TWO_SIDED * error
     digits = 3
     if error > 0.0 and math.isfinite(error):
-        digits = min(max(1 - math.floor(math.log10(error)), 0), 9)
+        digits = min(max(1 - math.floor(math.log10(error)), 0), _MOST_DIGITS)
     return f"{value:.{digits}f}", f"{value - half:.{digits}f} to {value + half:.{digits}f}", unit
 
 
 def short_reason(reason: str) -> str:
-    """Why an effect cannot be seen, without the words that the heading says already."""
+    """Why an effect cannot be seen, without the words that the heading already states."""
     for prefix in ("not testable: ", "invisible: "):
         reason = reason.removeprefix(prefix)
     return reason.removesuffix(" under this plan")

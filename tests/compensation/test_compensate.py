@@ -18,7 +18,7 @@ from cellapp.compensation.compensate import (
     without_effects,
 )
 from cellapp.compensation.targets import Target, load_targets
-from cellapp.effects import EffectTerm
+from cellapp.effects import EFFECTS, EffectTerm
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.model import ArmModel, CellModel
@@ -32,7 +32,7 @@ TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 
 def term(slug: str, **values: float) -> EffectTerm:
     size = np.array(list(values.values()))
-    return EffectTerm(slug, tuple(values), size, np.zeros(len(size)), ("",) * len(size))
+    return EffectTerm(slug, tuple(values), size, np.zeros(len(size)), ("",) * len(size), EFFECTS[slug].law())
 
 
 COMPLIANCE = term("joint_compliance", compliance2=1.0 / 6e4, compliance3=1.0 / 3e4, compliance5=1.0 / 1e4)

@@ -17,22 +17,23 @@ from cellapp.discovery.scan import (
     smallest_seen,
     threshold,
 )
-from cellapp.effects import EffectColumn, Law
+from cellapp.effects import Channel, EffectColumn, LawForm
 
 N = 300
+PLAIN = LawForm("", "plain")
 
 
-def column(name: str, block: str) -> EffectColumn:
-    return EffectColumn(name, "rad", block, -1.0, 1.0, block)
+def column(name: str, block: str, *, refines: bool = False) -> EffectColumn:
+    return EffectColumn(name, "rad", block, -1.0, 1.0, Channel.BASE, refines=refines)
 
 
 def problem(seed: int):
     rng = np.random.default_rng(seed)
     design = rng.normal(size=(N, 10))
     first = Candidate(
-        "first", Law(), (column("a", "one"), column("b", "one"), column("c", "two")), rng.normal(size=(3, N))
+        "first", PLAIN.law(), (column("a", "one"), column("b", "one"), column("c", "two")), rng.normal(size=(3, N))
     )
-    second = Candidate("second", Law(), (column("d", "three"), column("e", "four")), rng.normal(size=(2, N)))
+    second = Candidate("second", PLAIN.law(), (column("d", "three"), column("e", "four")), rng.normal(size=(2, N)))
     follower = Follower.of(design)
     return rng, design, follower, Seen.of([first, second], follower), (first, second)
 
@@ -60,7 +61,7 @@ def test_with_priors_the_follower_is_generalised_least_squares() -> None:
     wanted = np.linalg.solve(covariance, y)
     np.testing.assert_allclose(follower.without(y), wanted, atol=1e-10)
     rows = first.B[:2]
-    seen = Seen.of([Candidate("one", Law(), first.columns[:2], rows)], follower)
+    seen = Seen.of([Candidate("one", PLAIN.law(), first.columns[:2], rows)], follower)
     weighted = rows @ np.linalg.solve(covariance, rows.T)
     reduction = rows @ wanted @ np.linalg.solve(weighted, rows @ wanted)
     found = scores(seen, follower, y)[0]
@@ -80,7 +81,7 @@ def test_the_score_is_the_bic_gain_of_the_chosen_block() -> None:
 def test_choosing_among_laws_has_its_price() -> None:
     rng, _, follower, seen, (first, _) = problem(1)
     y = follower.without(first.B[2] * 0.3 + rng.normal(size=N))
-    dear = Seen.of([Candidate("first", Law("late", {}, tried=50), first.columns, first.B)], follower)
+    dear = Seen.of([Candidate("first", PLAIN.law(tried=50), first.columns, first.B)], follower)
     cheap, priced = scores(seen, follower, y)[0], scores(dear, follower, y)[0]
     assert priced.names == cheap.names
     assert cheap.value - priced.value == pytest.approx(2.0 * math.log(50.0))
@@ -95,8 +96,13 @@ def test_columns_of_one_block_come_together() -> None:
 def refining(rng: np.random.Generator, main: np.ndarray) -> tuple[Candidate, np.ndarray]:
     """An effect of two blocks and what only refines them, and rows of the latter."""
     rows = np.stack([main, *rng.normal(size=(3, N))])
-    names = (column("a", "one"), column("b", "two"), column("c", "+ three"), column("d", "+ four"))
-    return Candidate("refined", Law(), names, rows), rows
+    names = (
+        column("a", "one"),
+        column("b", "two"),
+        column("c", "three", refines=True),
+        column("d", "four", refines=True),
+    )
+    return Candidate("refined", PLAIN.law(), names, rows), rows
 
 
 def test_what_only_refines_is_never_the_effect() -> None:
@@ -106,7 +112,7 @@ def test_what_only_refines_is_never_the_effect() -> None:
     seen = Seen.of([one], follower)
     y = follower.without(3.0 * rows[2] + rng.normal(size=N))
     MY = follower.without(y)[:, None]
-    alone = Seen.of([Candidate("main", Law(), one.columns[:2], rows[:2])], follower)
+    alone = Seen.of([Candidate("main", PLAIN.law(), one.columns[:2], rows[:2])], follower)
     square = np.array([float(y @ MY[:, 0])])
     np.testing.assert_allclose(seen.block_scores(MY, square), alone.block_scores(MY, square))
     for refined in (False, True):
@@ -140,7 +146,9 @@ def test_without_a_block_that_can_be_seen_there_is_nothing_to_refine() -> None:
 
 def test_an_effect_spread_evenly_over_blocks_is_found_whole() -> None:
     rng, _, follower, _, _ = problem(7)
-    many = Candidate("many", Law(), tuple(column(f"x{i}", f"joint {i}") for i in range(6)), rng.normal(size=(6, N)))
+    many = Candidate(
+        "many", PLAIN.law(), tuple(column(f"x{i}", f"joint {i}") for i in range(6)), rng.normal(size=(6, N))
+    )
     y = follower.without(0.45 * many.B.sum(axis=0) + rng.normal(size=N))
     assert len(scores(Seen.of([many], follower), follower, y)[0].names) == 6
 
@@ -148,7 +156,7 @@ def test_an_effect_spread_evenly_over_blocks_is_found_whole() -> None:
 def test_what_the_model_follows_is_invisible() -> None:
     rng, design, follower, _, _ = problem(3)
     rows = np.stack([design[:, 0], rng.normal(size=N)])
-    hidden = Candidate("hidden", Law(), (column("a", "one"), column("b", "two")), rows)
+    hidden = Candidate("hidden", PLAIN.law(), (column("a", "one"), column("b", "two")), rows)
     seen = Seen.of([hidden], follower)
     sizes = smallest_seen(seen, 0, 5.0)
     assert math.isinf(sizes["a"])
@@ -171,7 +179,7 @@ def test_an_effect_of_the_smallest_seen_size_is_about_as_often_seen_as_not() -> 
     least = 5.0
     size = smallest_seen(seen, 0, least)["c"]
     hits = []
-    alone = Seen.of([Candidate("c", Law(), first.columns[2:], first.B[2:])], follower)
+    alone = Seen.of([Candidate("c", PLAIN.law(), first.columns[2:], first.B[2:])], follower)
     for _ in range(300):
         y = follower.without(size * first.B[2] + rng.normal(size=N))
         hits.append(scores(alone, follower, y)[0].value > least)
@@ -185,8 +193,8 @@ def test_turning_and_shifting_columns_are_whitened_alike() -> None:
     by_joint = rng.normal(size=(3, 6, n))
     offset, shift = rng.normal(size=n), rng.normal(size=(n, 3))
     columns = (
-        EffectColumn("shift", "m", "base", -1, 1, "base", shift_M=shift),
-        EffectColumn("turn", "rad", "joint 3", -1, 1, "joint 3", joint=2, offset=offset),
+        EffectColumn("shift", "m", "base", -1, 1, Channel.BASE, shift_M=shift),
+        EffectColumn("turn", "rad", "joint 3", -1, 1, Channel.JOINT, 2, offset=offset),
     )
     B = displacements(columns, np.einsum("acn,cjn->ajn", white, by_joint), white)
     np.testing.assert_allclose(B[0].reshape(3, n), np.einsum("acn,nc->an", white, shift), atol=1e-12)

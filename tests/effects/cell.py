@@ -1,4 +1,4 @@
-"""The twin's arms for tests of effects, and a chain written down anew, so that it can be displaced anywhere."""
+"""Arms of the twin for tests of effects, and an independent forward chain that can be displaced at any frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.effects import Circumstances, EffectColumn, EffectContext, Record
+from cellapp.effects import Circumstances, EffectColumn, EffectContext, TemperatureRecord
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from cellapp.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.profile import load_profile
@@ -22,7 +22,7 @@ EYE = np.eye(3)
 
 
 def known_of(rng: np.random.Generator, n: int, joints: int = 6) -> Circumstances:
-    """Everything known, and varying, at the n stops of a run."""
+    """All quantities known, and varying, at the n stops of a run."""
     step = rng.uniform(-1.0, 1.0, (n, joints))
     known = Circumstances(
         approach=np.sign(step),
@@ -38,11 +38,11 @@ def known_of(rng: np.random.Generator, n: int, joints: int = 6) -> Circumstances
     assert known.time_s is not None
     assert known.joints_c is not None
     assert known.air_c is not None
-    return replace(known, record=Record(known.time_s, known.joints_c, known.air_c))
+    return replace(known, record=TemperatureRecord(known.time_s, known.joints_c, known.air_c))
 
 
 def context_of(n: int = 40, seed: int = 0, arm: str = "left", known: Circumstances | None = None) -> EffectContext:
-    """An arm of the twin that left its nominal table (Hayati angles too), standing aslant, at n random stops."""
+    """An arm of the twin with geometric errors (Hayati angles too) and a tilted base, at n random stops."""
     profile = load_profile(TWIN)
     owner = profile.arms[arm]
     assert profile.tracker.pose is not None
@@ -61,7 +61,7 @@ def context_of(n: int = 40, seed: int = 0, arm: str = "left", known: Circumstanc
 
 
 def knowing(context: EffectContext, known: Circumstances) -> EffectContext:
-    """The same stops with other things known of them."""
+    """The same stops with other circumstances."""
     return replace(context, known=known)
 
 
@@ -89,7 +89,7 @@ def chain(
     tool: Array | None = None,
     outside: Array | None = None,
 ) -> Chain:
-    """Walk along an arm with 4 x 4 matrices.
+    """Forward chain with 4 x 4 matrices.
 
     ``twist`` and ``shift`` turn [rad] and shift [m] a frame, and all beyond it, in its own coordinates; ``joints`` is
     added to the angles, ``strain`` (N,) lengthens the rows, ``tool`` is added to the SMR offset, ``outside`` (4, 4)
@@ -119,21 +119,21 @@ def slope(smr: Callable[[float], Array], h: float = 1e-5) -> Array:
 
 
 def by_name(columns: list[EffectColumn]) -> dict[str, EffectColumn]:
-    """Columns by their names, of which none may stand twice."""
+    """Columns by name; names must be unique."""
     found = {column.name: column for column in columns}
     assert len(found) == len(columns)
     return found
 
 
 def shifts(column: EffectColumn) -> Array:
-    """The shift of a column that turns no joint."""
+    """The shift of a column that offsets no joint."""
     assert column.joint is None
     assert column.shift_M is not None
     return column.shift_M
 
 
 def offsets(column: EffectColumn) -> Array:
-    """The offset of a column that turns a joint."""
+    """The offset of a column that offsets a joint."""
     assert column.joint is not None
     assert column.offset is not None
     return column.offset

@@ -1,4 +1,4 @@
-"""Effects that turn joints, against energies, hand calculations and numbers worked out another way."""
+"""Effects that offset joints, against potential energies, hand calculations and independent formulas."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.effects import EFFECTS, PLAIN, Circumstances, Law, Refinable
+from cellapp.effects import EFFECTS, Circumstances, Wave
 from cellapp.effects.periodic import LINES_MAX
 from tests.effects.cell import by_name, chain, context_of, knowing, offsets
 
@@ -40,7 +40,7 @@ def energy(row, joints, masses, payload):
 
 
 def torques(masses, payload):
-    """Falling slope of the energy by each joint (n, N) [Nm]; ``masses`` (N,), ``payload`` (n,)."""
+    """Negative gradient of the energy by each joint (n, N) [Nm]; ``masses`` (N,), ``payload`` (n,)."""
     h = 1e-5
     return np.array(
         [
@@ -56,20 +56,20 @@ def torques(masses, payload):
 def test_compliance_follows_the_torque_of_arm_and_payload():
     expected = torques(CONTEXT.bodies.masses, KNOWN.payload_kg)
     assert np.abs(expected).max() > 50.0
-    found = columns("joint_compliance", Law("linear"))
+    found = columns("joint_compliance", EFFECTS["joint_compliance"].law("linear"))
     for j in range(6):
         np.testing.assert_allclose(offsets(found[f"compliance{j + 1}"]), expected[:, j], atol=1e-5)
 
 
 def test_payload_compliance_follows_the_torque_of_the_payload_alone():
     expected = torques(np.zeros(6), KNOWN.payload_kg)
-    found = columns("payload_compliance", PLAIN)
+    found = columns("payload_compliance", EFFECTS["payload_compliance"].law())
     for j in range(6):
         np.testing.assert_allclose(offsets(found[f"payload_compliance{j + 1}"]), expected[:, j], atol=1e-5)
 
 
 def test_moments_are_the_torque_body_by_body_and_sum_to_all():
-    found = columns("joint_compliance", Law("linear"))
+    found = columns("joint_compliance", EFFECTS["joint_compliance"].law("linear"))
     assert [name for name in found if name.startswith("moment5")] == ["moment5_5", "moment5_6"]
     for i in range(6):
         expected = torques(np.where(np.arange(6) == i, CONTEXT.bodies.masses, 0.0), KNOWN.payload_kg * (i == 5))
@@ -83,28 +83,30 @@ def test_moments_are_the_torque_body_by_body_and_sum_to_all():
 def test_a_body_without_mass_has_no_moment():
     masses = CONTEXT.bodies.masses * np.array([1, 1, 0, 1, 1, 1])
     context = replace(CONTEXT, bodies=replace(CONTEXT.bodies, masses=masses))
-    found = columns("joint_compliance", Law("linear"), context)
+    found = columns("joint_compliance", EFFECTS["joint_compliance"].law("linear"), context)
     assert "moment2_3" not in found
     assert "moment2_4" in found
 
 
 def test_an_upright_arm_has_no_torque_at_its_first_joint():
-    """Not even rounding errors, which a scan would take for a column like any other."""
+    """Exact zero: a scan would treat rounding errors like any other column."""
     axis = CONTEXT.geometry.T_M_B()[:3, 2]
     upright = replace(CONTEXT, up_M=axis)
-    for law in (Law("linear"), laws("joint_compliance", "two_slope")[0]):
+    for law in (EFFECTS["joint_compliance"].law("linear"), laws("joint_compliance", "two_slope")[0]):
         of_first = [c for c in columns("joint_compliance", law, upright).values() if c.joint == 0]
         assert len(of_first) >= 8, "stiffness, load and six bodies"
         for column in of_first:
             assert not offsets(column).any(), column.name
-    assert not offsets(columns("payload_compliance", PLAIN, upright)["payload_compliance1"]).any()
+    assert not offsets(
+        columns("payload_compliance", EFFECTS["payload_compliance"].law(), upright)["payload_compliance1"]
+    ).any()
 
 
 @pytest.mark.parametrize("name", ["linear", "two_slope"])
 def test_loads_and_bodies_only_refine_a_stiffness(name):
     """The load's torque, or one body's, may count more or less than the rest's: it alone is not compliance."""
     found = columns("joint_compliance", laws("joint_compliance", name)[0])
-    main = {key for key, column in found.items() if not column.block.startswith("+")}
+    main = {key for key, column in found.items() if not column.refines}
     assert main == {f"compliance{j}" for j in range(1, 7)}
     moments = {f"moment{j}_{i}" for j in range(1, 7) for i in range(j, 7)}
     loads = {f"load{j}" for j in range(1, 7)}
@@ -113,7 +115,7 @@ def test_loads_and_bodies_only_refine_a_stiffness(name):
     load = torques(np.zeros(6), KNOWN.payload_kg)
     for j in range(6):
         column = found[f"load{j + 1}"]
-        assert (column.block, column.joint) == (f"+ load {j + 1}", j)
+        assert (column.block, column.joint) == (f"load {j + 1}", j)
         np.testing.assert_allclose(offsets(column), load[:, j], atol=1e-5)
     for key in moments | loads:
         assert found[key].lower == -found[key].upper < 0.0, "more or less than the rest"
@@ -137,16 +139,16 @@ def test_two_slopes_meet_at_the_knee():
 
 
 def test_eccentricity_is_one_cycle_and_ovality_two():
-    found = columns("encoder_eccentricity", PLAIN)
+    found = columns("encoder_eccentricity", EFFECTS["encoder_eccentricity"].law())
     np.testing.assert_allclose(offsets(found["cos1q4"]), np.cos(CONTEXT.q[:, 3]))
     np.testing.assert_allclose(offsets(found["sin1q6"]), np.sin(CONTEXT.q[:, 5]))
-    found = columns("transmission_error", Law("two"))
+    found = columns("transmission_error", EFFECTS["transmission_error"].law("two"))
     assert list(found)[:2] == ["cos2q1", "sin2q1"]
     assert {column.block for column in found.values()} == {f"joint {j}" for j in range(1, 7)}
     np.testing.assert_allclose(offsets(found["sin2q5"]), np.sin(2.0 * CONTEXT.q[:, 4]))
 
 
-def test_every_line_is_a_block_that_pays_for_the_search():
+def test_every_line_is_a_block_with_the_price_of_the_search():
     (law,) = laws("transmission_error", "lines")
     assert law.tried == LINES_MAX - 1 == 209
     found = columns("transmission_error", law)
@@ -154,13 +156,15 @@ def test_every_line_is_a_block_that_pays_for_the_search():
     assert {found["cos101q3"].block, found["sin101q3"].block} == {"joint 3 line 101"}
     assert len({column.block for column in found.values()}) == 6 * 209
     for name, column in found.items():
-        wave, (cycles, joint) = name[:3], (int(text) for text in name[3:].split("q"))
-        expected = (np.cos if wave == "cos" else np.sin)(cycles * CONTEXT.q[:, joint - 1])
+        assert isinstance(column.wave, Wave)
+        assert column.joint is not None
+        assert name == f"{'sin' if column.wave.sine else 'cos'}{column.cycles}q{column.joint + 1}"
+        expected = column.wave(CONTEXT.q[:, column.joint])
         np.testing.assert_allclose(offsets(column), expected, atol=1e-12)
 
 
 def test_a_gear_has_two_cycles_its_ratio_and_twice_that_at_any_joint():
-    found = columns("transmission_error", Law("gear", {"ratio": 100.0}))
+    found = columns("transmission_error", EFFECTS["transmission_error"].law("gear", {"ratio": 100.0}))
     assert list(found)[:6] == ["cos2q1", "sin2q1", "cos100q1", "sin100q1", "cos200q1", "sin200q1"]
     assert {column.block for column in found.values()} == {
         f"joint {j} line {n}" for j in range(1, 7) for n in (2, 100, 200)
@@ -182,23 +186,22 @@ def test_a_gear_has_two_cycles_its_ratio_and_twice_that_at_any_joint():
 def test_a_line_that_was_found_proposes_the_gears_it_may_belong_to(names, ratios):
     """A line is at the ratio or at twice that; two cycles a turn are of any gear."""
     effect = EFFECTS["transmission_error"]
-    assert isinstance(effect, Refinable)
-    found = effect.refinements(CONTEXT, Law("lines"), names)
+    found = effect.refinements(CONTEXT, effect.law("lines"), names)
     assert [(law.name, law.constants["ratio"]) for law in found] == [("gear", ratio) for ratio in ratios]
     assert {law.tried for law in found} <= {LINES_MAX - 1}, "choosing a ratio costs as much as choosing a line"
     assert not any(law.name == "gear" for law in effect.laws(CONTEXT))
 
 
 def test_a_curve_has_the_cycles_of_the_joints_that_carry_a_prior():
-    law = Law("curve", {"cycles": 5.0, "length4": 0.3, "amplitude4": 1e-4})
+    law = EFFECTS["transmission_error"].law("curve", {"cycles": 5.0, "length4": 0.3, "amplitude4": 1e-4})
     found = columns("transmission_error", law)
     assert list(found) == ["cos2q4", "sin2q4", "cos3q4", "sin3q4", "cos4q4", "sin4q4", "cos5q4", "sin5q4"]
     assert {column.block for column in found.values()} == {"joint 4"}
     assert not any(law.name == "curve" for law in EFFECTS["transmission_error"].laws(CONTEXT))
 
 
-def test_a_joint_stays_half_the_play_behind():
-    found = columns("backlash", Law("constant"))
+def test_a_joint_lags_half_the_play():
+    found = columns("backlash", EFFECTS["backlash"].law("constant"))
     for j in range(6):
         column = found[f"half_play{j + 1}"]
         np.testing.assert_array_equal(offsets(column), -KNOWN.approach[:, j])
@@ -221,27 +224,29 @@ def test_hysteresis_saturates_with_the_step():
 
 
 def test_an_unknown_approach_is_no_lost_motion():
-    nobody_knows = knowing(CONTEXT, Circumstances())
+    nothing_known = knowing(CONTEXT, Circumstances())
     for slug in ("backlash", "friction_windup", "unsettled_measurement"):
         for law in EFFECTS[slug].laws(CONTEXT):
-            for column in columns(slug, law, nobody_knows).values():
+            for column in columns(slug, law, nothing_known).values():
                 assert not offsets(column).any()
 
 
 def test_friction_winds_up_with_the_load():
     signs, load = KNOWN.approach[:, 1], np.abs(CONTEXT.torques[:, 1])
-    both = columns("friction_windup", Law("both"))
+    both = columns("friction_windup", EFFECTS["friction_windup"].law("both"))
     assert both["dry2"].block == both["windup2"].block == "joint 2"
     np.testing.assert_allclose(offsets(both["dry2"]), -signs)
     np.testing.assert_allclose(offsets(both["windup2"]), -signs * load)
-    alone = columns("friction_windup", Law("load"))
+    alone = columns("friction_windup", EFFECTS["friction_windup"].law("load"))
     assert list(alone) == [f"windup{j}" for j in range(1, 7)]
     np.testing.assert_allclose(offsets(alone["windup2"]), -signs * load)
 
 
 def test_an_unsettled_joint_lags_behind_its_motion():
     step, dwell = KNOWN.step[:, 0], KNOWN.dwell_s
-    np.testing.assert_allclose(offsets(columns("unsettled_measurement", Law("step"))["lag1"]), -step)
+    np.testing.assert_allclose(
+        offsets(columns("unsettled_measurement", EFFECTS["unsettled_measurement"].law("step"))["lag1"]), -step
+    )
     found = laws("unsettled_measurement", "creep")
     assert found[-1].constants["tau_s"] == pytest.approx(30.0)
     for law in found:
@@ -281,7 +286,7 @@ def test_joint_zeros_drift():
 
 
 @given(late=st.floats(0.0, 1e6))
-def test_after_the_run_a_drift_stays_as_it_was_at_its_end(late):
+def test_after_the_run_a_drift_is_constant(late):
     (law,) = laws("joint_drift", "linear")
     last = float(KNOWN.time_s[-1])
     context = replace(CONTEXT, q=CONTEXT.q[:1], known=Circumstances(time_s=np.array([last + late])))

@@ -1,4 +1,4 @@
-"""What holds for every effect and every law: names, shapes, units, the same columns and values on any other data."""
+"""Properties of every effect and law: names, shapes, units, the same columns and values on any data."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.effects import EFFECTS, Circumstances, EffectTerm, Law, moved_by
-from cellapp.effects.unknown import channels, dictionary, pairs, variables
+from cellapp.effects import EFFECTS, Channel, Circumstances, EffectTerm, Law, displacement
+from cellapp.effects.data_driven import channels, data_driven_form, variables
+from cellapp.effects.unknown import dictionary, pairs
 from tests.effects.cell import NOTHING, by_name, chain, context_of, knowing, rows_of
 
 CONTEXT = context_of()
@@ -18,7 +19,7 @@ KNOWN: Any = CONTEXT.known
 
 
 def ends(laws):
-    """The first and the last law of each name: between them only a constant changes."""
+    """First and last law of each form: those between differ only in a constant."""
     by_law: dict[str, list[Law]] = {}
     for law in laws:
         by_law.setdefault(law.name, []).append(law)
@@ -26,26 +27,29 @@ def ends(laws):
 
 
 NAMED = [(slug, law) for slug, effect in EFFECTS.items() for law in ends(effect.laws(CONTEXT))]
-CURVE = Law("curve", {"cycles": 12.0, "length2": 0.3, "amplitude2": 1e-4, "length3": 0.5, "amplitude3": 2e-4})
-GEAR = Law("gear", {"ratio": 50.0}, 209)
+PERIODIC = EFFECTS["transmission_error"]
+CURVE = PERIODIC.law("curve", {"cycles": 12.0, "length2": 0.3, "amplitude2": 1e-4, "length3": 0.5, "amplitude3": 2e-4})
+GEAR = PERIODIC.law("gear", {"ratio": 50.0}, 209)
 NAMED += [("transmission_error", CURVE), ("transmission_error", GEAR)]
-TERMS = dictionary(CONTEXT)
-WHOLE = [(channel, name, law) for channel, name, law in TERMS if "period_s" not in law.constants]
-SWAYS = [(channel, law) for channel, _, law in TERMS if "period_s" in law.constants]
+WHOLE = [law for law in dictionary(CONTEXT) if "period_s" not in law.constants]
+SWAYS = [law for law in dictionary(CONTEXT) if "period_s" in law.constants]
+CHANNELS = {channel.name: channel for channel in channels(6)}
+VARIABLES = {variable.name: variable for variable in variables(CONTEXT)}
 
 
-def data_driven():
+def data_driven_laws():
     """Every channel with one variable, every variable with one channel, a few periods, pairs of every kind."""
-    ways, names = channels(6), variables(CONTEXT)
-    meeting = {(ways[k % len(ways)], names[k % len(names)]) for k in range(max(len(ways), len(names)))}
-    sampled = [law for channel, name, law in WHOLE if (channel, name) in meeting]
-    sampled += [law for _, law in SWAYS[::173]]
-    sampled += pairs(CONTEXT, "tool y", {"q2", "other q3", "time", "torque2", "payload", "azimuth"})[::2]
-    sampled += pairs(CONTEXT, "base shift", {"q1", "q5", "elevation"})
+    ways, names = list(CHANNELS), list(VARIABLES)
+    meeting = {f"{ways[k % len(ways)]}|{names[k % len(names)]}" for k in range(max(len(ways), len(names)))}
+    sampled = [law for law in WHOLE if law.name in meeting]
+    sampled += SWAYS[::173]
+    several = [VARIABLES[name] for name in ("q2", "other q3", "time", "torque2", "payload", "azimuth")]
+    sampled += pairs(CONTEXT, CHANNELS["tool y"], several)[::2]
+    sampled += pairs(CONTEXT, CHANNELS["base shift"], [VARIABLES[name] for name in ("q1", "q5", "elevation")])
     return [("unknown", law) for law in sampled]
 
 
-ALL = NAMED + data_driven()
+ALL = NAMED + data_driven_laws()
 
 
 def label(value):
@@ -57,13 +61,13 @@ def values_of(column):
 
 
 def same(one, other):
-    """Whether two columns are the same but for their values."""
+    """Whether two columns are equal except for their values."""
     ones, others = vars(one), vars(other)
     return all(ones[key] == others[key] for key in ones if key not in ("offset", "shift_M"))
 
 
 def close(columns, others, rows=slice(None), other_rows=slice(None), atol=1e-14):
-    """All values at once: one comparison a column takes most of the time where there are thousands."""
+    """Compare all values at once: one comparison per column is slow with thousands of columns."""
     for is_joint in (True, False):
         ours = [values_of(c)[rows] for c in columns if (c.joint is not None) == is_joint]
         theirs = [values_of(c)[other_rows] for c in others if (c.joint is not None) == is_joint]
@@ -94,15 +98,11 @@ def test_the_vocabulary_is_complete_and_in_order():
         "target_incidence",
         "unknown",
     ]
-    words = {
-        *("q", "torque", "payload", "approach", "step", "dwell", "time", "temperature", "other_arm", "beam"),
-        "incidence",
-    }
     for slug, effect in EFFECTS.items():
         assert effect.slug == slug
         assert effect.title
         assert set(effect.look_alikes) <= set(EFFECTS) - {slug}
-        assert effect.variables <= words
+        assert slug == "unknown" or effect.variables
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
@@ -113,6 +113,9 @@ def test_columns_are_well_formed(slug, law):
     for column in columns:
         assert column.block
         assert column.where.split()[0] in ("joint", "link", "all", "base", "tool", "tracker")
+        assert (column.index is None) == (column.where in ("all links", "all joints", "base", "tool", "tracker"))
+        assert (column.channel is Channel.JOINT) == (column.joint is not None) == (column.offset is not None)
+        assert (column.channel is Channel.JOINT) == (column.shift_M is None)
         assert column.lower < column.upper
         assert column.lower <= 0.0 <= column.upper
         values = values_of(column)
@@ -129,16 +132,18 @@ def test_columns_are_well_formed(slug, law):
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
-def test_only_some_blocks_refine(slug, law):
-    """There is always a block that can be the effect by itself."""
+def test_not_all_blocks_refine(slug, law):
+    """At least one block is the effect by itself."""
     columns = EFFECTS[slug].columns(CONTEXT, law)
-    assert any(not column.block.startswith("+") for column in columns)
-    assert all(column.block.startswith("+ ") for column in columns if "+" in column.block)
+    refining = {column.block for column in columns if column.refines}
+    main = {column.block for column in columns if not column.refines}
+    assert main
+    assert not main & refining, "a block refines as a whole"
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
-def test_the_same_columns_and_values_on_any_other_data(slug, law):
-    """A law and the record of its run carry all that it took from it: some of the stops alone give the same values."""
+def test_a_subset_of_the_stops_has_the_same_values(slug, law):
+    """A law carries all constants that it took from its run: a subset of the stops gives the same values."""
     columns = EFFECTS[slug].columns(CONTEXT, law)
     rows = np.array([3, 17, 5])
     parts = EFFECTS[slug].columns(rows_of(CONTEXT, rows), law)
@@ -161,7 +166,7 @@ def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
     known = KNOWN
     holed: dict[str, Any] = {}
     for name, values in vars(known).items():
-        if name != "record":  # which is of the run, not of its stops
+        if name != "record":  # of the whole run, not per stop
             holed[name] = np.array(values, dtype=np.float64)
             holed[name][4] = 0.0 if name == "approach" else np.nan
     some = EFFECTS[slug].columns(knowing(CONTEXT, replace(known, **holed)), law)
@@ -174,7 +179,7 @@ def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
-def test_wanted_columns_are_there_and_the_same(slug, law):
+def test_requested_columns_are_present_and_equal(slug, law):
     columns = by_name(EFFECTS[slug].columns(CONTEXT, law))
     wanted = {min(columns), max(columns)}
     some = by_name(EFFECTS[slug].columns(CONTEXT, law, wanted))
@@ -187,7 +192,7 @@ def test_wanted_columns_are_there_and_the_same(slug, law):
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
 def test_a_law_survives_json(slug, law):
     assert all(type(value) is float for value in law.constants.values())
-    again = Law(law.name, json.loads(json.dumps(dict(law.constants))), law.tried)
+    again = EFFECTS[slug].law(law.name, json.loads(json.dumps(dict(law.constants))), law.tried)
     assert again == law
     assert law.tried >= 1
 
@@ -202,55 +207,52 @@ def test_no_two_effects_share_a_parameter_name():
 
 def test_data_driven_terms_have_names_of_their_own():
     """Only the directions of a vector are those of its channels, and a time has many periods."""
-    named = {(c, v): list(by_name(EFFECTS["unknown"].columns(CONTEXT, law))) for c, v, law in WHOLE}
+    named = {law.name: list(by_name(EFFECTS["unknown"].columns(CONTEXT, law))) for law in WHOLE}
     vectors = ("base shift", "tool")
-    names = [name for (channel, _), found in named.items() if channel not in vectors for name in found]
+    single = {law.name for law in WHOLE if data_driven_form(law).channel.name not in vectors}
+    names = [name for law, found in named.items() if law in single for name in found]
     assert len(names) == len(set(names))
     for channel in vectors:
-        for variable in variables(CONTEXT):
-            parts = [name for axis in "xyz" for name in named[f"{channel} {axis}", variable]]
-            assert named[channel, variable] == parts
-    swaying = {column.name for _, law in SWAYS for column in EFFECTS["unknown"].columns(CONTEXT, law)}
+        for variable in VARIABLES:
+            parts = [name for axis in "xyz" for name in named[f"{channel} {axis}|{variable}"]]
+            assert named[f"{channel}|{variable}"] == parts
+    swaying = {column.name for law in SWAYS for column in EFFECTS["unknown"].columns(CONTEXT, law)}
     assert not swaying & set(names)
 
 
 @pytest.mark.parametrize("slug", [slug for slug in EFFECTS if slug != "unknown"])
 def test_a_law_of_another_version_is_refused(slug):
-    effect = EFFECTS[slug]
-    if len(effect.laws(CONTEXT)) == 1 and effect.laws(CONTEXT)[0].name in ("", "orders"):
-        return  # there never was another
-    constants = effect.laws(CONTEXT)[0].constants
     with pytest.raises(ValueError, match=f"effect {slug} has no law 'of tomorrow'"):
-        effect.columns(CONTEXT, Law("of tomorrow", constants))
+        EFFECTS[slug].law("of tomorrow", EFFECTS[slug].laws(CONTEXT)[0].constants)
 
 
 def test_units_are_per_unit_of_what_varies():
-    """Numbers that a person can check: 1e-5 rad/Nm times the torque; 20e-6 1/K of 0.612 m is 12 um a kelvin."""
+    """Checked by hand: 1e-5 rad/Nm times the torque; 20e-6 1/K of 0.612 m is 12 um per kelvin."""
     torque = CONTEXT.torques[:, 1]
-    term = term_of("joint_compliance", Law("linear"), {"compliance2": 1e-5})
-    np.testing.assert_allclose(moved_by([term], EFFECTS, CONTEXT).joints[:, 1], 1e-5 * torque)
+    term = term_of("joint_compliance", EFFECTS["joint_compliance"].law("linear"), {"compliance2": 1e-5})
+    np.testing.assert_allclose(displacement([term], EFFECTS, CONTEXT).joints[:, 1], 1e-5 * torque)
     law = next(law for law in EFFECTS["thermal_growth"].laws(CONTEXT) if law.name == "air_links")
     warm = replace(CONTEXT.known, air_c=np.full(len(CONTEXT), law.constants["mean_c"] + 1.0))
     term = term_of("thermal_growth", law, {"growth2": 20e-6})
-    moved = moved_by([term], EFFECTS, knowing(CONTEXT, warm)).shift_M
+    moved = displacement([term], EFFECTS, knowing(CONTEXT, warm)).shift_M
     np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 20e-6 * 0.612, rtol=1e-3)
 
 
-def test_moved_by_adds_terms_up():
+def test_displacements_of_terms_add_up():
     """Joint offsets enter the chain exactly, the rest is added to the SMR."""
-    bend = term_of("link_bending", Law("bending"), {"flexibility2": 1e-5})
-    play = term_of("backlash", Law("constant"), {"half_play1": 1e-4, "half_play3": 2e-4})
-    ripple = term_of("transmission_error", Law("lines"), {"sin100q3": 3e-5})
-    moved = moved_by([bend, play, ripple], EFFECTS, CONTEXT)
+    bend = term_of("link_bending", EFFECTS["link_bending"].law("bending"), {"flexibility2": 1e-5})
+    play = term_of("backlash", EFFECTS["backlash"].law("constant"), {"half_play1": 1e-4, "half_play3": 2e-4})
+    ripple = term_of("transmission_error", EFFECTS["transmission_error"].law("lines"), {"sin100q3": 3e-5})
+    moved = displacement([bend, play, ripple], EFFECTS, CONTEXT)
     s, q = CONTEXT.approach, CONTEXT.q
     expected = np.zeros(q.shape)
     expected[:, 0], expected[:, 2] = -1e-4 * s[:, 0], -2e-4 * s[:, 2] + 3e-5 * np.sin(100.0 * q[:, 2])
     np.testing.assert_allclose(moved.joints, expected, atol=1e-15)
-    bent = by_name(EFFECTS["link_bending"].columns(CONTEXT, Law("bending")))["flexibility2"]
+    bent = by_name(EFFECTS["link_bending"].columns(CONTEXT, EFFECTS["link_bending"].law("bending")))["flexibility2"]
     np.testing.assert_allclose(moved.shift_M, 1e-5 * values_of(bent))
 
 
-def test_the_chain_of_these_tests_is_the_arm():
+def test_the_independent_chain_agrees_with_the_arm():
     for row in range(3):
         walked = chain(CONTEXT, row)
         np.testing.assert_allclose(walked.smr, CONTEXT.p_M[row], atol=1e-12)
@@ -258,7 +260,7 @@ def test_the_chain_of_these_tests_is_the_arm():
             np.testing.assert_allclose(pose[:3, :3], CONTEXT.frames[0][i, row], atol=1e-12)
 
 
-# -- what the data lack ----------------------------------------------------------------------------------------------
+# -- missing data ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -279,16 +281,16 @@ def test_the_chain_of_these_tests_is_the_arm():
         ("base_drift", Circumstances(time_s=np.full(40, np.nan)), "no times"),
         ("base_step", Circumstances(time_s=np.zeros(40)), "no times"),
         ("target_slip", NOTHING, "no times"),
-        ("pedestal_coupling", NOTHING, "the other arm's readings are not there"),
+        ("pedestal_coupling", NOTHING, "no readings of the other arm"),
         ("pedestal_coupling", Circumstances(other_moment_M=np.ones((40, 3))), "the other arm did not move"),
     ],
 )
-def test_what_is_lacking_is_said(slug, known, words):
+def test_missing_data_are_reported(slug, known, words):
     assert EFFECTS[slug].untestable(knowing(CONTEXT, known)) == words
     assert EFFECTS[slug].untestable(CONTEXT) == ""
 
 
-def test_what_an_arm_lacks_is_said():
+def test_missing_properties_of_an_arm_are_reported():
     weightless = replace(
         CONTEXT,
         bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=0.0),
@@ -298,7 +300,7 @@ def test_what_an_arm_lacks_is_said():
     assert EFFECTS["link_bending"].untestable(weightless) == "no masses"
     assert EFFECTS["pedestal_compliance"].untestable(weightless) == "no masses"
     blind = replace(CONTEXT, smr_normal=None)
-    assert EFFECTS["target_incidence"].untestable(blind) == "the way the SMR looks is not known"
+    assert EFFECTS["target_incidence"].untestable(blind) == "the SMR viewing direction is not known"
     always = ("encoder_eccentricity", "transmission_error", "joint_axis_wobble", "tracker_scale", "tracker_angle_error")
     for slug in (*always, "tracker_distance_offset"):
         assert EFFECTS[slug].untestable(knowing(CONTEXT, NOTHING)) == ""

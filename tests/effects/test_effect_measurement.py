@@ -1,4 +1,4 @@
-"""Effects of tracker and target: against a tracker that misreads range and angles, and an SMR that looks aside."""
+"""Effects of tracker and target, against a tracker with errors of range and angles, and an inclined SMR."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellapp.effects import EFFECTS, PLAIN, Law
+from cellapp.effects import EFFECTS
 from tests.effects.cell import by_name, context_of, shifts, slope
 
 CONTEXT = context_of(10)
@@ -18,7 +18,7 @@ def columns(slug, law, context=CONTEXT):
 
 
 def read(p, *, longer=0.0, stretched=0.0, azimuth=0.0, elevation=0.0):
-    """What a tracker reads of a point (3,) when its range and angles are out."""
+    """Reading of a point (3,) by a tracker with errors of range and angles."""
     rho = np.linalg.norm(p) * (1.0 + stretched) + longer
     az, el = np.arctan2(p[1], p[0]) + azimuth, np.arcsin(p[2] / np.linalg.norm(p)) + elevation
     return rho * np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
@@ -35,13 +35,13 @@ def misread(**errors):
 
 
 def test_a_scale_stretches_all_distances():
-    column = columns("tracker_scale", PLAIN)["scale"]
+    column = columns("tracker_scale", EFFECTS["tracker_scale"].law())["scale"]
     assert column.unit == "m/m"
     np.testing.assert_allclose(shifts(column), misread(stretched=lambda az, el: 1.0), atol=1e-9)
 
 
 def test_a_distance_offset_lengthens_all_distances():
-    column = columns("tracker_distance_offset", PLAIN)["distance_offset"]
+    column = columns("tracker_distance_offset", EFFECTS["tracker_distance_offset"].law())["distance_offset"]
     assert column.unit == "m"
     np.testing.assert_allclose(shifts(column), misread(longer=lambda az, el: 1.0), atol=1e-9)
 
@@ -49,7 +49,7 @@ def test_a_distance_offset_lengthens_all_distances():
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(("wave", "function"), [("cos", np.cos), ("sin", np.sin)])
 def test_angles_err_with_their_own_orders(order, wave, function):
-    found = columns("tracker_angle_error", Law("orders"))
+    found = columns("tracker_angle_error", EFFECTS["tracker_angle_error"].law("orders"))
     column = found[f"azimuth_{wave}{order}"]
     assert column.block == f"azimuth {order}"
     np.testing.assert_allclose(shifts(column), misread(azimuth=lambda az, el: function(order * az)), atol=1e-9)
@@ -60,27 +60,31 @@ def test_angles_err_with_their_own_orders(order, wave, function):
 
 
 def looking(towards):
-    """A context whose SMR looks, at its first stop, along ``towards`` (3,) of the tracker frame."""
+    """A context whose SMR faces, at its first stop, along ``towards`` (3,) of the tracker frame."""
     return replace(CONTEXT, smr_normal=CONTEXT.frames[0][-1][0].T @ towards)
 
 
-def test_a_target_that_looks_at_the_tracker_is_read_right():
+def test_a_target_that_faces_the_tracker_has_no_error():
     back = -CONTEXT.p_M[0] / np.linalg.norm(CONTEXT.p_M[0])
-    for column in columns("target_incidence", Law("lateral"), looking(back)).values():
+    for column in columns("target_incidence", EFFECTS["target_incidence"].law("lateral"), looking(back)).values():
         np.testing.assert_allclose(shifts(column)[0], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("degrees", [5.0, 20.0, 50.0, 89.0])
-def test_a_target_that_looks_aside_is_read_longer_and_aside(degrees):
+def test_an_inclined_target_has_radial_and_lateral_errors(degrees):
     beam = CONTEXT.p_M[0] / np.linalg.norm(CONTEXT.p_M[0])
     aside = np.cross(beam, [0.3, -0.5, 0.8])
     aside /= np.linalg.norm(aside)
     angle = np.deg2rad(degrees)
-    found = columns("target_incidence", Law("lateral"), looking(-np.cos(angle) * beam + np.sin(angle) * aside))
+    found = columns(
+        "target_incidence",
+        EFFECTS["target_incidence"].law("lateral"),
+        looking(-np.cos(angle) * beam + np.sin(angle) * aside),
+    )
     np.testing.assert_allclose(shifts(found["incidence_radial"])[0], (1.0 - np.cos(angle)) * beam, atol=1e-12)
     np.testing.assert_allclose(shifts(found["incidence_lateral"])[0], np.sin(angle) * aside, atol=1e-12)
 
 
-def test_incidence_along_the_beam_only_is_the_plain_law():
-    assert list(columns("target_incidence", Law("radial"))) == ["incidence_radial"]
+def test_the_simplest_law_of_incidence_is_radial():
+    assert list(columns("target_incidence", EFFECTS["target_incidence"].law("radial"))) == ["incidence_radial"]
     assert [law.name for law in EFFECTS["target_incidence"].laws(CONTEXT)] == ["radial", "lateral"]

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.effects import EFFECTS, PLAIN, Circumstances, Law, Record
+from cellapp.effects import EFFECTS, Circumstances, TemperatureRecord
 from cellapp.effects.history import lagged
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, transform
 from tests.effects.cell import EYE, by_name, chain, context_of, knowing, shifts, slope
@@ -46,14 +46,14 @@ def test_an_axis_tilts_twice_a_turn(joint, letter, axis, wave, function):
     def moved(row, h):
         return chain(CONTEXT, row, twist={joint - 1: h * function(2.0 * CONTEXT.q[row, joint - 1]) * axis}).smr
 
-    found = columns("joint_axis_wobble", PLAIN)
+    found = columns("joint_axis_wobble", EFFECTS["joint_axis_wobble"].law())
     column = found[f"wobble_{letter}{joint}_{wave}"]
     assert column.block == column.where == f"joint {joint}"
     np.testing.assert_allclose(shifts(column), each_row(moved), atol=1e-9)
     assert len(found) == 24
 
 
-# -- heat ------------------------------------------------------------------------------------------------------------
+# -- thermal ---------------------------------------------------------------------------------------------------------
 
 
 def grown(strain_of):
@@ -96,7 +96,7 @@ def test_links_grow_while_warming_up():
 
 
 def test_a_lag_follows_a_ramp_at_its_distance():
-    """Behind a ramp of slope b, started at rest, a first-order lag stands at b (t - tau (1 - exp(-t / tau)))."""
+    """A first-order lag follows a ramp of slope b, from rest, with b (t - tau (1 - exp(-t / tau)))."""
     rng = np.random.default_rng(2)
     t = np.sort(rng.uniform(0.0, 18000.0, 3000))
     t -= t[0]
@@ -110,7 +110,7 @@ def test_a_lag_follows_a_ramp_at_its_distance():
 
 
 def test_links_follow_their_joints_and_the_air_and_housings_grow():
-    """Each column grows its own part of the arm, by what it is warmer than on average."""
+    """Each column grows its own part of the arm, by its temperature above the mean."""
     law = laws("thermal_growth", "conduction_links")[2]
     known = KNOWN
     joints = known.joints_c - known.joints_c.mean(axis=0)
@@ -131,16 +131,16 @@ def test_links_follow_their_joints_and_the_air_and_housings_grow():
 
 
 @pytest.mark.parametrize("name", ["conduction", "conduction_links"])
-def test_the_record_of_a_run_says_how_warm_the_links_were_at_any_stop(name):
-    """Whatever is known of the stops themselves, and in whatever order the run was recorded."""
+def test_the_record_of_a_run_gives_link_temperatures_at_any_stop(name):
+    """Regardless of what the stops themselves know, and of the order of the record."""
     law = laws("thermal_growth", name, RUN)[2]
     known, rows = RUN_KNOWN, np.array([41, 5, 20])
     mixed = np.random.default_rng(4).permutation(60)
-    record = Record(known.time_s[mixed], known.joints_c[mixed], known.air_c[mixed])
+    record = TemperatureRecord(known.time_s[mixed], known.joints_c[mixed], known.air_c[mixed])
     time_s = known.time_s[rows]
     some = replace(RUN, q=RUN.q[rows], known=Circumstances(time_s=time_s, record=record))
     whole, part = columns("thermal_growth", law, RUN), columns("thermal_growth", law, some)
-    followed = set(whole) - {"growth_housings"}  # which need the temperatures of the moment
+    followed = set(whole) - {"growth_housings"}  # which need the temperatures at the stop
     assert {"growth_air"} < followed
     for one in followed:
         np.testing.assert_allclose(shifts(part[one]), shifts(whole[one])[rows], rtol=1e-9, atol=1e-12)
@@ -152,7 +152,7 @@ def test_the_record_of_a_run_says_how_warm_the_links_were_at_any_stop(name):
     assert not np.allclose(shifts(whole["growth_air"]), expected, atol=0.1), "the lag is seen"
 
 
-def test_between_two_moments_of_the_record_the_links_are_between():
+def test_between_two_moments_of_the_record_link_temperatures_are_interpolated():
     law = laws("thermal_growth", "conduction", RUN)[2]
     known = RUN_KNOWN
     times = np.array([known.time_s[7], known.time_s[7:9].mean(), known.time_s[8], known.time_s[-1], 1e9])
@@ -162,7 +162,7 @@ def test_between_two_moments_of_the_record_the_links_are_between():
     np.testing.assert_allclose(grown_by_air[4], grown_by_air[3])
 
 
-def test_a_link_too_short_to_be_judged_by_itself_has_no_column_but_grows_with_the_rest():
+def test_a_short_link_has_no_column_unless_requested():
     rows = CONTEXT.geometry.rows.copy()
     rows[5, 1] = 0.02
     context = replace(CONTEXT, geometry=replace(CONTEXT.geometry, rows=rows))
@@ -214,7 +214,7 @@ def test_a_target_slips_in_the_flange(axis):
 
 
 @pytest.mark.parametrize("slug", ["base_step", "target_slip"])
-def test_after_an_onset_it_stays(slug):
+def test_a_step_is_permanent(slug):
     law = EFFECTS[slug].laws(RUN)[0]
     after = EFFECTS[slug].columns(knowing(RUN, Circumstances(time_s=np.full(60, 1e9))), law)
     for time_s in (None, np.full(60, np.nan)):
@@ -273,10 +273,10 @@ def test_a_pedestal_tilts_with_the_arms_moment():
     def moved(row, h):
         return chain(CONTEXT, row, outside=about(CONTEXT.geometry.T_M_B()[:3, 3], h * own_moment(row))).smr
 
-    found = columns("pedestal_compliance", Law("isotropic"))
+    found = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("isotropic"))
     assert list(found) == ["pedestal_tilt"]
     np.testing.assert_allclose(shifts(found["pedestal_tilt"]), each_row(moved, h=1e-7), atol=1e-5)
-    parts = columns("pedestal_compliance", Law("tilt"))
+    parts = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("tilt"))
     assert [column.block for column in parts.values()] == ["base", "base"]
     np.testing.assert_allclose(
         sum(shifts(column) for column in parts.values()), shifts(found["pedestal_tilt"]), atol=1e-9
@@ -296,7 +296,7 @@ def test_a_pedestal_tilts_each_way_with_its_own_moment():
         expected = each_row(
             lambda row, h, o=origin, w=for_one: chain(CONTEXT, row, outside=about(o, h * w[row])).smr, h=1e-7
         )
-        found = columns("pedestal_compliance", Law("tilt"))[f"pedestal_tilt_{letter}"]
+        found = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("tilt"))[f"pedestal_tilt_{letter}"]
         np.testing.assert_allclose(shifts(found), expected, atol=1e-5)
 
 
@@ -305,7 +305,7 @@ def test_a_pedestal_tilts_about_a_pivot_below():
     base = CONTEXT.geometry.T_M_B()
     pivot = base[:3, 3] - height * base[:3, 2]
     expected = each_row(lambda row, h: chain(CONTEXT, row, outside=about(pivot, h * own_moment(row))).smr, h=1e-7)
-    found = columns("pedestal_compliance", Law("pivot"))
+    found = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("pivot"))
     assert [column.unit for column in found.values()] == ["rad/Nm", "rad/Nm", "m/Nm", "m/Nm"]
     tilted = shifts(found["pedestal_tilt_x"]) + shifts(found["pedestal_tilt_y"])
     swayed = shifts(found["pedestal_sway_x"]) + shifts(found["pedestal_sway_y"])
@@ -314,15 +314,19 @@ def test_a_pedestal_tilts_about_a_pivot_below():
 
 @pytest.mark.parametrize("turn", [rotation_x(np.pi), rotation_x(np.pi / 2.0), rotation_y(np.pi / 2.0)])
 def test_a_pedestal_on_a_wall_or_under_a_ceiling(turn):
-    """All of the moment counts, however the arm is mounted."""
+    """The whole moment counts, for any mounting of the arm."""
     up = turn.T @ CONTEXT.geometry.T_M_B()[:3, 2]
     context = replace(CONTEXT, up_M=up)
     origin = context.geometry.T_M_B()[:3, 3]
-    moments = context.load_beyond(0)[1]
+    moments = context.loads.beyond(0)[1]
     np.testing.assert_allclose(moments @ up, 0.0, atol=1e-9)
     expected = np.cross(moments, context.p_M - origin)
     np.testing.assert_allclose(
-        shifts(columns("pedestal_compliance", Law("isotropic"), context)["pedestal_tilt"]), expected, atol=1e-9
+        shifts(
+            columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("isotropic"), context)["pedestal_tilt"]
+        ),
+        expected,
+        atol=1e-9,
     )
 
 
@@ -356,7 +360,7 @@ def test_a_pedestal_tilts_with_the_other_arm():
     )
 
 
-def test_where_the_other_arm_is_not_known_it_stands_as_on_average():
+def test_an_unknown_pose_of_the_other_arm_counts_as_the_mean():
     for law in EFFECTS["pedestal_coupling"].laws(CONTEXT):
         for column in columns("pedestal_coupling", law, knowing(CONTEXT, Circumstances())).values():
             assert not shifts(column).any()
@@ -366,7 +370,7 @@ def test_where_the_other_arm_is_not_known_it_stands_as_on_average():
 
 
 def beam_by_integration(row, link, *, torsion, own_weight, slices=4000):
-    """Shift of the SMR (3,) for EI = 1 (or GJ = 1): each slice of the beam turns all that is beyond it.
+    """Shift of the SMR (3,) for EI = 1 (or GJ = 1): each slice of the beam rotates all that is beyond it.
 
     ``dP = int M_part(x) x (P - r(x)) dx``, M(x) the moment at x of every weight beyond x, added up body by body.
     """
@@ -398,7 +402,7 @@ def beam_by_integration(row, link, *, torsion, own_weight, slices=4000):
 @pytest.mark.parametrize("link", [2, 3])
 @pytest.mark.parametrize("own_weight", [False, True])
 def test_a_link_bends_and_twists_as_a_beam(link, own_weight):
-    law = Law("bending_torsion_own_weight" if own_weight else "bending_torsion")
+    law = EFFECTS["link_bending"].law("bending_torsion_own_weight" if own_weight else "bending_torsion")
     found = columns("link_bending", law)
     for name, torsion in ((f"flexibility{link}", False), (f"torsion{link}", True)):
         expected = [
@@ -407,18 +411,18 @@ def test_a_link_bends_and_twists_as_a_beam(link, own_weight):
         column = found[name]
         assert column.block == column.where == f"link {link}"
         assert (column.lower, column.unit) == (0.0, "1/(N m^2)")
-        # a slice too many or too few under the link's own weight is 1/4000 of its moment
+        # where the own weight begins is resolved to one slice: 1/4000 of its moment
         np.testing.assert_allclose(shifts(column), expected, atol=2e-2 if own_weight else 1e-4)
         assert np.abs(expected).max() > 1.0
 
 
-def test_a_link_may_bend_under_its_own_weight_as_much_as_the_data_want():
-    free = columns("link_bending", Law("bending_torsion_free_weight"))
-    own = columns("link_bending", Law("bending_torsion_own_weight"))
-    bare = columns("link_bending", Law("bending_torsion"))
+def test_bending_under_the_own_weight_may_be_a_parameter_of_its_own():
+    free = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion_free_weight"))
+    own = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion_own_weight"))
+    bare = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion"))
     for link in (2, 3):
         column = free[f"own_weight{link}"]
-        assert column.block == f"+ link {link} own weight"
+        assert (column.block, column.refines) == (f"link {link} own weight", True)
         assert free[f"flexibility{link}"].block == free[f"torsion{link}"].block == f"link {link}"
         bent = shifts(own[f"flexibility{link}"]) - shifts(bare[f"flexibility{link}"])
         np.testing.assert_allclose(shifts(column), bent, atol=1e-9)
@@ -431,8 +435,11 @@ def test_the_long_links_bend():
     """Upper arm and forearm of a UR; the others are short and stiff."""
     for arm in ("left", "right"):
         context = context_of(5, arm=arm)
-        assert list(columns("link_bending", Law("bending"), context)) == ["flexibility2", "flexibility3"]
-        torsion = columns("link_bending", Law("bending_torsion"), context)
+        assert list(columns("link_bending", EFFECTS["link_bending"].law("bending"), context)) == [
+            "flexibility2",
+            "flexibility3",
+        ]
+        torsion = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion"), context)
         assert list(torsion) == ["flexibility2", "torsion2", "flexibility3", "torsion3"]
 
 
@@ -449,5 +456,5 @@ def test_a_horizontal_cantilever_hangs_down():
         bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=10.0, payload_center=np.zeros(3)),
         up_M=np.array([0.0, 0.0, 1.0]),
     )
-    column = columns("link_bending", Law("bending"), context)["flexibility1"]
+    column = columns("link_bending", EFFECTS["link_bending"].law("bending"), context)["flexibility1"]
     np.testing.assert_allclose(shifts(column), [[0.0, 0.0, -10.0 * GRAVITY * 0.8**3 / 3.0]], atol=1e-12)

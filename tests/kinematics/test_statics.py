@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellapp.kinematics.chain import frame_poses
-from cellapp.kinematics.statics import STANDARD_GRAVITY, Bodies, gravity_torques
+from cellapp.kinematics.statics import STANDARD_GRAVITY, Bodies, base_moment, gravity_loads, gravity_torques
 from tests.arms import (
     OFF_AXIS,
     UR5,
@@ -78,3 +78,25 @@ def test_a_payload_per_reading_replaces_the_stated_one():
     np.testing.assert_allclose(
         given_loads[2], gravity_torques(geometry, bodies(UR10_MASSES, UR10_CENTERS), q, UP)[2], atol=1e-12
     )
+
+
+def test_torques_of_single_masses_sum_to_the_joint_torques():
+    geometry, hanging = at_station(UR10, OFF_AXIS), bodies(UR10_MASSES, UR10_CENTERS, 4.0)
+    q = np.random.default_rng(2).uniform(-3, 3, (8, 6))
+    loads = gravity_loads(frame_poses(geometry, q), hanging, UP)
+    np.testing.assert_allclose(sum(loads.torques_of(k) for k in range(7)), loads.joint_torques(), atol=1e-9)
+    np.testing.assert_array_equal(loads.torques_of(6), loads.torques_of(-1))
+    assert not loads.torques_of(2)[:, 3:].any(), "body 3 is before joint 4"
+
+
+def test_the_moment_beyond_a_frame_gives_the_torque_of_its_joint():
+    geometry, hanging = at_station(UR10, OFF_AXIS), bodies(UR10_MASSES, UR10_CENTERS, 4.0)
+    q = np.random.default_rng(3).uniform(-3, 3, (8, 6))
+    loads = gravity_loads(frame_poses(geometry, q), hanging, UP)
+    for j in range(6):
+        force, moment = loads.beyond(j)
+        axis = loads.rotations[j][:, :, 2]
+        np.testing.assert_allclose(np.einsum("na,na->n", axis, moment), loads.joint_torques()[:, j], atol=1e-9)
+        carried = hanging.masses[j:].sum() + hanging.payload_mass
+        np.testing.assert_allclose(force, np.tile(-STANDARD_GRAVITY * carried * UP, (8, 1)))
+    np.testing.assert_array_equal(base_moment(geometry, hanging, q, UP), loads.beyond(0)[1])

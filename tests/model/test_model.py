@@ -28,8 +28,17 @@ def cell_model():
     rng = np.random.default_rng(0)
     nominal = at_station(UR10, OFF_AXIS)
     terms = (
-        EffectTerm("joint_compliance", ("compliance2",), np.array([1.7e-5]), np.array([1e-8]), ("rad/Nm",)),
-        EffectTerm("backlash", ("half_play1",), np.array([1e-4]), np.array([1e-6]), ("rad",)),
+        EffectTerm(
+            "joint_compliance",
+            ("compliance2",),
+            np.array([1.7e-5]),
+            np.array([1e-8]),
+            ("rad/Nm",),
+            EFFECTS["joint_compliance"].law(),
+        ),
+        EffectTerm(
+            "backlash", ("half_play1",), np.array([1e-4]), np.array([1e-6]), ("rad",), EFFECTS["backlash"].law()
+        ),
     )
     arm = ArmModel(
         geometry=true_geometry(nominal, rng),

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.effects import EFFECTS, Law
+from cellapp.effects import EFFECTS
 from cellapp.reporting.findings import (
     accepted_table,
     cycle_table,
@@ -175,7 +175,10 @@ def test_nothing_is_changed_by_telling_it() -> None:
 
 CONTEXT = context_of()
 LAWS = [(slug, law) for slug, effect in EFFECTS.items() for law in effect.laws(CONTEXT)]
-LAWS += [("transmission_error", Law("gear", {"ratio": 100.0})), ("transmission_error", Law("curve", {"cycles": 100.0}))]
+LAWS += [
+    ("transmission_error", EFFECTS["transmission_error"].law("gear", {"ratio": 100.0})),
+    ("transmission_error", EFFECTS["transmission_error"].law("curve", {"cycles": 100.0})),
+]
 
 
 @pytest.mark.parametrize(("slug", "name"), sorted({(slug, law.name) for slug, law in LAWS}))
@@ -192,7 +195,9 @@ def test_constants_of_a_law_are_in_people_s_units() -> None:
     assert law_words("base_step", {"name": "onset", "constants": {"onset_s": 5400.0}}) == (
         "at once, 1.5 h after the run began"
     )
-    assert "time constant 30 min" in law_words("joint_drift", {"name": "warm_up", "constants": {"tau_s": 1800.0}})
+    assert "time constant 30 min" in law_words(
+        "joint_drift", {"name": "warm_up", "constants": {"first_s": 0.0, "last_s": 3600.0, "tau_s": 1800.0}}
+    )
     assert "time constant 2.5 s" in law_words("unsettled_measurement", {"name": "creep", "constants": {"tau_s": 2.5}})
     assert "ratio 120" in law_words("transmission_error", {"name": "gear", "constants": {"ratio": 120.0}})
     assert "11.5 deg" in law_words("backlash", {"name": "saturating", "constants": {"width": 0.2}})

@@ -22,7 +22,7 @@ from cellapp.calibration.calibrate import CALIBRATION_FILE, calibrate_run
 from cellapp.calibration.evaluation import Summary, summarise
 from cellapp.compensation.push import Verification, Verified, Way
 from cellapp.discovery.discover import discover_run
-from cellapp.effects import EffectTerm, Law
+from cellapp.effects import EFFECTS, EffectTerm
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import CellModel
@@ -465,7 +465,7 @@ def test_effects_of_time_are_drawn_as_they_were_evaluated(made: RunFile, monkeyp
         values=np.array([2e-3]),
         standard_errors=np.array([1e-6]),
         units=("m",),
-        law=Law("onset", {"onset_s": 30.5}),
+        law=EFFECTS["base_step"].law("onset", {"onset_s": 30.5}),
     )
     model = CellModel.load(made.folder / CALIBRATION_FILE)
     arms = {**model.arms, LEFT: replace(model.arms[LEFT], effects=(step,))}

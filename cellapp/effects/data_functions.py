@@ -1,0 +1,141 @@
+"""Functions of the variables of data-driven laws, and the constants that they take from a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from cellapp.effects.context import EffectContext
+from cellapp.effects.data_driven import (
+    FIRST_CONSTANTS,
+    PERIOD,
+    SECOND_CONSTANTS,
+    Quantity,
+    Variable,
+    data_driven_form,
+)
+from cellapp.effects.history import filled, span
+from cellapp.effects.law import Constant, Law
+from cellapp.kinematics.transforms import Array
+
+ORDER = 4
+"""Highest order of the functions of one variable; more would follow noise in a few hundred readings."""
+TIME_ORDER = 20
+"""Half cycles over the run: a drift may change its direction twenty times."""
+PAIR_ORDER = 3
+"""Highest total order of the functions of two variables: 24 columns at most."""
+
+
+def run_constants(context: EffectContext, variable: Variable) -> dict[str, float]:
+    """Constants that a law takes from the run for a variable: order, range, and a default where it is unknown."""
+    if variable.is_joint_angle:
+        return {"order": float(ORDER)}
+    if variable.quantity is Quantity.TIME:
+        first, last = span(context).values()
+        return {"order": float(TIME_ORDER), "low": first, "high": last, "typical": last}
+    values = variable.values(context)
+    center = {}
+    if variable.quantity is Quantity.AZIMUTH:
+        center = {"center": math.atan2(float(np.sin(values).mean()), float(np.cos(values).mean()))}
+        values = _about(values, center["center"])
+    typical = float(np.mean(values))
+    if variable.quantity is Quantity.DWELL:
+        typical = float(np.median(values))
+    elif variable.quantity is Quantity.PAYLOAD:
+        typical = context.bodies.payload_mass
+    elif variable.quantity is Quantity.STEP:
+        typical = 0.0
+    order = float(min(ORDER, len(np.unique(values)) - 1))
+    return {"order": order, "low": float(values.min()), "high": float(values.max()), "typical": typical, **center}
+
+
+def _about(azimuth: Array, center: float) -> Array:
+    """Azimuths relative to a centre (n,), -pi to pi: no jump inside the cell wherever the tracker's x axis points."""
+    return np.asarray(np.remainder(azimuth - center + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def functions(context: EffectContext, law: Law) -> dict[str, Array]:
+    """Functions (n,) of a law's variables, by name."""
+    drivers = data_driven_form(law).drivers
+    first = _own(law.constants, FIRST_CONSTANTS, "")
+    if len(drivers) == 1:
+        if drivers[0].quantity is Quantity.TIME:
+            return _of_time(context, drivers[0], first)
+        return {name: values for _, name, values in _family(context, drivers[0], first)}
+    if all(one.is_joint_angle for one in drivers):
+        return _of_two_angles(context, drivers)
+    second = _own(law.constants, SECOND_CONSTANTS, "2")
+    ones = [(0, "", np.ones(len(context)))]
+    products = {}
+    for m, left, f in ones + _family(context, drivers[0], first):
+        for k, right, g in ones + _family(context, drivers[1], second):
+            if 1 <= m + k <= PAIR_ORDER:
+                products["*".join(filter(None, (left, right)))] = f * g
+    return products
+
+
+def _own(constants: Mapping[str, float], declared: Iterable[Constant], suffix: str) -> dict[str, float]:
+    """The constants of one variable, without the suffix of the second."""
+    return {one.name.removesuffix(suffix): constants[one.name] for one in declared if one.name in constants}
+
+
+def _family(context: EffectContext, variable: Variable, constants: Mapping[str, float]) -> list[tuple[int, str, Array]]:
+    """Order, name and values (n,) of the functions of one variable; zero where an angle is unknown."""
+    label, order = variable.name.replace(" ", "_"), round(constants["order"])
+    if variable.is_joint_angle:
+        angle = variable.values(context)
+        return [
+            (m, f"{letter}{m}_{label}", _or_zero(wave(m * angle)))
+            for m in range(1, order + 1)
+            for letter, wave in (("cos", np.cos), ("sin", np.sin))
+        ]
+    polynomials = np.asarray(legvander(2.0 * _unit(context, variable, constants) - 1.0, order), dtype=np.float64)
+    return [(m, f"p{m}_{label}", polynomials[:, m]) for m in range(1, order + 1)]
+
+
+def _unit(context: EffectContext, variable: Variable, constants: Mapping[str, float]) -> Array:
+    """A variable (n,) scaled to 0 to 1 over its range in the run, constant beyond."""
+    values = variable.values(context)
+    if variable.quantity is Quantity.AZIMUTH:
+        values = _about(values, constants["center"])
+    low, high = constants["low"], constants["high"]
+    return np.clip((filled(values, constants["typical"], len(context)) - low) / (high - low), 0.0, 1.0)
+
+
+def _of_time(context: EffectContext, time: Variable, constants: Mapping[str, float]) -> dict[str, Array]:
+    """A line and half cycles over the run, or one period."""
+    x = _unit(context, time, constants)
+    if PERIOD.name in constants:
+        phase = 2.0 * np.pi * x * (constants["high"] - constants["low"]) / constants[PERIOD.name]
+        return {"cos_time": np.cos(phase), "sin_time": np.sin(phase)}
+    half_cycles = range(1, round(constants["order"]) + 1)
+    return {"linear_time": 2.0 * x - 1.0} | {f"cos{k}_time": np.cos(np.pi * k * x) for k in half_cycles}
+
+
+def _of_two_angles(context: EffectContext, drivers: tuple[Variable, ...]) -> dict[str, Array]:
+    """Cosine and sine of m v + k w for 1 <= |m| + |k| <= 3, each pair of opposite signs once."""
+    v, w = (one.values(context) for one in drivers)
+    labels = [one.name.replace(" ", "_") for one in drivers]
+    found = {}
+    for m in range(PAIR_ORDER + 1):
+        for k in range(m - PAIR_ORDER, PAIR_ORDER - m + 1):
+            if m == 0 and k <= 0:
+                continue
+            phase = m * v + k * w
+            for letter, wave in (("cos", np.cos), ("sin", np.sin)):
+                found[f"{letter}({_phase_text(m, k, labels)})"] = _or_zero(wave(phase))
+    return found
+
+
+def _phase_text(m: int, k: int, labels: list[str]) -> str:
+    """``2*q1-q2`` and the like."""
+    terms = [f"{count:+d}*{label}" for count, label in zip((m, k), labels, strict=True) if count]
+    return "".join(terms).replace("+1*", "+").replace("-1*", "-").removeprefix("+")
+
+
+def _or_zero(values: Array) -> Array:
+    """Zero where an angle is unknown: a cosine's mean over the turn."""
+    return np.asarray(np.nan_to_num(values), dtype=np.float64)

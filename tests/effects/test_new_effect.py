@@ -1,0 +1,92 @@
+"""A new effect is one file and one line: discovery names it, tunes its constant, and reports it in its words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from cellapp.discovery.discover import Discovery, discover_arm
+from cellapp.effects import EFFECTS, EffectTerm, registered, term_from_json, term_to_json
+from cellapp.kinematics.chain import smr_positions
+from cellapp.model import ArmModel
+from cellapp.model.nominal import bodies_of, nominal_arm
+from cellapp.profile import load_profile
+from cellapp.reporting.findings import accepted_table
+from cellapp.run import Readings
+from tests.arms import STATION
+from tests.effects.toy_effect import FORM, GRID, SOFTENING, ToySag
+
+TWIN = Path(__file__).parents[2] / "profiles" / "twin.yaml"
+UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
+N = 240
+HELD_OUT = 60
+SIGMA_M = 10e-6
+TRUE_SOFTENING = 2.6
+TRUE_SAG = np.array([3e-4, 4e-4, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture
+def registry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The registry with one line more."""
+    extended = registered((*EFFECTS.values(), ToySag()))
+    monkeypatch.setitem(cast(dict[str, Any], EFFECTS), ToySag.slug, extended[ToySag.slug])
+
+
+@pytest.fixture
+def discovery(registry: None) -> Discovery:
+    """What discovery finds in readings of an arm that sags like the toy."""
+    profile = load_profile(TWIN)
+    few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
+    profile = profile.model_copy(update={"discovery": few})
+    arm = profile.arms["left"]
+    geometry = nominal_arm(arm).with_T_M_B(STATION)
+    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(arm), up_M=UP)
+    rng = np.random.default_rng(5)
+    q, payload_kg = rng.uniform(-2.5, 2.5, (N, 6)), rng.choice([0.5, 2.0, 5.0], N)
+    sag = TRUE_SAG * np.tanh(payload_kg[:, None] * np.cos(3.0 * q) / TRUE_SOFTENING)
+    readings = Readings(
+        configuration=np.arange(N, dtype=np.int64),
+        time_s=np.full(N, np.nan),
+        q=q,
+        approach=np.zeros((N, 6), dtype=np.int8),
+        p_M=smr_positions(geometry, q + sag) + rng.normal(0.0, SIGMA_M, (N, 3)),
+        payload_kg=payload_kg,
+        sigma_m=np.full(N, SIGMA_M),
+        split=("identify",) * (N - HELD_OUT) + ("validate",) * HELD_OUT,
+    )
+    return discover_arm(profile, "left", model, readings)
+
+
+def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discovery: Discovery) -> None:
+    (finding,) = discovery.findings
+    assert (finding.term.slug, finding.joints) == (ToySag.slug, (1, 2))
+    assert discovery.verdict == "explained"
+    softening = finding.term.law.constants[SOFTENING.name]
+    nearest = min(GRID, key=lambda size: abs(np.log(size / TRUE_SOFTENING)))
+    assert abs(np.log(softening / TRUE_SOFTENING)) < 0.2 < abs(np.log(nearest / TRUE_SOFTENING)), "tuned off the grid"
+    sags = dict(zip(finding.term.names, finding.term.values.tolist(), strict=True))
+    assert sags["sag1"] == pytest.approx(TRUE_SAG[0], rel=0.1)
+    assert sags["sag2"] == pytest.approx(TRUE_SAG[1], rel=0.1)
+    table = accepted_table("left", discovery.as_dict())
+    assert table is not None
+    (row,) = (dict(zip(table.columns, row, strict=True)) for row in table.rows)
+    assert row["effect"] == ToySag.title
+    assert row["law"] == f"{FORM.words}, softening from {softening:.3g} kg on"
+
+
+def test_a_new_effect_survives_json(registry: None) -> None:
+    term = EffectTerm(
+        ToySag.slug, ("sag2",), np.array([3e-4]), np.array([1e-6]), ("rad",), FORM.law({SOFTENING.name: 2.0})
+    )
+    again = term_from_json(term_to_json(term), EFFECTS)
+    assert again.law == term.law
+    np.testing.assert_array_equal(again.values, term.values)
+
+
+def test_a_term_of_an_effect_that_was_removed_is_refused() -> None:
+    term = EffectTerm(ToySag.slug, (), np.zeros(0), np.zeros(0), (), FORM.law({SOFTENING.name: 2.0}))
+    with pytest.raises(ValueError, match="this version does not know the effect 'toy_sag'"):
+        term_from_json(term_to_json(term), EFFECTS)
