@@ -90,6 +90,8 @@ class ArmState:
         Joint temperatures where the controller gives them [degC].
     robot_mode, safety_mode, program : str
         In the controller's words; empty where it has none.
+    rest_since_s : float or None
+        When the arm came to rest, on the cell's clock [s]; None if the controller does not report it.
     """
 
     q: NDArray[np.float64]
@@ -102,6 +104,15 @@ class ArmState:
     robot_mode: str = ""
     safety_mode: str = ""
     program: str = ""
+    rest_since_s: float | None = None
+
+
+def stale(before: str, now: str) -> str:
+    """Return a sentence about a changed ``dh_checksum``."""
+    return (
+        f"the checksum of the controller's D-H was {before or 'none'}, now it is {now or 'none'}: a joint or the"
+        " factory calibration was changed, and a model from before is stale; collect and calibrate anew"
+    )
 
 
 class ArmError(Exception):

@@ -95,6 +95,7 @@ class SimulatedArm:
             reason="" if self._fault is None else str(self._fault),
             payload_kg=self._plant.payload(self._name)[0],
             joint_temperature_c=self._plant.joint_temperatures_c(self._name),
+            rest_since_s=None if self._plant.moving(self._name) else self._plant.rest_s(self._name),
         )
 
     def _per_joint(self, what: str, value: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ import sys
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +39,13 @@ from drivers.arms.protocol import (
     ProtectiveStop,
     Tool,
     WrongRobot,
+    stale,
 )
-from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, safety_error, safety_remedy, stale
+from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, safety_error, safety_remedy
 from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_probe import UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import wait_at_rest
+from drivers.arms.ur_settings import UrSettings
 
 KINDS: Mapping[str, type[ArmError]] = {
     "protective": ProtectiveStop,
@@ -59,6 +61,8 @@ _REMEDIES = {
     "emergency": safety_remedy("ROBOT_EMERGENCY_STOP"),
 }
 LONGEST_PROBE_S = 5.0
+LONGEST_BRAKING_S = 3.0
+"""Several times what a UR arm takes to brake from full speed."""
 
 _HELLO_WITHIN_S = 10.0
 _ANSWER_WITHIN_S = 2.0
@@ -66,33 +70,6 @@ _STOP_WITHIN_S = 1.0
 _MARGIN_S = 1.0
 _ROUNDING_RAD = 1e-9
 _LIMIT_SLACK = 1e-6
-
-
-@dataclass(frozen=True)
-class UrSettings:
-    """How the driver waits.
-
-    Attributes
-    ----------
-    timeout_s : float
-        Without an answer for so long, a host counts as dead (5 s at most).
-    startup_s : float
-        What starting the client and its program on the controller may take.
-    watchdog_hz : float
-        The controller stops its program when this computer is silent for the inverse of it.
-    settle_s, settle_speed, settle_position : float
-        The arm rests when no joint was faster than this [rad/s] nor left this window [rad] for so long.
-    rest_s : float
-        How long an arm in doubt is watched until it rests.
-    """
-
-    timeout_s: float = 5.0
-    startup_s: float = 15.0
-    watchdog_hz: float = 5.0
-    settle_s: float = 0.2
-    settle_speed: float = 0.005
-    settle_position: float = 2e-4
-    rest_s: float = 3.0
 
 
 class _Gone(Exception):
@@ -225,11 +202,15 @@ class _Refused(Exception):
 class UrArm:
     """One UR arm. ``stop`` may be called from any thread, the rest from one at a time."""
 
-    def __init__(self, name: str, host: str, expected: UrExpectation, settings: UrSettings | None = None) -> None:
+    def __init__(
+        self, name: str, settings: UrSettings, expected: UrExpectation, *, rest_s: float = LONGEST_BRAKING_S
+    ) -> None:
+        """Nothing is opened yet. ``rest_s`` is how long an arm in doubt is watched until it is at rest [s]."""
         self._name = name
-        self._host = host
+        self._host = settings.host
         self._expected = expected
-        self._settings = settings or UrSettings()
+        self._settings = settings
+        self._rest_s = rest_s
         self._worker: _Worker | None = None
         self._fault: ArmError | None = None
         self._ours = False
@@ -315,7 +296,7 @@ class UrArm:
         speeds = self._rates("speed", "rad/s", speed, self._limits.speed)
         accelerations = self._rates("acceleration", "rad/s^2", acceleration, self._limits.acceleration)
         self._connected()
-        timeout = self._settings.startup_s
+        timeout = self._settings.startup_timeout
         self._ours = True
         self._call(
             "move",
@@ -353,7 +334,7 @@ class UrArm:
         try:
             stop_program(self._host, _STOP_WITHIN_S)
             worker.call("halt", _ANSWER_WITHIN_S)
-            wait_at_rest(self._host, self._settings.rest_s)
+            wait_at_rest(self._host, self._rest_s)
         except (LinkLost, _Gone, _Refused) as error:
             raise self._doubt(f"it could not be told to stop: {error}") from error
 
@@ -383,7 +364,7 @@ class UrArm:
 
     def _probe(self) -> UrProbe:
         try:
-            return probe_ur(self._host, min(self._settings.timeout_s, LONGEST_PROBE_S))
+            return probe_ur(self._host, min(self._settings.timeout, LONGEST_PROBE_S))
         except LinkLost as error:
             raise LinkLost(f"arm {self._name}: {error}") from error
 
@@ -405,7 +386,7 @@ class UrArm:
         worker = _Worker(self._name)
         self._worker = worker
         self._fault = None
-        timeout = self._settings.startup_s
+        timeout = self._settings.startup_timeout
         payload = said.sample is not None and said.sample.payload_kg is not None
         try:
             worker.wait_hello(_HELLO_WITHIN_S)
@@ -416,9 +397,9 @@ class UrArm:
                 host=self._host,
                 payload=payload,
                 watchdog_hz=self._settings.watchdog_hz,
-                settle_s=self._settings.settle_s,
+                settle_s=self._settings.settle_time,
                 settle_speed=self._settings.settle_speed,
-                settle_position=self._settings.settle_position,
+                settle_position=self._settings.settle_window,
                 timeout_s=timeout + _MARGIN_S,
             )
         except _Refused as error:
@@ -498,7 +479,7 @@ class UrArm:
         except LinkLost as error:
             told = error
         try:
-            sample = wait_at_rest(self._host, self._settings.rest_s)
+            sample = wait_at_rest(self._host, self._rest_s)
         except LinkLost as error:
             raise LinkLost(f"{told}; {error}" if told else str(error)) from error
         if told is not None and sample.program == "PLAYING":

@@ -20,6 +20,7 @@ from drivers.arms.protocol import (
     NotInRemoteControl,
     ProtectiveStop,
     WrongRobot,
+    stale,
 )
 from drivers.arms.ur_probe import UrProbe
 
@@ -268,14 +269,6 @@ def _kinematics(expected: UrExpectation, said: UrProbe) -> Check:
     if not found.checksum:
         return Check(subject, "ok", "D-H without a factory calibration read")
     return Check(subject, "ok", f"factory-calibrated D-H read, checksum {found.checksum}")
-
-
-def stale(then: str, now: str) -> str:
-    """What a changed checksum of the controller's D-H means."""
-    return (
-        f"the checksum of the controller's D-H was {then or 'none'}, now it is {now or 'none'}: a joint or the factory"
-        " calibration was changed, and a model from before is stale; collect and calibrate anew"
-    )
 
 
 def _millimetres(point: NDArray[np.float64]) -> str:

@@ -16,20 +16,20 @@ from __future__ import annotations
 import contextlib
 import math
 import operator
-import re
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.trackers.lmf_calls import Commands
 from drivers.trackers.lmf_objects import Lmf, error_number, factor, load_lmf, plain, precision_m, si, told
+from drivers.trackers.lmf_settings import DEFAULT_LIBRARY, LmfSettings
 from drivers.trackers.protocol import (
     Face,
     Inclination,
@@ -63,7 +63,6 @@ _IN_USE = 10011
 _TICKS_1970 = 621_355_968_000_000_000  # of 100 ns, since the year 1
 _MOST_MESSAGES = 200
 _POINTING, _MEASURING, _TURNING = "pointing and searching", "measuring", "turning to face 2"
-_SIMULATOR = re.compile(r"(AT930|AT960|AT40[123]|AT500|ATS600)[A-Z]{0,3}Simulator(#\d+)?", re.IGNORECASE)
 _PROFILES = {"accuracy": "StationaryMeasurementProfile", "time": "CustomStationaryMeasurementProfile"}
 _AIR = {"Temperature": (-40.0, 85.0), "Pressure": (500.0, 1200.0), "Humidity": (0.0, 100.0)}
 
@@ -88,71 +87,6 @@ class ErrorLaw:
 
 
 @dataclass(frozen=True)
-class LmfSettings:
-    """How this driver uses LMF.
-
-    Attributes
-    ----------
-    address : str
-        The tracker's IP address or host name, or a simulator of LMF such as ``AT960LRSimulator#1``.
-    serial : str
-        Serial number that the tracker must have; empty: any.
-    library : str
-        Where LMF.Tracker.Connection.dll is: its path, or its bare name where Python's path finds it.
-    stationary : {"accuracy", "time"}
-        Whether the tracker decides how long to average (its accuracies), or ``averaging_s`` of each call does.
-    power_lock : bool
-        Search with the camera; else in a spiral around the prediction, which is slower and stays nearer to it.
-    search_radius_m : float or None
-        Radius of a search [m]; None leaves LMF's.
-    wrong_target_m : float
-        How far from its prediction an SMR may be [m].
-    shaking_m : float
-        Precision reported by the tracker above which the SMR counts as moving [m].
-    gravity : bool
-        Level the tracker: M's z axis is the vertical, and tilting is monitored. Else M is fixed to the tracker.
-    command_s : float
-        Time limit of everything that has none of Leica's own, pointing and searching included [s].
-    law : ErrorLaw
-        Accuracy of the tracker, as LMF reports no covariance.
-    target_words : tuple of str
-        Words by which a precondition of LMF says that nothing is locked: before pointing that is no obstacle.
-    lost_numbers : tuple of int
-        Error numbers of LMF that mean a lost target, where it does not show otherwise. Leica publishes no list; the
-        one given is from another's log.
-    measuring_s : mapping of str to float
-        Time limits by accuracy [s].
-    """
-
-    address: str
-    serial: str = ""
-    library: str = "LMF.Tracker.Connection"
-    stationary: Literal["accuracy", "time"] = "accuracy"
-    power_lock: bool = True
-    search_radius_m: float | None = None
-    wrong_target_m: float = 0.05
-    shaking_m: float = 100e-6
-    gravity: bool = False
-    command_s: float = 15.0
-    law: ErrorLaw = ErrorLaw()
-    target_words: tuple[str, ...] = ("target", "reflector")
-    lost_numbers: tuple[int, ...] = (840702,)
-    measuring_s: Mapping[str, float] = field(default_factory=lambda: MEASURING_S)
-
-    def __post_init__(self) -> None:
-        if "simulator" in self.address.casefold() and _SIMULATOR.fullmatch(self.address) is None:
-            raise ValueError(
-                f"address: '{self.address}' is no simulator of LMF; they are called like AT960LRSimulator or"
-                " AT960Simulator#506432"
-            )
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the address is one of LMF's simulators."""
-        return _SIMULATOR.fullmatch(self.address) is not None
-
-
-@dataclass(frozen=True)
 class FoundTracker:
     """A tracker that answers in the network."""
 
@@ -161,7 +95,7 @@ class FoundTracker:
     serial: str
 
 
-def find_trackers(library: str = LmfSettings.library, load: Callable[[str], Lmf] = load_lmf) -> list[FoundTracker]:
+def find_trackers(library: str = DEFAULT_LIBRARY, load: Callable[[str], Lmf] = load_lmf) -> list[FoundTracker]:
     """Trackers in the networks of this computer. Raises ``LmfMissing``, ``TrackerTimeout``, ``TrackerError``."""
 
     def look() -> list[FoundTracker]:
@@ -191,9 +125,14 @@ class LmfTracker:
         settings: LmfSettings,
         preparation: Preparation = _AS_IT_COMES,
         load: Callable[[str], Lmf] = load_lmf,
+        law: ErrorLaw = ErrorLaw(),
     ) -> None:
-        """Nothing is opened yet. ``preparation`` is applied at every connect, as LMF forgets its settings."""
+        """Nothing is opened yet. ``preparation`` is applied at every connect, as LMF forgets its settings.
+
+        ``law`` is the accuracy of the tracker: LMF reports no covariance.
+        """
         self._use = settings
+        self._law = law
         self._preparation = preparation
         self._load = load
         self._lmf: Lmf | None = None
@@ -229,7 +168,7 @@ class LmfTracker:
         self._gone = ""
         commands = self._commands = Commands()
         try:
-            commands.call("connecting", partial(self._open, commands), max(CONNECTING_S, self._use.command_s))
+            commands.call("connecting", partial(self._open, commands), max(CONNECTING_S, self._use.timeout))
         except BaseException:
             self.disconnect()
             raise
@@ -269,7 +208,7 @@ class LmfTracker:
             return
         if tracker is not None:
             with contextlib.suppress(TrackerError):  # it is being let go of, whatever it says
-                commands.call("disconnecting", partial(self._close, tracker), self._use.command_s)
+                commands.call("disconnecting", partial(self._close, tracker), self._use.timeout)
         commands.close()
 
     def _close(self, tracker: Any) -> None:
@@ -366,8 +305,8 @@ class LmfTracker:
         self._averages_s = None
         self._reflector = self._select_reflector(tracker, settings.reflector)
         self._set(tracker.PowerLock, "UsePowerLock", self._use.power_lock)
-        if self._use.search_radius_m is not None:
-            self._set_quantity(tracker.TargetSearch.Radius, "length", self._use.search_radius_m)
+        if self._use.search_radius is not None:
+            self._set_quantity(tracker.TargetSearch.Radius, "length", self._use.search_radius)
         self._apply_air(tracker, settings)
         level = tracker.InclinationSensor
         if level is not None and not self._use.gravity:
@@ -520,7 +459,7 @@ class LmfTracker:
         unmet = []
         for precondition in tracker.Measurement.Status.Preconditions:
             text = told(precondition)
-            if locked or not any(word in text.casefold() for word in self._use.target_words):
+            if locked or not any(word.casefold() in text.casefold() for word in self._use.target_words):
                 unmet.append(text)
         return unmet
 
@@ -616,11 +555,11 @@ class LmfTracker:
         if self._use.stationary == "time":
             limit_s = averaging_s + OTHER_PROFILE_S
         else:
-            limit_s = self._use.measuring_s[self._preparation.accuracy]
+            limit_s = MEASURING_S[self._preparation.accuracy]
         read = partial(self._read, averaging_s=averaging_s, face=face)
         point = self._ask(_MEASURING, read, limit_s, heeds_halt=True)
         off_m = float(np.linalg.norm(point.p_M - expected))
-        if off_m > self._use.wrong_target_m:
+        if off_m > self._use.wrong_target:
             raise WrongTarget(f"tracker: it locked an SMR {off_m * 1e3:.0f} mm from where one was expected")
         return point
 
@@ -644,9 +583,9 @@ class LmfTracker:
         if bool(plain(position.IsFace2)) != (face == 2):
             raise TrackerError(f"tracker: it measured in another face than {face}")
         seen_m = float(np.linalg.norm(precision))
-        if seen_m > self._use.shaking_m:
+        if seen_m > self._use.shaking:
             raise Unstable(f"tracker: the SMR moved while it was measured: precision {seen_m * 1e6:.0f} um")
-        covariance = self._use.law.covariance(p_M)
+        covariance = self._law.covariance(p_M)
         covariance *= max(1.0, seen_m**2 / float(np.trace(covariance)))  # it shook more than the law knows
         air, quality = self._air(result)
         flags = str(plain(result.Info.FlagsWithWarnings))
@@ -706,7 +645,7 @@ class LmfTracker:
             with self._translated(what):
                 return function(tracker)
 
-        return commands.call(what, run, self._use.command_s if limit_s is None else limit_s, heeds_halt=heeds_halt)
+        return commands.call(what, run, self._use.timeout if limit_s is None else limit_s, heeds_halt=heeds_halt)
 
     @contextlib.contextmanager
     def _translated(self, what: str) -> Iterator[None]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.collection import cell as opening
 from cellapp.collection.cell import open_cell
 from cellapp.collection.collect import collect_run
 from cellapp.commissioning.doctor import examine
@@ -57,7 +57,7 @@ def test_without_a_section_there_is_no_sensor() -> None:
         ("{kind: serial, url: /dev/ttyUSB0, format: vaisala-ptu300, pattern: x}", "give either format or pattern"),
         ("{kind: serial, url: /dev/ttyUSB0, format: vaisala-ptu30}", "did you mean 'vaisala-ptu300'"),
         ("{kind: serial, url: 'http://x', format: vaisala-ptu300}", "'http://' is not known; write a device"),
-        ("{kind: serial, url: x, pattern: 'T=('}", "air.pattern: no regular expression: missing"),
+        ("{kind: serial, url: x, pattern: 'T=('}", "air.pattern: not a regular expression: missing"),
         ("{kind: serial, url: x, pattern: 'T=(.*)'}", r"air.pattern: it has no group (?P<temperature>...)"),
         ("{kind: serial, url: x, pattern: '(?P<temperature>.*)(?P<wind>.*)'}", "group wind is not known; known are"),
         ("{kind: serial, url: x, format: vaisala-ptu300, units: {pressure: atm}}", "expected 'hPa', 'mbar'"),
@@ -78,7 +78,9 @@ def test_a_serial_station_is_built_as_the_profile_says(tmp_path: Path) -> None:
         "{kind: serial, url: 'rfc2217://10.0.0.5:4001', pattern: '(?P<temperature>\\S+) (?P<pressure>\\S+)',"
         ' units: {pressure: kPa}, poll: "R\\r\\n", baud: 19200, framing: 7O2, max_age: 2 min}'
     )
-    station = opening.air_sensor(with_sections(tmp_path, f"{{air: {air}}}"), None)
+    settings = with_sections(tmp_path, f"{{air: {air}}}").sensors.air
+    assert settings is not None
+    station = settings.open(None)
     assert isinstance(station, SerialStation)
     assert station._layout.poll == b"R\r\n"
     assert station._layout.units["pressure"] == "kPa"
@@ -120,7 +122,7 @@ def collected(
 def test_the_stations_temperature_goes_with_the_readings(
     tmp_path: Path, plan: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(opening, "SimulatedAirSensor", Station)
+    monkeypatch.setattr("drivers.sensors.simulated.SimulatedAirSensor", Station)
     without, _, _ = collected(tmp_path / "without", with_sections(tmp_path / "a"), plan)
     profile = with_sections(tmp_path / "b", "{air: {kind: simulated}}")
     with_station, _, log = collected(tmp_path / "with", profile, plan)
@@ -131,7 +133,7 @@ def test_the_stations_temperature_goes_with_the_readings(
 def test_a_silent_station_leaves_a_gap_and_one_note(
     tmp_path: Path, plan: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(opening, "SimulatedAirSensor", Station)
+    monkeypatch.setattr("drivers.sensors.simulated.SimulatedAirSensor", Station)
     monkeypatch.setattr(Station, "silent", (2, 3))
     profile = with_sections(tmp_path / "a", "{air: {kind: simulated}}")
     temperature, notes, _ = collected(tmp_path, profile, plan)
@@ -181,7 +183,11 @@ def test_doctor_says_what_a_simulated_station_is(tmp_path: Path) -> None:
 def room(monkeypatch: pytest.MonkeyPatch) -> Iterator[Room]:
     """LMF's stand-in behind the profile's driver."""
     room = Room(targets={"left": np.array([3.0, 0.4, -0.2])}, in_the_network=(("192.168.0.7", "AT960", "750123"),))
-    monkeypatch.setattr(opening, "LmfTracker", lambda *given: LmfTracker(*given, load=lambda library: room.lmf()))
+
+    def tracker(*given: Any, **named: Any) -> LmfTracker:
+        return LmfTracker(*given, load=lambda library: room.lmf(), **named)
+
+    monkeypatch.setattr("drivers.trackers.lmf.LmfTracker", tracker)
     yield room
     assert room.broken_rules == []
     assert room.connected == []
@@ -209,12 +215,11 @@ def test_lmf_that_is_not_ready_or_not_there(tmp_path: Path, room: Room) -> None:
     profile = with_sections(tmp_path / "b", driver="{kind: lmf, address: 192.168.0.1, reflector: Cateye}")
     with pytest.raises(InputError, match="none fits 'Cateye'"), open_cell(profile):
         pass
-    profile = with_sections(tmp_path / "c", driver="{kind: lmf, address: AT961Simulator}")
-    with (
-        pytest.raises(InputError, match=r"tracker\.driver\.address: 'AT961Simulator' is no simulator"),
-        open_cell(profile),
-    ):
-        pass
+
+
+def test_an_unknown_simulator_of_lmf_is_refused_at_load(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"yaml:\d+: tracker\.driver\.address: 'AT961Simulator' is not a simulator"):
+        with_sections(tmp_path, driver="{kind: lmf, address: AT961Simulator}")
 
 
 def test_doctor_asks_lmf_without_moving_the_head(tmp_path: Path, room: Room) -> None:

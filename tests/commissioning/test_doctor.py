@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from cellapp.collection.cell import build_plant
-from cellapp.commissioning.doctor import LONGEST_PROBE_S, Finding, examine
+from cellapp.commissioning.doctor import LONGEST_PROBE_S, examine
 from cellapp.commissioning.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Profile, load_profile
@@ -23,6 +23,7 @@ from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import UrSample
 from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrControllerServer, personality
+from drivers.findings import Finding
 from drivers.plant import Plant
 
 PROFILES = Path(__file__).parents[2] / "profiles"
@@ -69,7 +70,9 @@ def with_driver(profile: Profile, arm: str, **changes: object) -> Profile:
 
 
 def findings(profile: Profile, said: Callable[[str, float], UrProbe] = probe_ur) -> dict[str, Finding]:
-    found = examine(profile, said)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("drivers.arms.ur_probe.probe_ur", said)
+        found = examine(profile)
     assert len({finding.subject for finding in found}) == len(found)
     return {finding.subject: finding for finding in found}
 
@@ -295,7 +298,7 @@ def test_simulated_arms_are_stood_in_for_on_addresses_of_their_own(twin: Profile
 
 
 def test_ur_arms_are_stood_in_for_on_loopback_hosts_only(real: Profile) -> None:
-    with pytest.raises(InputError, match="nothing to stand in for"):
+    with pytest.raises(InputError, match="no controller to emulate"):
         emulated_arms(real)
     arms = emulated_arms(with_driver(real, "left", host="127.0.0.5"))
     assert [(arm.arm, arm.host, arm.controller.serial) for arm in arms] == [("left", "127.0.0.5", "20153012345")]

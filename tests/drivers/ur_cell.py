@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from drivers.arms.protocol import JointLimits
-from drivers.arms.ur import UrArm, UrSettings
+from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
+from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, personality, start_in_process
 
 PATIENT_S = 20.0
@@ -53,7 +54,7 @@ def emulated_cell() -> Iterator[EmulatorProcess]:
 @contextmanager
 def driven(name: str, settings: UrSettings | None = None, **changes: Any) -> Iterator[UrArm]:
     """A driver, not connected yet; disconnected at the end."""
-    arm = UrArm(name, HOSTS[name], expectation(name, **changes), settings or UrSettings(rest_s=1.0))
+    arm = UrArm(name, settings or UrSettings(host=HOSTS[name]), expectation(name, **changes), rest_s=1.0)
     try:
         yield arm
     finally:

@@ -15,13 +15,15 @@ import numpy as np
 import pytest
 
 from drivers.arms.protocol import ArmError, ArmTimeout, EmergencyStop, LinkLost, ProtectiveStop
-from drivers.arms.ur import UrArm, UrSettings
+from drivers.arms.ur import UrArm
+from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.ur_cell import (
     ACCELERATION,
     AWAY,
     FAR,
     HOME,
+    HOSTS,
     PATIENT_S,
     SPEED,
     assert_stays_at_rest,
@@ -310,7 +312,7 @@ def test_the_watchdogs_rate_is_the_settings(emulator: EmulatorProcess) -> None:
     ways = []
     for hertz in (20.0, 1.0):
         mend(emulator, "right")
-        with driven("right", UrSettings(watchdog_hz=hertz)) as arm:
+        with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=hertz)) as arm:
             arm.connect()
             go(arm, HOME)
             arm.start_move(FAR, SPEED * 0.5, ACCELERATION)

@@ -37,6 +37,7 @@ from drivers.arms.protocol import (
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_rtde_reader import wait_at_rest
+from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_worker import MOST_SPEED, leading
 from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
 from tests.drivers.ur_cell import (
@@ -351,7 +352,7 @@ def test_another_controller_at_the_same_address_is_refused() -> None:
     hosts = {"left": "127.0.0.45", "right": "127.0.0.46"}
     left, right = (replace(config, host=hosts[config.name]) for config in configs())
     with start_in_process([left, right]):
-        arm = UrArm("left", hosts["left"], expectation("left", serial=None))
+        arm = UrArm("left", UrSettings(host=hosts["left"]), expectation("left", serial=None))
         arm.connect()
     with pytest.raises(LinkLost):
         arm.state()
@@ -403,9 +404,9 @@ def test_a_closed_port_is_named(loose: EmulatorProcess, closed: str) -> None:
 
 def test_a_wrong_host_is_named() -> None:
     with pytest.raises(LinkLost, match=r"arm left: no-such-robot\.invalid: no IPv4 host"):
-        UrArm("left", "no-such-robot.invalid", expectation("left")).connect()
+        UrArm("left", UrSettings(host="no-such-robot.invalid"), expectation("left")).connect()
     with pytest.raises(LinkLost, match=r"arm left: 127\.0\.0\.47:29999: no connection"):
-        UrArm("left", "127.0.0.47", expectation("left")).connect()
+        UrArm("left", UrSettings(host="127.0.0.47"), expectation("left")).connect()
 
 
 # -- the plain readers ------------------------------------------------------------------------------------------------

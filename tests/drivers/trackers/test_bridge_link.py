@@ -13,7 +13,8 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_server import TrackerService
-from drivers.trackers.lmf import LmfSettings, LmfTracker
+from drivers.trackers.lmf import LmfTracker
+from drivers.trackers.lmf_settings import LmfSettings
 from drivers.trackers.protocol import (
     Halted,
     Inclination,
@@ -417,7 +418,7 @@ def test_a_tracker_that_cannot_be_reached_is_said():
 
 def test_a_tracker_of_leicas_is_served_alike():
     room = Room(targets={"left": NEST, "right": NEST + 1.0}, initialised=False)
-    lmf = LmfTracker(LmfSettings("192.168.0.1"), load=lambda library: room.lmf())
+    lmf = LmfTracker(LmfSettings(address="192.168.0.1"), load=lambda library: room.lmf())
     with TrackerService(lmf) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
         assert tracker.identify().model.startswith("AT960")
         assert tracker.unmet() == []  # it was initialised when the client connected

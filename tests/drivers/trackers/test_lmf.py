@@ -13,8 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.trackers.lmf import MEASURING_S, ErrorLaw, FoundTracker, LmfSettings, LmfTracker, find_trackers
+from drivers.trackers.lmf import MEASURING_S, ErrorLaw, FoundTracker, LmfTracker, find_trackers
 from drivers.trackers.lmf_objects import LmfMissing, load_lmf
+from drivers.trackers.lmf_settings import LmfSettings
 from drivers.trackers.protocol import (
     Halted,
     NotReady,
@@ -75,7 +76,7 @@ def test_elsewhere_than_on_windows_it_says_so() -> None:
     with pytest.raises(LmfMissing, match=r"LMF needs Windows and the extra cellapp\[lmf\]; this is linux"):
         load_lmf("LMF.Tracker.Connection")
     with pytest.raises(LmfMissing, match="tracker-bridge"):
-        LmfTracker(LmfSettings("192.168.0.1")).connect()
+        LmfTracker(LmfSettings(address="192.168.0.1")).connect()
     with pytest.raises(LmfMissing):
         find_trackers()
 
@@ -102,7 +103,7 @@ def test_simulators_of_lmf(tracker: Callable[..., LmfTracker], room: Room, addre
 @pytest.mark.parametrize("address", ["simulator", "AT961Simulator", "AT960Simulator#", "my-simulator-pc"])
 def test_what_is_no_simulator(address: str) -> None:
     with pytest.raises(ValueError, match="are called like AT960LRSimulator"):
-        LmfSettings(address)
+        LmfSettings(address=address)
 
 
 def test_trackers_are_found(room: Room) -> None:
@@ -316,7 +317,7 @@ def test_a_time_of_ones_own(tracker: Callable[..., LmfTracker], room: Room) -> N
 
 
 def test_search_radius_in_its_own_unit(tracker: Callable[..., LmfTracker], room: Room) -> None:
-    tracker(search_radius_m=0.03)
+    tracker(search_radius=0.03)
     assert tree(room).TargetSearch.Radius.Value == 0.03
 
 
@@ -465,8 +466,11 @@ def test_time_limits_are_leicas() -> None:
     assert dict(MEASURING_S) == {"fast": 2.0, "standard": 12.0, "precise": 12.0}
 
 
-def test_a_measurement_that_never_ends(tracker: Callable[..., LmfTracker], room: Room) -> None:
-    driver = tracker(measuring_s={"standard": SHORT_S})
+def test_a_measurement_that_never_ends(
+    tracker: Callable[..., LmfTracker], room: Room, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.trackers.lmf.MEASURING_S", {"standard": SHORT_S})
+    driver = tracker()
     room.hangs = {"MeasureStationary"}
     with pytest.raises(TrackerTimeout, match=r"measuring took longer than 0.15 s"):
         driver.measure(LEFT, 1.0)
@@ -515,7 +519,7 @@ def test_the_link_breaks(tracker: Callable[..., LmfTracker], room: Room) -> None
 def test_a_connect_that_comes_too_late_lets_go_again(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.trackers.lmf.CONNECTING_S", SHORT_S)
     room.hangs = {"Connect"}
-    driver = LmfTracker(LmfSettings("192.168.0.1", command_s=SHORT_S), load=lambda library: room.lmf())
+    driver = LmfTracker(LmfSettings(address="192.168.0.1", timeout=SHORT_S), load=lambda library: room.lmf())
     with pytest.raises(TrackerTimeout, match="connecting took longer"):
         driver.connect()
     (thread,) = room.threads
