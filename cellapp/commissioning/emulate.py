@@ -180,9 +180,7 @@ def emulate(
             announce_tracker(_serve_tracker(stack, profile, plant, server, served))
         announce([_listening(arm, server.addresses) for arm in chosen])
         while not cancel.wait(_STEP_S):
-            if server.failure is not None:
-                why = f"{type(server.failure).__name__}: {server.failure}"
-                raise HardwareError(f"the emulated cell cannot go on ({why}); its ports are closed") from server.failure
+            _check(server)
 
 
 def _listen(stack: ExitStack, server: UrControllerServer) -> None:
@@ -193,6 +191,13 @@ def _listen(stack: ExitStack, server: UrControllerServer) -> None:
             f"{error.strerror}; see whether another emulator or simulator runs here. On macOS,"
             " addresses other than 127.0.0.1 must be added first: ifconfig lo0 alias 127.0.0.2"
         ) from error
+
+
+def _check(server: UrControllerServer) -> None:
+    """Raise ``HardwareError`` if the simulation failed."""
+    if server.failure is not None:
+        why = f"{type(server.failure).__name__}: {server.failure}"
+        raise HardwareError(f"the emulated cell cannot go on ({why}); its ports are closed") from server.failure
 
 
 def _listening(arm: EmulatedArm, addresses: Addresses) -> EmulatedArm:

@@ -79,12 +79,7 @@ def serve_tracker(
         If the address is in use or not available.
     """
     settings = profile.tracker.driver
-    if not settings.can_be_served:
-        kinds = " or ".join(f"'{kind.model_fields['kind'].default}'" for kind in TRACKERS if kind.can_be_served)
-        raise InputError(
-            f"profile {profile.name}: tracker.driver is '{settings.kind}'; to be served it must be one that this"
-            f" computer reaches itself: {kinds}"
-        )
+    _check_kind(profile)
     if port is None and serial is None:
         raise InputError("tracker-bridge: nothing to serve on; give a port, a serial port, or both")
     token = _token(token_file, token_env)
@@ -105,6 +100,16 @@ def serve_tracker(
             service.poll(_STEP_S)
     finally:
         service.close()
+
+
+def _check_kind(profile: Profile) -> None:
+    settings = profile.tracker.driver
+    if not settings.can_be_served:
+        kinds = " or ".join(f"'{kind.model_fields['kind'].default}'" for kind in TRACKERS if kind.can_be_served)
+        raise InputError(
+            f"profile {profile.name}: tracker.driver is '{settings.kind}'; to be served it must be one that this"
+            f" computer reaches itself: {kinds}"
+        )
 
 
 def _token(token_file: Path | None, token_env: str | None) -> str | None:
