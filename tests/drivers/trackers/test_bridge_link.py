@@ -112,7 +112,7 @@ def test_several_faults_one_after_the_other(make_plant):
             bridge.fault(fault)
         assert len({tracker.measure(NEST, 1.0).time_s for _ in range(4)}) == 4
         assert bridge.tracker.measured == 4
-        with pytest.raises(ValueError, match="there is no fault 'earthquake'; there are beam, slow"):
+        with pytest.raises(ValueError, match="unknown fault 'earthquake'; known are beam, slow"):
             bridge.fault("earthquake")
 
 
@@ -372,10 +372,10 @@ def test_a_client_that_comes_back_gets_the_measurement_that_was_under_way():
         dropped = threading.Event()
 
         def drop():
-            bridge._drop(bridge._holder, "a test cuts the link", forever=True)
+            bridge._links.drop(bridge._holder, "a test cuts the link", at_once=True)
             dropped.set()
 
-        bridge.soon(drop)
+        bridge.call_soon(drop)
         assert dropped.wait(5.0)
         threading.Timer(1.0, slow.may_end.set).start()
         assert outcome().p_M == pytest.approx(NEST)
@@ -391,7 +391,6 @@ def test_a_tracker_that_never_ends_is_halted_and_the_client_told():
         assert tracker.identify().model == "slow"
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_mistake_in_a_driver_is_not_the_end_of_the_bridge():
     class Broken(SlowTracker):
         def measure(self, expected_M, averaging_s):
