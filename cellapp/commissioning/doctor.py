@@ -223,7 +223,7 @@ def _lmf(profile: Profile) -> Finding:
         unmet = tracker.unmet()
         notices = tracker.notices()
     except TrackerLinkLost as error:
-        return Finding("tracker", "failed", f"{error}; {tracker.others()}")
+        return Finding("tracker", "failed", f"{error}; {tracker.visible_trackers()}")
     except (TrackerError, ValueError) as error:
         return Finding("tracker", "failed", str(error))
     finally:

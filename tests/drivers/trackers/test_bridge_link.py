@@ -31,7 +31,7 @@ from drivers.trackers.protocol import (
 )
 from drivers.trackers.simulated import Imperfections, SimulatedTracker
 from tests.drivers.ptys import serial_cable
-from tests.drivers.trackers.fake_lmf import Room
+from tests.drivers.trackers.fake_lmf import Scene
 
 TOKEN = "correct horse battery staple"
 QUICK_S = 0.3
@@ -415,8 +415,8 @@ def test_a_tracker_that_cannot_be_reached_is_said():
 
 
 def test_a_tracker_of_leicas_is_served_alike():
-    room = Room(targets={"left": NEST, "right": NEST + 1.0}, initialised=False)
-    lmf = LmfTracker(LmfSettings("192.168.0.1"), load=lambda library: room.lmf())
+    scene = Scene(targets={"left": NEST, "right": NEST + 1.0}, initialised=False)
+    lmf = LmfTracker(LmfSettings("192.168.0.1"), load=lambda library: scene.lmf())
     with TrackerService(lmf) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
         assert tracker.identify().model.startswith("AT960")
         assert tracker.unmet() == []  # it was initialised when the client connected
@@ -425,8 +425,8 @@ def test_a_tracker_of_leicas_is_served_alike():
             tracker.measure(NEST - 1.0, 1.0)
         pair = tracker.measure_two_face(NEST, 1.0)
         assert (pair.first.face, pair.second.face) == (1, 2)
-    room.let_go.set()
-    assert room.broken_rules == []
+    scene.release.set()
+    assert scene.violations == []
 
 
 # -- a plant that others move ------------------------------------------------------------------------------------------

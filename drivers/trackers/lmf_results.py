@@ -1,0 +1,52 @@
+"""Reading a stationary measurement of LMF."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.trackers.lmf_objects import Lmf, precision_m, to_si, unwrap
+from drivers.trackers.protocol import Face, TrackerError
+
+_AIR_RANGES = {"Temperature": (-40.0, 85.0), "Pressure": (500.0, 1200.0), "Humidity": (0.0, 100.0)}
+"""Plausible air [degC, hPa, %], in the units that ``lmf_setup`` selects."""
+_TICKS_1970 = 621_355_968_000_000_000
+""".NET's time stamp of the first second of 1970, in ticks of 100 ns since the year 1."""
+
+
+def read_position(lmf: Lmf, position: Any, face: Face) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the point (3,) and the precision of each coordinate (3,) [m]. Raises ``TrackerError`` if not valid."""
+    kind = unwrap(position.CoordinateType)
+    if str(kind) != "Cartesian" and int(kind) != int(lmf.enumeration("ECoordinateType").Cartesian):
+        raise TrackerError(f"tracker: the point comes in {kind} coordinates; another program changed that")
+    coordinates = (position.Coordinate1, position.Coordinate2, position.Coordinate3)
+    p_M = np.array([to_si(coordinate, "length") for coordinate in coordinates])
+    precision_M = np.array([precision_m(coordinate) for coordinate in coordinates])
+    if not (np.isfinite(p_M).all() and np.isfinite(precision_M).all() and np.linalg.norm(p_M) > 0.0):
+        raise TrackerError("tracker: it reports a point that is not valid")
+    if bool(unwrap(position.IsFace2)) != (face == 2):
+        raise TrackerError(f"tracker: it measured in another face than {face}")
+    return p_M, precision_M
+
+
+def read_air(result: Any) -> tuple[dict[str, float | None], list[str]]:
+    """Return the air that the refraction was corrected with, and warnings about implausible values and LMF's flags."""
+    air: dict[str, float | None] = {}
+    warnings = []
+    for name, (low, high) in _AIR_RANGES.items():
+        value = float(unwrap(getattr(result, name)))
+        air[name] = value if low <= value <= high else None
+        if air[name] is None:
+            warnings.append(f"{name.lower()} applied to the point reads {value:g}, which is not plausible")
+    flags = str(unwrap(result.Info.FlagsWithWarnings))
+    if flags != "AllOk":
+        warnings.append(flags)
+    return air, warnings
+
+
+def tracker_time_s(result: Any) -> float | None:
+    """Return the tracker's own time of a result since 1970 [s]; None if it has none."""
+    ticks = int(result.TimeStamp.Ticks)
+    return (ticks - _TICKS_1970) * 1e-7 if ticks else None
