@@ -65,7 +65,7 @@ class LmfSettings(TrackerSettings):
     def _known_simulator(cls, value: str) -> str:
         if "simulator" in value.casefold() and _SIMULATOR.fullmatch(value) is None:
             raise ValueError(
-                f"'{value}' is not a simulator of LMF; they are called like AT960LRSimulator or AT960Simulator#506432"
+                f"'{value}' is not a simulator of LMF; their names are like AT960LRSimulator or AT960Simulator#506432"
             )
         return value
 
@@ -86,8 +86,9 @@ class LmfSettings(TrackerSettings):
     def open(self, tracker: TrackerContext) -> Tracker:
         """Return the driver, not connected yet."""
         from drivers.trackers import lmf
+        from drivers.trackers.lmf_results import ErrorLaw
 
-        law = lmf.ErrorLaw(tracker.transverse, tracker.range)
+        law = ErrorLaw(tracker.transverse, tracker.range)
         return lmf.LmfTracker(self, self.preparation(), law=law)
 
     def probe(self, tracker: TrackerContext, patience_s: float) -> list[Finding]:
@@ -102,7 +103,7 @@ class LmfSettings(TrackerSettings):
             unmet = device.unmet()
             notices = device.notices()
         except TrackerLinkLost as error:
-            return [Finding("", "failed", f"{error}; {device.others()}")]
+            return [Finding("", "failed", f"{error}; {device.visible_trackers()}")]
         except (TrackerError, ValueError) as error:
             return [Finding("", "failed", str(error))]
         finally:

@@ -196,7 +196,7 @@ def tight(high: float = 6.2832, speed: float = 3.15) -> UrProbe:
         (state(speed_fraction=0.4), "state", "warning", ["slider stands at 40%"]),
         (state(payload_kg=0.2), "payload", "failed", ["0.200 kg", "0.350 kg", "pendant"]),
         (state(payload_center_m=(0.015, 0.0, 0.05)), "payload", "failed", ["50.0] mm", "30.0] mm"]),
-        (state(payload_kg=None), "payload", "warning", ["does not tell", "0.350 kg"]),
+        (state(payload_kg=None), "payload", "warning", ["does not report", "0.350 kg"]),
         (READY, "TCP", "ok", ["60.0] mm", "not stated in the profile"]),
         (replace(READY, limits=None), "joint limits", "warning", ["pendant"]),
         (tight(high=2.0), "joint limits", "failed", ["joint 3", "114.6", "150.0", "speed_scale"]),
