@@ -138,9 +138,7 @@ def test_a_ready_controller_fails_in_nothing(real: Profile) -> None:
     found = findings(real, one_ready)
     failed = {subject for subject, finding in found.items() if finding.status == "failed"}
     assert failed == {"tracker"}
-    assert found["arm left: motion"] == Finding(
-        "arm left: motion", "ok", "nothing stands against it; nothing was tried"
-    )
+    assert found["arm left: motion"] == Finding("arm left: motion", "ok", "no check failed; no motion was tried")
     assert "LMF needs Windows" in found["tracker"].text
     assert found["arm left: serial"].status == "ok"
     assert found["arm right: serial"].status == "warning"  # the profile does not give it
@@ -218,7 +216,7 @@ def test_all_that_would_be_refused_is_summed_up(real: Profile) -> None:
     both = replace(READY, safety_mode="PROTECTIVE_STOP", serial="20150000000")
     found = findings(real, lambda host, _: both if host == "192.168.0.10" else one_ready(host, 0.0))
     assert found["arm left: motion"].status == "failed"
-    assert "because of serial, safety; nothing was tried" in found["arm left: motion"].text
+    assert "because of serial, safety; no motion was tried" in found["arm left: motion"].text
     assert found["arm right: motion"].status == "ok"
 
 

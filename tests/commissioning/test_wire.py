@@ -176,7 +176,7 @@ def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: 
             assert [line.partition(":")[0] for line in said[:3]] == ["arm left", "arm right", "tracker"], said
             looked = call("doctor")
             assert looked.returncode == 0, looked.stdout + looked.stderr
-            assert "arm left: motion: nothing stands against it" in looked.stdout
+            assert "arm left: motion: no check failed" in looked.stdout
             assert "; ready\n" in looked.stdout
             done = call("run", "--json", "-", "--run", "all")
             assert done.returncode == 0, done.stderr
