@@ -96,11 +96,9 @@ class UrSettings(ArmSettings):
         except SettingError as error:
             return [Finding("type", "failed", f"arms.{arm.name}.{error}")]
         where = f"{answers.series} controller at {answers.host}, PolyScope {answers.software}"
-        failed = [check.subject for check in found if check.status == "failed"]
+        failed = ", ".join(check.subject for check in found if check.status == "failed")
         motion = Finding("motion", "ok", "no check failed; no motion was tried")
         if failed:
-            motion = Finding(
-                "motion", "failed", f"would be refused because of {', '.join(failed)}; no motion was tried"
-            )
+            motion = Finding("motion", "failed", f"would be refused because of {failed}; no motion was tried")
         checked = [Finding(check.subject, check.status, check.text) for check in found]
         return [Finding("link", "ok", where), *checked, motion]

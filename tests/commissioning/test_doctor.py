@@ -266,11 +266,11 @@ def test_two_arms_at_one_address_are_refused(real: Profile) -> None:
     assert "arm right" in found["arm left: address"].text
 
 
-def test_looking_does_not_load_torch_or_the_robot_library() -> None:
+def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
     code = (
         "import sys; from pathlib import Path; from cellapp.commissioning.doctor import examine;"
         f" from cellapp.profile import load_profile; examine(load_profile(Path({str(PROFILES / 'twin.yaml')!r})));"
-        " sys.exit(','.join({'torch', 'rtde_control'} & set(sys.modules)) or None)"
+        " sys.exit(','.join({'torch', 'rtde_control', 'serial', 'clr'} & set(sys.modules)) or None)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
