@@ -80,14 +80,8 @@ def serve_tracker(
     """
     settings = profile.tracker.driver
     _check_kind(profile)
-    if port is None and serial is None:
-        raise InputError("tracker-bridge: nothing to serve on; give a port, a serial port, or both")
     token = _token(token_file, token_env)
-    if token is None and port is not None and not is_loopback(host):
-        raise InputError(
-            f"tracker-bridge: {host} is reachable from other machines: give a token (--token-file or --token-env), the"
-            " same here and on the cell PC, or listen on 127.0.0.1"
-        )
+    _check_ports(host, port, serial, guarded=token is not None)
     tracker = tracker_driver(profile, build_plant(profile) if settings.needs_plant else None)
     service = TrackerService(tracker, host=host, port=port, serial_url=serial, baud=baud, token=token)
     try:
@@ -109,6 +103,16 @@ def _check_kind(profile: Profile) -> None:
         raise InputError(
             f"profile {profile.name}: tracker.driver is '{settings.kind}'; to be served it must be one that this"
             f" computer reaches itself: {kinds}"
+        )
+
+
+def _check_ports(host: str, port: int | None, serial: str | None, *, guarded: bool) -> None:
+    if port is None and serial is None:
+        raise InputError("tracker-bridge: nothing to serve on; give a port, a serial port, or both")
+    if not guarded and port is not None and not is_loopback(host):
+        raise InputError(
+            f"tracker-bridge: {host} is reachable from other machines: give a token (--token-file or --token-env), the"
+            " same here and on the cell PC, or listen on 127.0.0.1"
         )
 
 
