@@ -129,7 +129,7 @@ def push_run(
     notes: list[str] = []
 
     def opened(cell: Cell) -> None:
-        notes.extend(check_controllers(run, cell))
+        notes.extend(check_controllers(run, cell).notes)
 
     verification = push(run.profile, model, commands, listener, cancel, verify=verify, opened=opened)
     run.write_result(VERIFY_RESULT if verify else PUSH_RESULT, json.dumps(verification.as_dict()))

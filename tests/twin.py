@@ -7,7 +7,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from cellapp.collection.cell import Cell
 from cellapp.profile import Profile, load_profile
+from drivers.clock import SimulatedClock
+from drivers.plant import Plant
 
 PROFILES = Path(__file__).parents[1] / "profiles"
 
@@ -38,6 +41,12 @@ def small_twin(stops: int = 30, *, plan: dict[str, Any] | None = None, plant: di
             "splits": profile.splits.model_copy(update=splits),
         }
     )
+
+
+def plant_of(cell: Cell) -> Plant:
+    """The plant behind an open simulated cell."""
+    assert isinstance(cell.clock, SimulatedClock)
+    return cell.clock.plant
 
 
 def with_arms(profile: Profile, **changes: Any) -> Profile:

@@ -741,11 +741,10 @@ def _load_advice(
 
 def _not_driven(run: RunFile) -> str:
     """Why this program cannot drive further stops of a run; empty if it can."""
-    drivers: dict[str, str] = {f"arms.{name}": arm.driver.kind for name, arm in run.profile.arms.items()}
-    drivers["tracker"] = run.profile.tracker.driver.kind
-    none = [what for what, kind in drivers.items() if kind == "none"]
-    if none:
-        return f"the driver of {none[0]} is 'none'"
+    missing = [f"arms.{name}" for name, arm in run.profile.arms.items() if not arm.driver.has_device]
+    missing += [] if run.profile.tracker.driver.has_device else ["tracker"]
+    if missing:
+        return f"the driver of {missing[0]} is 'none'"
     return "" if run.read_plan() else "the run has no plan (it was imported)"
 
 

@@ -193,7 +193,7 @@ def _read(run: RunFile) -> _Results:
         why = "measure targets with: cellapp push DIR TARGETS --verify"
         if verify is not None:
             why = "targets were pushed, but none was measured with both commands; " + why
-        elif all(arm.driver.kind == "none" for arm in run.profile.arms.values()):
+        elif all(not arm.driver.has_device for arm in run.profile.arms.values()):
             why = "the profile names no devices; with a profile that does, " + why
         missing.append(("Verification at new targets", why))
         verify = None

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from cellapp.errors import HardwareError
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from drivers.arms.protocol import ArmError, EmergencyStop, JointLimits, LinkLost, ProtectiveStop
-from drivers.arms.ur import UrArm, UrSettings
+from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
+from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import (
     ControllerConfig,
     EmulatorProcess,
@@ -233,7 +234,7 @@ def _driver(name: str, host: str) -> UrArm:
         payload_kg=0.0,
         payload_center_m=np.zeros(3),
     )
-    return UrArm(name, host, expected, UrSettings(settle_s=_SETTLE_S))
+    return UrArm(name, UrSettings(host=host, settle_time=_SETTLE_S), expected)
 
 
 def _let_go(arm: UrArm) -> None:

@@ -29,13 +29,15 @@ from cellapp.planning.stop_conditions import (
     read_stop_conditions,
     write_stop_conditions,
 )
-from cellapp.profile import NoDriver, Profile
+from cellapp.profile import Profile
 from cellapp.progress import Cancelled, CancelToken
 from cellapp.reporting.proposal import proposal_lines
 from cellapp.run import Readings, RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import refuse_motion
 from drivers.arms.simulated import SimulatedArm
+from drivers.clock import RealClock
+from drivers.no_driver import NoDriver
 from tests.twin import small_twin, with_arms
 
 STOPS = 90
@@ -245,7 +247,7 @@ def test_a_run_that_is_not_driven_gets_the_list_only(
         for name, arm in readings.items():
             copy.add_readings(name, replace(arm, split=None))
 
-    drivers = with_arms(run.profile, driver=NoDriver(kind="none"))
+    drivers = with_arms(run.profile, driver=NoDriver())
     placeless = with_arms(drivers, base=None)
     for number, (profile, says) in enumerate(
         [(run.profile, "no plan"), (drivers, "driver of arms.left is 'none'"), (placeless, "were measured")]
@@ -322,8 +324,7 @@ class Moves:
                 moves.goals.append((self.name, np.array(q)))
                 super().start_move(q, *rest)
 
-        drivers = {"simulated": lambda name, arm, plant: Arm(plant, name)}
-        monkeypatch.setattr("cellapp.collection.cell.ARM_DRIVERS", drivers)
+        monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Arm)
 
     def went(self, name: str, q: np.ndarray) -> bool:
         return any(arm == name and np.allclose(goal, q) for arm, goal in self.goals)
@@ -386,7 +387,7 @@ def test_via_and_dwell_of_one_arm_are_honoured(
 def test_a_real_arms_wait_ends_when_somebody_asks_to_stop() -> None:
     profile = small_twin(2)
     with open_cell(profile) as cell:
-        real = Cell(cell.arms, cell.tracker, None)
+        real = Cell(cell.arms, cell.tracker, RealClock())
         mover, token = Mover(profile, real, cell_bodies(profile)), CancelToken()
         mover.rest("left", 0.0, token)
         token.cancel()

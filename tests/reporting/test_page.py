@@ -27,7 +27,7 @@ from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import CellModel
 from cellapp.model.nominal import nominal_arm
-from cellapp.profile import Discovery, NoDriver, Profile, Splits, load_profile, profile_to_json
+from cellapp.profile import Discovery, Profile, Splits, load_profile, profile_to_json
 from cellapp.reporting import figures
 from cellapp.reporting.findings import (
     accepted_table,
@@ -47,6 +47,7 @@ from cellapp.reporting.tables import (
     verification_tables,
 )
 from cellapp.run import Readings, RunFile
+from drivers.no_driver import NoDriver
 from tests.arms import STATION, true_geometry
 from tests.reporting.made import made_result, nothing_missing
 
@@ -64,7 +65,7 @@ FLOOR_MM = 20e-3 * np.sqrt(3.0)
 def profile_of(*arms: str, network: str = "none") -> Profile:
     """Some arms of the twin's kinds under other names, all without devices."""
     twin = load_profile(PROFILE)
-    none = NoDriver(kind="none")
+    none = NoDriver()
     kinds = [arm.model_copy(update={"driver": none}) for arm in twin.arms.values()]
     return twin.model_copy(
         update={
