@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.kinematics.chain import Geometry, JointAngles, frame_poses, jacobian, joint_jacobian
+from cellapp.kinematics.chain import Geometry, JointAngles, frame_poses, jacobian
 from cellapp.kinematics.statics import Bodies, GravityLoads, gravity_loads
 from cellapp.kinematics.transforms import Array
 
@@ -145,11 +145,6 @@ class EffectContext:
         """Computed SMR positions (n, 3) [m] in the tracker frame."""
         rotations, origins = self.frames
         return np.asarray(origins[-1] + rotations[-1] @ self.geometry.tool)
-
-    @cached_property
-    def joint_jacobian(self) -> Array:
-        """Derivatives of the SMR position by the joints (3, N, n) [m/rad] in the tracker frame."""
-        return joint_jacobian(self.geometry, JointAngles.of(self.posture))[1]
 
     @cached_property
     def base_twists(self) -> Array:

@@ -124,13 +124,6 @@ def gravity_loads(
     return GravityLoads(rotations, origins, masses, centers, -STANDARD_GRAVITY * up_M)
 
 
-def gravity_torques(
-    geometry: Geometry, bodies: Bodies, q: Array, up_M: Array, payload_kg: Array | None = None
-) -> Array:
-    """Gravity torque about each joint axis (n, N) [Nm] at configurations ``q`` (n, N) [rad]."""
-    return gravity_loads(frame_poses(geometry, q), bodies, up_M, payload_kg).joint_torques()
-
-
 def base_moment(geometry: Geometry, bodies: Bodies, q: Array, up_M: Array, payload_kg: Array | None = None) -> Array:
     """Moment of gravity on the arm about its base origin (n, 3) [Nm] at configurations ``q`` (n, N) [rad]."""
     return gravity_loads(frame_poses(geometry, q), bodies, up_M, payload_kg).beyond(0)[1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellapp.kinematics.chain import frame_poses
-from cellapp.kinematics.statics import STANDARD_GRAVITY, Bodies, base_moment, gravity_loads, gravity_torques
+from cellapp.kinematics.statics import STANDARD_GRAVITY, Bodies, base_moment, gravity_loads
 from tests.arms import (
     OFF_AXIS,
     UR5,
@@ -23,6 +23,10 @@ UP = np.array([0.0, 0.0, 1.0])
 
 def bodies(masses, centers, payload=0.0):
     return Bodies(masses, centers, payload, np.array([0.0, 0.0, 0.08]))
+
+
+def gravity_torques(geometry, hanging, q, up, payload_kg=None):
+    return gravity_loads(frame_poses(geometry, q), hanging, up, payload_kg).joint_torques()
 
 
 @pytest.mark.parametrize(
