@@ -26,6 +26,7 @@ from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings, RunFile
 
+DEFAULT_EFFORT = Effort()
 _PROPOSAL_SEED = 0x9409
 """Beside the profile's seed and the number of readings: a later proposal draws other candidates."""
 
@@ -146,7 +147,7 @@ def propose_stops(
     Cancelled
         On request.
     """
-    cancel, effort = cancel or CancelToken(), effort or Effort()
+    cancel, effort = cancel or CancelToken(), effort or DEFAULT_EFFORT
     rng = np.random.default_rng([profile.seed, _PROPOSAL_SEED, max(len(arm) for arm in readings.values())])
     listener(Progress("propose", 0, count, "candidates"))
     poses, notes = candidate_poses(profile, readings, effort, rng, cancel)

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from cellapp.calibration.calibrate import calibrate_arm, calibrate_run
+from cellapp.calibration.circumstances import circumstances_of_arms
 from cellapp.collection.cell import build_plant, plant_arm
-from cellapp.discovery.discover import discover_arm, discover_run, known_of_all
+from cellapp.discovery.discover import discover_arm, discover_run
 from cellapp.effects import EFFECTS, Circumstances
 from cellapp.errors import InputError
 from cellapp.model import CellModel
@@ -65,7 +66,7 @@ def discovered(folder, plan, effects, **seeds):
 
 
 def names(discovery):
-    return {finding.term.slug for finding in discovery.findings}
+    return {finding.term.slug for finding in discovery.accepted}
 
 
 def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan):
@@ -98,7 +99,7 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
         assert discovery.verdict == "explained"
         assert discovery.after_mm < 1.2 * discovery.noise_floor_mm
         assert discovery.after_mm < 0.4 * discovery.before_mm
-        for finding in discovery.findings:
+        for finding in discovery.accepted:
             assert finding.p_value < 0.01
             assert finding.heldout_after_mm < finding.heldout_before_mm
             for name, value, error in zip(
@@ -107,7 +108,7 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
                 if name in truths:
                     assert abs(value - truths.pop(name)) < 4.0 * error
     assert truths == {}
-    amplitude = {n: v for f in left.findings for n, v in zip(f.term.names, f.term.values, strict=True)}
+    amplitude = {n: v for f in left.accepted for n, v in zip(f.term.names, f.term.values, strict=True)}
     assert np.hypot(amplitude["cos1q1"], amplitude["sin1q1"]) == pytest.approx(2.0e-6 / 0.025, rel=0.1)
     for name, discovery in found.items():
         shown = stored["arms"][name]["validate"]
@@ -123,7 +124,7 @@ def blind(plan, effects, seed, noise=None):
     profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": effects}, seed)
     readings = blind_readings(profile, plan, seed, noise)
     models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
-    known = known_of_all(CellModel(arms=models), readings)
+    known = circumstances_of_arms(models, readings)
     return discover_arm(profile, "left", models["left"], readings["left"], known=known["left"])
 
 
@@ -157,7 +158,7 @@ def test_every_effect_with_a_visible_size_is_named(plan, slug):
     assert names(found) == {slug}
     assert found.verdict in ("explained", "ambiguous")
     # a free curve of 40 cycles has some hundred coefficients, which three hundred readings leave uncertain
-    dense = any(finding.term.law.name == "curve" for finding in found.findings)
+    dense = any(finding.term.law.name == "curve" for finding in found.accepted)
     assert found.after_mm < (1.4 if dense else 1.15) * found.noise_floor_mm
     assert found.steps[0].heldout_mm == found.before_mm > found.after_mm
 
@@ -183,7 +184,7 @@ def test_what_the_library_lacks_is_called_unknown_and_described(plan, slug, chan
     found = blind(plan, {slug: drawn(slug, 5)}, seed=5)
     assert found.verdict == "unknown effect"
     assert names(found) == {"unknown"}
-    description = found.findings[0].description
+    description = found.accepted[0].description
     assert description.channel == channel
     assert set(description.variables) == variables
     assert channel in found.sentence
@@ -212,7 +213,7 @@ def test_look_alikes_that_the_data_cannot_tell_apart_are_an_answer_set(plan):
     model = calibrate_arm(profile, "left", tied)[0].model
     found = discover_arm(profile, "left", model, tied)
     assert found.verdict == "ambiguous"
-    answers = set(found.findings[0].answer_set)
+    answers = set(found.accepted[0].answer_set)
     assert {"backlash", "unsettled_measurement"} <= answers
 
 
@@ -236,7 +237,7 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
     for slug in ("backlash", "friction_windup", "base_step", "payload_compliance"):
         assert invisible[slug]["reason"].startswith("not testable: ")
         assert invisible[slug]["smallest_seen"] is None
-    periodic = next(f for f in discovery.findings if f.term.slug == "transmission_error")
+    periodic = next(f for f in discovery.accepted if f.term.slug == "transmission_error")
     assert periodic.term.law.name == "curve"
     assert {1, 2, 3, 4, 5} <= set(periodic.joints)
     assert discovery.after_mm < 0.4 * discovery.before_mm

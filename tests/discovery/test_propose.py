@@ -13,14 +13,16 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.calibration.calibrate import calibrate_run
-from cellapp.cli import app
+from cellapp.cli.app import app
 from cellapp.collection.cell import Cell, build_plant, open_cell
 from cellapp.collection.collect import collect_run
 from cellapp.collection.motion import Mover
-from cellapp.design.discrimination import Contest
 from cellapp.discovery import propose as proposing
-from cellapp.discovery.discover import Discovery, discover_run
-from cellapp.discovery.propose import STEPS_RAD, Proposal, propose_run
+from cellapp.discovery.discover import discover_run
+from cellapp.discovery.outcome import Discovery
+from cellapp.discovery.proposal.approaches import DWELLS_S, STEPS_RAD
+from cellapp.discovery.proposal.candidate_poses import Effort
+from cellapp.discovery.propose import Proposal, append_to_plan, propose_run
 from cellapp.errors import InputError
 from cellapp.planning.factors import FACTORS_RESULT, Factors, read_factors, write_factors
 from cellapp.planning.plan import plan_stops
@@ -38,6 +40,9 @@ PROPOSED = 20
 PLAY = {"backlash": {"play": [8e-5, 8e-5, 5e-5, 0.0, 0.0, 0.0]}}
 SOFT = {"joint_compliance": {"stiffness": [2e6] * 6}}
 DWELL_S = 1.2
+EFFORT = Effort(drawn=70, kept=50, candidates=3000)
+"""Fewer candidates than by default: enough for what is shown here."""
+LITTLE = Effort(drawn=20, kept=50, candidates=480)
 
 
 def a_profile(effects: Mapping[str, Any]) -> Profile:
@@ -78,16 +83,6 @@ def measured_run(folder: Path, effects: Mapping[str, Any], plan: dict[str, np.nd
     return RunFile.create(folder, profile, fill)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def fewer_candidates() -> Iterator[None]:
-    """Enough for what is shown here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(proposing, "_DRAWN", 70)
-        patch.setattr(proposing, "_POSES", 50)
-        patch.setattr(proposing, "_MOST_CANDIDATES", 3000)
-        yield
-
-
 @pytest.fixture(scope="module")
 def plan() -> dict[str, np.ndarray]:
     return plan_stops(a_profile({}))
@@ -103,35 +98,7 @@ def tied(plan: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) 
     with measured_run(folder, {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
         calibrate_run(run)
         found = discover_run(run)
-        yield run, found, propose_run(run, found, PROPOSED)
-
-
-# -- the mathematics --------------------------------------------------------------------------------------------------
-
-
-def test_stops_taken_one_by_one_are_the_refit_with_all_of_them() -> None:
-    rng = np.random.default_rng(0)
-    p, d, m = 6, 40, 15
-    contest = Contest(
-        rows=rng.normal(size=(p, d)) * np.geomspace(1.0, 1e4, p)[:, None],
-        precision=np.array([0.0, 0.0, 0.0, 0.0, 2.0, 0.0]),
-        signals=rng.normal(size=(1, d)),
-        stops=rng.normal(size=(p, m, 3)) * np.geomspace(1.0, 1e4, p)[:, None, None],
-        there=rng.normal(size=(1, m, 3)),
-    )
-    race = contest.begin()
-    taken: list[int] = []
-    for stop in (3, 7, 3, 14):
-        promised = race.value + race.gains()[stop]
-        race.take(stop)
-        taken.append(stop)
-        design = np.hstack([contest.rows, *(contest.stops[:, k] for k in taken), np.diag(np.sqrt(contest.precision))])
-        signal = np.concatenate([contest.signals[0], *(contest.there[0, k] for k in taken), np.zeros(p)])
-        fitted = np.linalg.lstsq(design.T, signal, rcond=None)[0]
-        truth = float(np.sum((signal - fitted @ design) ** 2))
-        assert promised == pytest.approx(truth, rel=1e-8)
-        assert race.value == pytest.approx(truth, rel=1e-8)
-        assert contest.discrimination(np.array(taken)) == pytest.approx(truth, rel=1e-8)
+        yield run, found, propose_run(run, found, PROPOSED, effort=EFFORT)
 
 
 # -- what is proposed -------------------------------------------------------------------------------------------------
@@ -140,36 +107,34 @@ def test_stops_taken_one_by_one_are_the_refit_with_all_of_them() -> None:
 def test_what_a_poor_plan_cannot_tell_is_told_by_the_proposed_stops_more_than_by_random_ones(tied: Tied) -> None:
     _, found, proposal = tied
     for discovery in found.values():
-        assert set(discovery.findings[0].answer_set) == {"backlash", "unsettled_measurement"}
+        assert set(discovery.accepted[0].answer_set) == {"backlash", "unsettled_measurement"}
     assert len(proposal.stops) == PROPOSED
     for arm in ("left", "right"):
-        answers = {(a.effect, a.against): a for a in proposal.answers if a.arm == arm}
+        answers = {(a.effect, a.against): a for a in proposal.predictions if a.arm == arm}
         assert set(answers) == {("backlash", "unsettled_measurement"), ("unsettled_measurement", "backlash")}
         for answer in answers.values():
             assert answer.now < 0.1
             assert answer.proposed > 1.0
         hardest = min(answers.values(), key=lambda answer: answer.proposed / answer.needed)
-        assert hardest.gain > 1.5
+        assert hardest.gain_over_random > 1.5
 
 
-def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(proposing, "_DRAWN", 200)
-    monkeypatch.setattr(proposing, "_POSES", 140)
+def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
     with measured_run(tmp_path / "run", {"left": SOFT}, plan, tied=False) as run:
         calibrate_run(run)
         found = discover_run(run)
-        assert {"joint_compliance", "link_bending"} <= set(found["left"].findings[0].answer_set)
-        proposal = propose_run(run, found, 2 * PROPOSED)
+        assert {"joint_compliance", "link_bending"} <= set(found["left"].accepted[0].answer_set)
+        proposal = propose_run(run, found, 2 * PROPOSED, effort=Effort(drawn=200, kept=140, candidates=3000))
         elastic = {"joint_compliance", "link_bending"}
-        answers = [a for a in proposal.answers if a.arm == "left" and {a.effect, a.against} == elastic]
+        answers = [a for a in proposal.predictions if a.arm == "left" and {a.effect, a.against} == elastic]
         assert len(answers) == 2
         for answer in answers:
             assert answer.now < answer.random < answer.proposed
-            assert answer.gain > 1.3
+            assert answer.gain_over_random > 1.3
         # neither feels the last step: nobody goes a detour for it, and a person is told of the load
         assert all(one == Factors() or one.via is None for stop in proposal.stops for one in stop.factors.values())
         assert any("another load would tell" in advice for advice in proposal.advice)
-        seen = [answer for answer in proposal.answers if answer.arm == "right"]
+        seen = [answer for answer in proposal.predictions if answer.arm == "right"]
         assert seen, "where nothing was found the stops make the faintest effects more visible"
         assert all(answer.against == "" and answer.proposed > answer.random for answer in seen)
 
@@ -191,7 +156,7 @@ def test_every_leg_is_inside_the_limits_and_free(tied: Tied) -> None:
     assert sizes == set(STEPS_RAD)
     assert signs == {-1.0, 1.0}
     dwells = {one.dwell_s for stop in proposal.stops for one in stop.factors.values()}
-    assert dwells == set(proposing.DWELLS_S)
+    assert dwells == set(DWELLS_S)
 
 
 def test_the_proposal_in_words_and_as_json(tied: Tied) -> None:
@@ -218,20 +183,16 @@ def test_it_stands_in_the_run_and_a_new_one_takes_its_place(tied: Tied, plan: di
         for name, one in stop.factors.items():
             np.testing.assert_array_equal(factors[STOPS + number][name].via, one.via)
     try:
-        again = propose_run(run, found, 5)
+        again = propose_run(run, found, 5, effort=EFFORT)
         assert again.first == STOPS
         assert len(run.read_plan()["left"]) == STOPS + 5
         assert sorted(read_factors(run)) == list(range(STOPS, STOPS + 5))
     finally:
-        proposing._write(run, proposal.stops)
+        append_to_plan(run, proposal.stops)
 
 
-def test_a_run_that_is_not_driven_gets_the_list_only(
-    tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path) -> None:
     run, _, _ = tied
-    monkeypatch.setattr(proposing, "_DRAWN", 20)
-    monkeypatch.setattr(proposing, "_MOST_CANDIDATES", 480)
     readings = {name: run.readings(name) for name in run.arms()}
 
     def fill(copy: RunFile) -> None:
@@ -245,7 +206,7 @@ def test_a_run_that_is_not_driven_gets_the_list_only(
     ):
         with RunFile.create(tmp_path / str(number), profile, fill) as other:
             calibrate_run(other)
-            proposal = propose_run(other, discover_run(other), 4)
+            proposal = propose_run(other, discover_run(other), 4, effort=LITTLE)
             assert len(proposal.stops) == 4
             assert proposal.first is None
             assert any(says in note for note in proposal.notes)
@@ -257,8 +218,7 @@ def test_a_run_that_is_not_driven_gets_the_list_only(
 
 def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run, _, _ = tied
-    monkeypatch.setattr(proposing, "_DRAWN", 20)
-    monkeypatch.setattr(proposing, "_MOST_CANDIDATES", 480)
+    monkeypatch.setattr(proposing, "DEFAULT_EFFORT", LITTLE)
     out = tmp_path / "result.json"
     command = ["discover", str(run.folder), "--propose", "3", "--json", str(out)]
     try:
@@ -269,7 +229,7 @@ def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert "3 proposed stops" in done.output
         assert "collect DIR --resume" in " ".join(done.output.split())
     finally:
-        proposing._write(run, tied[2].stops)
+        append_to_plan(run, tied[2].stops)
 
 
 # -- collecting it ----------------------------------------------------------------------------------------------------
@@ -278,9 +238,9 @@ def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_collecting_them_tells_the_effects_apart(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
     with measured_run(tmp_path / "run", {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
         calibrate_run(run)
-        before = {name: discovery.findings[0] for name, discovery in discover_run(run).items()}
-        assert all(len(finding.answer_set) == 2 for finding in before.values())
-        proposal = propose_run(run, discover_run(run), 2 * PROPOSED)
+        found = discover_run(run)
+        assert all(len(discovery.accepted[0].answer_set) == 2 for discovery in found.values())
+        proposal = propose_run(run, found, 2 * PROPOSED, effort=EFFORT)
         held_out = {name: run.readings(name).in_split("validate") for name in plan}
         assert collect_run(run, resume=True)[:-1] == ()
         for name in plan:
@@ -299,8 +259,8 @@ def test_collecting_them_tells_the_effects_apart(plan: dict[str, np.ndarray], tm
                 assert asked.dwell_s < readings.dwell_s[row] < asked.dwell_s + 10.0
         calibrate_run(run)
         for name, discovery in discover_run(run).items():
-            assert discovery.findings[0].term.slug == "backlash", name
-            assert discovery.findings[0].answer_set == ("backlash",), name
+            assert discovery.accepted[0].term.slug == "backlash", name
+            assert discovery.accepted[0].answer_set == ("backlash",), name
 
 
 class Moves:
