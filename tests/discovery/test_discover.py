@@ -1,4 +1,4 @@
-"""Hidden effects are named, with values inside their own uncertainty; nothing is named where nothing is."""
+"""Hidden effects are named, with values inside their own uncertainty; nothing is named where nothing is hidden."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from cellapp.calibration.calibrate import calibrate_arm, calibrate_run
 from cellapp.calibration.circumstances import circumstances_of_arms
 from cellapp.collection.cell import build_plant, plant_arm
-from cellapp.discovery.discover import discover_arm, discover_run
+from cellapp.discovery.discover import discover_arm, discover_readings, discover_run
 from cellapp.effects import EFFECTS, Circumstances
 from cellapp.errors import InputError
 from cellapp.model import CellModel
@@ -30,7 +30,7 @@ ECCENTRIC = {"joints": [1], "eccentricity": [2.0e-6], "radius": [0.025], "phase"
 
 @pytest.fixture(scope="module")
 def plan():
-    """One plan for all cells of this module: planning is not what is tested here."""
+    """One plan for all cells of this module, as planning is tested elsewhere."""
     return plan_stops(load_profile(ROOT / "profiles" / "twin.yaml"))
 
 
@@ -120,7 +120,7 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
 
 
 def blind(plan, effects, seed, noise=None):
-    """What discovery says of the left arm of a cell whose data hold all factors."""
+    """Discovery in the left arm of a cell whose data have all factors."""
     profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": effects}, seed)
     readings = blind_readings(profile, plan, seed, noise)
     models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
@@ -198,8 +198,8 @@ def test_what_the_library_lacks_is_called_unknown_and_described(plan, slug, chan
     np.testing.assert_array_equal(back.predict(q, known=known), found.model.predict(q, known=known))
 
 
-def test_look_alikes_that_the_data_cannot_tell_apart_are_an_answer_set(plan):
-    # every reading comes from one side, with one step: what is left behind the last motion may be either
+def test_look_alikes_that_the_data_cannot_distinguish_are_an_answer_set(plan):
+    # all last steps have one size: an error behind the last motion may be either
     profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": {}}, 3)
     readings = blind_readings(profile, plan, 3)["left"]
     offset = readings.approach * 1.2e-4
@@ -217,7 +217,7 @@ def test_look_alikes_that_the_data_cannot_tell_apart_are_an_answer_set(plan):
     assert {"backlash", "unsettled_measurement"} <= answers
 
 
-def test_what_cannot_be_said_is_said(plan):
+def test_effects_that_the_data_cannot_show_are_listed(plan):
     found = blind(plan, {}, seed=2)
     invisible = {entry["effect"]: entry for entry in found.invisible}
     assert "tracker_scale" in invisible
@@ -241,9 +241,9 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
     assert periodic.term.law.name == "curve"
     assert {1, 2, 3, 4, 5} <= set(periodic.joints)
     assert discovery.after_mm < 0.4 * discovery.before_mm
-    # the tracker is five times better than what is left, and the verdict must not pretend otherwise
+    # what is left is five times the tracker's noise, so the verdict must not be "explained"
     assert discovery.verdict == "unknown effect"
-    # beyond what was trained it does not know, and says so
+    # beyond the trained range the uncertainty grows
     outside = inside.copy()
     outside[0, 1] = 0.0  # joint 2 was trained from -186 to -90 degrees
     assert discovery.model.uncertainty(outside)[0] > 2.0 * discovery.model.uncertainty(inside)[0]
@@ -252,3 +252,15 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
 def test_an_uncalibrated_run_is_refused(tmp_path, plan):
     with measured_run(tmp_path / "run", plan, {}) as run, pytest.raises(InputError, match="cellapp calibrate"):
         discover_run(run)
+
+
+def test_the_pure_computation_needs_no_run_file(plan):
+    profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": {}}, 2)
+    profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    readings = blind_readings(profile, plan, 2)
+    models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
+    found = discover_readings(profile, CellModel(arms=models), readings)
+    known = circumstances_of_arms(models, readings)
+    alone = discover_arm(profile, "left", models["left"], readings["left"], known=known["left"])
+    assert set(found) == {"left", "right"}
+    assert found["left"].as_dict() == alone.as_dict()
