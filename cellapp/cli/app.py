@@ -202,7 +202,8 @@ def discover(
     json_file: JsonOption = None,
 ) -> None:
     """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink."""
-    from cellapp.discovery.discover import as_dict, discover_run
+    from cellapp.discovery.discover import discover_run
+    from cellapp.discovery.outcome import as_dict
     from cellapp.reporting.findings import discovery_lines
 
     with _Job(json_file) as job, _open_run(folder, write=True) as opened:

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 import cellapp
 from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT
+from cellapp.calibration.circumstances import circumstances_of_arms
 from cellapp.calibration.evaluation import position_errors
-from cellapp.discovery.discover import DISCOVER_RESULT, known_of_all
+from cellapp.discovery.discover import DISCOVER_RESULT
 from cellapp.effects import Circumstances
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import Geometry, frame_poses, parameter_names, smr_positions
@@ -120,7 +121,7 @@ def page_text(run: RunFile, written: datetime) -> str:
     results = _read(run)
     model = CellModel.load(run.folder / CALIBRATION_FILE)
     readings = {name: run.readings(name) for name in model.arms}
-    known = known_of_all(model, readings)
+    known = circumstances_of_arms(model.arms, readings)
     drawn = _draw(results, model, readings, known)
     environment = Environment(
         loader=PackageLoader("cellapp", "reporting"),

@@ -25,8 +25,9 @@ from typing import Any
 import cellapp
 from cellapp import __version__
 from cellapp.calibration.calibrate import calibrate_run
-from cellapp.discovery.discover import discover_arm, known_of_all
-from cellapp.discovery.search import UNKNOWN
+from cellapp.calibration.circumstances import circumstances_of_arms
+from cellapp.discovery.discover import discover_arm
+from cellapp.discovery.terms import UNKNOWN
 from cellapp.errors import CellappError, CheckFailed, InputError
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import RunFile
@@ -36,7 +37,7 @@ from cellapp.trials.verdicts import Found, Judged, judged_summary
 TRIAL_RESULT = "sealed-trial"
 _POLL_S = 0.2
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-_SEARCHING = ("calibration", "discovery", "effects", "kinematics", "model")
+_SEARCHING = ("calibration", "design", "discovery", "effects", "kinematics", "model")
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def judge_run(folder: Path, source: str) -> None:
     with RunFile.open(folder, write=True) as run:
         calibration = calibrate_run(run)
         readings = {name: run.readings(name) for name in calibration.model.arms}
-        known = known_of_all(calibration.model, readings)
+        known = circumstances_of_arms(calibration.model.arms, readings)
         arms = {}
         for name, model in calibration.model.arms.items():
             wall_s, cpu_s = time.perf_counter(), time.process_time()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cellapp.discovery.search import UNKNOWN
+from cellapp.discovery.terms import UNKNOWN
 from cellapp.reporting.table import Table
 from cellapp.trials.sealed import Truth
 

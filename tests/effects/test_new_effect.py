@@ -8,7 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from cellapp.discovery.discover import Discovery, discover_arm
+from cellapp.discovery.discover import discover_arm
+from cellapp.discovery.outcome import Discovery
 from cellapp.effects import EFFECTS, EffectTerm, registered, term_from_json, term_to_json
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import ArmModel
@@ -61,13 +62,13 @@ def discovery(registry: None) -> Discovery:
 
 
 def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discovery: Discovery) -> None:
-    (finding,) = discovery.findings
-    assert (finding.term.slug, finding.joints) == (ToySag.slug, (1, 2))
+    (accepted,) = discovery.accepted
+    assert (accepted.term.slug, accepted.joints) == (ToySag.slug, (1, 2))
     assert discovery.verdict == "explained"
-    softening = finding.term.law.constants[SOFTENING.name]
+    softening = accepted.term.law.constants[SOFTENING.name]
     nearest = min(GRID, key=lambda size: abs(np.log(size / TRUE_SOFTENING)))
     assert abs(np.log(softening / TRUE_SOFTENING)) < 0.2 < abs(np.log(nearest / TRUE_SOFTENING)), "tuned off the grid"
-    sags = dict(zip(finding.term.names, finding.term.values.tolist(), strict=True))
+    sags = dict(zip(accepted.term.names, accepted.term.values.tolist(), strict=True))
     assert sags["sag1"] == pytest.approx(TRUE_SAG[0], rel=0.1)
     assert sags["sag2"] == pytest.approx(TRUE_SAG[1], rel=0.1)
     table = accepted_table("left", discovery.as_dict())

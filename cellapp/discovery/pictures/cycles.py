@@ -1,0 +1,36 @@
+"""Dominant cycles a turn of periodic joint errors, from the power of their Fourier coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cellapp.effects import EffectColumn
+from cellapp.kinematics.transforms import Array
+
+_BAND = (0.1, 0.9)
+"""Shares of the cumulated power between which the dominant cycles lie: the middle 80 %."""
+
+
+def dominant_cycles(columns: Sequence[EffectColumn], values: Array) -> dict[str, dict[str, float]]:
+    """Dominant cycles a turn of each joint (key: its number) of columns that are waves, with values [rad].
+
+    ``from`` and ``to`` enclose the middle 80 % of the power, ``peak`` has most of it; ``rms_urad`` is over a whole
+    turn.
+    """
+    power: dict[int, dict[int, float]] = {}
+    for column, value in zip(columns, values.tolist(), strict=True):
+        if column.cycles is not None and column.joint is not None:
+            of_joint = power.setdefault(column.joint, {})
+            of_joint[column.cycles] = of_joint.get(column.cycles, 0.0) + 0.5 * value**2
+    return {str(joint + 1): _band(power[joint]) for joint in sorted(power) if any(power[joint].values())}
+
+
+def _band(power: dict[int, float]) -> dict[str, float]:
+    counts = sorted(power)
+    each = np.array([power[count] for count in counts])
+    share = np.cumsum(each) / each.sum()
+    first, last = (counts[min(int(np.searchsorted(share, at)), len(counts) - 1)] for at in _BAND)
+    rms = float(np.sqrt(each.sum()))
+    return {"from": first, "to": last, "peak": counts[int(np.argmax(each))], "rms_urad": rms * 1e6}
