@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -33,18 +31,6 @@ class Description:
     gain: float | None
     curve: tuple[tuple[float, float], ...]
     sentence: str
-
-    def as_dict(self) -> Mapping[str, Any]:
-        """For JSON."""
-        return {
-            "channel": self.channel,
-            "variables": list(self.variables),
-            "size_um": self.size_um,
-            "formula": self.formula,
-            "gain_over_curve": self.gain,
-            "curve": [list(point) for point in self.curve],
-            "sentence": self.sentence,
-        }
 
 
 def describe(data: ArmData, fit: Fit, place: int) -> Description:

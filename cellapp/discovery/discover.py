@@ -1,8 +1,7 @@
-"""The verb: where model and measurement disagree, which effect is missing; add it and show the gap shrink."""
+"""Discovery: which physical effects the model lacks; adds them and shows how the held-out error shrinks."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,26 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT, calibrate_arm, rms_length_mm
+from cellapp.calibration.calibrate import rms_length_mm
 from cellapp.calibration.circumstances import circumstances
-from cellapp.calibration.cooperative import calibrate_pair
+from cellapp.calibration.cooperative import PairCalibration, calibrate_pair
 from cellapp.calibration.evaluation import evaluate, position_errors, summarise
 from cellapp.calibration.residual import train_network
 from cellapp.discovery.data import ArmData, Fit
 from cellapp.discovery.describe import Description, describe
-from cellapp.discovery.pictures import Picture, cycles, pictures
+from cellapp.discovery.pictures import Picture, pictures
 from cellapp.discovery.scan import VISIBLE, Seen, smallest_seen
 from cellapp.discovery.search import UNKNOWN, Rival, Search, on_all, scatter, search
 from cellapp.effects import EFFECTS, Circumstances, EffectTerm
-from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.model.nominal import stated_uncertainty
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.run import Readings, RunFile
+from cellapp.results import StageErrors, Verdict
+from cellapp.run import Readings
 
-DISCOVER_RESULT = "discover"
 _FLOOR = 1.05
 """Held-out rms within this factor of the noise floor counts as explained."""
 _CHANCE = 0.001
@@ -89,89 +87,60 @@ class Discovery:
     scatter: float
     invisible: tuple[Mapping[str, Any], ...]
     not_found: tuple[Mapping[str, Any], ...]
-    verdict: str
+    verdict: Verdict
     sentence: str
     model: ArmModel
-    stage: Mapping[str, Mapping[str, float | int]]
+    stage: StageErrors
     pictures: tuple[Picture, ...] = ()
     network_mm: Mapping[str, float] | None = None
     uncertainty_mm: Mapping[str, float] | None = None
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "noise_floor_mm": _number(self.noise_floor_mm),
-            "heldout_mm": {"before": self.before_mm, "after": self.after_mm},
-            "steps": [{"what": step.what, "effect": step.effect, "heldout_mm": step.heldout_mm} for step in self.steps],
-            "threshold": self.threshold,
-            "omnibus_p": _number(self.omnibus_p),
-            "scatter": _number(self.scatter),
-            "accepted": [_finding_dict(finding) for finding in self.findings],
-            "invisible": [dict(entry) for entry in self.invisible],
-            "not_found": [dict(entry) for entry in self.not_found],
-            "network_mm": None if self.network_mm is None else dict(self.network_mm),
-            "uncertainty_mm": None if self.uncertainty_mm is None else dict(self.uncertainty_mm),
-            "pictures": [picture.as_dict() for picture in self.pictures],
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-        }
 
+@dataclass(frozen=True)
+class CellDiscovery:
+    """What was found in the data of every arm.
 
-def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> dict[str, Discovery]:
-    """Look for missing effects in every arm of a calibrated run, add what is found to ``calibration.json``.
-
-    Raises
-    ------
-    InputError
-        If the run is not calibrated yet.
+    ``model`` is the cell with the effects; ``pair`` the cooperative errors with them, None where no effect was found or
+    there is no pair.
     """
+
+    arms: Mapping[str, Discovery]
+    model: CellModel
+    pair: PairCalibration | None
+
+
+def discover_cell(
+    profile: Profile,
+    model: CellModel,
+    readings: Mapping[str, Readings],
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> CellDiscovery:
+    """Search the readings of every arm for effects that the calibrated ``model`` lacks, and add them to it."""
     cancel = cancel or CancelToken()
-    calibrated = run.read_result(RESULT)
-    if calibrated is None:
-        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
-    model = CellModel.load(run.folder / CALIBRATION_FILE)
-    readings = {name: run.readings(name) for name in model.arms}
-    model = replace(
-        model, arms={name: _as_calibrated(run.profile, name, arm, readings[name]) for name, arm in model.arms.items()}
-    )
     known = known_of_all(model, readings)
     found: dict[str, Discovery] = {}
     for done, name in enumerate(model.arms):
         listener(Progress("discover", done, len(model.arms), f"arm {name}"))
         cancel.check()
-        found[name] = discover_arm(run.profile, name, model.arms[name], readings[name], cancel, known=known[name])
-    if run.profile.network.kind == "mlp":
+        found[name] = discover_arm(profile, name, model.arms[name], readings[name], cancel, known=known[name])
+    if profile.network.kind == "mlp":
         listener(Progress("discover", len(model.arms), len(model.arms), "what a network still finds"))
         with ThreadPoolExecutor(max_workers=2) as pool:  # torch works outside the interpreter lock
             tasks = {
                 name: pool.submit(
-                    _with_network, run.profile, model.arms[name], discovery, readings[name], known[name], cancel
+                    _with_network, profile, model.arms[name], discovery, readings[name], known[name], cancel
                 )
                 for name, discovery in found.items()
             }
             found = {name: task.result() for name, task in tasks.items()}
-    result = json.loads(calibrated)
-    for name, discovery in found.items():
-        result["arms"][name]["validate"].pop("effects", None)
-        if discovery.findings:
-            result["arms"][name]["validate"]["effects"] = discovery.stage
-    result["pair"].pop("effects", None)
+    pair = None
     if any(discovery.findings for discovery in found.values()):
-        pair, _ = calibrate_pair(run.profile, readings, {name: _Found(d.model) for name, d in found.items()})
-        if pair is not None:
-            result["pair"]["effects"] = pair.as_dict()["effects"]
-            model = replace(model, T_R_L=pair.T_R_L)
+        pair, _ = calibrate_pair(profile, readings, {name: _Found(d.model) for name, d in found.items()})
     arms = {name: discovery.model for name, discovery in found.items()}
-    replace(model, arms=arms).save(run.folder / CALIBRATION_FILE)
-    run.write_result(RESULT, json.dumps(result))
-    run.write_result(DISCOVER_RESULT, json.dumps(as_dict(found)))
-    listener(Progress("discover", len(model.arms), len(model.arms), "done"))
-    return found
-
-
-def _as_calibrated(profile: Profile, name: str, arm: ArmModel, readings: Readings) -> ArmModel:
-    """The arm as 'calibrate' left it: without what an earlier discovery added."""
-    return calibrate_arm(profile, name, readings)[0].model if arm.effects else arm
+    model = replace(model, arms=arms, T_R_L=model.T_R_L if pair is None else pair.T_R_L)
+    listener(Progress("discover", len(arms), len(arms), "done"))
+    return CellDiscovery(found, model, pair)
 
 
 @dataclass(frozen=True)
@@ -191,15 +160,6 @@ def known_of_all(model: CellModel, readings: Mapping[str, Readings]) -> dict[str
         other = (model.arms[others[0]], readings[others[0]]) if len(others) == 1 else None
         known[name] = circumstances(readings[name], other)
     return known
-
-
-def as_dict(found: Mapping[str, Discovery]) -> dict[str, Any]:
-    """The object that ``--json`` writes."""
-    return {
-        "schema": "cellapp-discover",
-        "version": 1,
-        "arms": {name: discovery.as_dict() for name, discovery in found.items()},
-    }
 
 
 def discover_arm(
@@ -443,7 +403,7 @@ def _unseen(found: Search, named: set[str]) -> tuple[tuple[Mapping[str, Any], ..
 
 def _judge(
     findings: Sequence[Finding], floor: float, after: float, held_out: Readings, spread: tuple[float, float] | None
-) -> tuple[str, str]:
+) -> tuple[Verdict, str]:
     named = [finding for finding in findings if finding.term.slug != UNKNOWN]
     driven = [finding for finding in findings if finding.term.slug == UNKNOWN]
     names = " and ".join(EFFECTS[finding.term.slug].title for finding in named)
@@ -481,41 +441,3 @@ def _judge(
 def _others(findings: Sequence[Finding]) -> str:
     slugs = dict.fromkeys(slug for finding in findings for slug in finding.answer_set[1:])
     return " or ".join(EFFECTS[slug].title for slug in slugs)
-
-
-def _number(value: float) -> float | None:
-    return None if math.isnan(value) else value
-
-
-def _finding_dict(finding: Finding) -> dict[str, Any]:
-    term = finding.term
-    entry: dict[str, Any] = {
-        "effect": term.slug,
-        "title": EFFECTS[term.slug].title,
-        "law": {"name": term.law.name, "constants": dict(term.law.constants)},
-        "where": {"joints": list(finding.joints), "acts_on": list(finding.acts_on)},
-        "parameters": {
-            name: {"value": value, "standard_error": error, "unit": unit}
-            for name, value, error, unit in zip(
-                term.names, term.values.tolist(), term.standard_errors.tolist(), term.units, strict=True
-            )
-        },
-        "evidence": {
-            "statistic": finding.score,
-            "corrected_p": finding.p_value,
-            "heldout_mm": {"before": finding.heldout_before_mm, "after": finding.heldout_after_mm},
-        },
-        "answer_set": list(finding.answer_set),
-        "runners_up": [
-            {"effect": rival.slug, "statistic": rival.score, "told_apart": rival.told_apart} for rival in finding.rivals
-        ],
-        "correlated_with": None
-        if finding.correlated is None
-        else {"parameter": finding.correlated[0], "correlation": finding.correlated[1]},
-    }
-    if term.slug == "transmission_error":
-        entry["cycles"] = cycles(term.names, term.values)
-    if finding.description is not None:
-        entry["description"] = finding.description.as_dict()
-        entry["where"] |= {"channel": finding.description.channel, "variables": list(finding.description.variables)}
-    return entry

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -44,10 +43,6 @@ class Curve:
     value: tuple[float, ...]
     band: tuple[float, ...]
 
-    def as_dict(self) -> Mapping[str, Any]:
-        """For JSON."""
-        return {"x": list(self.x), "value": list(self.value), "band": list(self.band)}
-
 
 _Shown = tuple[Sequence[int], str, str, Array, Curve | None]
 """Columns to show together, what they are, the label of x, x (n,), and their curve."""
@@ -72,20 +67,6 @@ class Picture:
     computed: tuple[float, ...]
     band: tuple[float, ...] = ()
     curve: Curve | None = None
-
-    def as_dict(self) -> Mapping[str, Any]:
-        """For JSON."""
-        return {
-            "title": self.title,
-            "effect": self.effect,
-            "x_label": self.x_label,
-            "y_label": self.y_label,
-            "x": list(self.x),
-            "measured": list(self.measured),
-            "computed": list(self.computed),
-            "band": list(self.band),
-            "curve": None if self.curve is None else self.curve.as_dict(),
-        }
 
 
 def cycles(names: Sequence[str], values: Array) -> dict[str, dict[str, float]]:

@@ -1,4 +1,4 @@
-"""The verb's option ``--propose N``: the stops, and how to come to them, that would best tell what is ambiguous."""
+"""Proposed stops (``discover --propose N``): which stops, and how approached, best resolve what is ambiguous."""
 
 from __future__ import annotations
 
@@ -6,26 +6,24 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import permutations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.calibration.calibrate import CALIBRATION_FILE
 from cellapp.calibration.circumstances import base_moment
 from cellapp.design.discrimination import Contest, Race
 from cellapp.discovery.data import ArmData, Fit
-from cellapp.discovery.discover import Discovery, known_of_all
+from cellapp.discovery.discover import CellDiscovery, Discovery, known_of_all
 from cellapp.discovery.questions import Question, There, fitted, questions
 from cellapp.effects import EFFECTS, Circumstances, varies
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel
-from cellapp.planning.factors import Factors, as_dict, read_factors, write_factors
+from cellapp.planning.factors import Factors
 from cellapp.planning.plan import all_seen, draw_stops, rolled_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.run import Readings, RunFile
+from cellapp.run import Readings
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import CellBodies, refuse_motion
 
@@ -89,87 +87,38 @@ class ProposedStop:
 
 @dataclass(frozen=True)
 class Proposal:
-    """The stops in the order of measuring, and what they are worth.
-
-    ``first`` is the number of the first of them in the run's plan, None where they were not written into it.
-    """
+    """The stops in the order of measuring, and what they are worth."""
 
     stops: tuple[ProposedStop, ...]
     answers: tuple[Answer, ...]
-    first: int | None
     notes: tuple[str, ...]
     advice: tuple[str, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON; ``stops`` has one flat row an arm and stop, as a table would."""
-        rows = []
-        for number, stop in enumerate(self.stops):
-            for name, q in stop.q.items():
-                asked = as_dict(stop.factors.get(name, Factors()))
-                rows.append(
-                    {
-                        "configuration": (self.first or 0) + number,
-                        "arm": name,
-                        "q": q.tolist(),
-                        "via": asked.get("via"),
-                        "dwell_s": asked.get("dwell_s"),
-                    }
-                )
-        arms: dict[str, list[dict[str, Any]]] = {}
-        for answer in self.answers:
-            arms.setdefault(answer.arm, []).append(
-                {
-                    "effect": answer.effect,
-                    "against": answer.against or None,
-                    "needed": answer.needed,
-                    "discrimination": {
-                        "now": answer.now,
-                        "proposed": answer.proposed,
-                        "random": answer.random,
-                    },
-                    "gain_over_random": answer.gain,
-                }
-            )
-        return {
-            "count": len(self.stops),
-            "written": self.first is not None,
-            "first_configuration": self.first,
-            "arms": arms,
-            "stops": rows,
-            "notes": list(self.notes),
-            "advice": list(self.advice),
-        }
 
-
-def propose_run(
-    run: RunFile,
-    found: Mapping[str, Discovery],
+def propose(
+    profile: Profile,
+    readings: Mapping[str, Readings],
+    found: CellDiscovery,
     count: int,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> Proposal:
-    """Propose ``count`` further stops of all arms after ``found`` was discovered, and write them into the run.
-
-    They take the place of earlier proposals that were not measured. A run that this program does not drive (no plan,
-    or a driver ``none``) only gets the list.
+    """Propose ``count`` further stops of all arms after a discovery.
 
     Raises
     ------
     InputError
-        If the run is not calibrated, or no candidate stops can be made.
+        If there is nothing that further stops could resolve, or no candidate stops can be made.
     Cancelled
-        Nothing is written then.
     """
     cancel = cancel or CancelToken()
-    profile = run.profile
-    model = CellModel.load(run.folder / CALIBRATION_FILE)
-    readings = {name: run.readings(name) for name in model.arms}
+    model = found.model
     rng = np.random.default_rng([profile.seed, 0x9409, max(len(arm) for arm in readings.values())])
     listener(Progress("propose", 0, count, "candidates"))
     poses, notes = _poses(profile, readings, rng, cancel)
     known = known_of_all(model, readings)
     asking = {
-        name: _Asking.of(profile, name, model, readings, known[name], found[name], poses, count, rng)
+        name: _Asking.of(profile, name, model, readings, known[name], found.arms[name], poses, count, rng)
         for name in model.arms
     }
     if not any(asked.questions for asked in asking.values()):
@@ -186,13 +135,8 @@ def propose_run(
         notes.append(f"only {len(chosen)} of {count} stops: the gate refused the other candidates")
     answers, advice = _answers(list(asking.values()), poses, chosen, rng)
     stops = tuple(ProposedStop(choice.target(one), choice.factors(one)) for one in chosen)
-    first = None
-    if why := _not_driven(run):
-        notes.append(f"{why}: the stops are listed only; measure them, then import them with the earlier readings")
-    else:
-        first = _write(run, stops)
     listener(Progress("propose", count, count, "done"))
-    return Proposal(stops, answers, first, tuple(notes), advice)
+    return Proposal(stops, answers, tuple(notes), advice)
 
 
 # -- candidates -------------------------------------------------------------------------------------------------------
@@ -732,30 +676,3 @@ def _load_advice(
         f" second stop would bring the discrimination to {loaded:.0f} instead of {answer.proposed:.0f}; a person must"
         " hang it on, if the arm may carry it, and enter it in the controller"
     ]
-
-
-# -- into the run -----------------------------------------------------------------------------------------------------
-
-
-def _not_driven(run: RunFile) -> str:
-    """Why this program cannot drive further stops of a run; empty if it can."""
-    drivers: dict[str, str] = {f"arms.{name}": arm.driver.kind for name, arm in run.profile.arms.items()}
-    drivers["tracker"] = run.profile.tracker.driver.kind
-    none = [what for what, kind in drivers.items() if kind == "none"]
-    if none:
-        return f"the driver of {none[0]} is 'none'"
-    return "" if run.read_plan() else "the run has no plan (it was imported)"
-
-
-def _write(run: RunFile, stops: Sequence[ProposedStop]) -> int:
-    """Put the stops behind the plan, in place of earlier proposals that were not measured. Returns the first number."""
-    plan, done, factors = run.read_plan(), run.stops_done(), read_factors(run)
-    first = len(next(iter(plan.values())))
-    while first - 1 in factors and first - 1 not in done:
-        first -= 1
-    run.write_plan(
-        {name: np.concatenate([rows[:first], [stop.q[name] for stop in stops]]) for name, rows in plan.items()}
-    )
-    kept = {stop: arms for stop, arms in factors.items() if stop < first}
-    write_factors(run, {**kept, **{first + k: stop.factors for k, stop in enumerate(stops)}})
-    return first

@@ -30,7 +30,7 @@ from cellapp.profile import Profile, profile_from_json, profile_to_json
 from cellapp.run.readings import SPLITS, Reading, Readings
 
 FILE_NAME = "run.sqlite"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 _APPLICATION_ID = 0x43656C6C  # "Cell"
 _UNFINISHED = FILE_NAME + ".new"
@@ -49,12 +49,18 @@ CREATE TABLE reading (
 CREATE TABLE event (number INTEGER PRIMARY KEY, written TEXT NOT NULL, time_s, level TEXT NOT NULL, text TEXT NOT NULL);
 CREATE TABLE result (name TEXT PRIMARY KEY, written TEXT NOT NULL, text TEXT NOT NULL);
 """
+_STAGE_TABLE = """
+CREATE TABLE stage (
+    number INTEGER PRIMARY KEY, name TEXT NOT NULL, written TEXT NOT NULL, program TEXT NOT NULL, basis TEXT,
+    text TEXT NOT NULL, model TEXT
+)"""
+"""Results of verbs, append-only; files of schema 1 and 2 lack it and keep such results in the table ``result``."""
 _READING_COLUMNS = (
     "configuration, time_s, q, approach, p_m, payload_kg, temperature_c,"
     " joint_temperature_c, covariance_m2, sigma_m, split, extras, step, dwell_s"
 )
 _SINCE_2 = ("step TEXT", "dwell_s")
-"""Columns that files of schema 1 lack: they are read with nothing in them, and get them when they are written to."""
+"""Columns that files of schema 1 lack: they read as empty, and the file gets them when it is first written to."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,27 @@ class Event:
     written: str
     time_s: float | None
     level: str
+    text: str
+
+
+@dataclass(frozen=True)
+class StageRow:
+    """One row of the table ``stage`` as text; ``cellapp.run.stages`` gives it its meaning."""
+
+    number: int
+    name: str
+    written: str
+    program: str
+    basis: str | None
+    text: str
+    model: str | None
+
+
+@dataclass(frozen=True)
+class Document:
+    """One entry of the table ``result``: what and when (UTC)."""
+
+    written: str
     text: str
 
 
@@ -145,8 +172,6 @@ class RunFile:
                     connection = _connect(path, "rw")
                     connection.execute("PRAGMA synchronous=FULL")
                     connection.execute("BEGIN IMMEDIATE")  # a file that cannot be written is found now
-                    if connection.execute("PRAGMA user_version").fetchone()[0] == 1:
-                        _upgrade(connection)
                     connection.execute("COMMIT")
             except BaseException:
                 connection.close()
@@ -262,7 +287,7 @@ class RunFile:
         self._check_arm(arm)
         with self._reading() as connection:
             columns = _READING_COLUMNS
-            if connection.execute("PRAGMA user_version").fetchone()[0] == 1:
+            if _schema_version(connection) < 2:
                 columns = columns.removesuffix("step, dwell_s") + "NULL, NULL"
             rows = connection.execute(
                 f"SELECT {columns} FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
@@ -327,15 +352,40 @@ class RunFile:
             return [Event(*row) for row in rows]
 
     def write_result(self, name: str, json_text: str) -> None:
-        """Store a result under a name; the one that was there is replaced at once or not at all."""
+        """Store a document that is not a verb's result under a name; it replaces an earlier one of that name."""
         with self._transaction() as connection:
             connection.execute("INSERT OR REPLACE INTO result VALUES (?, ?, ?)", (name, _now(), json_text))
 
     def read_result(self, name: str) -> str | None:
-        """A stored result, or None."""
+        """The text of a stored document, or None."""
+        document = self.read_document(name)
+        return None if document is None else document.text
+
+    def read_document(self, name: str) -> Document | None:
+        """A stored document, or None."""
         with self._reading() as connection:
-            row = connection.execute("SELECT text FROM result WHERE name = ?", (name,)).fetchone()
-        return None if row is None else str(row[0])
+            row = connection.execute("SELECT written, text FROM result WHERE name = ?", (name,)).fetchone()
+        return None if row is None else Document(*row)
+
+    # -- stages ------------------------------------------------------------------------------------------------------
+
+    def append_stage(self, name: str, basis: str | None, text: str, model: str | None) -> None:
+        """Append what a verb made: its result, its model (JSON) if it made one, and what they rest on."""
+        with self._transaction() as connection:
+            connection.execute(
+                "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)",
+                (name, _now(), f"cellapp {__version__}", basis, text, model),
+            )
+
+    def stage_rows(self) -> list[StageRow]:
+        """All stages, oldest first; none in a file of schema 1 or 2."""
+        with self._reading() as connection:
+            if _schema_version(connection) < 3:
+                return []
+            rows = connection.execute(
+                "SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number"
+            )
+            return [StageRow(*row) for row in rows]
 
     # -- inside ------------------------------------------------------------------------------------------------------
 
@@ -353,6 +403,7 @@ class RunFile:
                 self._journal = str(self._connection.execute("PRAGMA journal_mode=WAL").fetchone()[0])
             self._connection.execute("BEGIN IMMEDIATE")
             try:
+                _upgrade(self._connection)
                 yield self._connection
                 self._connection.execute("COMMIT")
             except BaseException:
@@ -398,7 +449,7 @@ def _build(folder: Path, path: Path, profile: Profile, fill: Callable[[RunFile],
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
     try:
         connection.execute("PRAGMA synchronous=FULL")
-        connection.executescript(f"BEGIN; {_SCHEMA}")
+        connection.executescript(f"BEGIN; {_SCHEMA} {_STAGE_TABLE};")
         connection.executemany(
             "INSERT INTO meta VALUES (?, ?)",
             {
@@ -418,10 +469,22 @@ def _build(folder: Path, path: Path, profile: Profile, fill: Callable[[RunFile],
         connection.close()
 
 
+def _schema_version(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
 def _upgrade(connection: sqlite3.Connection) -> None:
-    """Give a file of schema 1 what it lacks; inside the caller's transaction."""
-    for column in _SINCE_2:
-        connection.execute(f"ALTER TABLE reading ADD COLUMN {column}")
+    """Give a file of an older schema what it lacks, inside the caller's transaction; stored results stay as they are.
+
+    This happens with the first change only: a command that is refused leaves every byte as it was.
+    """
+    version = _schema_version(connection)
+    if version == SCHEMA_VERSION:
+        return
+    if version < 2:
+        for column in _SINCE_2:
+            connection.execute(f"ALTER TABLE reading ADD COLUMN {column}")
+    connection.execute(_STAGE_TABLE)
     connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))
     connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
 

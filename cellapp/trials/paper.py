@@ -92,7 +92,7 @@ def paper_trial(profile: Profile, seed: int, cancel: CancelToken | None = None) 
         seed=seed,
         cooperative_mm=cooperative,
         position_mm={
-            name: {stage: errors["position_mm"]["mean"] for stage, errors in arm.validate.items()}
+            name: {stage: errors.position_mm.mean for stage, errors in arm.validate.items()}
             for name, arm in calibration.arms.items()
         },
         moved_mm={name: _at_other_station(arm, there[name]) for name, arm in calibration.arms.items()},
