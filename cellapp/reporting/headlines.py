@@ -71,15 +71,14 @@ def headlines(data: ReportData) -> list[Headline]:
 def _arm_sentence(arm: ArmCalibrationResult, found: ArmDiscoveryResult | None) -> str:
     if not arm.converged:
         return f"The calibration did not converge ({arm.message}): do not use it."
-    best = "effects" if found is not None and found.accepted else "geometry"
-    errors = arm.validate_[best].position_mm
+    nominal, geometry = arm.validate_["nominal"].position_mm, arm.validate_["geometry"].position_mm
+    with_effects = found is not None and bool(found.accepted)
+    best = arm.validate_["effects"].position_mm if with_effects else geometry
     sentence = (
-        f"The SMR position is predicted to {errors.mean:.3f} mm (mean over {errors.n} configurations that the"
-        f" calibration did not use); with the nominal geometry the error is {arm.validate_['nominal'].position_mm.mean:.3f} mm"
+        f"The SMR position is predicted to {best.mean:.3f} mm (mean over {best.n} configurations that the"
+        f" calibration did not use); with the nominal geometry the error is {nominal.mean:.3f} mm"
     )
-    if best == "effects":
-        sentence += f", with the identified geometry alone {arm.validate_['geometry'].position_mm.mean:.3f} mm"
-    return sentence + "."
+    return sentence + (f", with the identified geometry alone {geometry.mean:.3f} mm." if with_effects else ".")
 
 
 def _pair_sentence(method: Method, best: PairMethodResult, nominal: PairMethodResult | None) -> str:

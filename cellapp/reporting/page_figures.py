@@ -38,7 +38,9 @@ def accuracy_figures(data: ReportData) -> list[CaptionedFigure]:
     for number, (name, held_out) in enumerate(data.held_out.items(), start=1):
         errors, floor = held_out.errors_mm, data.calibrate.arms[name].tracker_mm
         legend = [(stage, STAGE_WORDS[stage]) for stage in errors] + _floor_legend(floor)
-        if "effects" not in errors:
+        if "geometry" not in errors:
+            legend.append(("", "later stages: the older version of cellapp that calibrated did not store their models"))
+        elif "effects" not in errors:
             legend.append(("", f"no effects: {_why_no_effects(data)}"))
         svg = figures.error_figure(f"errors{number}", held_out.readings.configuration, errors, floor)
         caption = f"Arm {name}: position error of each held-out configuration"

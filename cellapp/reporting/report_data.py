@@ -22,7 +22,6 @@ from cellapp.results import (
     CalibrateResult,
     DiscoverResult,
     RunResults,
-    Stage,
     StageName,
     VerifyResult,
 )
@@ -104,14 +103,14 @@ class HeldOutArm:
     discovered: ArmModel | None
 
     @cached_property
-    def errors_mm(self) -> Mapping[Stage, Array]:
+    def errors_mm(self) -> Mapping[str, Array]:
         """Position errors (n,) [mm] by stage.
 
         A calibration that an older version stored has its effects in the only model that is left: there is no stage
         ``geometry`` then.
         """
         model, q = self.calibrated, self.readings.q
-        computed: dict[Stage, Array] = {"nominal": smr_positions(model.nominal, q)}
+        computed: dict[str, Array] = {"nominal": smr_positions(model.nominal, q)}
         if not model.effects:
             computed["geometry"] = smr_positions(model.geometry, q)
             if model.network is not None:

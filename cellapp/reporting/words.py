@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from cellapp.reporting.table import Interval, Number
-from cellapp.results import Estimate, LawRecord, Method, Place, Stage
+from cellapp.results import Estimate, LawRecord, Method, Place
 
 _UNITS = {
     "rad": (1e6, "µrad"),
@@ -158,7 +158,7 @@ def geometry_unit(unit: str) -> tuple[float, str]:
     return (1e3, "mm") if unit == "m" else (math.degrees(1.0), "deg")
 
 
-STAGE_WORDS: Mapping[Stage, str] = {
+STAGE_WORDS: Mapping[str, str] = {
     "nominal": "nominal",
     "geometry": "identified geometry",
     "network": "geometry and network",
