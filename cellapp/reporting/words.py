@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+
+from cellapp.reporting.table import Interval, Number
+from cellapp.results import Estimate, LawRecord, Method, Place
 
 _UNITS = {
     "rad": (1e6, "µrad"),
@@ -19,9 +21,9 @@ _UNITS = {
     "1/(N m^2)": (1e6, "1e-6/(N m²)"),
 }
 _MILLIMETRES = 1e-3
-"""A length is told in mm from here on [m]."""
+"""Lengths from here on are shown in mm [m]."""
 _TWO_SIDED = 1.959964
-"""Of a 95 % interval, in standard errors."""
+"""Half width of a 95 % interval in standard errors: quantile 0.975 of the normal distribution."""
 
 _LAWS = {
     ("joint_compliance", "linear"): "in proportion to the torque, a stiffness each",
@@ -75,9 +77,9 @@ _PLAIN = {
 }
 
 
-def law_words(effect: str, law: Mapping[str, Any]) -> str:
+def law_words(effect: str, law: LawRecord) -> str:
     """A law in words, with those of its constants that were searched for."""
-    name, constants = law["name"], law["constants"]
+    name, constants = law.name, law.constants
     if effect == "unknown":
         channel, *variables = name.split("|")
         words = f"{channel} as a function of {' and '.join(variables)}"
@@ -104,22 +106,21 @@ def _constants(constants: Mapping[str, float]) -> list[str]:
     return words
 
 
-def knees(law: Mapping[str, Any], joints: Sequence[int]) -> str:
+def knees(law: LawRecord, joints: Sequence[int]) -> str:
     """The knee torques of some joints of a compliance with two slopes; empty for any other law."""
-    found = {joint: law["constants"].get(f"knee{joint}") for joint in joints}
+    found = {joint: law.constants.get(f"knee{joint}") for joint in joints}
     known = [f"{value:.3g} Nm for joint {joint}" for joint, value in found.items() if value is not None]
     return f"knee at {', '.join(known)}" if known else ""
 
 
-def place_words(where: Mapping[str, Any]) -> str:
-    """Where an effect acts: ``joints 1-3, 6``, or a frame."""
-    places = where["acts_on"]
-    joints = where["joints"]
-    if not joints and all(place.startswith("joint ") for place in places):
-        joints = [int(place.removeprefix("joint ")) for place in places]
+def place_words(where: Place) -> str:
+    """Where an effect acts: ``joints 1-3, 6``, or the names of frames."""
+    joints = where.joints
+    if not joints and all(place.startswith("joint ") for place in where.acts_on):
+        joints = tuple(int(place.removeprefix("joint ")) for place in where.acts_on)
     if joints:
         return f"joint{'s' if len(joints) > 1 else ''} {ranges(joints)}"
-    return ", ".join(places)
+    return ", ".join(where.acts_on)
 
 
 def ranges(numbers: Sequence[int]) -> str:
@@ -135,22 +136,45 @@ def ranges(numbers: Sequence[int]) -> str:
     )
 
 
-def interval_95(entry: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Value, 95 % interval and unit of a parameter, as exact as its standard error is."""
-    value, error = entry["value"], entry["standard_error"]
-    factor, unit = _UNITS.get(entry["unit"], (1.0, entry["unit"]))
-    if entry["unit"] == "m" and abs(value) >= _MILLIMETRES:
+def interval_95(estimate: Estimate) -> tuple[Number, Interval | None, str]:
+    """Value, 95 % interval and display unit of a parameter, with two significant digits of its standard error.
+
+    The interval is None where there is no standard error.
+    """
+    factor, unit = _UNITS.get(estimate.unit, (1.0, estimate.unit))
+    if estimate.unit == "m" and abs(estimate.value) >= _MILLIMETRES:
         factor, unit = 1e3, "mm"
-    value, error = value * factor, error * factor
+    value = estimate.value * factor
+    if estimate.standard_error is None:
+        return Number(value, 3), None, unit
+    error = estimate.standard_error * factor
+    decimals = min(max(1 - math.floor(math.log10(error)), 0), 9) if 0.0 < error < math.inf else 3
     half = _TWO_SIDED * error
-    digits = 3
-    if error > 0.0 and math.isfinite(error):
-        digits = min(max(1 - math.floor(math.log10(error)), 0), 9)
-    return f"{value:.{digits}f}", f"{value - half:.{digits}f} to {value + half:.{digits}f}", unit
+    return Number(value, decimals), Interval(value - half, value + half, decimals), unit
+
+
+def geometry_unit(unit: str) -> tuple[float, str]:
+    """Factor and display unit of a geometric parameter stored in m or rad: mm and degrees."""
+    return (1e3, "mm") if unit == "m" else (math.degrees(1.0), "deg")
+
+
+STAGE_WORDS: Mapping[str, str] = {
+    "nominal": "nominal",
+    "geometry": "identified geometry",
+    "network": "geometry and network",
+    "effects": "geometry and effects",
+}
+METHOD_WORDS: Mapping[Method, str] = {
+    "nominal": "the nominal cell",
+    "method_1": "geometry alone",
+    "method_2": "geometry and a network in the tracker frame",
+    "proposed": "geometry and a network in the base frame",
+    "effects": "geometry and effects",
+}
 
 
 def short_reason(reason: str) -> str:
-    """Why an effect cannot be seen, without the words that the heading says already."""
+    """The reason why an effect cannot be seen, without the words of the table heading."""
     for prefix in ("not testable: ", "invisible: "):
         reason = reason.removeprefix(prefix)
     return reason.removesuffix(" under this plan")
