@@ -110,7 +110,7 @@ def judge_tables(result: JudgeResult) -> list[Table]:
             if (row := _count_row(f"{name} (look-alikes){which}" if group.look_alikes else name + which, counts))
         ]
         if groups:
-            columns = (
+            columns: tuple[Column, ...] = (
                 Column("effect"),
                 Column("visible um"),
                 number_column("n", "d"),
