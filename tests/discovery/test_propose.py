@@ -22,11 +22,12 @@ from cellapp.discovery import propose as proposing
 from cellapp.discovery.discover import Discovery, discover_run
 from cellapp.discovery.propose import STEPS_RAD, Proposal, propose_run
 from cellapp.errors import InputError
-from cellapp.planning.factors import FACTORS_RESULT, Factors, read_factors, write_factors
+from cellapp.planning.factors import Factors, read_factors, write_factors
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import NoDriver, Profile
 from cellapp.progress import Cancelled, CancelToken
 from cellapp.reporting.proposal import proposal_lines
+from cellapp.results import FACTORS
 from cellapp.run import Readings, RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import refuse_motion
@@ -251,7 +252,7 @@ def test_a_run_that_is_not_driven_gets_the_list_only(
             assert any(says in note for note in proposal.notes)
             assert any("listed only" in note for note in proposal.notes)
             assert other.read_plan() == {}
-            assert other.read_result(FACTORS_RESULT) is None
+            assert other.read_result(FACTORS) is None
             assert not proposal.as_dict()["written"]
 
 
@@ -397,6 +398,6 @@ def test_a_real_arms_wait_ends_when_somebody_asks_to_stop() -> None:
 )
 def test_damaged_factors_are_named(tmp_path: Path, text: str, says: str) -> None:
     with RunFile.create(tmp_path / "run", small_twin(2)) as run:
-        run.write_result(FACTORS_RESULT, text)
+        run.write_result(FACTORS, text)
         with pytest.raises(InputError, match=says):
             read_factors(run)

@@ -6,10 +6,6 @@ import copy
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
-from cellapp.effects import EFFECTS, Law
 from cellapp.reporting.findings import (
     accepted_table,
     cycle_table,
@@ -24,6 +20,10 @@ from cellapp.reporting.findings import (
     picture_words,
     rest_sentences,
 )
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cellapp.effects import EFFECTS, Law
 from cellapp.reporting.words import interval_95, law_words, place_words, ranges, short_reason
 from tests.effects.cell import context_of
 from tests.reporting.made import made_arm, made_picture, made_result, nothing_missing

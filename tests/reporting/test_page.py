@@ -17,6 +17,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cellapp.reporting.findings import (
+    accepted_table,
+    gap_table,
+    invisible_table,
+    not_found_table,
+    parameter_table,
+)
 
 from cellapp.calibration.calibrate import CALIBRATION_FILE, calibrate_run
 from cellapp.calibration.evaluation import Summary, summarise
@@ -29,13 +36,6 @@ from cellapp.model import CellModel
 from cellapp.model.nominal import nominal_arm
 from cellapp.profile import Discovery, NoDriver, Profile, Splits, load_profile, profile_to_json
 from cellapp.reporting import figures
-from cellapp.reporting.findings import (
-    accepted_table,
-    gap_table,
-    invisible_table,
-    not_found_table,
-    parameter_table,
-)
 from cellapp.reporting.page import page_text, write_page
 from cellapp.reporting.tables import (
     all_tables,

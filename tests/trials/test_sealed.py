@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cellapp.trials.verdicts import Found, Judged, judged_sentences, judged_summary, judged_tables, trial_table_markdown
 
 from cellapp import cli
 from cellapp.collection.cell import build_plant
@@ -40,7 +41,6 @@ from cellapp.trials.sealed import (
     open_truth,
     seal_trials,
 )
-from cellapp.trials.verdicts import Found, Judged, judged_sentences, judged_summary, judged_tables, trial_table_markdown
 from drivers.plant import OUTSIDE, REALISTIC
 from tests.twin import PROFILES, small_twin
 

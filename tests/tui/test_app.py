@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cellapp.reporting.findings import discovery_tables
 from textual.pilot import Pilot
 from textual.widgets import Button, DataTable, Input, Label, OptionList, ProgressBar, RichLog, Static, TabbedContent
 
 from cellapp.errors import HardwareError, InputError
 from cellapp.pipeline import Outcome
 from cellapp.progress import CancelToken, Listener, Progress
-from cellapp.reporting.findings import discovery_tables
 from cellapp.tui.app import ERROR_LOG, CellApp, LeaveScreen
 from tests.reporting.made import made_arm
 
