@@ -27,8 +27,8 @@ from cellapp.discovery.record import discover_result, proposal_result
 from cellapp.errors import InputError
 from cellapp.exports.geometry import geometry_export
 from cellapp.model import CellModel
-from cellapp.planning.factors import read_factors, write_factors
 from cellapp.planning.plan import plan_run
+from cellapp.planning.stop_conditions import read_stop_conditions, write_stop_conditions
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.reporting.page import write_page
@@ -267,15 +267,15 @@ def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
 
 def append_proposed_stops(run: RunFile, stops: Sequence[ProposedStop]) -> int:
     """Append stops to the plan in place of earlier proposals that were not measured. Returns the first one's number."""
-    plan, done, factors = run.read_plan(), run.stops_done(), read_factors(run)
+    plan, done, conditions = run.read_plan(), run.stops_done(), read_stop_conditions(run)
     first = len(next(iter(plan.values())))
-    while first - 1 in factors and first - 1 not in done:
+    while first - 1 in conditions and first - 1 not in done:
         first -= 1
     run.write_plan(
         {name: np.concatenate([rows[:first], [stop.q[name] for stop in stops]]) for name, rows in plan.items()}
     )
-    kept = {stop: arms for stop, arms in factors.items() if stop < first}
-    write_factors(run, {**kept, **{first + k: stop.factors for k, stop in enumerate(stops)}})
+    kept = {stop: arms for stop, arms in conditions.items() if stop < first}
+    write_stop_conditions(run, {**kept, **{first + k: stop.factors for k, stop in enumerate(stops)}})
     return first
 
 

@@ -12,23 +12,18 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from cellapp.calibration.curves import CYCLES, Curves, spread, variances
-from cellapp.calibration.identification import (
-    EffectColumns,
-    Identification,
-    excess_variance,
-    identify,
-    whitener,
-    with_excess,
-)
+from cellapp.calibration.identification import Identification, identify
+from cellapp.calibration.normal_equations import EffectColumns
 from cellapp.calibration.parameters import ParameterSet
+from cellapp.calibration.weights import excess_variance, whitener, with_excess
 from cellapp.discovery.scan import Candidate, Follower, displacements
 from cellapp.effects import EFFECTS, Circumstances, EffectColumn, EffectContext, EffectTerm, Law
-from cellapp.kinematics.chain import Turns, jacobian, joint_jacobian
+from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
-from cellapp.model.nominal import prior_sigmas, stated_uncertainty
+from cellapp.model.nominal import prior_sigmas
 from cellapp.profile import Profile
-from cellapp.run import Readings
+from cellapp.run import Readings, stated_uncertainty
 
 _WEIGHING_ROUNDS = 3
 _CHANCE = 4.0
@@ -260,7 +255,7 @@ class ArmData:
             effect_values=found.effect_values[back],
         )
         white = whitening(self.sigma, len(self))
-        turns = Turns.of(self.readings.q)
+        turns = JointAngles.of(self.readings.q)
         _, J = jacobian(found.geometry, turns, found.parameter_set.columns)
         _, by_joint = joint_jacobian(found.geometry, turns)
         by_joint = np.einsum("acn,cjn->ajn", white, by_joint)

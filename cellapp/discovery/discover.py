@@ -23,11 +23,10 @@ from cellapp.discovery.search import UNKNOWN, Rival, Search, on_all, scatter, se
 from cellapp.effects import EFFECTS, Circumstances, EffectTerm
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel, ResidualNetwork
-from cellapp.model.nominal import stated_uncertainty
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import StageErrors, Verdict
-from cellapp.run import Readings
+from cellapp.run import Readings, stated_uncertainty
 
 _FLOOR = 1.05
 """Held-out rms within this factor of the noise floor counts as explained."""

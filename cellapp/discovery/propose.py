@@ -19,8 +19,8 @@ from cellapp.effects import EFFECTS, Circumstances, varies
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel
-from cellapp.planning.factors import Factors
 from cellapp.planning.plan import all_seen, draw_stops, rolled_stops
+from cellapp.planning.stop_conditions import StopConditions
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings
@@ -82,7 +82,7 @@ class ProposedStop:
     """Where the arms stand, arm -> (N,) [rad], and how they come there."""
 
     q: Mapping[str, Array]
-    factors: Mapping[str, Factors]
+    factors: Mapping[str, StopConditions]
 
 
 @dataclass(frozen=True)
@@ -407,11 +407,11 @@ class _Asking:
             race.take(pose * self.ways + way)
         self.allowed[pose, way] = False
 
-    def factors(self, poses: _Poses, pose: int, way: int) -> Factors:
+    def factors(self, poses: _Poses, pose: int, way: int) -> StopConditions:
         """What the collection is asked for."""
         step = self.steps[pose, way]
         via = poses.q[self.name][pose] - step if step.any() else None
-        return Factors(via, float(self.dwells[way]))
+        return StopConditions(via, float(self.dwells[way]))
 
 
 def _last(values: Array | None, m: int) -> Array | None:
@@ -530,7 +530,7 @@ class _Choice:
         """Where the arms stand."""
         return {arm.name: self.poses.q[arm.name][pose] for arm, pose in zip(self.arms, one.poses, strict=True)}
 
-    def factors(self, one: _Chosen) -> dict[str, Factors]:
+    def factors(self, one: _Chosen) -> dict[str, StopConditions]:
         """How they come there."""
         ways = zip(self.arms, one.poses, one.ways, strict=True)
         return {arm.name: arm.factors(self.poses, pose, way) for arm, pose, way in ways}

@@ -15,7 +15,7 @@ from cellapp.discovery.data import ArmData, Choice, Fit, Part, whitening
 from cellapp.discovery.scan import VISIBLE, Seen, displacements, explained_by
 from cellapp.discovery.search import UNKNOWN
 from cellapp.effects import EFFECTS, Circumstances, EffectColumn, EffectContext, EffectTerm, Law
-from cellapp.kinematics.chain import Turns, jacobian, joint_jacobian
+from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class There:
         stands = model.true_joints(q, known=known) if model.effects else None
         context = replace(model.context(q, known=known), stands=stands)
         white = whitening(_expected_sigma(data, context), len(q))
-        turns = Turns.of(q)
+        turns = JointAngles.of(q)
         columns = found.parameter_set.columns
         J = jacobian(found.geometry, turns, columns)[1]
         by_joint = np.einsum("acn,cjn->ajn", white, joint_jacobian(found.geometry, turns)[1])

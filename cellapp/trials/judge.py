@@ -31,7 +31,7 @@ from cellapp.errors import CellappError, CheckFailed, InputError
 from cellapp.model import CellModel
 from cellapp.pipeline import calibrate_run
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.results import CALIBRATE, TRIAL, ArmDiscoveryResult, BeforeAfter, Record
+from cellapp.results import CALIBRATE, ArmDiscoveryResult, BeforeAfter, Record
 from cellapp.run import RunFile
 from cellapp.run.stages import read_stages
 from cellapp.trials.scoring import (
@@ -45,6 +45,8 @@ from cellapp.trials.scoring import (
 )
 from cellapp.trials.sealed import GroundTruth, check_seal, digest_of, open_truth
 
+TRIAL_RESULT = "sealed-trial"
+"""Name of the document in which a run keeps what was found in it."""
 _POLL_S = 0.2
 """How often a cancel request is looked at."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -139,7 +141,7 @@ def judge_run(folder: Path, source: str) -> None:
             source=source,
             arms=arms,
         )
-        run.write_result(TRIAL, stored.model_dump_json(by_alias=True))
+        run.write_result(TRIAL_RESULT, stored.model_dump_json(by_alias=True))
 
 
 def source_digest() -> str:
@@ -159,7 +161,7 @@ def source_digest() -> str:
 def _stored(folder: Path) -> StoredTrial | None:
     """What was found in a run; None where nothing is stored, or by a version that this one cannot read."""
     with RunFile.open(folder) as run:
-        text = run.read_result(TRIAL)
+        text = run.read_result(TRIAL_RESULT)
     try:
         return None if text is None else StoredTrial.model_validate_json(text)
     except ValidationError:

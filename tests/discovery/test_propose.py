@@ -22,12 +22,16 @@ from cellapp.discovery import propose as proposing
 from cellapp.discovery.discover import Discovery, discover_run
 from cellapp.discovery.propose import STEPS_RAD, Proposal, propose_run
 from cellapp.errors import InputError
-from cellapp.planning.factors import Factors, read_factors, write_factors
 from cellapp.planning.plan import plan_stops
+from cellapp.planning.stop_conditions import (
+    STOP_CONDITIONS_RESULT,
+    StopConditions,
+    read_stop_conditions,
+    write_stop_conditions,
+)
 from cellapp.profile import NoDriver, Profile
 from cellapp.progress import Cancelled, CancelToken
 from cellapp.reporting.proposal import proposal_lines
-from cellapp.results import FACTORS
 from cellapp.run import Readings, RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import refuse_motion
@@ -168,7 +172,9 @@ def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path, mon
             assert answer.now < answer.random < answer.proposed
             assert answer.gain > 1.3
         # neither feels the last step: nobody goes a detour for it, and a person is told of the load
-        assert all(one == Factors() or one.via is None for stop in proposal.stops for one in stop.factors.values())
+        assert all(
+            one == StopConditions() or one.via is None for stop in proposal.stops for one in stop.factors.values()
+        )
         assert any("another load would tell" in advice for advice in proposal.advice)
         seen = [answer for answer in proposal.answers if answer.arm == "right"]
         assert seen, "where nothing was found the stops make the faintest effects more visible"
@@ -213,7 +219,7 @@ def test_it_stands_in_the_run_and_a_new_one_takes_its_place(tied: Tied, plan: di
     for name, q in run.read_plan().items():
         np.testing.assert_array_equal(q[:STOPS], plan[name])
         np.testing.assert_array_equal(q[STOPS:], [stop.q[name] for stop in proposal.stops])
-    factors = read_factors(run)
+    factors = read_stop_conditions(run)
     assert sorted(factors) == list(range(STOPS, STOPS + PROPOSED))
     for number, stop in enumerate(proposal.stops):
         for name, one in stop.factors.items():
@@ -222,7 +228,7 @@ def test_it_stands_in_the_run_and_a_new_one_takes_its_place(tied: Tied, plan: di
         again = propose_run(run, found, 5)
         assert again.first == STOPS
         assert len(run.read_plan()["left"]) == STOPS + 5
-        assert sorted(read_factors(run)) == list(range(STOPS, STOPS + 5))
+        assert sorted(read_stop_conditions(run)) == list(range(STOPS, STOPS + 5))
     finally:
         proposing._write(run, proposal.stops)
 
@@ -252,7 +258,7 @@ def test_a_run_that_is_not_driven_gets_the_list_only(
             assert any(says in note for note in proposal.notes)
             assert any("listed only" in note for note in proposal.notes)
             assert other.read_plan() == {}
-            assert other.read_result(FACTORS) is None
+            assert other.read_result(STOP_CONDITIONS_RESULT) is None
             assert not proposal.as_dict()["written"]
 
 
@@ -332,7 +338,9 @@ def test_nothing_moves_that_the_gate_refuses(
     beyond = few["right"][2] + 20.0
     with RunFile.create(tmp_path / "run", small_twin(3)) as run:
         run.write_plan(few)
-        write_factors(run, {1: {"left": Factors(into_the_floor)}, 2: {"right": Factors(beyond, 1.0)}})
+        write_stop_conditions(
+            run, {1: {"left": StopConditions(into_the_floor)}, 2: {"right": StopConditions(beyond, 1.0)}}
+        )
         notes = collect_run(run)
         assert run.stops_done() == {0}
         assert [note[:34] for note in notes[:2]] == [
@@ -357,7 +365,7 @@ def test_via_and_dwell_of_one_arm_are_honoured(
     via = few["left"][1] - 0.03
     with RunFile.create(tmp_path / "run", small_twin(2)) as run:
         run.write_plan(few)
-        write_factors(run, {1: {"left": Factors(via, 30.0), "right": Factors()}})
+        write_stop_conditions(run, {1: {"left": StopConditions(via, 30.0), "right": StopConditions()}})
         collect_run(run)
         left, right = run.readings("left"), run.readings("right")
     assert left.step is not None
@@ -398,6 +406,6 @@ def test_a_real_arms_wait_ends_when_somebody_asks_to_stop() -> None:
 )
 def test_damaged_factors_are_named(tmp_path: Path, text: str, says: str) -> None:
     with RunFile.create(tmp_path / "run", small_twin(2)) as run:
-        run.write_result(FACTORS, text)
+        run.write_result(STOP_CONDITIONS_RESULT, text)
         with pytest.raises(InputError, match=says):
-            read_factors(run)
+            read_stop_conditions(run)

@@ -18,15 +18,15 @@ import pytest
 from cellapp import cli
 from cellapp.collection.cell import build_plant
 from cellapp.errors import CheckFailed, InputError
-from cellapp.kinematics.chain import Turns, jacobian, parameter_names, smr_positions
+from cellapp.kinematics.chain import JointAngles, jacobian, parameter_names, smr_positions
 from cellapp.kinematics.transforms import transform
 from cellapp.model.nominal import nominal_arm
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import Cancelled, CancelToken, Progress
-from cellapp.results import TRIAL, BeforeAfter
+from cellapp.results import BeforeAfter
 from cellapp.run import RunFile
 from cellapp.run.stages import read_stages
-from cellapp.trials.judge import judge_run, judge_trials, source_digest
+from cellapp.trials.judge import TRIAL_RESULT, judge_run, judge_trials, source_digest
 from cellapp.trials.scoring import (
     ArmFindings,
     DescribedTerm,
@@ -106,7 +106,7 @@ def stored(folder: Path) -> list[str]:
     texts = []
     for path in sorted(folder.glob("run-*")):
         with RunFile.open(path) as run:
-            texts.append(run.read_result(TRIAL) or "")
+            texts.append(run.read_result(TRIAL_RESULT) or "")
     return texts
 
 
@@ -240,7 +240,7 @@ def test_what_geometry_can_follow_is_not_visible() -> None:
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (200, 6))
     geometry = nominal_arm(arm).with_T_M_B(transform(np.eye(3), np.array([3.0, 0.5, -0.4])))
     p_M = smr_positions(geometry, q)
-    _, J = jacobian(geometry, Turns.of(q), tuple(range(len(parameter_names(6)))))
+    _, J = jacobian(geometry, JointAngles.of(q), tuple(range(len(parameter_names(6)))))
     for column in np.moveaxis(J, 1, 0):
         moved = 1e-4 * column.T
         assert np.abs(beyond_geometry(arm, q, p_M, moved)).max() < 1e-9
@@ -394,7 +394,7 @@ def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
     folder = Path(shutil.copytree(judged_once[0], tmp_path / "trials"))
     for name in ("run-0001", "run-0003"):
         connection = sqlite3.connect(folder / name / "run.sqlite")
-        connection.execute("DELETE FROM result WHERE name = ?", (TRIAL,))
+        connection.execute("DELETE FROM result WHERE name = ?", (TRIAL_RESULT,))
         if name == "run-0001":  # all stops in one split leave none to validate
             connection.execute("UPDATE reading SET split = 'identify'")
         connection.commit()
