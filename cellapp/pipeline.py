@@ -21,8 +21,10 @@ from cellapp.collection.controllers import check_controllers
 from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
-from cellapp.discovery.discover import CellDiscovery, discover_cell
-from cellapp.discovery.propose import ProposedStop, propose
+from cellapp.discovery.discover import discover_cell
+from cellapp.discovery.outcome import CellDiscovery
+from cellapp.discovery.proposal.candidate_poses import Effort
+from cellapp.discovery.propose import ProposedStop, propose_stops
 from cellapp.discovery.record import discover_result, proposal_result
 from cellapp.errors import InputError
 from cellapp.exports.geometry import geometry_export
@@ -214,7 +216,11 @@ def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
 
 
 def propose_run(
-    run: RunFile, count: int, listener: Listener = ignore, cancel: CancelToken | None = None
+    run: RunFile,
+    count: int,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    effort: Effort | None = None,
 ) -> DiscoverResult:
     """Discover, then propose ``count`` further stops of all arms and write them into the plan.
 
@@ -230,21 +236,23 @@ def propose_run(
     """
     result, found = _discover(run, listener, cancel)
     try:
-        proposal = propose_stops(run, found, count, listener, cancel)
+        proposal = propose_after(run, found, count, listener, cancel, effort)
     except InputError as error:
         raise InputError(f"{error}. The discovery is stored: 'cellapp show {run.folder} discovery'") from None
     return result.model_copy(update={"proposal": proposal})
 
 
-def propose_stops(
+def propose_after(
     run: RunFile,
     found: CellDiscovery,
     count: int,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
+    effort: Effort | None = None,
 ) -> Proposal:
-    """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose`` does."""
-    proposed = propose(run.profile, _readings(run), found, count, listener, cancel)
+    """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose_stops``."""
+    readings = _readings(run)
+    proposed = propose_stops(run.profile, found.model, readings, found.arms, count, listener, cancel, effort)
     if why := _not_driven(run):
         note = f"{why}: the stops are listed only; measure them, then import them with the earlier readings"
         return proposal_result(proposed, None, (*proposed.notes, note))

@@ -24,9 +24,10 @@ from pydantic import ValidationError
 
 import cellapp
 from cellapp import __version__
-from cellapp.discovery.discover import discover_arm, known_of_all
+from cellapp.calibration.circumstances import circumstances_of_arms
+from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.record import arm_result
-from cellapp.discovery.search import UNKNOWN
+from cellapp.discovery.terms import UNKNOWN
 from cellapp.errors import CellappError, CheckFailed, InputError
 from cellapp.model import CellModel
 from cellapp.pipeline import calibrate_run
@@ -50,7 +51,7 @@ TRIAL_RESULT = "sealed-trial"
 _POLL_S = 0.2
 """How often a cancel request is looked at."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-_SEARCHING = ("calibration", "discovery", "effects", "kinematics", "model")
+_SEARCHING = ("calibration", "design", "discovery", "effects", "kinematics", "model")
 
 
 class StoredFindings(Record):
@@ -124,7 +125,7 @@ def judge_run(folder: Path, source: str) -> None:
         calibrated = read_stages(run).current[CALIBRATE]
         model = CellModel.from_json(calibrated.model or "", str(folder))
         readings = {name: run.readings(name) for name in model.arms}
-        known = known_of_all(model, readings)
+        known = circumstances_of_arms(model.arms, readings)
         arms = {}
         for name, arm in model.arms.items():
             wall_s, cpu_s = time.perf_counter(), time.process_time()
