@@ -143,11 +143,11 @@ def _show_discovery(job: Job, results: RunResults) -> None:
 
 
 def _show_targets(job: Job, results: RunResults) -> None:
-    from cellapp.reporting.run_tables import target_tables
+    from cellapp.reporting.run_tables import refusal_sentences, target_tables
 
     assert results.compensate is not None
     job.show(target_tables(results.compensate))
-    job.say(*results.compensate.notes)
+    job.say(*refusal_sentences(results.compensate), *results.compensate.notes)
 
 
 def _show_verification(job: Job, results: RunResults) -> None:

@@ -83,22 +83,25 @@ def plan_tables(stops: StopsResult) -> list[Table]:
 
 
 def target_tables(result: CompensateResult) -> list[Table]:
-    """Compensated joint angles [deg] of every target, one table for each arm."""
+    """Compensated joint angles [deg] of every target that can be commanded, one table for each arm."""
     tables = []
     for arm in dict.fromkeys(target.arm for target in result.targets):
-        targets = [target for target in result.targets if target.arm == arm]
-        joints = max((len(target.q_compensated or ()) for target in targets), default=0)
-        columns = (
-            Column("target"),
-            *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)),
-            Column("refused because"),
-        )
-        rows = []
-        for target in targets:
-            angles = [None] * joints if target.q_compensated is None else map(math.degrees, target.q_compensated)
-            rows.append((target.name, *angles, target.refusal))
-        tables.append(Table(f"Arm {arm}: compensated commands", columns, tuple(rows)))
+        commands = {
+            target.name: target.q_compensated
+            for target in result.targets
+            if target.arm == arm and target.q_compensated is not None
+        }
+        if commands:
+            joints = len(next(iter(commands.values())))
+            columns = (Column("target"), *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
+            rows = tuple((name, *map(math.degrees, q)) for name, q in commands.items())
+            tables.append(Table(f"Arm {arm}: compensated commands", columns, rows))
     return tables
+
+
+def refusal_sentences(result: CompensateResult) -> list[str]:
+    """Why targets cannot be commanded."""
+    return [f"target {target.name}: {target.refusal}" for target in result.targets if target.refusal]
 
 
 def log_lines(log: LogResult) -> list[str]:

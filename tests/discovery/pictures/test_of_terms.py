@@ -21,7 +21,7 @@ from cellapp.model.nominal import bodies_of, nominal_arm
 from cellapp.profile import load_profile
 from cellapp.run import Readings
 from tests.arms import STATION
-from tests.reporting.test_page import PROFILE
+from tests.twin import PROFILES
 
 N = 120
 SIGMA_M = 10e-6
@@ -48,7 +48,7 @@ def test_what_is_no_wave_has_no_cycles():
 
 def made(bend, *terms, off_axis_m=0.1):
     """Pictures of a fit of ``terms`` to readings whose joints stand off by ``bend(q, approach)``."""
-    profile = load_profile(PROFILE)
+    profile = load_profile(PROFILES / "twin.yaml")
     geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
     named = dict(zip(parameter_names(6), geometry.vector(), strict=True)) | {"tx": off_axis_m, "ty": 0.0}
     geometry = geometry.with_vector(np.array(list(named.values())))

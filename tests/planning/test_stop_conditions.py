@@ -1,4 +1,4 @@
-"""Factors of planned stops: damaged ones are named."""
+"""StopConditions of planned stops: damaged ones are named."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cellapp.errors import InputError
-from cellapp.planning.factors import FACTORS_RESULT, read_factors
+from cellapp.planning.stop_conditions import STOP_CONDITIONS_RESULT, read_stop_conditions
 from cellapp.run import RunFile
 from tests.twin import small_twin
 
@@ -24,6 +24,6 @@ from tests.twin import small_twin
 )
 def test_damaged_factors_are_named(tmp_path: Path, text: str, says: str) -> None:
     with RunFile.create(tmp_path / "run", small_twin(2)) as run:
-        run.write_result(FACTORS_RESULT, text)
+        run.write_result(STOP_CONDITIONS_RESULT, text)
         with pytest.raises(InputError, match=says):
-            read_factors(run)
+            read_stop_conditions(run)

@@ -11,8 +11,8 @@ import pytest
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.collect import collect_run
 from cellapp.collection.motion import Mover
-from cellapp.planning.factors import Factors, write_factors
 from cellapp.planning.plan import plan_stops
+from cellapp.planning.stop_conditions import StopConditions, write_stop_conditions
 from cellapp.progress import Cancelled, CancelToken
 from cellapp.run import RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
@@ -53,7 +53,9 @@ def test_nothing_moves_that_the_gate_refuses(
     beyond = few["right"][2] + 20.0
     with RunFile.create(tmp_path / "run", small_twin(3)) as run:
         run.write_plan(few)
-        write_factors(run, {1: {"left": Factors(into_the_floor)}, 2: {"right": Factors(beyond, 1.0)}})
+        write_stop_conditions(
+            run, {1: {"left": StopConditions(into_the_floor)}, 2: {"right": StopConditions(beyond, 1.0)}}
+        )
         notes = collect_run(run)
         assert run.stops_done() == {0}
         assert [note[:34] for note in notes[:2]] == [
@@ -78,7 +80,7 @@ def test_via_and_dwell_of_one_arm_are_honoured(
     via = few["left"][1] - 0.03
     with RunFile.create(tmp_path / "run", small_twin(2)) as run:
         run.write_plan(few)
-        write_factors(run, {1: {"left": Factors(via, 30.0), "right": Factors()}})
+        write_stop_conditions(run, {1: {"left": StopConditions(via, 30.0), "right": StopConditions()}})
         collect_run(run)
         left, right = run.readings("left"), run.readings("right")
     assert left.step is not None
