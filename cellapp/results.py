@@ -677,6 +677,62 @@ class ReportResult(RunResults):
     page: str
 
 
+# -- emulate, tracker-bridge ------------------------------------------------------------------------------------------
+
+
+class EmulatedController(Record):
+    """The UR controller that is emulated; ``rows`` are its D-H rows theta, d, a, alpha [rad, m, m, rad]."""
+
+    series: str
+    model: str
+    serial: str
+    rows: tuple[tuple[float, float, float, float], ...]
+    checksums: tuple[int, ...]
+    calibration_status: int
+
+
+class EmulatedArm(Record):
+    """An emulated arm: its controller and where that listens; ``control_port`` on 127.0.0.1 takes faults on command."""
+
+    arm: str
+    controller: EmulatedController
+    host: str
+    dashboard_port: int
+    primary_port: int
+    script_port: int
+    rtde_port: int
+    control_port: int
+
+
+class EmulatedTracker(Record):
+    """Where the tracker of the simulated cell is served over the bridge protocol."""
+
+    host: str
+    port: int
+
+
+class EmulateResult(Result):
+    """``emulate``: what is served; ``pace`` is simulated seconds per real second."""
+
+    schema_: Literal["cellapp-emulate"] = "cellapp-emulate"
+    version: Literal[1] = 1
+    pace: float
+    arms: tuple[EmulatedArm, ...]
+    tracker: EmulatedTracker | None
+
+
+class TrackerBridgeResult(Result):
+    """``tracker-bridge``: which kind of tracker is served, where, and whether a token guards it."""
+
+    schema_: Literal["cellapp-tracker-bridge"] = "cellapp-tracker-bridge"
+    version: Literal[1] = 1
+    kind: str
+    host: str
+    port: int | None
+    serial: str | None
+    guarded: bool
+
+
 # -- show -------------------------------------------------------------------------------------------------------------
 
 
@@ -776,6 +832,8 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     VerifyResult,
     ReportResult,
     WholeRunResult,
+    EmulateResult,
+    TrackerBridgeResult,
     OverviewResult,
     HistoryResult,
     LogResult,
@@ -784,6 +842,24 @@ VERB_RESULTS: tuple[type[Result], ...] = (
 """Every result of a verb, for the exported JSON schemas."""
 
 
-def json_schema(result: type[Result]) -> dict[str, Any]:
-    """JSON Schema (2020-12) of one result."""
-    return result.model_json_schema(by_alias=True)
+def json_schemas(results: tuple[type[Result], ...] = VERB_RESULTS) -> dict[str, dict[str, Any]]:
+    """JSON Schema (2020-12) of each result, by the name that its JSON objects carry under ``schema``.
+
+    As ``--json`` writes NaN and infinity as null, every number may be null.
+    """
+    return {_schema_name(result): _nullable_numbers(result.model_json_schema()) for result in results}
+
+
+def _schema_name(result: type[Result]) -> str:
+    return str(result.model_fields["schema_"].default)
+
+
+def _nullable_numbers(schema: Any) -> Any:
+    if isinstance(schema, list):
+        return [_nullable_numbers(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    changed = {key: _nullable_numbers(part) for key, part in schema.items()}
+    if changed.get("type") == "number":
+        changed["type"] = ["number", "null"]
+    return changed

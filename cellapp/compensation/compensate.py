@@ -113,7 +113,7 @@ def without_effects(arm: ArmModel, true: Array, approach: Array) -> Array:
 def with_approach(arm: ArmModel, command: Array, here: Array) -> Array:
     """A compensated command (N,) corrected for the direction in which each joint approaches it from ``here`` (N,)."""
     true = arm.true_joints(command[None])
-    return without_effects(arm, true, np.sign(command - here)[None])[0]
+    return np.asarray(without_effects(arm, true, np.sign(command - here)[None])[0])
 
 
 def compensate_result(commands: Sequence[Command], notes: Sequence[str] = ()) -> CompensateResult:
@@ -204,4 +204,4 @@ def _into_limits(q: Array, limits: Array) -> Array:
     turns = np.ceil((limits[:, 0] - q) / (2.0 * np.pi))
     low = q + 2.0 * np.pi * turns
     near = np.asarray(q - 2.0 * np.pi * np.round(q / (2.0 * np.pi)), dtype=np.float64)
-    return np.where((near >= limits[:, 0]) & (near <= limits[:, 1]), near, low)
+    return np.asarray(np.where((near >= limits[:, 0]) & (near <= limits[:, 1]), near, low))

@@ -1,12 +1,11 @@
-"""Does the tracker bridge lose or double a measurement? Many of them over the real wire, with faults at random."""
+"""Measurements over the tracker bridge with random faults: none may be lost, delivered twice or mixed up."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from cellapp.collection.cell import build_plant
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import Result
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerError, TrackerRefused
@@ -22,51 +22,39 @@ SECOND_CLIENT = "second-client"
 ALL_FAULTS = (*FAULTS, SECOND_CLIENT)
 
 _SILENCE_S = 0.3
+"""Time without an answer after which the client reconnects: short, so that many faults fit into a trial."""
 _AVERAGING_S = 1.0
 _NEAR_M = 1e-3
+"""A point within this distance belongs to the nest: nests are decimetres apart, noise is below 0.1 mm."""
 
 
-@dataclass(frozen=True)
-class BridgeTrial:
-    """What became of the measurements.
+class BridgeResult(Result):
+    """``trials bridge``: what became of the measurements.
 
     Attributes
     ----------
     asked, delivered : int
-        Measurements asked for, and those that came.
+        Requested and delivered measurements.
     lost, doubled, strange : int
-        Those that never came; those that came twice, or that the tracker made without need; those of another nest.
-    outcomes : mapping
+        Measurements that were never delivered; that were delivered or made twice; that belong to another nest.
+    faults : mapping
         Fault -> how often it was caused.
     recovery_s : mapping
-        Fault -> the longest that a measurement with it took [s].
-    undisturbed_s : float
-        Median time of one without any fault [s].
+        Fault -> longest time of a measurement with it [s].
+    undisturbed_s : float or None
+        Median time of a measurement without a fault [s].
     """
 
+    schema_: Literal["cellapp-trials-bridge"] = "cellapp-trials-bridge"
+    version: Literal[1] = 1
     asked: int
     delivered: int
     lost: int
     doubled: int
     strange: int
-    outcomes: Mapping[str, int]
+    faults: Mapping[str, int]
     recovery_s: Mapping[str, float]
-    undisturbed_s: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """The object that ``--json`` writes."""
-        return {
-            "schema": "cellapp-trials-bridge",
-            "version": 1,
-            "asked": self.asked,
-            "delivered": self.delivered,
-            "lost": self.lost,
-            "doubled": self.doubled,
-            "strange": self.strange,
-            "faults": dict(self.outcomes),
-            "recovery_s": dict(self.recovery_s),
-            "undisturbed_s": self.undisturbed_s,
-        }
+    undisturbed_s: float | None
 
 
 def bridge_trial(
@@ -77,7 +65,7 @@ def bridge_trial(
     serial: tuple[str, str] | None = None,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-) -> BridgeTrial:
+) -> BridgeResult:
     """Measure nests through an emulated bridge over TCP, with a random fault in each group of ``every`` measurements.
 
     ``serial`` names the two ends of a serial cable, the bridge's and the client's, to go over that instead.
@@ -87,7 +75,7 @@ def bridge_trial(
     InputError
         If the profile has no simulated cell.
     HardwareError
-        If no connection comes about at all.
+        If the bridge cannot be connected at all.
     Cancelled
     """
     if measurements < every or every < 1:
@@ -99,7 +87,7 @@ def bridge_trial(
     names = list(nests)
     possible = np.array(ALL_FAULTS if serial is None else FAULTS)  # on one cable there is no second client
     kinds = rng.permutation(np.resize(possible, measurements // every))  # each kind about equally often
-    faults = {group * every + int(rng.integers(every)): str(kind) for group, kind in enumerate(kinds)}
+    fault_at = {group * every + int(rng.integers(every)): str(kind) for group, kind in enumerate(kinds)}
     took: dict[str, list[float]] = {kind: [] for kind in ("", *ALL_FAULTS)}
     times: list[float] = []
     strange = lost = 0
@@ -123,9 +111,9 @@ def bridge_trial(
             raise HardwareError(str(error)) from error
         for number in range(measurements):
             cancel.check()
-            listener(Progress("bridge", number, measurements, faults.get(number, "")))
+            listener(Progress("bridge", number, measurements, fault_at.get(number, "")))
             nest = names[number % len(names)]
-            kind = faults.get(number, "")
+            kind = fault_at.get(number, "")
             began_s = time.monotonic()
             if kind == SECOND_CLIENT:
                 _second_client(url)
@@ -144,18 +132,18 @@ def bridge_trial(
             took[kind].append(time.monotonic() - began_s)
             times.append(point.time_s)
             strange += bool(np.linalg.norm(point.p_M - nests[nest]) > _NEAR_M)
-        forgotten = len(took["reboot"])  # made, and lost with the bridge's memory before anybody had seen it
+        forgotten = len(took["reboot"])  # made, and lost with the bridge's memory before delivery
         doubled = len(times) - len(set(times)) + max(0, emulator.tracker.measured - forgotten - len(times))
     listener(Progress("bridge", measurements, measurements, "done"))
-    return BridgeTrial(
+    return BridgeResult(
         asked=measurements,
         delivered=len(times),
         lost=lost,
         doubled=doubled,
         strange=strange,
-        outcomes={kind: len(took[kind]) for kind in ALL_FAULTS},
+        faults={kind: len(took[kind]) for kind in ALL_FAULTS},
         recovery_s={kind: max(took[kind]) for kind in ALL_FAULTS if took[kind]},
-        undisturbed_s=float(np.median(took[""])) if took[""] else float("nan"),
+        undisturbed_s=float(np.median(took[""])) if took[""] else None,
     )
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from cellapp.errors import HardwareError
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import Record, Result
 from drivers.arms.protocol import ArmError, EmergencyStop, JointLimits, LinkLost, ProtectiveStop
 from drivers.arms.ur import UrArm, UrSettings
 from drivers.arms.ur_checks import UrExpectation
@@ -98,9 +99,50 @@ class Struck:
     recovered_s: float
 
 
+class Times(Record):
+    """Statistics of n times [s]."""
+
+    median: float
+    p95: float
+    max: float
+    n: int
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Times | None:
+        """Statistics of times; None of none."""
+        if not values:
+            return None
+        return cls(
+            median=float(np.median(values)), p95=float(np.quantile(values, 0.95)), max=max(values), n=len(values)
+        )
+
+
+class FaultTimes(Record):
+    """Times after one kind of fault [s]: to the report, to rest (faults during a motion only), to ready again."""
+
+    reported_s: Times | None
+    at_rest_s: Times | None
+    recovered_s: Times | None
+
+
+class LinksResult(Result):
+    """``trials links``: times, and what did not happen as specified (``complaints``, empty if nothing)."""
+
+    schema_: Literal["cellapp-trials-links"] = "cellapp-trials-links"
+    version: Literal[1] = 1
+    moves: int
+    faults: int
+    complaints: tuple[str, ...]
+    connect_s: Times | None
+    state_s: Times | None
+    move_overhead_s: Times | None
+    longest_step_s: float
+    by_fault: Mapping[str, FaultTimes]
+
+
 @dataclass
-class LinkTrial:
-    """What a trial saw. ``complaints`` is empty if all that was promised held."""
+class LinkLog:
+    """What is recorded during a trial; ``result`` summarises it."""
 
     moves: int = 0
     struck: list[Struck] = field(default_factory=list)
@@ -110,41 +152,27 @@ class LinkTrial:
     overhead_s: list[float] = field(default_factory=list)
     longest_step_s: float = 0.0
 
-    def as_dict(self) -> dict[str, Any]:
-        """The object that ``--json`` writes; times in s: median, 95 % quantile, largest, count."""
-        return {
-            "schema": "cellapp-trials-links",
-            "version": 1,
-            "moves": self.moves,
-            "faults": len(self.struck),
-            "complaints": self.complaints,
-            "connect_s": _spread(self.connect_s),
-            "state_s": _spread(self.state_s),
-            "move_overhead_s": _spread(self.overhead_s),
-            "longest_step_s": self.longest_step_s,
-            "by_fault": {
-                fault: {
-                    "reported_s": _spread([one.reported_s for one in self.struck if one.fault == fault]),
-                    "at_rest_s": _spread(
-                        [one.at_rest_s for one in self.struck if one.fault == fault and one.moment == "during"]
-                    ),
-                    "recovered_s": _spread([one.recovered_s for one in self.struck if one.fault == fault]),
-                }
-                for fault in FAULTS
-                if any(one.fault == fault for one in self.struck)
+    def result(self) -> LinksResult:
+        """The summary."""
+        by_fault = {fault: [one for one in self.struck if one.fault == fault] for fault in FAULTS}
+        return LinksResult(
+            moves=self.moves,
+            faults=len(self.struck),
+            complaints=tuple(self.complaints),
+            connect_s=Times.of(self.connect_s),
+            state_s=Times.of(self.state_s),
+            move_overhead_s=Times.of(self.overhead_s),
+            longest_step_s=self.longest_step_s,
+            by_fault={
+                fault: FaultTimes(
+                    reported_s=Times.of([one.reported_s for one in struck]),
+                    at_rest_s=Times.of([one.at_rest_s for one in struck if one.moment == "during"]),
+                    recovered_s=Times.of([one.recovered_s for one in struck]),
+                )
+                for fault, struck in by_fault.items()
+                if struck
             },
-        }
-
-
-def _spread(values: Sequence[float]) -> dict[str, float | int] | None:
-    if not values:
-        return None
-    return {
-        "median": float(np.median(values)),
-        "p95": float(np.quantile(values, 0.95)),
-        "max": max(values),
-        "n": len(values),
-    }
+        )
 
 
 def link_trials(
@@ -154,7 +182,7 @@ def link_trials(
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
     hosts: Mapping[str, str] = HOSTS,
-) -> LinkTrial:
+) -> LinksResult:
     """Move two arms at once, ``moves`` motions in all; one in ``every`` meets a random fault at a random moment.
 
     ``hosts`` has an address for ``left`` and one for ``right``. After a fault both arms are told to stop and watched
@@ -168,7 +196,7 @@ def link_trials(
     """
     cancel = cancel or CancelToken()
     random = np.random.default_rng(seed)
-    trial = LinkTrial()
+    trial = LinkLog()
     steps = max(1, moves // len(hosts))
     between = max(1, every // len(hosts))
     faults = _shuffled(random)
@@ -199,7 +227,7 @@ def link_trials(
                 trial.complaints.append(f"step {step + 1} took {took:.0f} s")
             trial.moves += len(hosts)
         listener(Progress("links", steps * len(hosts), steps * len(hosts), "done"))
-    return trial
+    return trial.result()
 
 
 def _shuffled(random: np.random.Generator) -> Callable[[], tuple[str, Moment]]:
@@ -252,7 +280,7 @@ class _Bench:
     """The two arms and what happens to them."""
 
     def __init__(
-        self, trial: LinkTrial, emulator: EmulatorProcess, arms: Mapping[str, UrArm], random: np.random.Generator
+        self, trial: LinkLog, emulator: EmulatorProcess, arms: Mapping[str, UrArm], random: np.random.Generator
     ) -> None:
         self._trial, self._emulator, self._arms, self._random = trial, emulator, arms, random
 
