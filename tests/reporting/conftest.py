@@ -57,6 +57,13 @@ def calibrated_folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def single_text(calibrated_folders: Path) -> str:
+    """The page of one arm that is calibrated and no more."""
+    with RunFile.open(calibrated_folders / "single") as run:
+        return page_text(run, NOON)
+
+
 @pytest.fixture
 def single(calibrated_folders: Path, tmp_path: Path) -> Iterator[RunFile]:
     """One arm without devices, calibrated and no more."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.pipeline import calibrate_run, discover_run
+from cellapp.pipeline import calibrate_run
 from cellapp.reporting.tables import all_tables, out_of_date_sentences
 from cellapp.results import DISCOVER, VERIFY
 from cellapp.run import RunFile
@@ -72,7 +72,7 @@ def test_added_readings_outdate_everything_until_it_is_repeated(changing: RunFil
     assert f"Arm {LEFT}, missing effects" not in page.texts
     assert "the run was calibrated again since, with another outcome" in page.text
 
-    discover_run(changing)
+    store_discovery(changing, discovery(LEFT, RIGHT))
     page = page_of(changing)
     assert f"Arm {LEFT}, missing effects" in page.texts
     assert "effects, position" in page.texts

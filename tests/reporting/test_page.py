@@ -242,28 +242,27 @@ def test_provenance_names_its_files_by_their_hashes(whole: RunFile, whole_page: 
     assert len([text for text in whole_page.texts if re.fullmatch(r"[0-9a-f]{64}", text)]) == 4
 
 
-def test_same_run_same_bytes_except_for_the_time(single: RunFile) -> None:
+def test_same_run_same_bytes_except_for_the_time(single: RunFile, single_text: str) -> None:
     path = write_page(single)
     assert path == single.folder / "report.html"
     written = path.read_bytes().decode("utf-8")
     time = r'<time datetime="[^"]*">[^<]*</time>'
-    assert re.sub(time, "", written) == re.sub(time, "", page_text(single, NOON))
+    assert re.sub(time, "", written) == re.sub(time, "", single_text)
     assert not list(single.folder.glob("*.part"))
 
 
-def test_user_settings_of_matplotlib_do_not_matter(single: RunFile) -> None:
+def test_user_settings_of_matplotlib_do_not_matter(single: RunFile, single_text: str) -> None:
     import matplotlib
 
-    usual = page_text(single, NOON)
     with matplotlib.rc_context({"axes.grid": True, "svg.fonttype": "path", "font.size": 30.0, "axes.facecolor": "red"}):
-        assert page_text(single, NOON) == usual
+        assert page_text(single, NOON) == single_text
 
 
 # -- results that are missing -----------------------------------------------------------------------------------------
 
 
-def test_says_what_is_missing_and_how_to_get_it(single: RunFile) -> None:
-    page = page_of(single)
+def test_says_what_is_missing_and_how_to_get_it(single_text: str) -> None:
+    page = Page(single_text)
     text = page.text
     assert page.faults == []
     assert [tag for tag, _ in page.elements].count("svg") == 7  # errors, histogram, two of vectors; three of the cell
@@ -310,10 +309,9 @@ def test_uncalibrated_run_is_refused(tmp_path: Path) -> None:
         assert not (run.folder / "report.html").exists()
 
 
-def test_exported_model_is_not_needed(single: RunFile) -> None:
-    usual = page_text(single, NOON)
+def test_exported_model_is_not_needed(single: RunFile, single_text: str) -> None:
     (single.folder / CALIBRATION_FILE).unlink()
-    assert page_text(single, NOON) == usual
+    assert page_text(single, NOON) == single_text
 
 
 def test_old_run_without_its_model_is_refused(single: RunFile, tmp_path: Path) -> None:
@@ -334,9 +332,18 @@ def test_page_that_cannot_be_written(single: RunFile) -> None:
 # -- a discovery in which everything occurs ---------------------------------------------------------------------------
 
 
-def test_discovery_shows_everything_that_was_found(double: RunFile) -> None:
+def test_discovery_shows_everything_that_was_found(double: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Picture] = []
+    real = figures.effect_figure
+
+    def recording(key: str, picture: Picture) -> str:
+        drawn.append(picture)
+        return real(key, picture)
+
     store_discovery(double, discovery(LEFT, RIGHT))
+    monkeypatch.setattr(figures, "effect_figure", recording)
     text = page_text(double, NOON)
+    assert tuple(drawn) == unknown_effect(LEFT).pictures
     page = Page(text)
     assert page.faults == []
     ids = page.values("id")
@@ -358,20 +365,6 @@ def test_discovery_shows_everything_that_was_found(double: RunFile) -> None:
     assert f"Arm {LEFT}: joint compliance, joint 3, against the gravity torque on joint 3" in captions
     for svg in re.findall(r"<svg.*?</svg>", text, re.DOTALL):
         assert re.search(r"#[0-9a-fA-F]{6}\b", svg) is None
-
-
-def test_every_picture_is_drawn(double: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[Picture] = []
-    real = figures.effect_figure
-
-    def recording(key: str, picture: Picture) -> str:
-        drawn.append(picture)
-        return real(key, picture)
-
-    store_discovery(double, discovery(LEFT, RIGHT))
-    monkeypatch.setattr(figures, "effect_figure", recording)
-    page_text(double, NOON)
-    assert tuple(drawn) == unknown_effect(LEFT).pictures
 
 
 def test_nothing_missing_is_said(double: RunFile) -> None:
@@ -430,12 +423,12 @@ def test_distance_noise_is_that_of_two_points() -> None:
     assert distance_mm(0.1, None) is None
 
 
-def test_parameters_show_how_far_they_are_from_nominal(single: RunFile) -> None:
+def test_parameters_show_how_far_they_are_from_nominal(single: RunFile, single_text: str) -> None:
     identified = calibration_of(single).arms["only"].identified["a2"].value
     nominal = nominal_arm(single.profile.arms["only"]).rows[1, 2]
     cells = (f"{nominal * 1e3:.5f}", f"{identified * 1e3:.5f}", f"{(identified - nominal) * 1e3:+.5f}")
     expected = "".join(f'<td class="number">{cell}</td>' for cell in cells)
-    assert f'<tr><th scope="row">a2</th>{expected}' in page_text(single, NOON)
+    assert f'<tr><th scope="row">a2</th>{expected}' in single_text
 
 
 def test_other_readings_have_another_hash(single: RunFile, tmp_path: Path) -> None:
