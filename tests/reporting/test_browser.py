@@ -63,7 +63,7 @@ def test_page_in_a_browser(browser: Browser, report: Path, width: int) -> None:
         page.goto(report.as_uri(), timeout=60_000)
         assert page.get_by_role("heading", level=1).is_visible()
         assert page.get_by_role("heading", name=f"Arm {LEFT}: unknown effect").is_visible()
-        assert page.get_by_text("The SMR position is predicted to").first.is_visible()
+        assert page.get_by_text("The mean error of the predicted SMR position").first.is_visible()
         assert messages == []
         assert requests == [report.as_uri()]
         assert page.evaluate("document.documentElement.scrollWidth") == width

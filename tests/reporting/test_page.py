@@ -161,7 +161,7 @@ def test_mentions_every_step(whole: RunFile, whole_page: Page) -> None:
             in text
         )
     assert f"target {UNREACHABLE}: " in text
-    assert "The distance between the two arms' SMRs is predicted to" in text
+    assert "The mean error of the predicted distance between the two arms' SMRs is" in text
     assert "60: 30 identify, 10 train, 20 validate, 0 unused; driver: simulated" in text
     assert "Not in this report" not in text
     assert "Out of date" not in text
@@ -407,7 +407,7 @@ def test_a_calibration_that_did_not_converge_is_no_good_news(single: RunFile) ->
     store_calibration(single, result)
     text = page_of(single).text
     assert "The calibration did not converge (gave up after 50 iterations): do not use it." in text
-    assert "is predicted to" not in text
+    assert "The mean error of the predicted SMR position" not in text
 
 
 # -- numbers ----------------------------------------------------------------------------------------------------------
