@@ -21,14 +21,16 @@ from cellapp.collection.controllers import check_controllers
 from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
-from cellapp.discovery.discover import CellDiscovery, discover_cell
-from cellapp.discovery.propose import ProposedStop, propose
+from cellapp.discovery.discover import discover_cell
+from cellapp.discovery.outcome import CellDiscovery
+from cellapp.discovery.proposal.candidate_poses import Effort
+from cellapp.discovery.propose import ProposedStop, propose_stops
 from cellapp.discovery.record import discover_result, proposal_result
 from cellapp.errors import InputError
 from cellapp.exports.geometry import geometry_export
 from cellapp.model import CellModel
-from cellapp.planning.factors import read_factors, write_factors
 from cellapp.planning.plan import plan_run
+from cellapp.planning.stop_conditions import read_stop_conditions, write_stop_conditions
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.reporting.page import write_page
@@ -214,7 +216,11 @@ def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
 
 
 def propose_run(
-    run: RunFile, count: int, listener: Listener = ignore, cancel: CancelToken | None = None
+    run: RunFile,
+    count: int,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    effort: Effort | None = None,
 ) -> DiscoverResult:
     """Discover, then propose ``count`` further stops of all arms and write them into the plan.
 
@@ -230,21 +236,23 @@ def propose_run(
     """
     result, found = _discover(run, listener, cancel)
     try:
-        proposal = propose_stops(run, found, count, listener, cancel)
+        proposal = propose_after(run, found, count, listener, cancel, effort)
     except InputError as error:
         raise InputError(f"{error}. The discovery is stored: 'cellapp show {run.folder} discovery'") from None
     return result.model_copy(update={"proposal": proposal})
 
 
-def propose_stops(
+def propose_after(
     run: RunFile,
     found: CellDiscovery,
     count: int,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
+    effort: Effort | None = None,
 ) -> Proposal:
-    """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose`` does."""
-    proposed = propose(run.profile, _readings(run), found, count, listener, cancel)
+    """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose_stops``."""
+    readings = _readings(run)
+    proposed = propose_stops(run.profile, found.model, readings, found.arms, count, listener, cancel, effort)
     if why := _not_driven(run):
         note = f"{why}: the stops are listed only; measure them, then import them with the earlier readings"
         return proposal_result(proposed, None, (*proposed.notes, note))
@@ -267,15 +275,15 @@ def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
 
 def append_proposed_stops(run: RunFile, stops: Sequence[ProposedStop]) -> int:
     """Append stops to the plan in place of earlier proposals that were not measured. Returns the first one's number."""
-    plan, done, factors = run.read_plan(), run.stops_done(), read_factors(run)
+    plan, done, conditions = run.read_plan(), run.stops_done(), read_stop_conditions(run)
     first = len(next(iter(plan.values())))
-    while first - 1 in factors and first - 1 not in done:
+    while first - 1 in conditions and first - 1 not in done:
         first -= 1
     run.write_plan(
         {name: np.concatenate([rows[:first], [stop.q[name] for stop in stops]]) for name, rows in plan.items()}
     )
-    kept = {stop: arms for stop, arms in factors.items() if stop < first}
-    write_factors(run, {**kept, **{first + k: stop.factors for k, stop in enumerate(stops)}})
+    kept = {stop: arms for stop, arms in conditions.items() if stop < first}
+    write_stop_conditions(run, {**kept, **{first + k: stop.factors for k, stop in enumerate(stops)}})
     return first
 
 

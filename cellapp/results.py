@@ -37,9 +37,6 @@ VERIFY: StageName = "verify"
 STAGE_NAMES: tuple[StageName, ...] = (CALIBRATE, DISCOVER, COMPENSATE, PUSH, VERIFY)
 """What verbs store in a run, in the order of the work."""
 
-CONTROLLERS, FACTORS, TRIAL = "controllers", "factors", "sealed-trial"
-"""Documents of a run that are not results of verbs: controllers' identities, factors of proposed stops, blind trial."""
-
 
 class Record(BaseModel):
     """A part of a result: immutable, rejects unknown keys. NaN and infinity become null in JSON."""

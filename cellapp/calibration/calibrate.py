@@ -31,13 +31,12 @@ from cellapp.model.nominal import (
     bodies_of,
     nominal_arm,
     prior_sigmas,
-    stated_uncertainty,
     up_in_tracker,
 )
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Provenance, Repeatability, Stage, StageErrors
-from cellapp.run import Readings
+from cellapp.run import Readings, stated_uncertainty
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,8 @@
-"""From readings to what effects depend on: the last steps, the other arm, times and temperatures."""
+"""Circumstances of the stops of a run, which effects depend on: last steps, other arm, times, temperatures."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -11,15 +13,16 @@ from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.run import Readings
 
-_AGREE = 0.95
-"""Share of the known approach signs that the steps between successive stops must have to be taken for the last ones."""
+_LEAST_AGREEMENT = 0.95
+"""Share of the logged approach signs that the steps between successive stops must match to count as the last steps.
+Below it the arms took detours; a few logged signs may be wrong, as controllers report tiny corrections."""
 
 
 def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = None) -> Circumstances:
-    """What is known of the stops of one arm; ``other`` is the other arm's model and readings, where there is one.
+    """Circumstances of the stops of one arm; ``other`` is the other arm's model and readings, where there is one.
 
-    Steps that were not logged are taken from the order in time of the stops, if they agree with the approach signs.
-    Where the other arm has no reading at a stop its values are NaN.
+    Steps that were not logged are derived from the order of the stops in time, if they match the approach signs. The
+    other arm's values are NaN at stops where it has no reading.
     """
     time_s = readings.time_s if np.isfinite(readings.time_s).any() else None
     approach = readings.approach if np.any(readings.approach) else None
@@ -28,13 +31,13 @@ def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = 
         model, theirs = other
         rows = {number: row for row, number in enumerate(theirs.configuration.tolist())}
         match = np.array([rows.get(number, -1) for number in readings.configuration.tolist()], dtype=np.intp)
-        there = match >= 0
-        if there.any():
-            payload = None if theirs.payload_kg is None else theirs.payload_kg[match[there]]
+        present = match >= 0
+        if present.any():
+            payload = None if theirs.payload_kg is None else theirs.payload_kg[match[present]]
             moment = np.full((len(readings), 3), np.nan)
-            moment[there] = base_moment(model, theirs.q[match[there]], payload)
+            moment[present] = base_moment(model, theirs.q[match[present]], payload)
             other_q = np.full((len(readings), theirs.joints), np.nan)
-            other_q[there] = theirs.q[match[there]]
+            other_q[present] = theirs.q[match[present]]
     return Circumstances(
         approach=approach,
         step=_filled(readings.step, _steps(readings)),
@@ -49,15 +52,25 @@ def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = 
     )
 
 
+def circumstances_of_arms(models: Mapping[str, ArmModel], readings: Mapping[str, Readings]) -> dict[str, Circumstances]:
+    """Circumstances of the stops of every arm; in a cell of two arms each includes the other arm."""
+    found = {}
+    for name, own in readings.items():
+        others = [other for other in readings if other != name]
+        other = (models[others[0]], readings[others[0]]) if len(others) == 1 else None
+        found[name] = circumstances(own, other)
+    return found
+
+
 def _filled(logged: Array | None, derived: Array | None) -> Array | None:
-    """Logged steps; where a row has none (a run begun before they were logged), the derived ones."""
+    """Logged steps, with derived ones in rows without a log (readings of a version that did not log steps)."""
     if logged is None or derived is None:
         return derived if logged is None else logged
     return np.where(np.isnan(logged), derived, logged)
 
 
 def _record(readings: Readings) -> Record | None:
-    """The run's temperatures where times and joint temperatures are known throughout."""
+    """Temperature history of the run; None unless times and joint temperatures are complete."""
     joints_c, time_s = readings.joint_temperature_c, readings.time_s
     if joints_c is None or not np.isfinite(joints_c).all() or not np.isfinite(time_s).all():
         return None
@@ -68,7 +81,7 @@ def _record(readings: Readings) -> Record | None:
 
 
 def base_moment(model: ArmModel, q: Array, payload_kg: Array | None = None) -> Array:
-    """Moment of gravity on an arm at ``q`` (n, N) about the origin of its base, in the tracker frame, (n, 3) [Nm]."""
+    """Gravity moment of an arm at ``q`` (n, N) about the origin of its base, tracker frame, (n, 3) [Nm]."""
     rotations, origins = frame_poses(model.geometry, q)
     bodies = model.bodies
     payload = np.full(len(q), bodies.payload_mass)
@@ -81,7 +94,7 @@ def base_moment(model: ArmModel, q: Array, payload_kg: Array | None = None) -> A
 
 
 def _steps(readings: Readings) -> Array | None:
-    """Last motions from one stop to the next in time; None where times or approach signs are missing or disagree."""
+    """Steps (n, N) [rad] from one stop to the next in time; None if times or approach signs are missing or disagree."""
     if len(readings) < 2 or not np.isfinite(readings.time_s).all() or not np.any(readings.approach):
         return None
     order = np.argsort(readings.time_s, kind="stable")
@@ -89,6 +102,6 @@ def _steps(readings: Readings) -> Array | None:
     steps[order[1:]] = np.diff(readings.q[order], axis=0)
     known = (readings.approach != 0) & (steps != 0.0)
     known[order[0]] = False
-    if not known.any() or np.mean(np.sign(steps[known]) == readings.approach[known]) < _AGREE:
+    if not known.any() or np.mean(np.sign(steps[known]) == readings.approach[known]) < _LEAST_AGREEMENT:
         return None
     return steps

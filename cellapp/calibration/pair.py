@@ -1,6 +1,6 @@
-"""The inter-base transform from distances alone (Bai et al. 2023, section 5 of the method).
+"""Inter-base transform from distances between the two SMRs alone (Bai et al., ROBOT 45(3) 2023, section 5).
 
-With P_L, P_R the SMR positions in their own base frames and D the measured distance between the two SMRs,
+With SMR positions P_L, P_R, each in its own base frame, and measured distances D,
 
     minimise  sum_i (D_i^2 - |P_R,i - (R P_L,i + b)|^2)^2   over R, b.
 """
@@ -11,28 +11,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.calibration.gauss_newton import damped_step, minimise
 from cellapp.calibration.identification import TooFewReadings
+from cellapp.calibration.linear import inverse_psd
 from cellapp.kinematics.transforms import Array, rotation_from_vector, transform, zyx_angles
 
 PAIR_NAMES = ("x", "y", "z", "theta", "beta", "alpha")
+_FEWEST_STOPS = 7
+"""Six parameters and one degree of freedom for their scatter."""
 
 
 @dataclass(frozen=True)
 class PairIdentification:
-    """The inter-base transform and how well it is known.
+    """The identified inter-base transform and its uncertainty.
 
     Attributes
     ----------
     T_R_L : array, shape (4, 4)
-        Takes the left base into the right one.
+        Maps coordinates of the left base into the right one.
     values : array, shape (6,)
         x, y, z [m] and theta, beta, alpha [rad] of ``trans(x, y, z) rot_z(theta) rot_y(beta) rot_x(alpha)``.
     standard_errors : array, shape (6,)
-        Of translation [m] and of small turns about z, y, x of the right base [rad], scaled by the scatter.
+        Of the translation [m] and of small rotations about z, y, x of the right base [rad], scaled by ``scale``.
     iterations : int
     converged : bool
     scale : float
-        Scatter of the distances [m].
+        Standard deviation of a distance [m].
     """
 
     T_R_L: Array
@@ -44,7 +48,7 @@ class PairIdentification:
 
 
 def distances(T_R_L: Array, p_L: Array, p_R: Array) -> Array:
-    """Distances (n,) [m] between SMRs known in their own base frames, both (n, 3)."""
+    """Distances (n,) [m] between the SMRs at ``p_L`` and ``p_R`` (n, 3), each in its own base frame."""
     return np.asarray(np.linalg.norm(p_R - (p_L @ T_R_L[:3, :3].T + T_R_L[:3, 3]), axis=1))
 
 
@@ -56,63 +60,80 @@ def identify_pair(
     Parameters
     ----------
     start : array, shape (4, 4)
-        A first ``T_R_L``, from the two bases in the tracker frame: distances alone allow a mirror image.
+        Initial ``T_R_L``, from both bases in the tracker frame: distances alone admit a mirror image too.
     p_L, p_R : array, shape (n, 3)
         SMR positions, each in its own base frame [m].
     measured : array, shape (n,)
         Measured distances [m].
     tolerance : float
-        Largest step [m, rad] at which the iteration ends.
+        The iteration ends when the next step is at most this large [m, rad].
+    max_iterations : int
 
     Raises
     ------
     TooFewReadings
-        Fewer than seven stops.
+        For fewer than seven stops.
     """
     n = len(measured)
-    if n < 7:
-        raise TooFewReadings(f"{n} common stops are too few for the inter-base transform; measure at least 7")
-    rotation, b = start[:3, :3].copy(), start[:3, 3].copy()
-    converged, iterations, damping = False, 0, 0.0
-    residual, J = _linearise(rotation, b, p_L, p_R, measured)
-    cost = float(residual @ residual)
-    while iterations < max_iterations:
-        iterations += 1
-        A = J.T @ J
-        step = np.linalg.solve(A + damping * np.diag(np.diag(A)), J.T @ residual)
-        if np.max(np.abs(step)) <= tolerance:
-            converged = True
-            break
-        trial_rotation, trial_b = rotation_from_vector(step[3:]) @ rotation, b + step[:3]
-        trial_residual, trial_J = _linearise(trial_rotation, trial_b, p_L, p_R, measured)
-        trial_cost = float(trial_residual @ trial_residual)
-        if trial_cost > cost * (1.0 + 1e-12):
-            damping = max(1e-4, 10.0 * damping)
-            if damping > 1e8:
-                break
-            continue
-        damping = 0.0 if damping < 1e-6 else damping / 10.0
-        rotation, b, residual, J, cost = trial_rotation, trial_b, trial_residual, trial_J, trial_cost
-    T_R_L = transform(rotation, b)
+    if n < _FEWEST_STOPS:
+        raise TooFewReadings(
+            f"{n} common stops are too few for the inter-base transform; measure at least {_FEWEST_STOPS}"
+        )
+    problem = _Problem(p_L, p_R, measured)
+    first = problem.estimate(start[:3, :3], start[:3, 3])
+    minimum = minimise(problem, first, tolerance=tolerance, max_iterations=max_iterations)
+    found = minimum.point
+    T_R_L = transform(found.rotation, found.translation)
     off = measured - distances(T_R_L, p_L, p_R)
     scale = float(np.sqrt(off @ off / max(1, n - 6)))
-    # distances scatter alike, their squares do not: D^2 scatters by 2 D times as much
-    inverse = np.linalg.inv(J.T @ J)
-    half = inverse @ (J * (2.0 * measured * scale)[:, None]).T
-    errors = np.sqrt(np.einsum("kn,kn->k", half, half))
+    # All distances have the same variance, their squares do not: D^2 has the standard deviation 2 D scale.
+    J = found.J
+    gain = inverse_psd(J.T @ J) @ (J * (2.0 * measured * scale)[:, None]).T
+    errors = np.linalg.norm(gain, axis=1)
     return PairIdentification(
         T_R_L=T_R_L,
-        values=np.concatenate([b, zyx_angles(rotation)]),
+        values=np.concatenate([found.translation, zyx_angles(found.rotation)]),
         standard_errors=np.concatenate([errors[:3], errors[:2:-1]]),
-        iterations=iterations,
-        converged=converged,
+        iterations=len(minimum.steps),
+        converged=minimum.converged,
         scale=scale,
     )
 
 
-def _linearise(rotation: Array, b: Array, p_L: Array, p_R: Array, measured: Array) -> tuple[Array, Array]:
-    """Residuals of the squared distances (n,) and their model's derivatives (n, 6) by b and by a turn before R."""
-    turned = p_L @ rotation.T
-    d = p_R - turned - b
-    J = -2.0 * np.hstack([d, np.cross(turned, d)])
-    return measured**2 - np.einsum("na,na->n", d, d), J
+@dataclass(frozen=True)
+class _Estimate:
+    """R (3, 3) and b (3,) [m] with the residuals (n,) [m^2] of the squared distances and their Jacobian (n, 6)."""
+
+    rotation: Array
+    translation: Array
+    residuals: Array
+    J: Array
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The least-squares problem of ``identify_pair``, for ``gauss_newton.minimise``."""
+
+    p_L: Array
+    p_R: Array
+    measured: Array
+
+    def estimate(self, rotation: Array, translation: Array) -> _Estimate:
+        """Linearise about b and about a small rotation that is applied after R."""
+        rotated = self.p_L @ rotation.T
+        d = self.p_R - rotated - translation
+        J = -2.0 * np.hstack([d, np.cross(rotated, d)])
+        return _Estimate(rotation, translation, self.measured**2 - np.einsum("na,na->n", d, d), J)
+
+    def reweighted(self, point: _Estimate) -> _Estimate:
+        return point
+
+    def step(self, point: _Estimate, damping: float) -> tuple[Array, float]:
+        step = damped_step(point.J.T @ point.J, point.J.T @ point.residuals, damping)
+        return step, float(np.max(np.abs(step)))
+
+    def moved(self, point: _Estimate, step: Array) -> _Estimate:
+        return self.estimate(rotation_from_vector(step[3:]) @ point.rotation, point.translation + step[:3])
+
+    def objective(self, point: _Estimate) -> float:
+        return float(point.residuals @ point.residuals)

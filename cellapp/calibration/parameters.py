@@ -1,4 +1,4 @@
-"""Which parameters of a chain are identified: by name as in the paper, or found from the data's own Jacobian."""
+"""Sets of identified parameters: those of the paper by name, or the identifiable ones from the Jacobian of the data."""
 
 from __future__ import annotations
 
@@ -10,31 +10,33 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from cellapp.kinematics.chain import Geometry, Turns, jacobian, parallel_rows, parameter_names, parameter_unit
+from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, parallel_rows, parameter_names, parameter_unit
 from cellapp.kinematics.transforms import Array
 
 _PAPER_DROPS = {"theta1", "d1", "d2", "d4", "alpha5", "theta6", "d6", "a6", "alpha6"}
+"""Parameters of a UR arm that Bai et al. (2023) do not identify."""
 _INVISIBLE = 1e-3
-"""A column is dependent when what is left of it moves the SMR by less than this share of what it moves at arm's length:
-a milliradian or half a millimetre of error there stays below a micrometre, whether it is identified or not."""
+"""A column of the Jacobian counts as dependent if its component orthogonal to the others is below this share of its
+scale: an error of 1 mrad or 0.5 mm of such a parameter then moves the SMR by less than a micrometre."""
 
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """What is identified, and what became of the rest.
+    """The identified parameters, and those that depend on them.
 
     Attributes
     ----------
     name : str
-        ``auto``, ``paper``, ``full`` or what the caller calls it.
+        ``auto``, ``paper``, ``full`` or a name given by the caller.
     joints : int
-        Of the arm.
+        Number of joints N.
     columns : tuple of int, length k
-        Indices into ``parameter_names``; rotations before translations.
+        Indices of the identified parameters in ``parameter_names``; rotations before translations.
     dropped : tuple of int, length l
-        Candidates that depend on the columns.
-    scaled_gram, scale : arrays, shapes (k + l, k + l), (k + l,)
-        Gram matrix of columns and dropped ones, in that order, at unit scale, and what it was divided by.
+        Indices of the candidates whose effect is a linear combination of the columns'.
+    scaled_gram : array, shape (k + l, k + l), optional
+        Gram matrix of the Jacobian's columns and dropped columns, in that order, each divided by its ``scale``.
+    scale : array, shape (k + l,), optional
     """
 
     name: str
@@ -46,22 +48,22 @@ class ParameterSet:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the columns."""
+        """Names of the identified parameters."""
         return _names_of(self.columns, self.joints)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Units of the columns."""
+        """Units of the identified parameters."""
         return _units_of(self.columns, self.joints)
 
     @property
     def rotations(self) -> int:
-        """How many of the columns are rotations; they stand first."""
+        """Number of rotations among the columns; they come first."""
         return self.units.count("rad")
 
     @cached_property
     def shares(self) -> Array:
-        """A unit of a dropped parameter acts like these shares of the kept ones, shape (k, l)."""
+        """Coefficients (k, l): a unit of dropped parameter l has the effect of these amounts of the kept ones."""
         k = len(self.columns)
         if self.scaled_gram is None or self.scale is None:
             return np.zeros((k, 0))
@@ -70,7 +72,7 @@ class ParameterSet:
 
     @cached_property
     def merged(self) -> dict[str, dict[str, float]]:
-        """Dropped parameter -> {kept parameter: share}; an empty entry has no effect on these data at all."""
+        """Dropped parameter -> {kept parameter: coefficient}; an empty entry has no effect on these data."""
         names = parameter_names(self.joints)
         return {
             names[column]: {
@@ -95,7 +97,7 @@ def _units_of(columns: tuple[int, ...], joints: int) -> tuple[str, ...]:
 
 @lru_cache(maxsize=32)
 def _candidates(joints: int, parallel: tuple[int, ...]) -> tuple[tuple[int, ...], NDArray[np.int64], int]:
-    """Candidates with rotations first, their places in order of preference, and how many are rotations."""
+    """Candidates with rotations first, their positions in order of preference, and the number of rotations."""
     names = parameter_names(joints)
     betas = {f"beta{i + 1}" for i in parallel}
     rows = [
@@ -110,18 +112,18 @@ def _candidates(joints: int, parallel: tuple[int, ...]) -> tuple[tuple[int, ...]
 
 
 def candidate_columns(geometry: Geometry) -> tuple[int, ...]:
-    """All parameters that make sense: base, tool and the rows, with beta where axes are parallel and no alpha_N."""
+    """Parameters that can have an effect: base, tool and D-H rows, with beta between parallel axes, without alpha_N."""
     return _candidates(geometry.joints, parallel_rows(geometry))[0]
 
 
 def full_set(geometry: Geometry) -> ParameterSet:
-    """The redundant model: every candidate (34 for a 6-joint arm with two parallel pairs), as the paper starts."""
+    """The redundant model of all candidates (34 for six joints with two parallel pairs), the start of the paper."""
     columns = candidate_columns(geometry)
     return ParameterSet("full", geometry.joints, columns)
 
 
 def paper_set(geometry: Geometry) -> ParameterSet:
-    """The paper's 26 of a UR arm: Bai et al. (2023), with alpha5 dropped beside the truly redundant ones.
+    """The 26 parameters of a UR arm in Bai et al. (2023); alpha5 is dropped too, though it is not redundant.
 
     Raises
     ------
@@ -136,11 +138,12 @@ def paper_set(geometry: Geometry) -> ParameterSet:
 
 
 def identifiable_set(geometry: Geometry, gram: Array) -> ParameterSet:
-    """The identifiable set, from the Gram matrix ``J J^T`` (k, k) of the ``candidate_columns`` over all configurations.
+    """The identifiable set, from the Gram matrix ``J^T J`` (k, k) of the ``candidate_columns`` over all configurations.
 
-    Columns are scaled to displacement at arm's length (angles by the rms lever of all rotations), then a Cholesky
-    factorisation of their Gram matrix finds what each adds to those preferred to it: base, then tool, then the rows
-    from the first joint on. The rank is checked against a factorisation with free pivoting.
+    Columns are scaled to displacement at arm's length (rotations by their common rms lever) and put in order of
+    preference: base, tool, then the rows from the first joint on. The diagonal of the Cholesky factor is then the norm
+    of the part of each column that is orthogonal to those before it. The rank is checked by a Cholesky factorisation
+    with complete pivoting (Higham, in: Reliable Numerical Computation (1990) 161).
     """
     candidates, order, rotations = _candidates(geometry.joints, parallel_rows(geometry))
     squares = np.diag(gram)
@@ -149,37 +152,38 @@ def identifiable_set(geometry: Geometry, gram: Array) -> ParameterSet:
     scale[rotations:] = math.sqrt(float(squares[rotations:].mean()))
     scaled = gram / scale / scale[:, None]
     preferred = scaled[order][:, order]
-    # a dependent column is let through with a pivot of the size of this ridge, far below the threshold
+    # The ridge lets the factorisation pass dependent columns, with pivots far below the threshold.
     preferred.flat[:: len(order) + 1] += 1e-13
     factor, failed = lapack.dpotrf(preferred, lower=1)
     chosen = np.sort(order[np.diag(factor) > _INVISIBLE])
     _, free_order, rank, _ = lapack.dpstrf(scaled, tol=_INVISIBLE**2, lower=1)
-    if failed or len(chosen) > rank:  # the order of preference kept a nearly dependent column: pivot freely instead
+    if failed or len(chosen) > rank:  # a nearly dependent column was kept: use the pivoted order
         chosen = np.sort(free_order[:rank] - 1)
     kept = chosen.tolist()
-    sorted_out = [*kept, *(j for j in range(len(candidates)) if j not in set(kept))]
+    dropped = [j for j in range(len(candidates)) if j not in set(kept)]
+    both = [*kept, *dropped]
     return ParameterSet(
         "auto",
         geometry.joints,
-        tuple(candidates[j] for j in kept),
-        tuple(candidates[j] for j in sorted_out[len(kept) :]),
-        scaled[sorted_out][:, sorted_out],
-        scale[sorted_out],
+        columns=tuple(candidates[j] for j in kept),
+        dropped=tuple(candidates[j] for j in dropped),
+        scaled_gram=scaled[both][:, both],
+        scale=scale[both],
     )
 
 
 def auto_set(geometry: Geometry, q: Array) -> ParameterSet:
-    """The identifiable set of a geometry at configurations ``q`` (n, N): see ``identifiable_set``."""
-    _, J = jacobian(geometry, Turns.of(q), candidate_columns(geometry))
+    """The identifiable set of a geometry at configurations ``q`` (n, N) [rad]; see ``identifiable_set``."""
+    _, J = jacobian(geometry, JointAngles.of(q), candidate_columns(geometry))
     return identifiable_set(geometry, gram_matrix(J))
 
 
 def gram_matrix(J: Array) -> Array:
-    """``J J^T`` (k, k) over components and configurations of J (3, k, n)."""
+    """``J^T J`` (k, k) of a Jacobian (3, k, n), summed over components and configurations."""
     return np.asarray((J @ J.transpose(0, 2, 1)).sum(axis=0))
 
 
 def _rotations_first(columns: tuple[int, ...], joints: int) -> tuple[int, ...]:
-    """Rotations, then translations, each in the chain's order: the order the Jacobian is fastest in."""
+    """Rotations, then translations, each in the order of the chain: the fastest order for the Jacobian."""
     names = parameter_names(joints)
     return tuple(sorted(columns, key=lambda c: (parameter_unit(names[c]) == "m", c)))

@@ -1,15 +1,20 @@
-"""Training of the residual network: Levenberg-Marquardt on torch.func Jacobians, everything chosen by cross-validation.
+"""Training of the residual network by Levenberg-Marquardt on Jacobians from torch.func, selected by cross-validation.
 
-A few hundred poses are little. So: a committee of as many members as folds, each trained without its fold and stopped
-where its fold is predicted best (Krogh, Vedelsby, NIPS 7 (1995) 231); weight decay by the evidence of the data while it
-trains (MacKay, Neural Computation 4 (1992) 415; Foresee, Hagan, ICNN 1997, 1930); inputs, width and depth by the error
-on the left-out folds. Nothing of the validation split is seen. All members train at once.
+A few hundred poses are few data. Therefore:
+
+- The network is a committee with one member per fold. Each member is trained without its fold and stopped where it
+  predicts that fold best (Krogh, Vedelsby, NIPS 7 (1995) 231).
+- Weight decay follows from the evidence of the data during training (MacKay, Neural Computation 4 (1992) 415; Foresee,
+  Hagan, ICNN 1997, 1930).
+- Inputs, width and depth are selected by the error on the left-out folds.
+
+The validation split is not used. All members are trained at the same time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count as count_from
 from itertools import islice, pairwise
 from typing import TYPE_CHECKING, Any
@@ -17,21 +22,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellapp.kinematics.transforms import Array
-from cellapp.model.network import Inputs, Layers, ResidualNetwork, network_inputs, turn_about_z
+from cellapp.model.network import Inputs, Layers, ResidualNetwork, network_inputs, rotate_about_z
 from cellapp.progress import CancelToken
 
 if TYPE_CHECKING:
     import torch
 
 _MARGIN = 0.1
-"""The correction fades over this share of each trained joint range."""
+"""Share of each trained joint range over which the correction fades to zero outside it."""
 _WORTH = 0.98
-"""A network is kept only if it leaves less than this share of the error (rms) on folds it has not seen."""
+"""A network is used only if the rms error on left-out folds falls below this share of that without a network."""
+_DAMPING = (1e-2, 5.0, 1e-9, 1e9)
+"""Damping at the start, factor per step, and its limits, as shares of the diagonal of the Hessian."""
+_DECAY = 0.01
+"""Weight decay at the start, in units of the noise precision; the evidence adjusts it."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A candidate: what it sees, its hidden layers, and whether it speaks in a frame that turns with joint 1."""
+    """A candidate network: inputs, hidden layers, and whether its output frame rotates with joint 1 about z."""
 
     inputs: Inputs
     hidden: tuple[int, ...]
@@ -45,25 +54,25 @@ SHAPES: tuple[Shape, ...] = (
     Shape("angles", (6, 6), turning=True),
 )
 _SCREENING = 40
-"""Iterations after which the candidates are compared; only the best one is trained to the end."""
+"""Iterations after which candidates are compared; only the best one is trained further."""
 _PATIENCE = 8
-"""Iterations without any member predicting its fold better, after which training ends."""
+"""Training ends after this number of iterations in which no member predicted its fold better."""
 
 
 @dataclass(frozen=True)
 class Training:
-    """What training ended with.
+    """Result of training.
 
     Attributes
     ----------
     network : ResidualNetwork or None
-        None where no candidate predicted left-out folds better than no network.
+        None where no candidate predicts left-out folds better than no network does.
     shape : Shape
         The best candidate.
     left_out_rms, without_rms : float
-        Error on left-out folds with the best candidate and without any network [m], root mean square length.
+        Rms length of the residual on left-out folds, with the best candidate and without a network [m].
     tried : tuple
-        (shape, left-out rms [m]) of every candidate when they were compared.
+        (shape, left-out rms [m]) of every candidate at the time of the comparison.
     """
 
     network: ResidualNetwork | None
@@ -83,11 +92,27 @@ def train_network(
     shapes: Sequence[Shape] = SHAPES,
     cancel: CancelToken | None = None,
 ) -> Training:
-    """Train on joint positions ``q`` (n, N) [rad] and residuals (n, 3) [m] in the frame the correction is wanted in."""
+    """Train a residual network.
+
+    Parameters
+    ----------
+    q : array, shape (n, N)
+        Joint positions [rad].
+    residual : array, shape (n, 3)
+        Measured minus computed positions in the frame of the correction, the base frame [m].
+    seed : int
+    folds : int
+        Number of folds and of members.
+    iterations : int
+        Most iterations of a member.
+    shapes : sequence of Shape
+        Candidates.
+    cancel : CancelToken, optional
+    """
     import torch
 
     cancel = cancel or CancelToken()
-    # Many small matrices: threads inside one product would only wait for one another. Arms train side by side instead.
+    # The matrices are too small for threads within one product; the arms are trained in parallel instead.
     torch.set_num_threads(1)
     low, high = q.min(axis=0), q.max(axis=0)
     scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
@@ -95,37 +120,46 @@ def train_network(
     inside = torch.from_numpy((fold[None, :] != np.arange(folds)[:, None]).astype(np.float64))
     outputs = {
         False: torch.from_numpy(residual / scale),
-        True: torch.from_numpy(turn_about_z(residual / scale, -q[:, 0])),
+        True: torch.from_numpy(rotate_about_z(residual / scale, -q[:, 0])),
     }
     inputs = {kind: torch.from_numpy(network_inputs(kind, low, high, q)) for kind in {s.inputs for s in shapes}}
-    compared: list[tuple[_Committee, Shape, Iterator[_Committee]]] = []
+    candidates = []
     for shape in shapes:
         cancel.check()
-        steps = _train_members(inputs[shape.inputs], outputs[shape.turning], inside, shape, seed)
-        *_, committee = islice(steps, min(_SCREENING, iterations))
-        compared.append((committee, shape, steps))
-    committee, shape, steps = min(compared, key=lambda entry: entry[0].left_out)
-    while committee.iteration < iterations and (later := next(steps, None)) is not None:
-        cancel.check()
-        committee = later
-    error = committee.left_out
-    members = [_layers(member.numpy(), committee.sizes) for member in committee.members]
-    tried = [(tried_shape, screened.left_out * scale) for screened, tried_shape, _ in compared]
+        candidates.append((shape, _train_members(inputs[shape.inputs], outputs[shape.turning], inside, shape, seed)))
+    shape, committee, screened = _train_best(candidates, iterations, cancel)
     without = float(np.sqrt(np.mean(np.sum((residual / scale) ** 2, axis=1))))
     margin = _MARGIN * np.maximum(high - low, 1e-3)
-    network = ResidualNetwork(shape.inputs, low, high, margin, shape.turning, scale, tuple(members))
+    members = tuple(_layers(member.numpy(), committee.sizes) for member in committee.members)
+    network = ResidualNetwork(shape.inputs, low, high, margin, shape.turning, scale, members)
     return Training(
-        network=network if error < _WORTH * without else None,
+        network=network if committee.left_out < _WORTH * without else None,
         shape=shape,
-        left_out_rms=error * scale,
+        left_out_rms=committee.left_out * scale,
         without_rms=without * scale,
-        tried=tuple(tried),
+        tried=tuple((tried, error * scale) for tried, error in screened),
     )
+
+
+def _train_best(
+    candidates: Sequence[tuple[Shape, Iterator[_Committee]]], iterations: int, cancel: CancelToken
+) -> tuple[Shape, _Committee, list[tuple[Shape, float]]]:
+    """Train all candidates for some iterations and the best one to the end; also each one's error at the comparison."""
+    compared: list[tuple[_Committee, Shape, Iterator[_Committee]]] = []
+    for shape, training in candidates:
+        cancel.check()
+        *_, committee = islice(training, min(_SCREENING, iterations))
+        compared.append((committee, shape, training))
+    committee, shape, training = min(compared, key=lambda entry: entry[0].left_out)
+    while committee.iteration < iterations and (later := next(training, None)) is not None:
+        cancel.check()
+        committee = later
+    return shape, committee, [(tried, screened.left_out) for screened, tried, _ in compared]
 
 
 @dataclass(frozen=True)
 class _Committee:
-    """The members so far: for each, the parameters that predicted its fold best; and the rms over all folds."""
+    """Members after an iteration: of each the parameters that predicted its fold best, and the rms over all folds."""
 
     members: torch.Tensor
     sizes: tuple[int, ...]
@@ -136,77 +170,134 @@ class _Committee:
 def _train_members(
     x: torch.Tensor, y: torch.Tensor, inside: torch.Tensor, shape: Shape, seed: int
 ) -> Iterator[_Committee]:
-    """Train one member a fold, all at once, an iteration a turn; ends when nothing is gained any more."""
+    """Train one member per fold, all at the same time, and yield the committee after each iteration.
+
+    ``inside`` (folds, n) is 1 for the rows that train a member, 0 for its fold. Ends after ``_PATIENCE`` iterations
+    without improvement.
+    """
     import torch
-    from torch.func import jacrev, vmap
 
-    sizes = (x.shape[1], *shape.hidden, y.shape[1])
-    count = sum(b * a + b for a, b in pairwise(sizes))
-    folds = len(inside)
-    forward = _forward(sizes)
-    at_each_row = vmap(jacrev(lambda p, row: forward(p, row)), (None, 0))
-    at_each_member = vmap(at_each_row, (0, None))
-    predict = vmap(forward, (0, None))
-
-    generator = torch.Generator().manual_seed(seed)
-    p = torch.cat(
-        [
-            torch.randn(folds, b * a + b, generator=generator, dtype=torch.float64) / (a + 1.0) ** 0.5
-            for a, b in pairwise(sizes)
-        ],
-        dim=1,
-    )
-    rows = inside[:, :, None].expand(-1, -1, y.shape[1]).reshape(folds, -1)
-    data = rows.sum(dim=1)
-    alpha, beta = torch.full((folds,), 0.01, dtype=torch.float64), torch.ones(folds, dtype=torch.float64)
-    damping = torch.full((folds,), 1e-2, dtype=torch.float64)
-    identity = torch.eye(count, dtype=torch.float64)
-
-    def errors(p: torch.Tensor) -> torch.Tensor:
-        off: torch.Tensor = (y - predict(p, x)).reshape(folds, -1)
-        return off
-
-    def objective(e: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
-        return beta * (rows * e**2).sum(dim=1) + alpha * (p**2).sum(dim=1)
-
-    def left_out(e: torch.Tensor) -> torch.Tensor:
-        return ((1.0 - rows) * e**2).sum(dim=1)
-
-    e = errors(p)
-    best, best_error = p.clone(), left_out(e)
+    problem = _MemberProblem(x, y, inside, (x.shape[1], *shape.hidden, y.shape[1]))
+    state = problem.start(seed)
+    best, best_error = state.p.clone(), problem.left_out(state.e)
     stale = 0
     left_out_rows = (1.0 - inside).sum()
     for iteration in count_from(0):
-        J = at_each_member(p, x).reshape(folds, -1, count) * rows[:, :, None]
-        gram = J.transpose(1, 2) @ J
-        slope = (J.transpose(1, 2) @ e[:, :, None])[:, :, 0]
-        H = beta[:, None, None] * gram + alpha[:, None, None] * identity
-        damped = H + damping[:, None, None] * torch.diag_embed(torch.diagonal(H, dim1=1, dim2=2))
-        factor = torch.linalg.cholesky(damped)
-        step = torch.cholesky_solve((beta[:, None] * slope - alpha[:, None] * p)[:, :, None], factor)[:, :, 0]
-        trial, trial_e = p + step, errors(p + step)
-        better = objective(trial_e, trial) < objective(e, p)
-        p = torch.where(better[:, None], trial, p)
-        e = torch.where(better[:, None], trial_e, e)
-        damping = torch.where(better, damping / 5.0, damping * 5.0).clamp(1e-9, 1e9)
-        if iteration % 2 == 0:
-            # the evidence: how many weights do the data determine, and how much noise and decay does that leave
-            inverse = torch.cholesky_inverse(torch.linalg.cholesky(H))
-            gamma = count - alpha * torch.diagonal(inverse, dim1=1, dim2=2).sum(dim=1)
-            alpha = (gamma / (p**2).sum(dim=1).clamp_min(1e-12)).clamp(1e-6, 1e6)
-            beta = ((data - gamma).clamp_min(1.0) / (rows * e**2).sum(dim=1).clamp_min(1e-12)).clamp(1e-6, 1e9)
-        now = left_out(e)
-        gained = now < best_error
-        best = torch.where(gained[:, None], p, best)
-        best_error = torch.where(gained, now, best_error)
-        stale = 0 if bool(gained.any()) else stale + 1
-        yield _Committee(best, sizes, float(torch.sqrt(best_error.sum() / left_out_rows)), iteration + 1)
+        state, hessian = problem.step(state)
+        if iteration % 2 == 0:  # not each time: the evidence is an estimate at a minimum, and costs an inverse
+            state = problem.with_evidence(state, hessian)
+        error = problem.left_out(state.e)
+        improved = error < best_error
+        best = torch.where(improved[:, None], state.p, best)
+        best_error = torch.where(improved, error, best_error)
+        stale = 0 if bool(improved.any()) else stale + 1
+        yield _Committee(best, problem.sizes, float(torch.sqrt(best_error.sum() / left_out_rows)), iteration + 1)
         if stale >= _PATIENCE:
             return
 
 
+@dataclass(frozen=True)
+class _State:
+    """All members during training, one per fold.
+
+    Attributes
+    ----------
+    p : tensor, shape (folds, P)
+        Parameters.
+    e : tensor, shape (folds, 3 n)
+        Errors of all rows.
+    alpha, beta : tensor, shape (folds,)
+        Precision of the prior on the parameters (weight decay), and of the noise.
+    damping : tensor, shape (folds,)
+    """
+
+    p: torch.Tensor
+    e: torch.Tensor
+    alpha: torch.Tensor
+    beta: torch.Tensor
+    damping: torch.Tensor
+
+
+class _MemberProblem:
+    """Minimise ``beta sum e^2 + alpha sum p^2`` of every member over its own rows, vectorised over members."""
+
+    def __init__(self, x: torch.Tensor, y: torch.Tensor, inside: torch.Tensor, sizes: tuple[int, ...]) -> None:
+        import torch
+        from torch.func import jacrev, vmap
+
+        self.sizes = sizes
+        self._x, self._y = x, y
+        self._folds = len(inside)
+        self._count = sum(b * a + b for a, b in pairwise(sizes))
+        forward = _forward(sizes)
+        at_each_row = vmap(jacrev(lambda p, row: forward(p, row)), (None, 0))
+        self._jacobian = vmap(at_each_row, (0, None))
+        self._predict = vmap(forward, (0, None))
+        self._rows = inside[:, :, None].expand(-1, -1, y.shape[1]).reshape(self._folds, -1)
+        self._identity = torch.eye(self._count, dtype=torch.float64)
+
+    def start(self, seed: int) -> _State:
+        """Random parameters with the variance that keeps the signal's scale through the layers."""
+        import torch
+
+        generator = torch.Generator().manual_seed(seed)
+        layers = [
+            torch.randn(self._folds, b * a + b, generator=generator, dtype=torch.float64) / (a + 1.0) ** 0.5
+            for a, b in pairwise(self.sizes)
+        ]
+        p = torch.cat(layers, dim=1)
+        ones = torch.ones(self._folds, dtype=torch.float64)
+        return _State(p, self.errors(p), _DECAY * ones, ones, _DAMPING[0] * ones)
+
+    def errors(self, p: torch.Tensor) -> torch.Tensor:
+        off: torch.Tensor = (self._y - self._predict(p, self._x)).reshape(self._folds, -1)
+        return off
+
+    def left_out(self, e: torch.Tensor) -> torch.Tensor:
+        """Sum of squared errors of each member on its left-out fold, shape (folds,)."""
+        return ((1.0 - self._rows) * e**2).sum(dim=1)
+
+    def step(self, state: _State) -> tuple[_State, torch.Tensor]:
+        """A Levenberg-Marquardt step of each member, taken where it lowers the objective; and the Hessian before it."""
+        import torch
+
+        J = self._jacobian(state.p, self._x).reshape(self._folds, -1, self._count) * self._rows[:, :, None]
+        gram = J.transpose(1, 2) @ J
+        slope = (J.transpose(1, 2) @ state.e[:, :, None])[:, :, 0]
+        H = state.beta[:, None, None] * gram + state.alpha[:, None, None] * self._identity
+        damped = H + state.damping[:, None, None] * torch.diag_embed(torch.diagonal(H, dim1=1, dim2=2))
+        descent = (state.beta[:, None] * slope - state.alpha[:, None] * state.p)[:, :, None]
+        p = state.p + torch.cholesky_solve(descent, torch.linalg.cholesky(damped))[:, :, 0]
+        e = self.errors(p)
+        better = self._objective(e, p, state) < self._objective(state.e, state.p, state)
+        _, factor, least, most = _DAMPING
+        stepped = replace(
+            state,
+            p=torch.where(better[:, None], p, state.p),
+            e=torch.where(better[:, None], e, state.e),
+            damping=torch.where(better, state.damping / factor, state.damping * factor).clamp(least, most),
+        )
+        return stepped, H
+
+    def with_evidence(self, state: _State, hessian: torch.Tensor) -> _State:
+        """Decay and noise that maximise the evidence, given the number gamma of parameters that the data determine."""
+        import torch
+
+        inverse = torch.cholesky_inverse(torch.linalg.cholesky(hessian))
+        gamma = self._count - state.alpha * torch.diagonal(inverse, dim1=1, dim2=2).sum(dim=1)
+        data, squares = self._rows.sum(dim=1), (self._rows * state.e**2).sum(dim=1)
+        return replace(
+            state,
+            alpha=(gamma / (state.p**2).sum(dim=1).clamp_min(1e-12)).clamp(1e-6, 1e6),
+            beta=((data - gamma).clamp_min(1.0) / squares.clamp_min(1e-12)).clamp(1e-6, 1e9),
+        )
+
+    def _objective(self, e: torch.Tensor, p: torch.Tensor, state: _State) -> torch.Tensor:
+        return state.beta * (self._rows * e**2).sum(dim=1) + state.alpha * (p**2).sum(dim=1)
+
+
 def _forward(sizes: Sequence[int]) -> Callable[[Any, Any], Any]:
-    """``f(parameters (P,), rows (..., in))`` of a perceptron with these layer sizes."""
+    """The function ``f(parameters (P,), rows (..., in))`` of a perceptron with these layer sizes."""
     import torch
 
     def forward(p: Any, rows: Any) -> Any:
@@ -224,6 +315,7 @@ def _forward(sizes: Sequence[int]) -> Callable[[Any, Any], Any]:
 
 
 def _layers(p: Array, sizes: Sequence[int]) -> Layers:
+    """Weights and offsets of each layer from a parameter vector (P,)."""
     layers, place = [], 0
     for a, b in pairwise(sizes):
         weights = p[place : place + b * a].reshape(b, a).copy()

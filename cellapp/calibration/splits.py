@@ -1,4 +1,4 @@
-"""Which stops identify, train and validate: drawn once by the profile's seed, stored in the run, never leaking."""
+"""Random assignment of stops to identification, training and validation, reproducible by the profile's seed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class SplitPlan:
-    """How many stops each use gets, and what had to be changed to fit.
-
-    ``notes`` says where fewer stops than asked for were there.
-    """
+class SplitSizes:
+    """Number of stops of each split; ``notes`` report where there are fewer stops than the profile requires."""
 
     identify: int
     train: int
@@ -21,33 +18,33 @@ class SplitPlan:
     notes: tuple[str, ...]
 
 
-def plan_splits(n: int, identify: int, train: int, validate: int | None) -> SplitPlan:
-    """Sizes for ``n`` stops; ``validate`` None takes the rest. Scaled down together where there are too few."""
+def split_sizes(n: int, identify: int, train: int, validate: int | None) -> SplitSizes:
+    """Sizes of the splits of ``n`` stops; ``validate`` None takes the rest. Too few stops reduce all in proportion."""
     wanted = max(1, n // 5) if validate is None else validate
     if identify + train + (1 if validate is None else validate) <= n:
-        return SplitPlan(identify, train, n - identify - train if validate is None else validate, ())
+        return SplitSizes(identify, train, n - identify - train if validate is None else validate, ())
     share = n / (identify + train + wanted)
-    fewer_identify = max(1, int(identify * share))
-    fewer_train = min(int(train * share), n - fewer_identify - 1)
-    fewer_validate = n - fewer_identify - fewer_train
+    less_identify = max(1, int(identify * share))
+    less_train = min(int(train * share), n - less_identify - 1)
+    less_validate = n - less_identify - less_train
     note = (
         f"{n} stops are too few for identify {identify}, train {train}, validate {validate or 'rest'}:"
-        f" used {fewer_identify}, {fewer_train}, {fewer_validate} instead"
+        f" used {less_identify}, {less_train}, {less_validate} instead"
     )
-    return SplitPlan(fewer_identify, fewer_train, fewer_validate, (note,))
+    return SplitSizes(less_identify, less_train, less_validate, (note,))
 
 
 def draw_splits(
     configurations: NDArray[np.int64], identify: int, train: int, validate: int | None, seed: int
 ) -> tuple[dict[int, str | None], tuple[str, ...]]:
-    """Draw a split for each configuration number; stops beyond the asked ones get None.
+    """Draw a split for each configuration number, and notes; stops beyond the required ones get None.
 
-    The draw depends on the set of numbers and the seed alone, not on order.
+    The draw depends on the set of numbers and the seed, not on the order of ``configurations``.
     """
     numbers = np.unique(configurations)
-    plan = plan_splits(len(numbers), identify, train, validate)
+    sizes = split_sizes(len(numbers), identify, train, validate)
     order = np.random.default_rng([seed, 0x5EED]).permutation(numbers)
-    words = ["identify"] * plan.identify + ["train"] * plan.train + ["validate"] * plan.validate
+    words = ["identify"] * sizes.identify + ["train"] * sizes.train + ["validate"] * sizes.validate
     drawn: dict[int, str | None] = {int(number): None for number in numbers}
     drawn.update({int(number): word for number, word in zip(order, words)})
-    return drawn, plan.notes
+    return drawn, sizes.notes

@@ -1,4 +1,4 @@
-"""Did the tracker stand still? A station that changed half-way spoils every fit, so it is looked for first."""
+"""Detection of a moved tracker station or robot base, which would spoil every fit."""
 
 from __future__ import annotations
 
@@ -6,43 +6,47 @@ import numpy as np
 
 from cellapp.kinematics.transforms import Array, apply, register
 
-_TRIALS = 24
+_COARSE_TRIALS = 24
+"""Places that are tried first, evenly over the readings; then all places around the best one."""
 _FEWEST = 6
-_WORSE = 3.0
+"""Readings on either side of a place: registration needs three, twice as many leave a residual."""
+_RATIO = 3.0
+"""Two stations must fit this much better than one. Unmodelled geometry leaves a ratio near 1."""
 _LEAST_M = 2e-3
+"""Rms residual of one station below which no move is looked for: smaller steps are drift, which discovery finds."""
 
 
 def station_change(p_B: Array, p_M: Array) -> int | None:
-    """The row at which measured points stop fitting one station, or None.
+    """First row measured after the station was moved, or None.
 
-    For a number of places in the order of measurement, the points before and those behind are registered apart; a moved
-    station is there if that fits much better than one registration of all. Steps below two millimetres are drift, not a
-    new station, and are left to discovery.
+    The points before and after a place are registered separately. The station was moved at the place where this leaves
+    the smallest residual, if that is far smaller than the residual of one registration of all points.
 
     Parameters
     ----------
     p_B : array, shape (n, 3)
-        SMR positions in the base frame by the published geometry [m], in the order they were measured.
+        SMR positions in the base frame by the nominal geometry [m], in the order of measurement.
     p_M : array, shape (n, 3)
-        The measured ones in the tracker frame [m].
+        Measured SMR positions in the tracker frame [m].
     """
     n = len(p_B)
     if n < 2 * _FEWEST:
         return None
-    together = _rms(p_B, p_M)
+    together = _registration_rms(p_B, p_M)
     if together < _LEAST_M:
         return None
 
-    def apart(k: int) -> float:
-        return float(np.sqrt((k * _rms(p_B[:k], p_M[:k]) ** 2 + (n - k) * _rms(p_B[k:], p_M[k:]) ** 2) / n))
+    def separate(k: int) -> float:
+        before, after = _registration_rms(p_B[:k], p_M[:k]), _registration_rms(p_B[k:], p_M[k:])
+        return float(np.sqrt((k * before**2 + (n - k) * after**2) / n))
 
-    step = max(1, (n - 2 * _FEWEST) // _TRIALS)
-    place = min(range(_FEWEST, n - _FEWEST + 1, step), key=apart)
-    place = min(range(max(_FEWEST, place - step), min(n - _FEWEST, place + step) + 1), key=apart)
-    return place if together > _WORSE * apart(place) else None
+    step = max(1, (n - 2 * _FEWEST) // _COARSE_TRIALS)
+    row = min(range(_FEWEST, n - _FEWEST + 1, step), key=separate)
+    row = min(range(max(_FEWEST, row - step), min(n - _FEWEST, row + step) + 1), key=separate)
+    return row if together > _RATIO * separate(row) else None
 
 
-def _rms(p_B: Array, p_M: Array) -> float:
-    """What registration leaves [m], root mean square."""
+def _registration_rms(p_B: Array, p_M: Array) -> float:
+    """Rms distance of the points after registration [m]."""
     off = p_M - apply(register(p_M, p_B), p_B)
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))

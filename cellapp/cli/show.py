@@ -55,7 +55,7 @@ def show(
                 job.result(state)
             case Part.HISTORY:
                 history = overview.run_history(run)
-                job.show([run_tables.history_table(history)])
+                job.say(*run_tables.history_lines(history))
                 job.result(history)
             case Part.PLAN:
                 stops = overview.planned_stops(run)
@@ -108,7 +108,7 @@ def _show_result(job: Job, run: RunFile, part: Part) -> None:
     reason = {str(key): text for key, text in results.out_of_date.items()}.get(name)
     stored = getattr(results, name)
     if stored is None:
-        why = f"{name} is stored, but {reason}" if reason else f"no stored {part.value}"
+        why = f"{name} is stored, but {reason}" if reason else f"no {part.value} is stored"
         raise InputError(f"{run.path}: {why}; make it with '{make}'")
     print_result(job, results)
     if reason is not None:

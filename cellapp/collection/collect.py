@@ -13,7 +13,7 @@ from cellapp.collection.cell import open_cell
 from cellapp.collection.controllers import check_controllers
 from cellapp.collection.motion import MotionRefused, Mover
 from cellapp.errors import HardwareError, InputError
-from cellapp.planning.factors import Factors, read_factors
+from cellapp.planning.stop_conditions import StopConditions, read_stop_conditions
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Reading, RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
@@ -60,7 +60,7 @@ def collect_run(
     if not left:
         return (f"all {total} stops were stored already",)
     notes: list[str] = []
-    proposed = read_factors(run)
+    proposed = read_stop_conditions(run)
     drawn = bool(proposed) and any(run.readings(name).split is not None for name in run.arms())
     bodies = cell_bodies(profile)
     earlier = max((float(run.readings(name).time_s.max()) for name in run.arms()), default=0.0) if done else 0.0
@@ -127,7 +127,7 @@ def _go(mover: Mover, targets: dict[str, np.ndarray]) -> dict[str, ArmState]:
 
 
 def _go_as_proposed(
-    mover: Mover, targets: dict[str, np.ndarray], factors: Mapping[str, Factors]
+    mover: Mover, targets: dict[str, np.ndarray], factors: Mapping[str, StopConditions]
 ) -> dict[str, ArmState]:
     """Move to where the last legs begin, all arms at once or one after the other, then those legs.
 
@@ -149,7 +149,7 @@ def _go_as_proposed(
     raise MotionRefused(f"refused to move: {mover.refusal(*ways[0])}")
 
 
-def _dwell_s(factors: Mapping[str, Factors], name: str) -> float:
+def _dwell_s(factors: Mapping[str, StopConditions], name: str) -> float:
     return factors[name].dwell_s if name in factors else 0.0
 
 

@@ -1,1 +1,1 @@
-"""Criteria of experimental design: what stops tell about parameters, effects and rivals."""
+"""Criteria of experimental design: information about parameters and effects, discrimination of rival models. No I/O."""

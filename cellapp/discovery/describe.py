@@ -1,27 +1,47 @@
-"""A data-driven term in words: channel, variables, its curve, and a short formula where one fits as well."""
+"""Description of a data-driven term: channel, variables, its curve, and a short formula where one fits as well."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.discovery.data import ArmData, Fit
-from cellapp.discovery.scan import Candidate, Follower, Seen, displacements, explained_by
+from cellapp.discovery.candidates import CandidateLaw
+from cellapp.discovery.data import ArmData
+from cellapp.discovery.formulas import formulas
+from cellapp.discovery.joint_fit import JointFit
+from cellapp.discovery.search.scan import LawScan
+from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import EffectColumn, Law
 from cellapp.effects.unknown import channel_directions, values_of
 from cellapp.kinematics.transforms import Array
 
 _POINTS = 60
+"""Points of a curve in the description."""
+_AS_GOOD = 0.95
+"""Share of what the curve explains that a formula of fewer parameters must explain to describe it."""
 
 
 @dataclass(frozen=True)
 class Description:
-    """What is known of an effect that has no name.
+    """Description of an effect that has no name.
 
-    ``formula`` is empty where none of the short ones explains it as well as the curve; ``gain`` is the score of the
-    formula less that of the curve. ``curve`` is (variable, value of the term), in SI units, of one variable.
+    Attributes
+    ----------
+    channel : str
+        What the effect moves.
+    variables : tuple of str
+        What it depends on.
+    size_um : float
+        Rms displacement of the SMR, without what the geometry can follow.
+    formula : str
+        Short formula; empty where none explains the effect as well as the curve.
+    gain : float, optional
+        Score of the formula less that of the curve.
+    curve : tuple of (float, float)
+        Variable and value of the term in SI units; empty where there are two variables.
+    sentence : str
     """
 
     channel: str
@@ -33,128 +53,77 @@ class Description:
     sentence: str
 
 
-def describe(data: ArmData, fit: Fit, place: int) -> Description:
-    """Describe the data-driven part at ``place`` of a fitted choice."""
-    part = fit.choice[place]
-    channel, *variables = part.law.name.split("|")
-    begin = sum(len(p.names) for p in fit.choice[:place])
-    columns = fit.columns[begin : begin + len(part.names)]
-    values = fit.identification.effect_values[begin : begin + len(part.names)]
-    curve_values = np.zeros(len(data))
-    for column, value in zip(columns, values.tolist(), strict=True):
-        if column.offset is not None:
-            curve_values += value * column.offset
-    by_joint = columns[0].joint is not None
-    # only what geometry cannot follow has a size: a slow drift holds any amount of what the base pose takes back
-    seen = fit.follower_without(place).without(fit.signal(place)).reshape(3, -1)
-    moved = np.linalg.solve(fit.white.transpose(2, 0, 1), seen.T[:, :, None])[..., 0]
-    size = float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
-    known = [values_of(data.context, name) for name in variables]
-    formula, gain = _formula(data, fit, place, channel, variables, known)
-    curve: tuple[tuple[float, float], ...] = ()
-    if len(variables) == 1 and by_joint:
-        order = np.argsort(known[0], kind="stable")
-        picked = order[np.linspace(0, len(order) - 1, min(_POINTS, len(order))).astype(np.intp)]
-        curve = tuple((float(known[0][i]), float(curve_values[i])) for i in picked)
-    depends = " and ".join(variables)
+def describe(data: ArmData, fit: JointFit, number: int) -> Description:
+    """Describe a data-driven term of a fit."""
+    channel, *variables = fit.terms[number].law.name.split("|")
+    values = [values_of(data.context, name) for name in variables]
+    size_um = _visible_rms(fit, number) * 1e6
+    formula, gain = _formula(data, fit, number, channel, variables, values)
     shape = f", about {formula}" if formula else ""
-    sentence = f"{channel} depends on {depends}{shape}; {size * 1e6:.0f} um rms at the SMR"
-    return Description(channel, tuple(variables), size * 1e6, formula, gain, curve, sentence)
+    sentence = f"{channel} depends on {' and '.join(variables)}{shape}; {size_um:.0f} um rms at the SMR"
+    one_curve = len(variables) == 1 and fit.term_columns(number)[0].joint is not None
+    curve = _curve(fit, number, values[0]) if one_curve else ()
+    return Description(channel, tuple(variables), size_um, formula, gain, curve, sentence)
 
 
-def _shapes(variables: list[str], known: list[Array]) -> list[tuple[str, Array]]:
-    """Short formulas to try, each with the free factor ``c`` left out: text and values (n, k) of its columns."""
-    shapes: list[tuple[str, Array]] = []
+def _visible_rms(fit: JointFit, number: int) -> float:
+    """Rms displacement [m] by a term, without what all else in the model can follow.
 
-    def add(text: str, *columns: Array) -> None:
-        stacked = np.stack(columns, axis=1)
-        if np.isfinite(stacked).all() and np.ptp(stacked, axis=0).max() > 0.0:
-            shapes.append((text, stacked))
-
-    def singles(v: str, x: Array) -> None:
-        add(f"c {v}", x)
-        add(f"c {v}^2", x**2)
-        add(f"c |{v}|", np.abs(x))
-        spread = float(np.ptp(x)) or 1.0
-        if v == "time":
-            for count in np.arange(0.5, 24.25, 0.25):
-                period = spread / float(count)
-                phase = 2.0 * np.pi * x / period
-                add(f"c sin(2 pi time / {period / 60.0:.3g} min + phase)", np.cos(phase), np.sin(phase))
-            for share in (0.05, 0.1, 0.2, 0.4, 0.8):
-                add(f"c exp(-time / {share * spread / 60.0:.3g} min)", np.exp(-(x - x.min()) / (share * spread)))
-            return
-        turning = v.startswith(("q", "other q")) or v in ("azimuth", "elevation", "incidence")
-        for k in range(1, 9 if turning else 1):
-            add(f"c sin({k} {v} + phase)" if k > 1 else f"c sin({v} + phase)", np.cos(k * x), np.sin(k * x))
-        for k in range(1, 5 if turning else 1):
-            label = f"{k} {v}" if k > 1 else v
-            add(f"c |sin({label})|", np.abs(np.sin(k * x)))
-            add(f"c |cos({label})|", np.abs(np.cos(k * x)))
-        for width in (0.1, 0.2, 0.4, 0.8):
-            add(f"c tanh({v} / {width * spread:.2g})", np.tanh((x - np.median(x)) / (width * spread)))
-
-    for v, x in zip(variables, known, strict=True):
-        singles(v, x)
-    if len(variables) == 2:
-        (v, w), (x, y) = variables, known
-        for a, b in ((1, 1), (1, -1), (1, 0.5), (0.5, 1), (1, -0.5), (0.5, -1), (2, 1), (1, 2)):
-            total = a * x + b * y
-            text = f"{_times(a, v)} {'+' if b > 0 else '-'} {_times(abs(b), w)}"
-            add(f"c sin({text} + phase)", np.cos(total), np.sin(total))
-            for width in (0.3, 0.6, 1.0, 1.6):
-                add(f"c tanh(({text}) / {width:g})", np.tanh(total / width))
-        add(f"c {v} {w}", x * y)
-        for f, name in ((np.sin, "sin"), (np.cos, "cos")):
-            for g, other in ((np.sin, "sin"), (np.cos, "cos")):
-                add(f"c {name}({v}) {other}({w})", f(x) * g(y))
-    return shapes
+    A slow drift could hold any amount of what the base pose takes back.
+    """
+    visible = fit.residual_without(number).projector.project(fit.signal(number)).reshape(3, -1)
+    moved = np.linalg.solve(fit.white.transpose(2, 0, 1), visible.T[:, :, None])[..., 0]
+    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
 
-def _times(factor: float, name: str) -> str:
-    return name if factor == 1 else f"{factor:g} {name}"
+def _curve(fit: JointFit, number: int, x: Array) -> tuple[tuple[float, float], ...]:
+    """Points of a joint offset [rad] over its variable."""
+    offset = np.zeros(len(x))
+    for column, value in zip(fit.term_columns(number), fit.term_values(number).tolist(), strict=True):
+        if column.offset is not None:
+            offset += value * column.offset
+    order = np.argsort(x, kind="stable")
+    chosen = order[np.linspace(0, len(order) - 1, min(_POINTS, len(order))).astype(np.intp)]
+    return tuple((float(x[i]), float(offset[i])) for i in chosen)
 
 
 def _formula(
-    data: ArmData, fit: Fit, place: int, channel: str, variables: list[str], known: list[Array]
+    data: ArmData, fit: JointFit, number: int, channel: str, variables: Sequence[str], values: Sequence[Array]
 ) -> tuple[str, float | None]:
-    """The short formula that explains at least nearly as well as the curve for its number of parameters."""
-    if any(not np.isfinite(values).all() for values in known):
+    """The best short formula and its gain over the curve; no text where it does not describe the term as well.
+
+    It does where its score is higher, as it has fewer parameters, or where it explains nearly as much.
+    """
+    if any(not np.isfinite(one).all() for one in values):
         return "", None
-    begin = sum(len(p.names) for p in fit.choice[:place])
-    part = fit.choice[place]
-    basis = fit.columns[begin]
-    follower: Follower = fit.follower_without(place)
-    y = fit.residual + fit.signal(place)
-    MY = follower.without(y)
-    square = float(y @ MY)
+    basis = fit.term_columns(number)[0]
     directions = [] if basis.joint is not None else channel_directions(data.context, channel)
+    found = formulas(variables, values)
     candidates = []
-    shapes = _shapes(variables, known)
-    for text, values in shapes:
-        common = ("", text, -math.inf, math.inf, basis.where)
-        if basis.joint is not None:
-            columns = tuple(
-                EffectColumn(f"{text}#{k}", *common, joint=basis.joint, offset=values[:, k])
-                for k in range(values.shape[1])
-            )
-        else:
-            columns = tuple(
-                EffectColumn(f"{text}#{k}#{d}", *common, shift_M=values[:, k, None] * direction)
-                for k in range(values.shape[1])
-                for d, direction in enumerate(directions)
-            )
-        law = Law(text, {}, len(shapes))
-        candidates.append(Candidate("unknown", law, columns, displacements(columns, fit.by_joint, fit.white)))
+    for formula in found:
+        columns = _columns(formula.text, formula.values, basis, directions)
+        law = Law(formula.text, {}, len(found))
+        candidates.append(CandidateLaw(UNKNOWN, law, columns, fit.displacements(columns)))
     if not candidates:
         return "", None
-    own = fit.rows[len(fit.rows) - len(fit.columns) + begin :][: len(part.names)]
-    seen = Seen.of(candidates, follower)
-    best = seen.scores(MY, square)[0]
-    share = min(explained_by(own, follower, MY) / square, 1.0 - 1e-12)
-    curve_score = -len(y) * math.log1p(-share) - len(own) * math.log(len(y))
-    gain = best.value - curve_score
-    # as good as the curve in what it explains, or better for having fewer parameters
-    if gain < 0.0 and best.explained < 0.95 * share:
+    residual = fit.residual_without(number)
+    best = LawScan.of(candidates, residual.projector).ranked(residual)[0]
+    rows = fit.term_rows(number)
+    gain = best.value - residual.bic_gain(rows)
+    if gain < 0.0 and best.explained_share < _AS_GOOD * residual.explained_share(rows):
         return "", gain
     return best.candidate.law.name, gain
+
+
+def _columns(text: str, values: Array, basis: EffectColumn, directions: Sequence[Array]) -> tuple[EffectColumn, ...]:
+    """Columns of a formula in the channel of ``basis``, all in one block; of a shift one for each direction."""
+    common = ("", text, -np.inf, np.inf, basis.where)
+    if basis.joint is not None:
+        return tuple(
+            EffectColumn(f"{text}#{k}", *common, joint=basis.joint, offset=values[:, k]) for k in range(values.shape[1])
+        )
+    return tuple(
+        EffectColumn(f"{text}#{k}#{d}", *common, shift_M=values[:, k, None] * direction)
+        for k in range(values.shape[1])
+        for d, direction in enumerate(directions)
+    )

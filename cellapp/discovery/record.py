@@ -6,13 +6,17 @@ import math
 from collections.abc import Mapping, Sequence
 
 from cellapp.calibration.record import pair_result
-from cellapp.discovery import pictures
+from cellapp.discovery import outcome
 from cellapp.discovery.describe import Description
-from cellapp.discovery.discover import CellDiscovery, Discovery, Finding
-from cellapp.discovery.pictures import cycles
-from cellapp.discovery.propose import Answer, ProposedStop
+from cellapp.discovery.outcome import CellDiscovery, Discovery
+from cellapp.discovery.pictures import picture as drawn
+from cellapp.discovery.pictures.cycles import dominant_cycles
+from cellapp.discovery.proposal.predictions import PredictedDiscrimination
 from cellapp.discovery.propose import Proposal as ProposedStops
+from cellapp.discovery.propose import ProposedStop
+from cellapp.discovery.terms import TRANSMISSION_ERROR
 from cellapp.effects import EFFECTS
+from cellapp.planning.stop_conditions import StopConditions
 from cellapp.results import (
     AbsentEffect,
     AcceptedEffect,
@@ -56,13 +60,13 @@ def arm_result(found: Discovery) -> ArmDiscoveryResult:
         threshold=found.threshold,
         omnibus_p=_finite(found.omnibus_p),
         scatter=_finite(found.scatter),
-        accepted=tuple(_accepted(finding) for finding in found.findings),
+        accepted=tuple(_accepted(effect) for effect in found.accepted),
         invisible=tuple(AbsentEffect.model_validate(entry) for entry in found.invisible),
         not_found=tuple(AbsentEffect.model_validate(entry) for entry in found.not_found),
         network_mm=None if found.network_mm is None else BeforeAfter.model_validate(found.network_mm),
         uncertainty_mm=None if uncertainty is None else PredictedUncertainty.model_validate(uncertainty),
         pictures=tuple(_picture(picture) for picture in found.pictures),
-        validate_={"effects": found.stage} if found.findings else {},
+        validate_={"effects": found.stage} if found.accepted else {},
         verdict=found.verdict,
         sentence=found.sentence,
     )
@@ -71,8 +75,8 @@ def arm_result(found: Discovery) -> ArmDiscoveryResult:
 def proposal_result(proposed: ProposedStops, first: int | None, notes: Sequence[str]) -> Proposal:
     """Proposed stops; ``first`` is the number of the first of them in the run's plan, None where it has none."""
     arms: dict[str, list[ProposalQuestion]] = {}
-    for answer in proposed.answers:
-        arms.setdefault(answer.arm, []).append(_question(answer))
+    for prediction in proposed.predictions:
+        arms.setdefault(prediction.arm, []).append(_question(prediction))
     return Proposal(
         count=len(proposed.stops),
         written=first is not None,
@@ -86,16 +90,16 @@ def proposal_result(proposed: ProposedStops, first: int | None, notes: Sequence[
     )
 
 
-def _accepted(finding: Finding) -> AcceptedEffect:
-    term, described = finding.term, finding.description
+def _accepted(effect: outcome.AcceptedEffect) -> AcceptedEffect:
+    term, described = effect.term, effect.description
     estimates = zip(term.names, term.values.tolist(), term.standard_errors.tolist(), term.units, strict=True)
     return AcceptedEffect(
         effect=term.slug,
         title=EFFECTS[term.slug].title,
         law=LawRecord(name=term.law.name, constants=dict(term.law.constants)),
         where=Place(
-            joints=finding.joints,
-            acts_on=finding.acts_on,
+            joints=effect.joints,
+            acts_on=effect.acts_on,
             channel=None if described is None else described.channel,
             variables=None if described is None else described.variables,
         ),
@@ -104,18 +108,19 @@ def _accepted(finding: Finding) -> AcceptedEffect:
             for name, value, error, unit in estimates
         },
         evidence=Evidence(
-            statistic=finding.score,
-            corrected_p=finding.p_value,
-            heldout_mm=BeforeAfter(before=finding.heldout_before_mm, after=finding.heldout_after_mm),
+            statistic=effect.score,
+            corrected_p=effect.p_value,
+            heldout_mm=BeforeAfter(before=effect.heldout_before_mm, after=effect.heldout_after_mm),
         ),
-        answer_set=finding.answer_set,
+        answer_set=effect.answer_set,
         runners_up=tuple(
-            RunnerUp(effect=rival.slug, statistic=rival.score, told_apart=rival.told_apart) for rival in finding.rivals
+            RunnerUp(effect=rival.slug, statistic=rival.score, told_apart=rival.distinguishable)
+            for rival in effect.rivals
         ),
         correlated_with=None
-        if finding.correlated is None
-        else Correlation(parameter=finding.correlated[0], correlation=finding.correlated[1]),
-        cycles=_cycles(cycles(term.names, term.values)) if term.slug == "transmission_error" else None,
+        if effect.correlated is None
+        else Correlation(parameter=effect.correlated[0], correlation=effect.correlated[1]),
+        cycles=_cycles(dominant_cycles(term.names, term.values)) if term.slug == TRANSMISSION_ERROR else None,
         description=None if described is None else _description(described),
     )
 
@@ -136,7 +141,7 @@ def _description(found: Description) -> TermDescription:
     )
 
 
-def _picture(found: pictures.Picture) -> Picture:
+def _picture(found: drawn.Picture) -> Picture:
     curve = found.curve
     return Picture(
         title=found.title,
@@ -151,22 +156,22 @@ def _picture(found: pictures.Picture) -> Picture:
     )
 
 
-def _question(answer: Answer) -> ProposalQuestion:
+def _question(predicted: PredictedDiscrimination) -> ProposalQuestion:
     return ProposalQuestion(
-        effect=answer.effect,
-        against=answer.against or None,
-        needed=answer.needed,
-        discrimination=Discrimination(now=answer.now, proposed=answer.proposed, random=answer.random),
-        gain_over_random=answer.gain,
+        effect=predicted.effect,
+        against=predicted.against or None,
+        needed=predicted.needed,
+        discrimination=Discrimination(now=predicted.now, proposed=predicted.proposed, random=predicted.random),
+        gain_over_random=predicted.gain_over_random,
     )
 
 
 def _stop_rows(number: int, stop: ProposedStop) -> list[ProposedStopRow]:
     rows = []
     for name, q in stop.q.items():
-        factors = stop.factors.get(name)
-        via = None if factors is None or factors.via is None else tuple(factors.via.tolist())
-        dwell_s = None if factors is None or factors.dwell_s <= 0.0 else factors.dwell_s
+        conditions = stop.factors.get(name, StopConditions())
+        via = None if conditions.via is None else tuple(conditions.via.tolist())
+        dwell_s = conditions.dwell_s if conditions.dwell_s > 0.0 else None
         rows.append(ProposedStopRow(configuration=number, arm=name, q=tuple(q.tolist()), via=via, dwell_s=dwell_s))
     return rows
 

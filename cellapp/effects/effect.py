@@ -24,7 +24,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.kinematics.chain import Geometry, Turns, frame_poses, jacobian, joint_jacobian
+from cellapp.kinematics.chain import Geometry, JointAngles, frame_poses, jacobian, joint_jacobian
 from cellapp.kinematics.statics import Bodies, gravity_torques
 from cellapp.kinematics.transforms import Array
 
@@ -161,7 +161,7 @@ class EffectContext:
     @cached_property
     def joint_jacobian(self) -> Array:
         """Derivatives of the SMR position by the joints (3, N, n) [m/rad] in the tracker frame."""
-        return joint_jacobian(self.geometry, Turns.of(self.posture))[1]
+        return joint_jacobian(self.geometry, JointAngles.of(self.posture))[1]
 
     @cached_property
     def base_twists(self) -> Array:
@@ -174,7 +174,7 @@ class EffectContext:
     def link_growth(self) -> Array:
         """What a unit strain of each link, of its a and its d, does to the SMR (N, n, 3) [m]."""
         d_and_a = tuple(6 + 5 * i + k for i in range(self.joints) for k in (1, 2))
-        _, J = jacobian(self.geometry, Turns.of(self.posture), d_and_a)
+        _, J = jacobian(self.geometry, JointAngles.of(self.posture), d_and_a)
         grown = J * self.geometry.rows[:, 1:3].ravel()[:, None]
         return np.ascontiguousarray((grown[:, 0::2] + grown[:, 1::2]).transpose(1, 2, 0))
 

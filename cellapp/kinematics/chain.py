@@ -1,20 +1,20 @@
-"""A serial arm of revolute joints seen by a tracker: SMR positions and their analytic derivatives.
+"""Forward kinematics of a serial arm with revolute joints, and analytic derivatives of the SMR position.
 
-The model is the one of Bai et al., ROBOT 45(3) 2023, 276-286:
+The model is that of Bai et al., ROBOT 45(3) 2023, 276-286: D-H parameters with Hayati's angle beta,
 
     T_M_S = T_M_B A_1 ... A_N trans(t_x, t_y, t_z)
     T_M_B = R_ref trans(x0, y0, 0) rot_x(alpha0) rot_y(beta0) trans(0, 0, z0) rot_z(theta0)
     A_i   = rot_z(q_i + theta_i) trans(a_i, 0, d_i) rot_x(alpha_i) rot_y(beta_i)
 
-with ``R_ref`` the identity unless the first axis is more than 60 degrees off the tracker's z axis (an arm on a wall):
-there x0, y0, z0 would run away, and ``R_ref`` renames the tracker's axes so that its z is the one nearest to the first
-axis.
+M is the tracker frame, B the base, S the SMR centre. ``R_ref`` is the identity unless the first joint axis is more than
+60 degrees off the tracker's z axis (an arm on a wall). There the parameters x0, y0, z0 become singular, and ``R_ref``
+permutes the tracker's axes so that its z is the one nearest to the first joint axis.
 
-A rotation parameter about axis u through point c moves the SMR P by u x (P - c) per radian, a translation along u
-moves it by u per metre: that is the whole Jacobian.
+Jacobian: a rotation parameter about axis u through point c moves the SMR at P by u x (P - c) per radian; a translation
+parameter along u moves it by u per metre.
 
-Arrays inside are laid out (3, ..., n), component first and configurations last, so that every operation runs along
-the configurations and every component is contiguous.
+Internal arrays have the shape (3, ..., n), component first and configurations last: every operation runs along the
+configurations, and every component is contiguous.
 """
 
 from __future__ import annotations
@@ -31,17 +31,19 @@ from cellapp.kinematics.transforms import Array, rotation_x, rotation_y, transfo
 BASE_NAMES = ("x0", "y0", "z0", "alpha0", "beta0", "theta0")
 ROW_NAMES = ("theta", "d", "a", "alpha", "beta")
 TOOL_NAMES = ("tx", "ty", "tz")
-_REFERENCES = (  # rotations that take z to x, to y, and to itself
+_REFERENCES = (
     np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
     np.eye(3),
 )
+"""``R_ref`` by reference axis: rotations that map z to x, to y and to z."""
 _PARALLEL = math.sin(math.radians(5.0))
+"""Sine of 5 degrees. Joint axes closer to parallel than that make D-H parameters nearly singular."""
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """All numbers of the chain of one arm.
+    """Kinematic parameters of one arm.
 
     Attributes
     ----------
@@ -52,7 +54,7 @@ class Geometry:
     tool : array, shape (3,)
         SMR centre in the last joint's frame [m].
     reference_axis : int
-        Which tracker axis (0 x, 1 y, 2 z) the base numbers take for z: 2 unless the arm hangs on a wall.
+        Tracker axis (0 x, 1 y, 2 z) that ``base`` uses as z: 2 unless the arm is mounted on a wall.
     """
 
     base: Array
@@ -62,28 +64,28 @@ class Geometry:
 
     @property
     def joints(self) -> int:
-        """The number of joints N."""
+        """Number of joints N."""
         return len(self.rows)
 
     def vector(self) -> Array:
-        """All 6 + 5 N + 3 parameters in the order of ``parameter_names``."""
+        """All 6 + 5 N + 3 parameters in the order of ``parameter_names`` [rad, m]."""
         return np.concatenate([self.base, self.rows.ravel(), self.tool])
 
     def with_vector(self, vector: Array) -> Geometry:
-        """The same arm with other parameters."""
+        """The same arm with other parameters, in the order of ``parameter_names``."""
         return replace(self, base=vector[:6].copy(), rows=vector[6:-3].reshape(-1, 5).copy(), tool=vector[-3:].copy())
 
     def reference(self) -> Array:
-        """``R_ref`` (3, 3)."""
+        """``R_ref``, shape (3, 3)."""
         return _REFERENCES[self.reference_axis]
 
     def T_M_B(self) -> Array:
-        """The base in the tracker frame, shape (4, 4)."""
+        """Pose of the base in the tracker frame, shape (4, 4)."""
         axes = _base_frame(self)
         return transform(axes[:3].T, axes[3])
 
     def with_T_M_B(self, T_M_B: Array) -> Geometry:
-        """The same arm standing elsewhere."""
+        """The same arm with its base at ``T_M_B`` (4, 4)."""
         axis = T_M_B[:3, 2]
         reference_axis = 2 if abs(axis[2]) > 0.5 else int(np.argmax(np.abs(axis)))
         geometry = replace(self, reference_axis=reference_axis)
@@ -92,16 +94,16 @@ class Geometry:
         alpha0 = math.atan2(-rotation[1, 2], rotation[2, 2])
         beta0 = math.atan2(rotation[0, 2], math.hypot(rotation[1, 2], rotation[2, 2]))
         tilt = rotation_x(alpha0) @ rotation_y(beta0)
-        about = tilt.T @ rotation
-        theta0 = math.atan2(about[1, 0], about[0, 0])
-        # z0 runs along the first axis, from where that axis crosses the plane z = 0 of the (turned) tracker frame
+        about_axis = tilt.T @ rotation
+        theta0 = math.atan2(about_axis[1, 0], about_axis[0, 0])
+        # z0 is measured along the first joint axis from its intersection with the plane z = 0 of the reference frame
         z0 = position[2] / tilt[2, 2]
         x0, y0 = (position - tilt[:, 2] * z0)[:2]
         return replace(geometry, base=np.array([x0, y0, z0, alpha0, beta0, theta0]))
 
 
 def nominal_geometry(rows: Array, tool: Array, T_M_B: Array | None = None) -> Geometry:
-    """The geometry of D-H rows (N, 4: theta, d, a, alpha) with no Hayati angles, a tool (3,) and a base (4, 4)."""
+    """Geometry from D-H rows (N, 4): theta, d, a, alpha [rad, m], tool (3,) [m] and base (4, 4); all beta are zero."""
     geometry = Geometry(
         base=np.zeros(6),
         rows=np.column_stack([rows, np.zeros(len(rows))]),
@@ -112,60 +114,63 @@ def nominal_geometry(rows: Array, tool: Array, T_M_B: Array | None = None) -> Ge
 
 @lru_cache(maxsize=32)
 def parameter_names(joints: int) -> tuple[str, ...]:
-    """Names of all 6 + 5 N + 3 parameters: x0 ... theta0, theta1, d1, a1, alpha1, beta1, theta2 ..., tx, ty, tz."""
+    """Names of all 6 + 5 N + 3 parameters: x0, ..., theta0, theta1, d1, a1, alpha1, beta1, theta2, ..., tx, ty, tz."""
     rows = tuple(f"{name}{i}" for i in range(1, joints + 1) for name in ROW_NAMES)
     return BASE_NAMES + rows + TOOL_NAMES
 
 
 def parameter_unit(name: str) -> str:
-    """``rad`` or ``m``."""
+    """Unit of a parameter: ``rad`` or ``m``."""
     return "rad" if name.startswith(("theta", "alpha", "beta")) else "m"
 
 
 def parallel_rows(geometry: Geometry) -> tuple[int, ...]:
-    """Indices of the joints whose next axis is nominally parallel: there Hayati's beta is needed.
+    """Indices of joints whose next axis is parallel: D-H is singular there and Hayati's beta is needed.
 
-    Source: Hayati, Mirmirani, J. Robotic Systems 2 (1985) 397: D-H is singular between parallel axes.
+    Source: Hayati, Mirmirani, J. Robotic Systems 2 (1985) 397.
     """
     return tuple(i for i, alpha in enumerate(geometry.rows[:-1, 3].tolist()) if abs(math.sin(alpha)) < _PARALLEL)
 
 
 @dataclass(frozen=True)
-class Turns:
-    """Cosines and sines (N, n) of joint positions, taken once for any number of walks over the same configurations."""
+class JointAngles:
+    """Cosines and sines (N, n) of joint positions, computed once and used for several geometries."""
 
     cosines: Array
     sines: Array
 
     @classmethod
-    def of(cls, q: Array) -> Turns:
-        """From joint positions ``q`` (n, N) [rad]."""
+    def of(cls, q: Array) -> JointAngles:
+        """Cosines and sines of joint positions ``q`` (n, N) [rad]."""
         angles = np.ascontiguousarray(q.T)
         return cls(np.cos(angles), np.sin(angles))
 
-    def part(self, first: int, last: int) -> Turns:
-        """Those of the configurations first ... last - 1."""
-        return Turns(self.cosines[:, first:last], self.sines[:, first:last])
+    def part(self, first: int, last: int) -> JointAngles:
+        """The configurations first to last - 1."""
+        return JointAngles(self.cosines[:, first:last], self.sines[:, first:last])
 
     @property
     def count(self) -> int:
-        """The number of configurations n."""
+        """Number of configurations n."""
         return int(self.cosines.shape[1])
 
 
 def smr_positions(geometry: Geometry, q: Array) -> Array:
     """SMR positions in the tracker frame, shape (n, 3) [m], of configurations ``q`` (n, N) [rad]."""
-    return np.ascontiguousarray(smr_positions_of(geometry, Turns.of(q)).T)
+    return np.ascontiguousarray(smr_positions_of(geometry, JointAngles.of(q)).T)
 
 
-def smr_positions_of(geometry: Geometry, turns: Turns) -> Array:
-    """SMR positions in the tracker frame, shape (3, n) [m]."""
-    return _smr(geometry, _walk(geometry, turns))
+def smr_positions_of(geometry: Geometry, angles: JointAngles) -> Array:
+    """SMR positions in the tracker frame, shape (3, n) [m]: component first."""
+    return _smr(geometry, _frames(geometry, angles))
 
 
 def frame_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
-    """All D-H frames, base first: rotations (N + 1, n, 3, 3) and origins (N + 1, n, 3) [m] in the tracker frame."""
-    frames = _walk(geometry, Turns.of(q))[:, :-4].reshape(3, geometry.joints + 1, 4, len(q))
+    """All D-H frames, base first: rotations (N + 1, n, 3, 3) and origins (N + 1, n, 3) [m] in the tracker frame.
+
+    ``q`` (n, N) are joint positions [rad].
+    """
+    frames = _frames(geometry, JointAngles.of(q))[:, :-4].reshape(3, geometry.joints + 1, 4, len(q))
     rotations = np.ascontiguousarray(frames[:, :, :3].transpose(1, 3, 0, 2))
     return rotations, np.ascontiguousarray(frames[:, :, 3].transpose(1, 2, 0))
 
@@ -176,17 +181,16 @@ def flange_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
     return rotations[-1], origins[-1]
 
 
-def jacobian(geometry: Geometry, turns: Turns, columns: tuple[int, ...]) -> tuple[Array, Array]:
-    """SMR positions and their derivatives by the parameters ``columns`` (indices into ``parameter_names``).
-
-    Fastest when the rotations stand before the translations in ``columns``.
+def jacobian(geometry: Geometry, angles: JointAngles, columns: tuple[int, ...]) -> tuple[Array, Array]:
+    """SMR positions and their derivatives with respect to some of the parameters.
 
     Parameters
     ----------
     geometry : Geometry
-    turns : Turns
-        Of n configurations.
+    angles : JointAngles
+        n configurations.
     columns : tuple of int, length k
+        Indices into ``parameter_names``. Rotations before translations are fastest: no reordering is needed.
 
     Returns
     -------
@@ -195,40 +199,50 @@ def jacobian(geometry: Geometry, turns: Turns, columns: tuple[int, ...]) -> tupl
     J : array, shape (3, k, n)
         Derivatives [m/rad or m/m].
     """
-    order = _order(columns, geometry.joints)
-    frames = _walk(geometry, turns)
+    sources = _column_sources(columns, geometry.joints)
+    frames = _frames(geometry, angles)
     P = _smr(geometry, frames)
-    r = len(order.axes)
-    J = np.empty((3, len(columns), turns.count))
-    axes, lever = np.take(frames, order.axes, axis=1), np.take(frames, order.centers, axis=1)
-    J[:, r:] = np.take(frames, order.along, axis=1)
+    r = len(sources.axes)
+    J = np.empty((3, len(columns), angles.count))
+    axes, lever = np.take(frames, sources.axes, axis=1), np.take(frames, sources.centers, axis=1)
+    J[:, r:] = np.take(frames, sources.along, axis=1)
     for joint in np.flatnonzero(geometry.rows[:, 4]).tolist():
-        # a and alpha act before rot_y(beta): take their axis from the frame before it
+        # a and alpha act before rot_y(beta): undo it to get their axis
         cb, sb = math.cos(geometry.rows[joint, 4]), math.sin(geometry.rows[joint, 4])
         axis = cb * frames[:, 4 * joint + 4] + sb * frames[:, 4 * joint + 6]
-        a_place, alpha_place = order.slot[6 + 5 * joint + 2], order.slot[6 + 5 * joint + 3]
+        a_place, alpha_place = sources.slot[6 + 5 * joint + 2], sources.slot[6 + 5 * joint + 3]
         if a_place >= 0:
             J[:, r + a_place] = axis
         if alpha_place >= 0:
             axes[:, alpha_place] = axis
     np.subtract(P[:, None], lever, out=lever)
-    scratch = np.empty((r, turns.count))
+    scratch = np.empty((r, angles.count))
     for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         component = np.multiply(axes[y], lever[z], out=J[x, :r])
         component -= np.multiply(axes[z], lever[y], out=scratch)
-    return P, J if order.restore is None else J[:, order.restore]
+    return P, J if sources.restore is None else J[:, sources.restore]
 
 
-def joint_jacobian(geometry: Geometry, turns: Turns) -> tuple[Array, Array]:
-    """SMR positions (3, n) and their derivatives by the joint angles (3, N, n) [m/rad] in the tracker frame."""
-    return jacobian(geometry, turns, tuple(6 + 5 * i for i in range(geometry.joints)))
+def joint_jacobian(geometry: Geometry, angles: JointAngles) -> tuple[Array, Array]:
+    """SMR positions (3, n) [m] and their derivatives by the joint angles (3, N, n) [m/rad], in the tracker frame."""
+    return jacobian(geometry, angles, tuple(6 + 5 * i for i in range(geometry.joints)))
 
 
 @dataclass(frozen=True)
-class _Order:
-    """Where each wanted column comes from among the vectors of ``_walk``; rotations first, then translations.
+class _ColumnSources:
+    """Indices into ``_frames`` of the vectors from which each column of a Jacobian is made.
 
-    ``slot`` is a parameter's place among the rotations or among the translations, -1 where it is not wanted.
+    Attributes
+    ----------
+    slot : tuple of int
+        Position of each parameter of the chain among the rotations, or among the translations, of the Jacobian; -1 for
+        parameters that are not among its columns.
+    axes, centers : array, shape (r,)
+        Axis and a point on it, of each rotation.
+    along : array, shape (k - r,)
+        Direction of each translation.
+    restore : array, shape (k,), or None
+        Order of the columns, where it is not rotations before translations.
     """
 
     slot: tuple[int, ...]
@@ -239,7 +253,7 @@ class _Order:
 
 
 @lru_cache(maxsize=64)
-def _order(columns: tuple[int, ...], joints: int) -> _Order:
+def _column_sources(columns: tuple[int, ...], joints: int) -> _ColumnSources:
     names = parameter_names(joints)
     slot = [-1] * len(names)
     rotations = [c for c in columns if parameter_unit(names[c]) == "rad"]
@@ -250,7 +264,7 @@ def _order(columns: tuple[int, ...], joints: int) -> _Order:
     stored = rotations + translations
     restore = None if tuple(stored) == columns else np.array([stored.index(c) for c in columns], dtype=np.int64)
     sources = [_source(c, joints) for c in range(len(names))]
-    return _Order(
+    return _ColumnSources(
         tuple(slot),
         np.array([sources[c][0] for c in rotations], dtype=np.int64),
         np.array([sources[c][1] for c in rotations], dtype=np.int64),
@@ -260,21 +274,25 @@ def _order(columns: tuple[int, ...], joints: int) -> _Order:
 
 
 def _source(column: int, joints: int) -> tuple[int, int]:
-    """Which vectors of ``_walk`` are the axis and the centre of a parameter; a translation has none."""
-    fixed = 4 * (joints + 1)  # R_ref x, R_ref y, y behind rot_x(alpha0), (x0, y0, 0)
+    """Indices into ``_frames`` of a parameter's axis and of a point on it, which a translation does not need."""
+    fixed = 4 * (joints + 1)  # the four fixed vectors of _base_frame
     if column < 6:
         of_base = ((fixed, 0), (fixed + 1, 0), (2, 0), (fixed, fixed + 3), (fixed + 2, fixed + 3), (2, 3))
         return of_base[column]
     if column >= 6 + 5 * joints:
         return 4 * joints + column - 6 - 5 * joints, 0
     joint, which = divmod(column - 6, 5)
-    before, behind = 4 * joint, 4 * joint + 4
-    axis = (before + 2, before + 2, behind, behind, behind + 1)[which]  # theta, d, a, alpha, beta
-    return axis, (before if which == 0 else behind) + 3
+    previous, own = 4 * joint, 4 * joint + 4  # the D-H frames before and after A_i
+    axis = (previous + 2, previous + 2, own, own, own + 1)[which]  # theta, d, a, alpha, beta
+    return axis, (previous if which == 0 else own) + 3
 
 
 def _base_frame(geometry: Geometry) -> Array:
-    """x, y, z axes and origin of the base, R_ref x, R_ref y, y behind rot_x(alpha0), (x0, y0, 0): shape (8, 3)."""
+    """Vectors of the base in the tracker frame, shape (8, 3).
+
+    x, y, z axes and origin of the base; then what does not rotate with theta0: x and y axes of the reference frame, the
+    y axis after rot_x(alpha0), and the point (x0, y0, 0).
+    """
     x0, y0, z0, alpha0, beta0, theta0 = geometry.base.tolist()
     ca, sa, cb, sb = math.cos(alpha0), math.sin(alpha0), math.cos(beta0), math.sin(beta0)
     ct, st = math.cos(theta0), math.sin(theta0)
@@ -295,7 +313,7 @@ def _base_frame(geometry: Geometry) -> Array:
 
 
 def _smr(geometry: Geometry, frames: Array) -> Array:
-    """SMR positions (3, n) from the vectors of ``_walk``."""
+    """SMR positions (3, n) [m] from the vectors of ``_frames``."""
     last = 4 * geometry.joints
     tx, ty, tz = geometry.tool.tolist()
     P: Array = tx * frames[:, last] + frames[:, last + 3]
@@ -304,12 +322,12 @@ def _smr(geometry: Geometry, frames: Array) -> Array:
     return P
 
 
-def _walk(geometry: Geometry, turns: Turns) -> Array:
-    """x, y, z axes and origin of every D-H frame, base first, then four fixed ones of the base: (3, 4 (N + 1) + 4, n).
+def _frames(geometry: Geometry, angles: JointAngles) -> Array:
+    """x, y, z axes and origins of all D-H frames, base first, then the fixed vectors of the base: (3, 4 N + 8, n).
 
-    What follows the turn by q_i is one constant 4 x 4 matrix for all configurations, hence one matrix product.
+    All of A_i after rot_z(q_i) is one constant matrix for all configurations, hence one matrix product per joint.
     """
-    n, joints = turns.count, geometry.joints
+    n, joints = angles.count, geometry.joints
     vectors = np.empty((3, 4 * joints + 8, n))
     base = _base_frame(geometry).T[:, :, None]
     vectors[:, :4], vectors[:, -4:] = base[:, :4], base[:, 4:]
@@ -318,7 +336,7 @@ def _walk(geometry: Geometry, turns: Turns) -> Array:
     rows = _row_matrices(geometry)
     for i in range(joints):
         before = vectors[:, 4 * i : 4 * i + 4]
-        c, s = turns.cosines[i], turns.sines[i]
+        c, s = angles.cosines[i], angles.sines[i]
         np.multiply(before[:, :2], c, out=turned[:, :2])
         turned_x += np.multiply(before[:, 1], s, out=scratch)
         turned_y -= np.multiply(before[:, 0], s, out=scratch)
@@ -328,7 +346,7 @@ def _walk(geometry: Geometry, turns: Turns) -> Array:
 
 
 def _row_matrices(geometry: Geometry) -> Array:
-    """What takes (x, y, z axes, origin) behind rot_z(q_i) to the same behind A_i, shape (N, 4, 4)."""
+    """Matrices (N, 4, 4) that map (x, y, z axis, origin) after rot_z(q_i) to those after A_i."""
     theta, d, a, alpha, beta = geometry.rows.T
     ct, st, ca, sa, cb, sb = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
     M = np.zeros((geometry.joints, 4, 4))

@@ -1,4 +1,4 @@
-"""Inverse kinematics by damped Newton steps, many poses and many starts at once."""
+"""Numerical inverse kinematics by damped least squares, for many poses at once."""
 
 from __future__ import annotations
 
@@ -10,10 +10,27 @@ from numpy.typing import NDArray
 from cellapp.kinematics.chain import Geometry, frame_poses
 from cellapp.kinematics.transforms import Array, rotation_vectors
 
+_LARGEST_STEP = 0.5
+"""Limit on the change of any joint in one iteration [rad]: beyond it the linearisation of the chain does not hold."""
+_DAMPING = (1e-2, 1e-3, 1e-14)
+"""Damping per squared error, its upper limit, and its lower limit, which keeps the normal matrix regular."""
+
 
 @dataclass(frozen=True)
 class InverseSolution:
-    """Joint positions (n, N) [rad], whether each reached its pose, and what is left of position [m] and turn [rad]."""
+    """Solutions of n poses.
+
+    Attributes
+    ----------
+    q : array, shape (n, N)
+        Joint positions [rad].
+    reached : array, shape (n,), bool
+        Whether both errors are below the tolerance.
+    position_error : array, shape (n,)
+        Distance of the SMR centre from the wanted position [m].
+    rotation_error : array, shape (n,)
+        Angle between the flange and the wanted rotation [rad], 0 to pi.
+    """
 
     q: Array
     reached: NDArray[np.bool_]
@@ -30,10 +47,10 @@ def solve_pose(
     tolerance: float = 1e-10,
     max_iterations: int = 60,
 ) -> InverseSolution:
-    """Joint positions that put the SMR at ``position_M`` with the flange turned as ``rotation_M``.
+    """Joint positions that put the SMR at ``position_M`` and orient the flange as ``rotation_M``.
 
-    An arm with fewer than six joints, or at a singularity, gets the nearest it can in the damped sense and is reported
-    as not reached.
+    Where the pose cannot be reached (fewer than six joints, a singularity, out of range), the iterate with the smallest
+    error is returned and reported as not reached.
 
     Parameters
     ----------
@@ -43,40 +60,49 @@ def solve_pose(
     rotation_M : array, shape (n, 3, 3)
         Wanted rotation of the flange in the tracker frame.
     start : array, shape (n, N)
-        Where to begin [rad]; the solution found is the one this leads to.
+        Initial joint positions [rad]; they select the branch of the solution.
     tolerance : float
-        Position [m] and turn [rad] that count as reached.
+        Largest position error [m] and rotation error [rad] that count as reached.
+    max_iterations : int
 
     Notes
     -----
-    Damping as in Nakamura, Hanafusa, J. Dyn. Sys. Meas. Control 108 (1986) 163, growing with the error left.
+    Damping grows with the squared error: Nakamura, Hanafusa, J. Dyn. Sys. Meas. Control 108 (1986) 163.
     """
-    q = start.copy()
-    joints = geometry.joints
-    best, best_error = q.copy(), np.full(len(q), np.inf)
+    best, best_error = start.copy(), np.full(len(start), np.inf)
+    q, active = start.copy(), np.arange(len(start))
     for _ in range(max_iterations):
-        rotations, origins = frame_poses(geometry, q)
-        P = origins[-1] + rotations[-1] @ geometry.tool
-        off = position_M - P
-        turn = np.einsum("nab,nb->na", rotations[-1], _turn_to(rotations[-1], rotation_M))
-        error = np.maximum(np.abs(off).max(axis=1), np.abs(turn).max(axis=1))
-        better = error < best_error
-        best[better], best_error[better] = q[better], error[better]
-        if np.all(best_error < 0.1 * tolerance):
+        errors, J = _errors_and_jacobian(geometry, position_M[active], rotation_M[active], q)
+        largest = np.abs(errors).max(axis=1)
+        better = largest < best_error[active]
+        best[active[better]], best_error[active[better]] = q[better], largest[better]
+        unsolved = best_error[active] >= 0.1 * tolerance
+        if not unsolved.any():
             break
-        axes = rotations[:joints, :, :, 2]
-        J = np.concatenate([np.cross(axes, P - origins[:joints]), axes], axis=2).transpose(1, 2, 0)
-        wanted = np.concatenate([off, turn], axis=1)
-        damping = np.minimum(1e-3, 1e-2 * np.einsum("na,na->n", wanted, wanted)) + 1e-14
-        A = J.transpose(0, 2, 1) @ J + damping[:, None, None] * np.eye(joints)
-        step = np.linalg.solve(A, (J.transpose(0, 2, 1) @ wanted[:, :, None]))[:, :, 0]
-        q = q + step * np.minimum(1.0, 0.5 / np.maximum(np.abs(step).max(axis=1), 1e-12))[:, None]
-    rotations, origins = frame_poses(geometry, best)
-    left = np.linalg.norm(position_M - origins[-1] - rotations[-1] @ geometry.tool, axis=1)
-    turned = np.linalg.norm(_turn_to(rotations[-1], rotation_M), axis=1)
-    return InverseSolution(best, (left < tolerance) & (turned < tolerance), left, turned)
+        active, q = active[unsolved], q[unsolved] + _step(J[unsolved], errors[unsolved])
+    errors, _ = _errors_and_jacobian(geometry, position_M, rotation_M, best)
+    position_error, rotation_error = (np.linalg.norm(part, axis=1) for part in (errors[:, :3], errors[:, 3:]))
+    reached = (position_error < tolerance) & (rotation_error < tolerance)
+    return InverseSolution(best, reached, position_error, rotation_error)
 
 
-def _turn_to(now: Array, wanted: Array) -> Array:
-    """Rotation vectors (n, 3), in the turned frame, that take ``now`` (n, 3, 3) to ``wanted``."""
-    return rotation_vectors(now.transpose(0, 2, 1) @ wanted)
+def _errors_and_jacobian(geometry: Geometry, position_M: Array, rotation_M: Array, q: Array) -> tuple[Array, Array]:
+    """Position error [m] and rotation vector [rad] to the wanted pose (n, 6), and the geometric Jacobian (n, 6, N)."""
+    rotations, origins = frame_poses(geometry, q)
+    flange = rotations[-1]
+    P = origins[-1] + flange @ geometry.tool
+    to_wanted = rotation_vectors(flange.transpose(0, 2, 1) @ rotation_M)  # in the flange frame
+    errors = np.concatenate([position_M - P, np.einsum("nab,nb->na", flange, to_wanted)], axis=1)
+    axes = rotations[:-1, :, :, 2]
+    J = np.concatenate([np.cross(axes, P - origins[:-1]), axes], axis=2).transpose(1, 2, 0)
+    return errors, J
+
+
+def _step(J: Array, errors: Array) -> Array:
+    """Damped least-squares step (n, N) [rad], its largest component limited."""
+    share, most, least = _DAMPING
+    damping = np.minimum(most, share * np.einsum("na,na->n", errors, errors)) + least
+    A = J.transpose(0, 2, 1) @ J + damping[:, None, None] * np.eye(J.shape[2])
+    step = np.linalg.solve(A, J.transpose(0, 2, 1) @ errors[:, :, None])[:, :, 0]
+    largest = np.maximum(np.abs(step).max(axis=1), 1e-12)
+    return np.asarray(step * np.minimum(1.0, _LARGEST_STEP / largest)[:, None])

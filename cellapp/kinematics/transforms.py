@@ -1,4 +1,8 @@
-"""Rotations and rigid transforms as arrays: ``T_A_B`` (4, 4) maps coordinates of frame B into frame A."""
+"""Rotations and rigid transforms as arrays.
+
+``T_A_B`` (4, 4) maps coordinates of frame B into frame A. Conversions between rotation matrices, Euler angles and
+rotation vectors are those of ``scipy.spatial.transform.Rotation``.
+"""
 
 from __future__ import annotations
 
@@ -6,78 +10,60 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
 
 def rotation_x(angle: float) -> Array:
     """Rotation about x by ``angle`` [rad], shape (3, 3)."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    return np.asarray(Rotation.from_euler("x", angle).as_matrix())
 
 
 def rotation_y(angle: float) -> Array:
     """Rotation about y by ``angle`` [rad], shape (3, 3)."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    return np.asarray(Rotation.from_euler("y", angle).as_matrix())
 
 
 def rotation_z(angle: float) -> Array:
     """Rotation about z by ``angle`` [rad], shape (3, 3)."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(Rotation.from_euler("z", angle).as_matrix())
 
 
 def rotation_zyx(z: float, y: float, x: float) -> Array:
-    """``rot_z(z) rot_y(y) rot_x(x)``, shape (3, 3): yaw, pitch and roll [rad]."""
-    return rotation_z(z) @ rotation_y(y) @ rotation_x(x)
+    """``rot_z(z) rot_y(y) rot_x(x)`` from yaw, pitch and roll [rad], shape (3, 3)."""
+    return np.asarray(Rotation.from_euler("ZYX", [z, y, x]).as_matrix())
 
 
 def zyx_angles(rotation: Array) -> tuple[float, float, float]:
-    """The angles (z, y, x) [rad] with ``rot_z(z) rot_y(y) rot_x(x) = rotation``; |y| <= pi/2."""
-    y = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
-    if math.hypot(rotation[0, 0], rotation[1, 0]) < 1e-12:  # z and x turn about the same line: put all into z
+    """Yaw, pitch and roll (z, y, x) [rad] of a rotation (3, 3): ``rot_z(z) rot_y(y) rot_x(x)``, |y| <= pi/2.
+
+    Roll is computed after yaw is taken out, so that the three angles reproduce the rotation at gimbal lock too. There
+    only the sum or difference of yaw and roll is defined: roll is then zero. (``Rotation.as_euler`` warns instead.)
+    """
+    cos_y = math.hypot(rotation[0, 0], rotation[1, 0])
+    y = math.atan2(-rotation[2, 0], cos_y)
+    if cos_y < 1e-12:
         return math.atan2(-rotation[0, 1], rotation[1, 1]), y, 0.0
-    return (
-        math.atan2(rotation[1, 0], rotation[0, 0]),
-        y,
-        math.atan2(rotation[2, 1], rotation[2, 2]),
-    )
+    z = math.atan2(rotation[1, 0], rotation[0, 0])
+    _, cos_x, minus_sin_x = math.cos(z) * rotation[1] - math.sin(z) * rotation[0]
+    return z, y, math.atan2(-minus_sin_x, cos_x)
 
 
 def rotation_from_vector(vector: ArrayLike) -> Array:
-    """Rotation by the length of ``vector`` (3,) [rad] about its direction (Rodrigues), shape (3, 3)."""
-    w = np.asarray(vector, dtype=np.float64)
-    angle = float(np.linalg.norm(w))
-    skew = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    if angle < 1e-8:
-        first, second = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0
-    else:
-        first, second = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
-    result: Array = np.eye(3) + first * skew + second * (skew @ skew)
-    return result
+    """Rotation (3, 3) about the direction of ``vector`` (3,) by its length [rad]."""
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
 def rotation_vectors(rotations: Array) -> Array:
-    """Rotation vectors (n, 3) [rad] of rotations (n, 3, 3), for angles below pi."""
-    axial = 0.5 * np.stack(
-        [
-            rotations[:, 2, 1] - rotations[:, 1, 2],
-            rotations[:, 0, 2] - rotations[:, 2, 0],
-            rotations[:, 1, 0] - rotations[:, 0, 1],
-        ],
-        axis=1,
-    )
-    sine = np.linalg.norm(axial, axis=1)
-    cosine = 0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0)
-    angle = np.arctan2(sine, cosine)
-    factor = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 1.0)
-    result: Array = axial * factor[:, None]
-    return result
+    """Rotation vectors (n, 3) [rad], length 0 to pi, of rotations (n, 3, 3)."""
+    if len(rotations) == 0:  # some versions of scipy refuse an empty batch
+        return np.zeros((0, 3))
+    return np.asarray(Rotation.from_matrix(rotations).as_rotvec())
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
-    """``T`` (4, 4) from a rotation (3, 3) and a translation (3,) [m]."""
+    """Rigid transform (4, 4) from a rotation (3, 3) and a translation (3,) [m]."""
     result = np.eye(4)
     result[:3, :3] = rotation
     result[:3, 3] = translation
@@ -85,22 +71,23 @@ def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
 
 
 def invert(T: Array) -> Array:
-    """The inverse of a rigid transform (4, 4)."""
+    """Inverse of a rigid transform (4, 4)."""
     rotation = T[:3, :3].T
     return transform(rotation, -rotation @ T[:3, 3])
 
 
 def apply(T_A_B: Array, p_B: Array) -> Array:
-    """Points (n, 3) of frame B in frame A [m]."""
+    """Coordinates (n, 3) in frame A of points ``p_B`` (n, 3) in frame B [m]."""
     result: Array = p_B @ T_A_B[:3, :3].T + T_A_B[:3, 3]
     return result
 
 
 def register(p_A: Array, p_B: Array, weights: Array | None = None) -> Array:
-    """The rigid ``T_A_B`` (4, 4) that brings points ``p_B`` (n, 3) closest to ``p_A`` (n, 3) in least squares.
+    """Rigid ``T_A_B`` (4, 4) that maps points ``p_B`` (n, 3) onto ``p_A`` (n, 3) [m] in weighted least squares.
 
-    Needs three points that are not on one line. Source: Kabsch, Acta Cryst. A32 (1976) 922; Umeyama (1991) for the
-    determinant that keeps it a rotation.
+    ``weights`` (n,) default to one. The result is unique for three or more points that are not on one line.
+    Source: Kabsch, Acta Cryst. A32 (1976) 922; the sign of the determinant, which excludes reflections, is from
+    Umeyama, IEEE Trans. Pattern Anal. Mach. Intell. 13 (1991) 376.
     """
     w = np.ones(len(p_A)) if weights is None else weights
     w = w / w.sum()

@@ -1,4 +1,4 @@
-"""The calibrated cell: ``CellModel.load(path).predict(arm, q)`` works in any process, without a run."""
+"""Models of the arms and of the cell. ``CellModel.load(path).predict(arm, q)`` needs only a calibration file."""
 
 from cellapp.model.model import ArmModel, CellModel
 from cellapp.model.network import ResidualNetwork

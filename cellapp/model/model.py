@@ -1,4 +1,4 @@
-"""The model of one arm (chain and effects) and of the cell (arms and inter-base transform), and their JSON file."""
+"""Models of one arm (chain, effects, network) and of the cell (arms, inter-base transform), and their JSON file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cellapp.effects import EFFECTS, Circumstances, EffectContext, EffectTerm, L
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import (
     Geometry,
-    Turns,
+    JointAngles,
     flange_poses,
     joint_jacobian,
     parameter_names,
@@ -33,29 +33,29 @@ _VERSION = 1
 
 @dataclass(frozen=True)
 class ArmModel:
-    """What is known of one arm.
+    """Calibrated model of one arm.
 
     Attributes
     ----------
     geometry : Geometry
-        The identified chain, standing in the tracker frame.
+        The identified chain; its base is in the tracker frame.
     nominal : Geometry
-        The published chain, registered to the same data.
+        The published chain with its base registered to the same data.
     bodies : Bodies
-        Masses for the gravity torques.
+        Masses and centres of mass for gravity torques.
     up_M : array, shape (3,)
         Unit vector against gravity in the tracker frame.
     effects : tuple of EffectTerm
-        Effects that were found.
+        Effects that discovery found.
     network : ResidualNetwork or None
-        Corrects what is left, in the base frame B.
+        Correction of the remaining residual, in the base frame B.
     identified : tuple of str, length k
-        The parameters that were identified, effects last.
+        Names of the identified parameters, effects last.
     covariance : array, shape (k, k), or None
-        Of the identified parameters, in their order and units; of the geometry and the effects before it where an
-        effect is a free curve.
+        Covariance of the identified parameters in their units. If an effect is a free curve, that of the geometry and
+        of the effects before the curve.
     smr_normal : array, shape (3,), or None
-        The way the SMR looks, in the flange frame.
+        SMR viewing direction in the flange frame.
     """
 
     geometry: Geometry
@@ -75,7 +75,10 @@ class ArmModel:
         payload_kg: Array | None = None,
         known: Circumstances | None = None,
     ) -> EffectContext:
-        """What effects depend on, at configurations ``q`` (n, N); ``known`` says more than the two before it."""
+        """Variables that effects depend on, at configurations ``q`` (n, N) [rad].
+
+        ``known`` replaces ``approach`` (n, N) and ``payload_kg`` (n,), and adds times, temperatures and the other arm.
+        """
         if known is None:
             known = Circumstances(approach=approach, payload_kg=payload_kg)
         return EffectContext(
@@ -94,12 +97,12 @@ class ArmModel:
         payload_kg: Array | None = None,
         known: Circumstances | None = None,
     ) -> Moved:
-        """What all known effects do when the controller reads ``q`` (n, N)."""
+        """Joint offsets and SMR shifts of all effects where the controller reads ``q`` (n, N) [rad]."""
         context = self.context(q, approach, payload_kg, known)
         moved = moved_by(self.effects, EFFECTS, context)
         if not moved.joints.any():
             return moved
-        # loads act on the arm where it really stands: a few mrad off, some parts in a thousand of what they do
+        # Loads depend on the true joint positions. One update suffices: offsets of a few mrad change them by 0.1 %.
         return moved_by(self.effects, EFFECTS, replace(context, stands=q + moved.joints))
 
     def true_joints(
@@ -109,7 +112,7 @@ class ArmModel:
         payload_kg: Array | None = None,
         known: Circumstances | None = None,
     ) -> Array:
-        """Where the joints really stand when the controller reads ``q`` (n, N), after all known effects [rad]."""
+        """True joint positions (n, N) [rad] where the controller reads ``q`` (n, N) [rad]; see ``context``."""
         return q if not self.effects else q + self.moved(q, approach, payload_kg, known).joints
 
     def predict(
@@ -119,10 +122,10 @@ class ArmModel:
         payload_kg: Array | None = None,
         known: Circumstances | None = None,
     ) -> Array:
-        """SMR positions (n, 3) in the tracker frame [m] when the controller reads ``q`` (n, N) [rad].
+        """SMR positions (n, 3) in the tracker frame [m] where the controller reads ``q`` (n, N) [rad].
 
-        ``approach`` (n, N) are signs of the last motion, ``payload_kg`` (n,) the load; unknown where not given.
-        ``known`` takes the place of both and says more: times, temperatures, the other arm.
+        ``approach`` (n, N) are the signs of each joint's last motion, ``payload_kg`` (n,) the payload; unknown if not
+        given. ``known`` replaces both, see ``context``.
         """
         if self.effects:
             moved = self.moved(q, approach, payload_kg, known)
@@ -134,17 +137,17 @@ class ArmModel:
         return np.asarray(p_M + self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T)
 
     def uncertainty(self, q: Array) -> Array:
-        """Standard deviation (n,) [m] of the prediction at ``q`` (n, N) from what curves and network do not know.
+        """Standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad] due to free curves and network.
 
-        Root mean square over the three coordinates. It grows where a joint range was never trained; what is common to
-        all of the room (geometry) is not in it, and curves of different joints are taken as independent.
+        Root mean square over the three coordinates. It grows outside the trained joint ranges. The uncertainty of the
+        geometry is not included; curves of different joints count as independent.
         """
         variance = np.zeros(len(q))
         by_joint: Array | None = None
         for term in self.effects:
             for joint, spread in term.spread.items():
                 if by_joint is None:
-                    _, by_joint = joint_jacobian(self.geometry, Turns.of(q))
+                    _, by_joint = joint_jacobian(self.geometry, JointAngles.of(q))
                 around = np.linspace(-np.pi, np.pi, len(spread), endpoint=False)
                 sd = np.interp(q[:, joint], around, spread, period=2.0 * np.pi)
                 variance += sd**2 * np.einsum("cn,cn->n", by_joint[:, joint], by_joint[:, joint]) / 3.0
@@ -157,7 +160,7 @@ class ArmModel:
         return flange_poses(self.geometry, self.true_joints(q))
 
     def in_base(self) -> ArmModel:
-        """The same arm with its base at the origin: predicts in the base frame B."""
+        """The same arm with its base at the origin, so that it predicts positions in the base frame B."""
         rotation = self.geometry.T_M_B()[:3, :3]
         return replace(
             self,
@@ -176,10 +179,10 @@ class CellModel:
     arms : mapping
         Name -> ArmModel.
     T_R_L : array, shape (4, 4), or None
-        Takes coordinates in the base of ``pair[0]`` (left) into the base of ``pair[1]`` (right).
+        Maps coordinates in the base frame of ``pair[0]`` (left) to that of ``pair[1]`` (right).
     pair : tuple of two names, or None
     provenance : mapping
-        Where it comes from: run, profile, seeds, versions.
+        Profile, seed, time and versions of the programs that made the model.
     """
 
     arms: Mapping[str, ArmModel]
@@ -199,7 +202,7 @@ class CellModel:
         return self.arms[arm].predict(np.asarray(q, dtype=np.float64), approach, payload_kg, known)
 
     def to_json(self) -> str:
-        """As readable text; floats in their shortest exact form, so that nothing is lost."""
+        """JSON text with floats in their shortest exact form."""
         return json.dumps(
             {
                 "schema": _SCHEMA,
@@ -216,11 +219,11 @@ class CellModel:
 
     @classmethod
     def from_json(cls, text: str, where: str = "calibration") -> CellModel:
-        """Read what ``to_json`` wrote. Raises ``InputError`` that names ``where``."""
+        """Read what ``to_json`` wrote. Raises ``InputError``, which begins with ``where``, for anything else."""
         try:
             content = json.loads(text)
         except json.JSONDecodeError as error:
-            raise InputError(f"{where}:{error.lineno}: not JSON; write it anew with 'cellapp calibrate'") from None
+            raise InputError(f"{where}:{error.lineno}: not JSON; make it again with 'cellapp calibrate'") from None
         if not isinstance(content, dict) or content.get("schema") != _SCHEMA:
             raise InputError(f'{where}: expected a file with "schema": "{_SCHEMA}"')
         if content.get("version") != _VERSION:
@@ -237,11 +240,11 @@ class CellModel:
             )
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise InputError(
-                f"{where}: incomplete or damaged ({error}); write it anew with 'cellapp calibrate'"
+                f"{where}: incomplete or damaged ({error}); make it again with 'cellapp calibrate'"
             ) from None
 
     def save(self, path: Path) -> None:
-        """Write the file at once: either the old or the new one is there, never half of it."""
+        """Write the file atomically: a reader finds the old or the new one, never a part."""
         partial = path.with_name(path.name + ".part")
         partial.write_text(self.to_json() + "\n", encoding="utf-8")
         partial.replace(path)

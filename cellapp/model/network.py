@@ -1,8 +1,8 @@
-"""The residual network as a model part: numbers in, corrections out. Needs no torch; training does.
+"""The trained residual network as a part of the model; evaluating it needs no torch.
 
-A committee of small multilayer perceptrons (tanh, linear output) maps joint positions to what geometry leaves of the
-SMR position. Its mean is the correction, its spread the correction's stated uncertainty. Beyond the joint ranges it was
-trained in, the correction fades to zero over a margin: outside its data a network invents.
+A committee of small multilayer perceptrons (tanh, linear output) maps joint positions to the residual of the SMR
+position. The mean of the members is the correction, their standard deviation its uncertainty. Outside the trained joint
+ranges the correction fades to zero over a margin, because a network does not extrapolate.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class ResidualNetwork:
     low, high : array, shape (N,)
         Trained joint ranges [rad].
     margin : array, shape (N,)
-        How far beyond them the correction fades to zero [rad].
+        Distance outside the ranges over which the correction fades to zero [rad].
     turning : bool
-        Whether the members speak in a frame that turns with the first joint about z; what gravity and gears do to an
-        arm looks the same there wherever the arm points. The correction is turned back.
+        Whether the members' output frame rotates with joint 1 about z. Effects of gravity and gears do not depend on
+        joint 1 in that frame. The correction is rotated back.
     scale : float
-        Of the outputs [m].
+        Scale of the outputs [m].
     members : tuple of layers
-        Each a tuple of (weights (out, in), offsets (out,)).
+        Of each member, (weights (out, in), offsets (out,)) of each layer.
     """
 
     inputs: Inputs
@@ -49,15 +49,15 @@ class ResidualNetwork:
     members: tuple[Layers, ...]
 
     def correct(self, q: Array) -> Array:
-        """Correction of the SMR position at ``q`` (n, N), shape (n, 3) [m], in the frame it was trained in."""
+        """Correction of the SMR position at ``q`` (n, N) [rad], shape (n, 3) [m], in the frame of its training."""
         correction = self._each(q).mean(axis=0) * self._fade(q)
-        return turn_about_z(correction, q[:, 0]) if self.turning else np.asarray(correction)
+        return rotate_about_z(correction, q[:, 0]) if self.turning else np.asarray(correction)
 
     def spread(self, q: Array) -> Array:
-        """Standard deviation of the members at ``q`` (n, N), shape (n, 3) [m]."""
+        """Standard deviation of the members at ``q`` (n, N) [rad], shape (n, 3) [m]."""
         each = self._each(q)
         if self.turning:
-            each = np.array([turn_about_z(member, q[:, 0]) for member in each])
+            each = np.array([rotate_about_z(member, q[:, 0]) for member in each])
         return np.asarray(each.std(axis=0, ddof=1) * self._fade(q))
 
     def _each(self, q: Array) -> Array:
@@ -77,7 +77,7 @@ class ResidualNetwork:
         return np.asarray(each.prod(axis=1)[:, None])
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; floats keep every bit."""
+        """The JSON object; floats are exact."""
         return {
             "inputs": self.inputs,
             "low": self.low.tolist(),
@@ -94,9 +94,11 @@ class ResidualNetwork:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> ResidualNetwork:
-        """What ``as_dict`` wrote. Raises ``KeyError``, ``ValueError`` or ``TypeError`` if it is something else."""
+        """Read what ``as_dict`` made. Raises ``KeyError``, ``ValueError`` or ``TypeError`` for anything else."""
         if content["inputs"] not in ("angles", "sincos") or content["activation"] != "tanh":
-            raise ValueError(f"a network with inputs '{content['inputs']}' is not known")
+            raise ValueError(
+                f"unknown inputs '{content['inputs']}' or activation '{content['activation']}' of the network"
+            )
         return cls(
             inputs=content["inputs"],
             low=np.array(content["low"], dtype=np.float64),
@@ -114,15 +116,15 @@ class ResidualNetwork:
         )
 
 
-def turn_about_z(vectors: Array, angles: Array) -> Array:
-    """Vectors (n, 3) turned about z by ``angles`` (n,) [rad]."""
+def rotate_about_z(vectors: Array, angles: Array) -> Array:
+    """Vectors (n, 3) rotated about z by ``angles`` (n,) [rad]."""
     c, s = np.cos(angles), np.sin(angles)
     x, y, z = vectors.T
     return np.stack([c * x - s * y, s * x + c * y, z], axis=1)
 
 
 def network_inputs(kind: Inputs, low: Array, high: Array, q: Array) -> Array:
-    """What the first layer sees of ``q`` (n, N): (n, N) numbers in [-1, 1], or (n, 2 N) cosines and sines."""
+    """Inputs of the first layer from ``q`` (n, N) [rad]: scaled to [-1, 1], (n, N), or cosines and sines, (n, 2 N)."""
     if kind == "sincos":
         return np.hstack([np.cos(q), np.sin(q)])
     return np.asarray((q - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9))

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+from cellapp.calibration.circumstances import circumstances_of_arms
 from cellapp.calibration.evaluation import position_errors
-from cellapp.discovery.discover import known_of_all
 from cellapp.effects import Circumstances
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
@@ -80,7 +80,7 @@ class ReportData:
     @cached_property
     def held_out(self) -> Mapping[str, HeldOutArm]:
         """The held-out readings of each arm with the predictions of every stage."""
-        circumstances = known_of_all(self.model, self.readings)
+        circumstances = circumstances_of_arms(self.model.arms, self.readings)
         return {name: self._held_out_arm(name, circumstances[name]) for name in self.calibrated.arms}
 
     def _held_out_arm(self, name: str, circumstances: Circumstances) -> HeldOutArm:

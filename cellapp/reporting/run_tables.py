@@ -54,30 +54,15 @@ def overview_sentences(state: OverviewResult) -> list[str]:
     return sentences
 
 
-def history_table(history: HistoryResult) -> Table:
-    """Every stored stage, oldest first."""
-    columns = (
-        number_column("number", "d"),
-        Column("stage"),
-        Column("when (UTC)"),
-        Column("by"),
-        Column("digest"),
-        Column("rests on"),
-        Column("state"),
-    )
-    rows = tuple(
-        (
-            stage.number or None,
-            stage.name,
-            _when(stage),
-            stage.program,
-            stage.digest[:12],
-            ", ".join(stage.rests_on),
-            _holds(stage),
-        )
-        for stage in history.stages
-    )
-    return Table(f"History of {history.run}", columns, rows)
+def history_lines(history: HistoryResult) -> list[str]:
+    """Every stored stage, oldest first, each with what it rests on."""
+    lines = []
+    for stage in history.stages:
+        number = str(stage.number) if stage.number else "-"
+        lines.append(f"{number:>4}  {stage.name:10}  {_when(stage)}  {stage.digest[:12]}  {stage.program}")
+        lines.append(f"      {_holds(stage)}")
+        lines.append(f"      rests on: {', '.join(stage.rests_on)}")
+    return lines
 
 
 def plan_tables(stops: StopsResult) -> list[Table]:

@@ -1,8 +1,10 @@
-"""The run file: plan, readings, events and results of one run in one SQLite file, and its door to CSV."""
+"""The run file: plan, readings, log and results of one run in one SQLite file; readings to and from CSV."""
 
-from cellapp.run.csv_io import import_csv, read_readings_csv, write_readings_csv
+from cellapp.run.columns import SPLITS
+from cellapp.run.csv_export import write_readings_csv
+from cellapp.run.csv_import import import_csv, read_readings_csv
 from cellapp.run.file import Event, RunFile
-from cellapp.run.readings import SPLITS, Reading, Readings
+from cellapp.run.readings import Reading, Readings, stated_uncertainty
 
 __all__ = [
     "SPLITS",
@@ -12,5 +14,6 @@ __all__ = [
     "RunFile",
     "import_csv",
     "read_readings_csv",
+    "stated_uncertainty",
     "write_readings_csv",
 ]

@@ -1,21 +1,22 @@
-"""What was measured: one reading, and one arm's readings as arrays. No I/O here."""
+"""Measured data: one reading, and all readings of one arm as arrays. No I/O here."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-SPLITS = ("identify", "train", "validate")
+from cellapp.run.columns import COLUMNS, CONFIGURATION, Values
 
 _Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reading:
-    """One arm at one stop.
+    """One arm at one stop, N joints.
 
     Attributes
     ----------
@@ -24,9 +25,9 @@ class Reading:
     p_M : array, shape (3,)
         Measured SMR centre in the tracker frame [m].
     time_s : float
-        Seconds since the run began; NaN if nobody knows.
+        Seconds since the run began; NaN if unknown.
     approach : array, shape (N,), or None
-        Sign of each joint's last motion before the stop: -1, 0 (unknown), +1; None is unknown for all.
+        Sign of each joint's last motion before the stop: -1, 0 (unknown), +1; None if unknown for all joints.
     payload_kg, temperature_c, sigma_m : float or None
         Payload [kg]; arm or ambient temperature [degC]; isotropic standard uncertainty of ``p_M`` [m].
     joint_temperature_c : array, shape (N,), or None
@@ -34,13 +35,13 @@ class Reading:
     step : array, shape (N,), or None
         Each joint's last motion before the stop, with its sign [rad].
     dwell_s : float or None
-        From rest to the measurement [s].
+        Time from standstill to the measurement [s].
     covariance_M : array, shape (3, 3), or None
-        Covariance of ``p_M`` [m^2]; of a matrix that is not quite symmetric the upper half is kept.
+        Covariance of ``p_M`` [m^2]; the run file stores its upper triangle.
     split : str or None
-        identify, train, validate, or not yet drawn.
+        identify, train or validate; None if not assigned.
     extras : dict
-        Columns of a foreign file that this program does not know, as text.
+        Unknown columns of an imported file, as text.
     """
 
     q: _Floats
@@ -57,19 +58,40 @@ class Reading:
     split: str | None = None
     extras: dict[str, str] = field(default_factory=dict)
 
+    def as_readings(self, configuration: int) -> Readings:
+        """This reading as the only row of ``Readings``, at the given stop.
+
+        Raises
+        ------
+        ValueError
+            If an array has the wrong shape.
+        """
+        values: dict[str, Values | None] = {CONFIGURATION.name: np.array([configuration], dtype=CONFIGURATION.dtype)}
+        for column in COLUMNS:
+            if column is CONFIGURATION:
+                continue
+            value = getattr(self, column.name)
+            if value is None:
+                values[column.name] = column.missing(1, len(self.q))
+            elif column.dtype is str:
+                values[column.name] = (value,)
+            else:
+                values[column.name] = np.asarray(value, dtype=column.dtype)[np.newaxis]
+        return readings_from_columns(values, {name: (text,) for name, text in self.extras.items()})
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Readings:
-    """The readings of one arm, n of them, N joints.
+    """The n readings of one arm with N joints.
 
-    An optional quantity is None where no row has it; where only some rows have it, NaN stands in the others.
+    An optional quantity is None where no reading has it; where only some have it, the others hold NaN.
 
     Attributes
     ----------
     configuration : array, shape (n,), int64
         Number of the stop; rows of both arms with the same number were measured at the same stop.
     time_s : array, shape (n,)
-        Seconds since the run began; NaN if nobody knows.
+        Seconds since the run began; NaN if unknown.
     q : array, shape (n, N)
         Joint positions read from the controller [rad].
     approach : array, shape (n, N), int8
@@ -83,7 +105,7 @@ class Readings:
     step : array, shape (n, N), or None
         Each joint's last motion before the stop, with its sign [rad].
     dwell_s : array, shape (n,), or None
-        From rest to the measurement [s].
+        Time from standstill to the measurement [s].
     covariance_M : array, shape (n, 3, 3), or None
         Covariance of ``p_M`` [m^2].
     sigma_m : array, shape (n,), or None
@@ -110,23 +132,18 @@ class Readings:
     extras: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        n = len(self.configuration)
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            columns = value.values() if entry.name == "extras" else () if value is None else (value,)
-            for column in columns:
-                if len(column) != n:
-                    raise ValueError(f"{entry.name} has {len(column)} rows, configuration has {n}")
-        if self.q.ndim != 2 or self.approach.shape != self.q.shape or self.p_M.shape != (n, 3):
-            raise ValueError(
-                f"expected q (n, N), approach (n, N) and p_M (n, 3),"
-                f" got {self.q.shape}, {self.approach.shape} and {self.p_M.shape}"
-            )
-        for name, value in (("joint_temperature_c", self.joint_temperature_c), ("step", self.step)):
-            if value is not None and value.shape != self.q.shape:
-                raise ValueError(f"expected {name} {self.q.shape}, got {value.shape}")
-        if self.covariance_M is not None and self.covariance_M.shape != (n, 3, 3):
-            raise ValueError(f"expected covariance_M ({n}, 3, 3), got {self.covariance_M.shape}")
+        n, joints = len(self.configuration), self.q.shape[-1] if self.q.ndim else 0
+        for column in COLUMNS:
+            value = getattr(self, column.name)
+            if value is None:
+                continue
+            expected = column.array_shape(n, joints)
+            shape = (len(value),) if column.dtype is str else value.shape
+            if shape != expected:
+                raise ValueError(f"expected {column.name} of shape {expected}, got {shape}")
+        for name, texts in self.extras.items():
+            if len(texts) != n:
+                raise ValueError(f"expected {n} texts in the extra column '{name}', got {len(texts)}")
 
     def __len__(self) -> int:
         return len(self.configuration)
@@ -137,7 +154,7 @@ class Readings:
         return int(self.q.shape[1])
 
     def take(self, indices: Sequence[int] | NDArray[np.integer] | NDArray[np.bool_]) -> Readings:
-        """The rows at ``indices`` (positions, or a mask of n booleans), in that order."""
+        """The rows at ``indices`` (integers, or a mask of n booleans), in that order."""
         chosen = np.arange(len(self))[np.asarray(indices, dtype=None if len(indices) else np.intp)]
         arrays = {
             entry.name: getattr(self, entry.name)[chosen]
@@ -153,6 +170,23 @@ class Readings:
         )
 
     def in_split(self, name: str) -> NDArray[np.intp]:
-        """Positions of the rows of one split; empty where no splits are stored."""
+        """Indices of the rows of one split; empty where no splits are assigned."""
         split = self.split or ()
         return np.array([index for index, word in enumerate(split) if word == name], dtype=np.intp)
+
+
+def readings_from_columns(values: Mapping[str, Values | None], extras: dict[str, tuple[str, ...]]) -> Readings:
+    """Readings from the values of every column of ``COLUMNS`` by name."""
+    attributes: dict[str, Any] = dict(values)
+    return Readings(**attributes, extras=extras)
+
+
+def stated_uncertainty(readings: Readings) -> _Floats | None:
+    """Uncertainty of the points as the readings state it, for all of them or not at all.
+
+    Covariances (n, 3, 3) [m^2] where every reading has one, else standard uncertainties (n,) [m], else None.
+    """
+    for stated in (readings.covariance_M, readings.sigma_m):
+        if stated is not None and not np.isnan(stated).any():
+            return stated
+    return None

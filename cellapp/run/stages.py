@@ -41,7 +41,7 @@ from cellapp.run.readings import Readings
 CALIBRATION_FILE = "calibration.json"
 """The exported model in force, for other programs; cellapp itself reads the stored stages."""
 
-NOT_RECORDED = "an older version of cellapp stored it and did not record what it rests on"
+NOT_RECORDED = "what it rests on is not recorded, as an older version stored it"
 
 _UNREADABLE = "another version of cellapp stored it and this one cannot read it"
 

@@ -1,4 +1,4 @@
-"""Arms as capsules: distances of bodies from one another, the floor and the tracker's beam. Frame C, metres."""
+"""Arms as capsules, and distances between them, to the floor and to the tracker's beam. Cell frame C, metres."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ from cellapp.kinematics.chain import Geometry, frame_poses
 from cellapp.kinematics.transforms import Array
 
 _TOUCHING_FRAMES = 2
-"""Bodies whose D-H frames are this close always touch: they share a joint housing."""
+"""Capsules whose D-H frame numbers differ by at most this always overlap: they share a joint housing."""
 
 
 @dataclass(frozen=True)
 class ArmBodies:
-    """An arm as it stands in the cell, for collision and visibility.
+    """One arm in the cell, for collision and visibility.
 
     Attributes
     ----------
     geometry : Geometry
-        The best known chain, its base in the cell frame C.
+        Chain with its base in the cell frame C, identified where a calibration exists.
     frames : array, shape (m,), int
-        D-H frame of each capsule.
+        Number of the D-H frame to which each capsule is fixed; 0 is the base.
     start, end : array, shape (m, 3)
-        Ends of each capsule's segment in its frame [m].
+        Ends of each capsule's axis in that frame [m].
     radius : array, shape (m,)
+        Radius of each capsule [m].
     limits : array, shape (N, 2)
         Joint limits [rad].
     normal_F : array, shape (3,)
-        The way the SMR looks, in the flange frame.
+        SMR viewing direction in the flange frame, a unit vector.
     acceptance : float
-        Half-angle of the SMR [rad].
+        Half the acceptance angle of the SMR [rad].
     """
 
     geometry: Geometry
@@ -46,11 +47,14 @@ class ArmBodies:
 
     @cached_property
     def levers(self) -> Array:
-        """How far from each joint's axis any point of the bodies can get, shape (N,) [m]."""
+        """Upper bound on the distance of any body point from each joint's axis, over all q, shape (N,) [m].
+
+        It is the path length along the chain: the distances between successive frames, and of a body from the frame
+        before its own, do not depend on q.
+        """
         joints = self.geometry.joints
         zero = np.zeros((1, joints))
         origins, bodies = frame_poses(self.geometry, zero)[1][:, 0], place(self, zero)
-        # neither a frame's distance from the one before nor a body's from the frame before its own changes with q
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(origins, axis=0), axis=1))])
         before = np.maximum(self.frames - 1, 0)
         ends = np.stack([bodies.start[0], bodies.end[0]])
@@ -61,7 +65,17 @@ class ArmBodies:
 
 @dataclass(frozen=True)
 class Placed:
-    """Bodies of n configurations: segment ends (n, m, 3), SMR centre and the way it looks (n, 3), all in C."""
+    """Bodies of one arm at n configurations, in the cell frame C.
+
+    Attributes
+    ----------
+    start, end : array, shape (n, m, 3)
+        Ends of the capsules' axes [m].
+    radius, frames : array, shape (m,)
+        As in ``ArmBodies``.
+    smr, normal : array, shape (n, 3)
+        SMR centre [m] and viewing direction.
+    """
 
     start: Array
     end: Array
@@ -71,12 +85,12 @@ class Placed:
     normal: Array
 
     def take(self, rows: np.ndarray | slice) -> Placed:
-        """Some of the configurations."""
+        """The bodies at some of the configurations."""
         return Placed(self.start[rows], self.end[rows], self.radius, self.frames, self.smr[rows], self.normal[rows])
 
 
 def place(arm: ArmBodies, q: Array) -> Placed:
-    """The bodies at configurations ``q`` (n, N)."""
+    """The bodies at configurations ``q`` (n, N) [rad]."""
     rotations, origins = frame_poses(arm.geometry, q)
     R, o = rotations[arm.frames], origins[arm.frames]
     return Placed(
@@ -90,26 +104,24 @@ def place(arm: ArmBodies, q: Array) -> Placed:
 
 
 def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
-    """Distances (...) between segments a0-a1 and b0-b1, each (..., 3), that broadcast; points are segments too.
+    """Distances (...) [m] between segments a0-a1 and b0-b1, ends (..., 3) that broadcast; a segment may be a point.
 
-    The nearest points are found by minimising over one segment, clamping, then the other: Ericson, Real-Time Collision
-    Detection (2005), section 5.1.9.
+    Source: Ericson, Real-Time Collision Detection (2005), section 5.1.9: minimise over one segment, clamp, then over
+    the other.
     """
     u, v, w = a1 - a0, b1 - b0, a0 - b0
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
     uw, vw = _dot(u, w), _dot(v, w)
-    tiny = 1e-18
     denominator = uu * vv - uv * uv
-    s = np.where(denominator > tiny, (uv * vw - vv * uw) / np.where(denominator > tiny, denominator, 1.0), 0.0)
-    s = np.clip(s, 0.0, 1.0)
-    t = np.clip(np.where(vv > tiny, (uv * s + vw) / np.where(vv > tiny, vv, 1.0), 0.0), 0.0, 1.0)
-    s = np.clip(np.where(uu > tiny, (uv * t - uw) / np.where(uu > tiny, uu, 1.0), 0.0), 0.0, 1.0)
+    s = np.clip(_ratio(uv * vw - vv * uw, denominator), 0.0, 1.0)  # parallel segments: any s will do
+    t = np.clip(_ratio(uv * s + vw, vv), 0.0, 1.0)
+    s = np.clip(_ratio(uv * t - uw, uu), 0.0, 1.0)
     gap = w + s[..., None] * u - t[..., None] * v
     return np.asarray(np.sqrt(_dot(gap, gap)))
 
 
 def self_clearance(placed: Placed) -> Array:
-    """Smallest distance between bodies of one arm that do not touch by build, shape (n,) [m]; infinite without any."""
+    """Smallest distance between capsules of one arm that do not overlap by design, (n,) [m]; infinite without any."""
     i, k = np.triu_indices(len(placed.radius), 1)
     apart = np.abs(placed.frames[i] - placed.frames[k]) > _TOUCHING_FRAMES
     i, k = i[apart], k[apart]
@@ -120,7 +132,7 @@ def self_clearance(placed: Placed) -> Array:
 
 
 def floor_clearance(placed: Placed, floor: float) -> Array:
-    """Smallest height above the floor of bodies that can move up and down, shape (n,) [m]; infinite without any."""
+    """Smallest height of moving bodies above the floor at height ``floor``, shape (n,) [m]; infinite without any."""
     moving = _moving(placed)
     if not moving.any():
         return np.full(len(placed.smr), np.inf)
@@ -129,7 +141,7 @@ def floor_clearance(placed: Placed, floor: float) -> Array:
 
 
 def ceiling_clearance(placed: Placed, ceiling: float) -> Array:
-    """Smallest depth below the ceiling of bodies that can move up and down, shape (n,) [m]; infinite without any."""
+    """Smallest depth of moving bodies below the ceiling at height ``ceiling``, shape (n,) [m]; infinite without any."""
     moving = _moving(placed)
     if not moving.any():
         return np.full(len(placed.smr), np.inf)
@@ -138,21 +150,15 @@ def ceiling_clearance(placed: Placed, ceiling: float) -> Array:
 
 
 def _moving(placed: Placed) -> np.ndarray:
-    """Which bodies can move up and down: column and shoulder only turn about the first axis."""
+    """Bodies that can move vertically, (m,) bool: base and shoulder only rotate about the first axis."""
     return np.asarray(placed.frames > 1)
 
 
-def between_arms(first: Placed, second: Placed) -> Array:
-    """Smallest distance between two arms, configuration by configuration, shape (n,) [m]."""
-    gap = segment_distance(first.start[:, :, None], first.end[:, :, None], second.start[:, None], second.end[:, None])
-    return np.asarray((gap - first.radius[:, None] - second.radius).min(axis=(1, 2)))
-
-
 def beam_clearance(tracker: Array, target: Array, bodies: Placed, *, own: bool) -> Array:
-    """Smallest distance of a beam's axis from the bodies, shape (n,) [m].
+    """Smallest distance of the bodies from the beam between ``tracker`` (3,) and ``target`` (n, 3), shape (n,) [m].
 
-    With ``own``, the bodies carry the target (n, 3): what is fixed to the last frame with bodies is left out, for it
-    always stands where the beam ends.
+    ``own`` says that the bodies carry the target: those fixed to the last frame that has bodies are left out, as they
+    always are at the end of the beam.
     """
     seen = bodies.frames < bodies.frames.max(initial=0) if own else np.ones(len(bodies.frames), dtype=bool)
     if not seen.any():
@@ -165,3 +171,9 @@ def beam_clearance(tracker: Array, target: Array, bodies: Placed, *, own: bool) 
 
 def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("...a,...a->...", a, b))
+
+
+def _ratio(numerator: Array, denominator: Array) -> Array:
+    """The quotient; 0 where the denominator vanishes (points and parallel segments, in m^2 or m^4)."""
+    regular = denominator > 1e-18
+    return np.asarray(np.where(regular, numerator / np.where(regular, denominator, 1.0), 0.0))

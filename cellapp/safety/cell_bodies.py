@@ -1,4 +1,4 @@
-"""From the profile to the bodies of the cell, with the published geometry or a calibrated one."""
+"""Bodies of the cell from its profile, with the nominal geometry or a calibrated one."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from cellapp.safety.gate import CellBodies, TrackerField
 
 
 def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
-    """The cell as the profile describes it; with a model, the arms stand and are built as it was identified.
+    """Bodies of the profile's cell; with a model, bases and chains of the arms are the identified ones.
 
     Raises
     ------
     InputError
-        If the profile does not say where the arms or the tracker stand.
+        If the profile lacks the pose of an arm's base or of the tracker.
     """
     tracker = profile.tracker
     T_C_M = None if tracker.pose is None else pose_matrix(tracker.pose)
@@ -53,5 +53,5 @@ def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
 
 
 def home_positions(profile: Profile) -> dict[str, np.ndarray]:
-    """Where each arm stands before and after a job, name -> (N,) [rad]."""
+    """Joint positions of each arm before and after a job, arm -> (N,) [rad]; only of arms with a home position."""
     return {name: np.array(arm.home) for name, arm in profile.arms.items() if arm.home is not None}

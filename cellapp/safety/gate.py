@@ -1,7 +1,7 @@
-"""The safety gate: what must hold before anything moves. Used by planning, collection and compensation alike.
+"""The safety gate: conditions for every motion, used by planning, collection, compensation and the doctor.
 
-A motion is a straight line in joint space. Two arms may run at any speed relative to one another: every place of one
-on its way is checked against every place of the other on its own.
+A motion is a straight line in joint space. Two arms may run at any relative speed: every point of one arm's path is
+checked against every point of the other's. The gate fails closed: whatever it cannot check, it refuses.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from cellapp.safety.bodies import (
     ArmBodies,
     Placed,
     beam_clearance,
-    between_arms,
     ceiling_clearance,
     floor_clearance,
     place,
@@ -26,18 +26,28 @@ from cellapp.safety.bodies import (
 )
 
 _BEAM_RADIUS = 0.02
+"""Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""
 _SELF_CLEARANCE = 0.01
+"""Clearance of an arm from itself [m]; smaller than from others, as its shape is known better than its base."""
+_ACCEPTANCE_MARGIN = math.radians(3.0)
+"""Taken off the SMR's acceptance angle: base and flange are not known exactly before calibration."""
 _STEPS = (0.02, 0.04)
-"""Finest and coarsest sampling of a way [m]; between them it goes with the clearance."""
+"""Smallest and largest spacing of samples on a path [m]; between them it is half the clearance."""
 _EVERY = 2
-"""Of the samples that are held against the arm itself and the floor, each so many-th is held against other arms: there
-all pairs count."""
+"""Only every second of the samples that are checked against the floor and the arm itself is checked against other arms,
+where all pairs of samples count; the coarser spacing is added to the clearance."""
 _PAIRS_AT_ONCE = 20_000
+"""Pairs of capsules per batch: some MB of memory, and an early end at the first collision."""
+_ROUNDING_RAD = 1e-9
+"""Joint positions may exceed a limit by rounding."""
 
 
 @dataclass(frozen=True)
 class TrackerField:
-    """What the tracker can see. ``T_C_M`` (4, 4) is its pose; ranges in [rad] and [m]."""
+    """Field of view of the tracker at pose ``T_C_M`` (4, 4) in the cell frame C: ranges in the tracker frame.
+
+    ``azimuth`` and ``elevation`` in [rad], the azimuth range may cross the cut at pi; ``distance`` in [m].
+    """
 
     T_C_M: Array
     azimuth: tuple[float, float]
@@ -47,7 +57,7 @@ class TrackerField:
 
 @dataclass(frozen=True)
 class CellBodies:
-    """All that stands in the cell.
+    """The bodies in the cell and the limits that hold for them.
 
     Attributes
     ----------
@@ -55,9 +65,9 @@ class CellBodies:
         Name -> ArmBodies.
     field : TrackerField or None
     clearance : float
-        Least distance of bodies from one another and from the floor [m].
+        Least distance between arms, and of arms from floor and ceiling [m].
     floor, ceiling : float
-        Heights in C [m] that nothing may pass; the ceiling may be infinite.
+        Heights of floor and ceiling in the cell frame C [m]; the ceiling may be infinite.
     """
 
     arms: Mapping[str, ArmBodies]
@@ -68,72 +78,51 @@ class CellBodies:
 
 
 def refuse_stop(cell: CellBodies, q: Mapping[str, Array]) -> str:
-    """Why the arms must not stand at ``q`` (name -> (N,)); empty if they may."""
+    """Reason why the arms must not stand at ``q`` (arm -> (N,) [rad]); empty if they may."""
     return refuse_motion(cell, q, q)
 
 
 def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[str, Array]) -> str:
-    """Why the arms must not go from ``q_from`` to ``q_to`` (name -> (N,)); empty if they may.
+    """Reason why the arms must not move from ``q_from`` to ``q_to`` (arm -> (N,) [rad]); empty if they may.
 
-    Checks that the numbers are numbers, the target is inside the joint limits, and on the way every arm keeps its
-    clearance from the floor and from the other arms, and does not touch itself. The way is sampled; what may happen
-    between two samples is added to the clearance, so that the answer never errs on the unsafe side.
+    Requires finite numbers, a target inside the joint limits, and on the whole path the clearance of every arm from
+    floor, ceiling, the other arms and itself. The path is sampled; the farthest that any point of a body can be from
+    its nearest sample is added to the clearance, so that sampling never hides a collision.
     """
     unknown = [name for name in (*q_from, *q_to) if name not in cell.arms]
     if unknown:
-        return f"arm {unknown[0]}: there is no such arm in the cell"
+        return f"arm {unknown[0]}: not in the cell; arms are {', '.join(cell.arms)}"
     missing = [name for name in cell.arms if name not in q_from or name not in q_to]
     if missing:
-        return f"arm {missing[0]}: nobody says where it stands and where it shall go"
-    placed: dict[str, Placed] = {}
-    strays: dict[str, float] = {}
+        return f"arm {missing[0]}: its position or target is not given"
+    paths: dict[str, _Path] = {}
     for name, arm in cell.arms.items():
-        if len(arm.radius) == 0:
-            return f"arm {name}: has no bodies, so that no collision can be foreseen; add capsules to its type"
-        here, there = np.asarray(q_from[name], dtype=np.float64), np.asarray(q_to[name], dtype=np.float64)
-        joints = arm.geometry.joints
-        for q in (here, there):
-            if q.shape != (joints,):
-                return f"arm {name}: {q.size} joint positions for {joints} joints"
-            if not np.isfinite(q).all():
-                return f"arm {name}: a joint position is not a finite number"
-        outside = (there < arm.limits[:, 0] - 1e-9) | (there > arm.limits[:, 1] + 1e-9)
-        if outside.any():
-            j = int(np.argmax(outside))
-            low, high = np.degrees(arm.limits[j])
-            return (
-                f"arm {name}: joint {j + 1} at {math.degrees(there[j]):.1f} deg is outside"
-                f" its limits {low:.1f} to {high:.1f} deg"
-            )
-        samples, stray = _samples(arm, here, there, min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1]))
-        way = place(arm, samples)
-        if not floor_clearance(way, cell.floor).min() >= cell.clearance + stray:
-            return f"arm {name}: comes nearer to the floor than {cell.clearance * 1e3:.0f} mm"
-        if not ceiling_clearance(way, cell.ceiling).min() >= cell.clearance + stray:
-            return f"arm {name}: comes nearer to the ceiling than {cell.clearance * 1e3:.0f} mm"
-        # an arm knows its own shape better than where it stands: nothing between two samples can make it touch itself
-        if not self_clearance(way).min() >= max(min(cell.clearance, _SELF_CLEARANCE), stray):
-            return f"arm {name}: comes too near to itself"
-        placed[name], strays[name] = way.take(slice(None, None, _EVERY)), _EVERY * stray
-    names = list(placed)
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            if not _apart(placed[first], placed[second], cell.clearance + strays[first] + strays[second]):
-                return f"arms {first} and {second}: come nearer than {cell.clearance * 1e3:.0f} mm"
+        start, target = np.asarray(q_from[name], dtype=np.float64), np.asarray(q_to[name], dtype=np.float64)
+        refusal = _refuse_values(arm, start, target)
+        if not refusal:
+            paths[name] = _sample_path(arm, start, target, min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1]))
+            refusal = _refuse_alone(cell, paths[name])
+        if refusal:
+            return f"arm {name}: {refusal}"
+    coarse = {name: path.thinned() for name, path in paths.items()}
+    for first, second in combinations(coarse, 2):
+        deviation = coarse[first].deviation + coarse[second].deviation
+        if not _apart(coarse[first].bodies, coarse[second].bodies, cell.clearance + deviation):
+            return f"arms {first} and {second}: come nearer than {cell.clearance * 1e3:.0f} mm"
     return ""
 
 
 def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
-    """Whether an arm is clear of floor, ceiling and itself, other arms left aside, shape (n,) bool."""
+    """Whether an arm is clear of floor, ceiling and itself, without regard to other arms, shape (n,) bool."""
     heights = np.minimum(floor_clearance(placed, cell.floor), ceiling_clearance(placed, cell.ceiling))
     return np.asarray((heights > cell.clearance) & (self_clearance(placed) > _SELF_CLEARANCE))
 
 
 def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] | None = None) -> np.ndarray:
-    """Whether the tracker can see the SMR of an arm at ``q`` (n, N), shape (n,) bool.
+    """Whether the tracker can see the SMR of an arm at ``q`` (n, N) [rad], shape (n,) bool.
 
-    In the tracker's field, inside the SMR's acceptance angle (less three degrees for what is not known exactly), no
-    body of the arm in the beam, nor of the others where they are given (name -> (n, N)).
+    The SMR must be in the tracker's field of view, the beam within the SMR's acceptance angle, and no body of the arm
+    or of ``others`` (arm -> (n, N) [rad]) in the beam. Without a tracker nothing is visible.
     """
     if cell.field is None:
         return np.zeros(len(q), dtype=bool)
@@ -151,7 +140,7 @@ def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] |
     seen &= np.mod(azimuth - left, 2.0 * math.pi) <= right - left
     back = (T_C_M[:3, 3] - bodies.smr) / distance[:, None]
     cosine = np.einsum("na,na->n", back, bodies.normal)
-    seen &= cosine > math.cos(max(0.0, arm.acceptance - math.radians(3.0)))
+    seen &= cosine > math.cos(max(0.0, arm.acceptance - _ACCEPTANCE_MARGIN))
     rows = np.flatnonzero(seen)
     if len(rows):
         seen[rows] &= beam_clearance(T_C_M[:3, 3], bodies.smr[rows], bodies.take(rows), own=True) > _BEAM_RADIUS
@@ -162,30 +151,75 @@ def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] |
 
 
 def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
-    """Where the tracker should look for the SMR of an arm at ``q`` (n, N): (n, 3) in the tracker frame [m]."""
+    """Expected SMR positions of an arm at ``q`` (n, N) [rad], shape (n, 3) in the tracker frame [m].
+
+    Raises ``ValueError`` if the cell has no tracker.
+    """
     if cell.field is None:
         raise ValueError("the cell has no tracker")
     T_C_M = cell.field.T_C_M
     return np.asarray((place(cell.arms[name], q).smr - T_C_M[:3, 3]) @ T_C_M[:3, :3])
 
 
-def _samples(arm: ArmBodies, q_from: Array, q_to: Array, step: float) -> tuple[Array, float]:
-    """Configurations along the way so close that no body point moves more than ``step`` [m] between ``_EVERY`` of them.
+@dataclass(frozen=True)
+class _Path:
+    """Samples of one arm's path; no point of a body is farther than ``deviation`` [m] from its nearest sample."""
 
-    Also returns how far any body point can be from where it is at the nearest of them [m]; zero for no way.
+    bodies: Placed
+    deviation: float
+
+    def thinned(self) -> _Path:
+        return _Path(self.bodies.take(slice(None, None, _EVERY)), _EVERY * self.deviation)
+
+
+def _sample_path(arm: ArmBodies, start: Array, target: Array, spacing: float) -> _Path:
+    """Sample a path so that no point of a body moves more than ``spacing`` [m] in ``_EVERY`` steps."""
+    longest = float(np.abs(target - start) @ arm.levers)
+    count = _EVERY * max(1, math.ceil(longest / spacing)) + 1
+    q = start + np.linspace(0.0, 1.0, count)[:, None] * (target - start)
+    return _Path(place(arm, q), 0.5 * longest / (count - 1))
+
+
+def _refuse_values(arm: ArmBodies, start: Array, target: Array) -> str:
+    """Reason why an arm must not move between two joint vectors; only the target must be inside the limits."""
+    if len(arm.radius) == 0:
+        return "has no bodies, so that no collision can be foreseen; add capsules to its type"
+    joints = arm.geometry.joints
+    for q in (start, target):
+        if q.shape != (joints,):
+            return f"{q.size} joint positions for {joints} joints"
+        if not np.isfinite(q).all():
+            return "a joint position is not a finite number"
+    outside = (target < arm.limits[:, 0] - _ROUNDING_RAD) | (target > arm.limits[:, 1] + _ROUNDING_RAD)
+    if not outside.any():
+        return ""
+    j = int(np.argmax(outside))
+    low, high = np.degrees(arm.limits[j])
+    return f"joint {j + 1} at {math.degrees(target[j]):.1f} deg is outside its limits {low:.1f} to {high:.1f} deg"
+
+
+def _refuse_alone(cell: CellBodies, path: _Path) -> str:
+    """Reason why one arm must not follow its path, without regard to other arms; empty if it may.
+
+    The comparisons are negated so that a NaN refuses.
     """
-    way = float(np.abs(q_to - q_from) @ arm.levers)
-    count = _EVERY * max(1, math.ceil(way / step)) + 1
-    return q_from + np.linspace(0.0, 1.0, count)[:, None] * (q_to - q_from), 0.5 * way / (count - 1)
+    bodies, needed = path.bodies, cell.clearance + path.deviation
+    if not floor_clearance(bodies, cell.floor).min() >= needed:
+        return f"comes nearer to the floor than {cell.clearance * 1e3:.0f} mm"
+    if not ceiling_clearance(bodies, cell.ceiling).min() >= needed:
+        return f"comes nearer to the ceiling than {cell.clearance * 1e3:.0f} mm"
+    if not self_clearance(bodies).min() >= max(min(cell.clearance, _SELF_CLEARANCE), path.deviation):
+        return "comes too near to itself"
+    return ""
 
 
 def _apart(first: Placed, second: Placed, clearance: float) -> bool:
-    """Whether all places of one arm keep the clearance from all places of the other."""
+    """Whether all samples of one arm keep the clearance [m] from all samples of the other."""
+    # Extent along the line between the bases: only bodies that reach past the other arm's nearest one can meet it.
     along = second.start[0, 0] - first.start[0, 0]
     along = along / max(float(np.linalg.norm(along)), 1e-12)
     reach_first = np.maximum(first.start @ along, first.end @ along) + first.radius
     reach_second = np.minimum(second.start @ along, second.end @ along) - second.radius
-    # only bodies that reach past the nearest of the other arm can meet it
     i, a = np.nonzero(reach_first > reach_second.min() - clearance)
     k, b = np.nonzero(reach_second < reach_first.max() + clearance)
     if len(i) == 0 or len(k) == 0:
@@ -200,18 +234,6 @@ def _apart(first: Placed, second: Placed, clearance: float) -> bool:
             second.start[k, b],
             second.end[k, b],
         )
-        if (gap - first_radius[start : start + block, None] - second_radius).min() < clearance:
+        if not (gap - first_radius[start : start + block, None] - second_radius).min() >= clearance:  # also for NaN
             return False
     return True
-
-
-__all__ = [
-    "CellBodies",
-    "TrackerField",
-    "between_arms",
-    "clear_alone",
-    "predicted_smr",
-    "refuse_motion",
-    "refuse_stop",
-    "visible",
-]

@@ -1,4 +1,4 @@
-"""Data of the simulated cell for blind trials: stops in a random order with the factors that tell effects apart."""
+"""Readings of the simulated cell for blind trials: random order, and varied factors that distinguish effects."""
 
 from __future__ import annotations
 
@@ -17,21 +17,30 @@ from cellapp.run import Readings
 from cellapp.safety.cell_bodies import home_positions
 
 DURATION_S = 18000.0
+"""Length of a run: five hours, as 400 stops of the real cell take."""
 _DWELLS_S = (1.0, 8.0)
+"""Range of the rest before a measurement, drawn log-uniformly."""
 _PAYLOAD_BLOCKS = 4
+"""The payload is changed by hand, so it changes seldom."""
 _HEAVY_SHARE = 0.8
+"""Heavy payload as a share of the rated one."""
 _RATED_KG = {"UR3": 3.0, "UR5": 5.0, "UR10": 10.0}
+"""Rated payloads, from the makers' data sheets."""
 _JOINT_RISE_K = (6.0, 16.0)
+"""Range of the joints' final temperature above the air."""
 _WARM_UP_S = 3000.0
+"""Time constant of a joint's warming."""
 _AIR_PERIODS_S = (4.0e3, 1.5e4, 4.0e4)
+"""Periods of the air temperature: ventilation, sun, day."""
 _AIR_AMPLITUDE_K = 1.5
 
 
 @dataclass(frozen=True)
 class Noise:
-    """How the readings scatter: ``gaussian``, or ``heavy`` tails (Student's t with 4 degrees of freedom, of the same
+    """Noise model of the readings.
 
-    standard deviation), and the repeatability of the joints [rad].
+    ``gaussian``, or ``heavy`` (Student's t with 4 degrees of freedom, scaled to the same standard deviation);
+    ``repeatability`` is the standard deviation of the joints [rad].
     """
 
     kind: str = "gaussian"
@@ -39,7 +48,7 @@ class Noise:
 
 
 def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str, Any]]], seed: int) -> Profile:
-    """The profile with other hidden effects (arm -> effect -> parameters) and another true cell."""
+    """The profile with other hidden effects (arm -> effect -> parameters) and another true cell, drawn by ``seed``."""
     assert profile.plant is not None
     plain = {arm: {slug: dict(values) for slug, values in each.items()} for arm, each in effects.items()}
     settings = profile.plant.model_copy(update={"effects": plain, "seed": seed})
@@ -51,8 +60,8 @@ def blind_readings(
 ) -> dict[str, Readings]:
     """Readings of all arms at the stops of ``plan`` (name -> (n, N) [rad]) in an order drawn by ``seed``.
 
-    Arms go straight from stop to stop; the pause before measuring varies from 1 to 8 s, the load changes in four blocks
-    between the profile's and 80 % of the rated one, joints warm up, and the run lasts five hours.
+    Arms go directly from stop to stop. The rest before a measurement varies from 1 to 8 s, the payload alternates in
+    four blocks between the profile's and 80 % of the rated one, joints warm up, and the run lasts five hours.
     """
     noise = noise or Noise()
     rng = np.random.default_rng([seed, 0xB11D])
@@ -78,10 +87,10 @@ def blind_readings(
         others = {other: rows for other, rows in stops.items() if other != name}
         rise = rng.uniform(*_JOINT_RISE_K, q.shape[1]) * -np.expm1(-time_s[:, None] / _WARM_UP_S)
         joints_c = air[:, None] + rise
-        stood = q + noise.repeatability * rng.standard_normal(q.shape)
+        q_true = q + noise.repeatability * rng.standard_normal(q.shape)
         exact = plant.smr_positions(
             name,
-            stood,
+            q_true,
             approach=approach.astype(np.float64),
             others=others,
             other_payloads={other: loads[other] for other in others},

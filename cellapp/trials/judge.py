@@ -24,14 +24,15 @@ from pydantic import ValidationError
 
 import cellapp
 from cellapp import __version__
-from cellapp.discovery.discover import discover_arm, known_of_all
+from cellapp.calibration.circumstances import circumstances_of_arms
+from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.record import arm_result
-from cellapp.discovery.search import UNKNOWN
+from cellapp.discovery.terms import UNKNOWN
 from cellapp.errors import CellappError, CheckFailed, InputError
 from cellapp.model import CellModel
 from cellapp.pipeline import calibrate_run
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.results import CALIBRATE, TRIAL, ArmDiscoveryResult, BeforeAfter, Record
+from cellapp.results import CALIBRATE, ArmDiscoveryResult, BeforeAfter, Record
 from cellapp.run import RunFile
 from cellapp.run.stages import read_stages
 from cellapp.trials.scoring import (
@@ -45,10 +46,12 @@ from cellapp.trials.scoring import (
 )
 from cellapp.trials.sealed import GroundTruth, check_seal, digest_of, open_truth
 
+TRIAL_RESULT = "sealed-trial"
+"""Name of the document in which a run keeps what was found in it."""
 _POLL_S = 0.2
 """How often a cancel request is looked at."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-_SEARCHING = ("calibration", "discovery", "effects", "kinematics", "model")
+_SEARCHING = ("calibration", "design", "discovery", "effects", "kinematics", "model")
 
 
 class StoredFindings(Record):
@@ -122,7 +125,7 @@ def judge_run(folder: Path, source: str) -> None:
         calibrated = read_stages(run).current[CALIBRATE]
         model = CellModel.from_json(calibrated.model or "", str(folder))
         readings = {name: run.readings(name) for name in model.arms}
-        known = known_of_all(model, readings)
+        known = circumstances_of_arms(model.arms, readings)
         arms = {}
         for name, arm in model.arms.items():
             wall_s, cpu_s = time.perf_counter(), time.process_time()
@@ -139,7 +142,7 @@ def judge_run(folder: Path, source: str) -> None:
             source=source,
             arms=arms,
         )
-        run.write_result(TRIAL, stored.model_dump_json(by_alias=True))
+        run.write_result(TRIAL_RESULT, stored.model_dump_json(by_alias=True))
 
 
 def source_digest() -> str:
@@ -159,7 +162,7 @@ def source_digest() -> str:
 def _stored(folder: Path) -> StoredTrial | None:
     """What was found in a run; None where nothing is stored, or by a version that this one cannot read."""
     with RunFile.open(folder) as run:
-        text = run.read_result(TRIAL)
+        text = run.read_result(TRIAL_RESULT)
     try:
         return None if text is None else StoredTrial.model_validate_json(text)
     except ValidationError:

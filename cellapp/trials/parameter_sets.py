@@ -16,7 +16,7 @@ from cellapp.calibration.evaluation import position_errors, summarise
 from cellapp.calibration.identification import identify, start_from_nominal
 from cellapp.calibration.parameters import ParameterSet, auto_set, full_set, paper_set
 from cellapp.collection.cell import build_plant
-from cellapp.kinematics.chain import Geometry, Turns, jacobian, smr_positions
+from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.kinematics.transforms import Array
 from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
@@ -56,7 +56,7 @@ def plain_gauss_newton(start: Geometry, q: Array, p_M: Array, chosen: ParameterS
 
     Returns the last finite geometry, the iterations and whether it converged.
     """
-    geometry, turns, measured = start, Turns.of(q), p_M.T
+    geometry, turns, measured = start, JointAngles.of(q), p_M.T
     columns = list(chosen.columns)
     for iteration in range(1, PAPER_ITERATIONS + 1):
         P, J = jacobian(geometry, turns, chosen.columns)

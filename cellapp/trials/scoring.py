@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.discovery.search import UNKNOWN
+from cellapp.discovery.terms import UNKNOWN
 from cellapp.results import BeforeAfter, Record, Result
 from cellapp.trials.sealed import GroundTruth, SealHeader
 

@@ -27,14 +27,14 @@ from cellapp.calibration.identification import start_from_nominal
 from cellapp.calibration.parameters import auto_set
 from cellapp.collection.cell import build_plant
 from cellapp.errors import CheckFailed, InputError
-from cellapp.kinematics.chain import Turns, jacobian
+from cellapp.kinematics.chain import JointAngles, jacobian
 from cellapp.kinematics.transforms import Array
-from cellapp.model.nominal import nominal_arm, stated_uncertainty
+from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Arm, NoDriver, Profile, Sensors
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Record, Result
-from cellapp.run import Readings, RunFile
+from cellapp.run import Readings, RunFile, stated_uncertainty
 from cellapp.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
 from drivers.plant import OUTSIDE, REALISTIC, suggest
 
@@ -436,7 +436,7 @@ def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
     """
     nominal = start_from_nominal(nominal_arm(arm), q, p_M, tool_unknown=arm.smr.offset == "unknown")
     columns = auto_set(nominal, q).columns
-    _, J = jacobian(nominal, Turns.of(q), columns)
+    _, J = jacobian(nominal, JointAngles.of(q), columns)
     basis, _ = np.linalg.qr(J.transpose(0, 2, 1).reshape(-1, len(columns)))
     y = moved.T.ravel()
     return np.asarray((y - basis @ (basis.T @ y)).reshape(3, -1).T)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from cellapp.calibration.identification import identify, start_from_nominal
-from cellapp.kinematics.chain import Turns, jacobian, smr_positions
+from cellapp.kinematics.chain import JointAngles, jacobian, smr_positions
 from tests.arms import OFF_AXIS, UR10, at_station, true_geometry
 
 
@@ -31,7 +31,7 @@ def problem(n):
 
 def least_squares_of(start, q):
     columns = identify(start, q, smr_positions(start, q)).parameter_set.columns
-    _, J = jacobian(start, Turns.of(q), columns)
+    _, J = jacobian(start, JointAngles.of(q), columns)
     return np.ascontiguousarray(J.transpose(0, 2, 1).reshape(-1, len(columns))), np.ones(3 * len(q))
 
 

@@ -1,4 +1,4 @@
-"""Free curves of the joints: the prior is Matern's, the evidence finds it, and what is drawn from it is found again."""
+"""Joint-error curves: the prior is Matern's, and maximum evidence recovers the parameters it was drawn with."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from cellapp.calibration.curves import find_curves, spread, variances, waves
+from cellapp.calibration.curves import curve_standard_deviation, fit_curve_prior, harmonics, spectrum_variances
 
 
 @pytest.mark.parametrize(("length", "amplitude"), [(0.05, 1e-4), (0.3, 2e-4), (2.0, 5e-5)])
 def test_prior_variances_sum_to_the_amplitude_squared(length, amplitude):
-    each = variances(length, amplitude, 4000)
+    each = spectrum_variances(length, amplitude, 4000)
     assert each.sum() == pytest.approx(amplitude**2, rel=1e-12)
     assert (np.diff(each) < 0.0).all()
 
@@ -20,7 +20,7 @@ def test_prior_variances_sum_to_the_amplitude_squared(length, amplitude):
 def test_the_prior_correlates_like_materns():
     """On a circle much longer than the length the periodic process is the plain one with smoothness 5/2."""
     length, lag = 0.15, np.array([0.0, 0.05, 0.1, 0.2, 0.4])
-    variance = variances(length, 1.0, 4000)
+    variance = spectrum_variances(length, 1.0, 4000)
     found = np.cos(np.outer(lag, np.arange(1, 4001))) @ variance
     scaled = np.sqrt(5.0) * lag / length
     plain = (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
@@ -35,8 +35,8 @@ def planar(seed, n=400, noise=20e-6):
     by_joint = np.zeros((3, 2, n))
     by_joint[0, 0], by_joint[1, 0] = -np.sin(q[:, 0]), np.cos(q[:, 0])
     by_joint[0, 1], by_joint[2, 1] = np.sin(q[:, 1]), np.cos(q[:, 1])
-    coefficients = np.sqrt(np.repeat(variances(0.12, 3e-4, 60)[1:], 2)) * rng.standard_normal(118)
-    curve = coefficients @ waves(q[:, 0], 60)
+    coefficients = np.sqrt(np.repeat(spectrum_variances(0.12, 3e-4, 60)[1:], 2)) * rng.standard_normal(118)
+    curve = coefficients @ harmonics(q[:, 0], 60)
     moved = by_joint[:, 0] * curve + noise * rng.standard_normal((3, n))
     white = np.broadcast_to(np.eye(3)[:, :, None] / noise, (3, 3, n))
     return q, by_joint, white, moved, coefficients
@@ -49,7 +49,7 @@ def test_length_amplitude_and_noise_are_found_and_a_still_joint_gets_no_curve():
         basis = np.linalg.qr(np.random.default_rng(seed).standard_normal((3 * len(q), 3)))[0]
         residual = (moved / 20e-6).ravel()
         residual = residual - basis @ (basis.T @ residual)
-        found = find_curves(q, by_joint, white, basis, residual, (0, 1), 60)
+        found = fit_curve_prior(q, by_joint, white, basis, residual, (0, 1), 60)
         assert found.noise == pytest.approx(1.0, rel=0.1)
         assert found.evidence > 500.0
         assert found.amplitudes[1] < 0.1 * found.amplitudes[0]
@@ -64,7 +64,7 @@ def test_noise_alone_has_no_evidence_for_a_curve():
         q, by_joint, white, _, _ = planar(seed)
         residual = np.random.default_rng([seed, 1]).standard_normal(3 * len(q))
         basis = np.zeros((3 * len(q), 0))
-        found = find_curves(q, by_joint, white, basis, residual, (0, 1), 60)
+        found = fit_curve_prior(q, by_joint, white, basis, residual, (0, 1), 60)
         assert found.evidence < 12.0
 
 
@@ -74,5 +74,5 @@ def test_the_spread_of_a_curve_is_what_its_coefficients_leave_open():
     covariance = root @ root.T
     drawn = root @ rng.standard_normal((38, 20000))
     around = np.linspace(-math.pi, math.pi, 12, endpoint=False)
-    wanted = (drawn.T @ waves(around, 20)).std(axis=0)
-    np.testing.assert_allclose(spread(covariance, 12), wanted, rtol=0.05)
+    wanted = (drawn.T @ harmonics(around, 20)).std(axis=0)
+    np.testing.assert_allclose(curve_standard_deviation(covariance, 12), wanted, rtol=0.05)

@@ -6,16 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from cellapp.calibration import identification
-from cellapp.calibration.identification import (
-    EffectColumns,
-    TooFewReadings,
-    identify,
-    identify_with_excess,
-    start_from_nominal,
-)
+from cellapp.calibration import normal_equations
+from cellapp.calibration.identification import TooFewReadings, identify, identify_with_excess, start_from_nominal
+from cellapp.calibration.normal_equations import EffectColumns
 from cellapp.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
-from cellapp.kinematics.chain import Turns, jacobian, nominal_geometry, smr_positions
+from cellapp.kinematics.chain import JointAngles, jacobian, nominal_geometry, smr_positions
 from drivers.plant import GeometryErrors
 from tests.arms import OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
 
@@ -42,7 +37,7 @@ def test_the_identifiable_set_has_the_rank_of_the_jacobian(rows, tool, rank):
     q = np.random.default_rng(0).uniform(-3, 3, (200, len(rows)))
     chosen = auto_set(geometry, q)
     columns = candidate_columns(geometry)
-    _, J = jacobian(geometry, Turns.of(q), columns)
+    _, J = jacobian(geometry, JointAngles.of(q), columns)
     flat = J.transpose(0, 2, 1).reshape(-1, len(columns))
     assert len(chosen.columns) == np.linalg.matrix_rank(flat, tol=1e-8 * np.linalg.norm(flat)) == rank
     assert set(chosen.columns) | set(chosen.dropped) == set(columns)
@@ -52,8 +47,8 @@ def test_merged_parameters_do_what_their_shares_say():
     geometry = at_station(UR10, OFF_AXIS)
     q = np.random.default_rng(0).uniform(-3, 3, (100, 6))
     chosen = auto_set(geometry, q)
-    _, kept = jacobian(geometry, Turns.of(q), chosen.columns)
-    _, gone = jacobian(geometry, Turns.of(q), chosen.dropped)
+    _, kept = jacobian(geometry, JointAngles.of(q), chosen.columns)
+    _, gone = jacobian(geometry, JointAngles.of(q), chosen.dropped)
     np.testing.assert_allclose(np.einsum("ckn,kl->cln", kept, chosen.shares), gone, atol=1e-9)
     assert chosen.merged["theta1"] == pytest.approx({"theta0": 1.0})
     assert chosen.merged["d3"] == pytest.approx({"d2": 1.0})
@@ -170,7 +165,7 @@ def test_rows_in_chunks_give_the_same_result(monkeypatch):
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
     sigma = np.random.default_rng(0).uniform(10e-6, 20e-6, 700)
     whole = identify(start, q, p_M, sigma=sigma)
-    monkeypatch.setattr(identification, "_CHUNK", 64)
+    monkeypatch.setattr(normal_equations, "_CHUNK", 64)
     chunked = identify(start, q, p_M, sigma=sigma)
     np.testing.assert_allclose(chunked.values, whole.values, atol=1e-10)
     np.testing.assert_allclose(chunked.standard_errors, whole.standard_errors, rtol=1e-6)

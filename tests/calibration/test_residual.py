@@ -11,7 +11,7 @@ import pytest
 
 from cellapp.calibration.residual import Shape, train_network
 from cellapp.model import ResidualNetwork
-from cellapp.model.network import network_inputs, turn_about_z
+from cellapp.model.network import network_inputs, rotate_about_z
 
 SMALL = (Shape("sincos", (6,)), Shape("sincos", (6,), turning=True))
 
@@ -19,7 +19,7 @@ SMALL = (Shape("sincos", (6,)), Shape("sincos", (6,), turning=True))
 def bend(q):
     """A smooth residual [m], a few tenths of a millimetre, that turns with the first joint."""
     sag = 3e-4 * np.cos(q[:, 1]) + 2e-4 * np.sin(q[:, 1] + q[:, 2])
-    return turn_about_z(np.stack([sag, 0.3 * sag, -sag], axis=1), q[:, 0])
+    return rotate_about_z(np.stack([sag, 0.3 * sag, -sag], axis=1), q[:, 0])
 
 
 def poses(n, seed=0):

@@ -15,23 +15,23 @@ from cellapp.calibration.evaluation import (
     repeatability,
     summarise,
 )
-from cellapp.calibration.splits import draw_splits, plan_splits
+from cellapp.calibration.splits import draw_splits, split_sizes
 
 
 @given(st.integers(2, 600), st.integers(1, 300), st.integers(0, 300), st.one_of(st.none(), st.integers(1, 300)))
 def test_sizes_fit_and_every_use_gets_something(n, identify, train, validate):
-    plan = plan_splits(n, identify, train, validate)
-    assert plan.identify + plan.train + plan.validate <= n
-    assert plan.identify >= 1
-    assert plan.validate >= 1
-    assert plan.identify <= identify
-    assert plan.train <= train
+    sizes = split_sizes(n, identify, train, validate)
+    assert sizes.identify + sizes.train + sizes.validate <= n
+    assert sizes.identify >= 1
+    assert sizes.validate >= 1
+    assert sizes.identify <= identify
+    assert sizes.train <= train
     fits = identify + train + (validate or 1) <= n
-    assert (plan.notes == ()) == fits
+    assert (sizes.notes == ()) == fits
     if fits and validate is not None:
-        assert (plan.identify, plan.train, plan.validate) == (identify, train, validate)
+        assert (sizes.identify, sizes.train, sizes.validate) == (identify, train, validate)
     if validate is None:
-        assert plan.identify + plan.train + plan.validate == n
+        assert sizes.identify + sizes.train + sizes.validate == n
 
 
 @given(st.sets(st.integers(0, 10_000), min_size=5, max_size=80), st.integers(0, 100))
@@ -95,8 +95,8 @@ def test_repeatability_is_that_of_the_repeats_alone():
     p_M = np.repeat(rng.normal(size=(40, 3)), 10, axis=0) + rng.normal(0.0, 20e-6, (400, 3))
     found = repeatability(q, p_M)
     assert found is not None
-    assert found["n"] == 400
+    assert found.n == 400
     # mean length of three normal numbers is 1.596 sigma; the barycentre of ten takes a root of 0.9 off
-    assert found["mean"] == pytest.approx(1.596 * 0.020 * np.sqrt(0.9), rel=0.05)
-    assert found["rp"] > found["mean"]
+    assert found.mean == pytest.approx(1.596 * 0.020 * np.sqrt(0.9), rel=0.05)
+    assert found.rp > found.mean
     assert repeatability(rng.uniform(-3, 3, (40, 6)), p_M[:40]) is None

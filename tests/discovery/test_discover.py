@@ -1,4 +1,4 @@
-"""Hidden effects are named, with values inside their own uncertainty; nothing is named where nothing is."""
+"""Hidden effects are named, with values inside their own uncertainty; nothing is named where nothing is hidden."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from cellapp.calibration.calibrate import calibrate_arm, calibrate_run
+from cellapp.calibration.circumstances import circumstances_of_arms
 from cellapp.collection.cell import build_plant, plant_arm
-from cellapp.discovery.discover import discover_arm, discover_run, known_of_all
+from cellapp.discovery.discover import discover_arm, discover_readings, discover_run
 from cellapp.effects import EFFECTS, Circumstances
 from cellapp.errors import InputError
 from cellapp.model import CellModel
@@ -29,7 +30,7 @@ ECCENTRIC = {"joints": [1], "eccentricity": [2.0e-6], "radius": [0.025], "phase"
 
 @pytest.fixture(scope="module")
 def plan():
-    """One plan for all cells of this module: planning is not what is tested here."""
+    """One plan for all cells of this module, as planning is tested elsewhere."""
     return plan_stops(load_profile(ROOT / "profiles" / "twin.yaml"))
 
 
@@ -65,7 +66,7 @@ def discovered(folder, plan, effects, **seeds):
 
 
 def names(discovery):
-    return {finding.term.slug for finding in discovery.findings}
+    return {finding.term.slug for finding in discovery.accepted}
 
 
 def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan):
@@ -98,7 +99,7 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
         assert discovery.verdict == "explained"
         assert discovery.after_mm < 1.2 * discovery.noise_floor_mm
         assert discovery.after_mm < 0.4 * discovery.before_mm
-        for finding in discovery.findings:
+        for finding in discovery.accepted:
             assert finding.p_value < 0.01
             assert finding.heldout_after_mm < finding.heldout_before_mm
             for name, value, error in zip(
@@ -107,7 +108,7 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
                 if name in truths:
                     assert abs(value - truths.pop(name)) < 4.0 * error
     assert truths == {}
-    amplitude = {n: v for f in left.findings for n, v in zip(f.term.names, f.term.values, strict=True)}
+    amplitude = {n: v for f in left.accepted for n, v in zip(f.term.names, f.term.values, strict=True)}
     assert np.hypot(amplitude["cos1q1"], amplitude["sin1q1"]) == pytest.approx(2.0e-6 / 0.025, rel=0.1)
     for name, discovery in found.items():
         shown = stored["arms"][name]["validate"]
@@ -119,11 +120,11 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
 
 
 def blind(plan, effects, seed, noise=None):
-    """What discovery says of the left arm of a cell whose data hold all factors."""
+    """Discovery in the left arm of a cell whose data have all factors."""
     profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": effects}, seed)
     readings = blind_readings(profile, plan, seed, noise)
     models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
-    known = known_of_all(CellModel(arms=models), readings)
+    known = circumstances_of_arms(models, readings)
     return discover_arm(profile, "left", models["left"], readings["left"], known=known["left"])
 
 
@@ -157,7 +158,7 @@ def test_every_effect_with_a_visible_size_is_named(plan, slug):
     assert names(found) == {slug}
     assert found.verdict in ("explained", "ambiguous")
     # a free curve of 40 cycles has some hundred coefficients, which three hundred readings leave uncertain
-    dense = any(finding.term.law.name == "curve" for finding in found.findings)
+    dense = any(finding.term.law.name == "curve" for finding in found.accepted)
     assert found.after_mm < (1.4 if dense else 1.15) * found.noise_floor_mm
     assert found.steps[0].heldout_mm == found.before_mm > found.after_mm
 
@@ -183,7 +184,7 @@ def test_what_the_library_lacks_is_called_unknown_and_described(plan, slug, chan
     found = blind(plan, {slug: drawn(slug, 5)}, seed=5)
     assert found.verdict == "unknown effect"
     assert names(found) == {"unknown"}
-    description = found.findings[0].description
+    description = found.accepted[0].description
     assert description.channel == channel
     assert set(description.variables) == variables
     assert channel in found.sentence
@@ -197,8 +198,8 @@ def test_what_the_library_lacks_is_called_unknown_and_described(plan, slug, chan
     np.testing.assert_array_equal(back.predict(q, known=known), found.model.predict(q, known=known))
 
 
-def test_look_alikes_that_the_data_cannot_tell_apart_are_an_answer_set(plan):
-    # every reading comes from one side, with one step: what is left behind the last motion may be either
+def test_look_alikes_that_the_data_cannot_distinguish_are_an_answer_set(plan):
+    # all last steps have one size: an error behind the last motion may be either
     profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": {}}, 3)
     readings = blind_readings(profile, plan, 3)["left"]
     offset = readings.approach * 1.2e-4
@@ -212,11 +213,11 @@ def test_look_alikes_that_the_data_cannot_tell_apart_are_an_answer_set(plan):
     model = calibrate_arm(profile, "left", tied)[0].model
     found = discover_arm(profile, "left", model, tied)
     assert found.verdict == "ambiguous"
-    answers = set(found.findings[0].answer_set)
+    answers = set(found.accepted[0].answer_set)
     assert {"backlash", "unsettled_measurement"} <= answers
 
 
-def test_what_cannot_be_said_is_said(plan):
+def test_effects_that_the_data_cannot_show_are_listed(plan):
     found = blind(plan, {}, seed=2)
     invisible = {entry["effect"]: entry for entry in found.invisible}
     assert "tracker_scale" in invisible
@@ -236,13 +237,13 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
     for slug in ("backlash", "friction_windup", "base_step", "payload_compliance"):
         assert invisible[slug]["reason"].startswith("not testable: ")
         assert invisible[slug]["smallest_seen"] is None
-    periodic = next(f for f in discovery.findings if f.term.slug == "transmission_error")
+    periodic = next(f for f in discovery.accepted if f.term.slug == "transmission_error")
     assert periodic.term.law.name == "curve"
     assert {1, 2, 3, 4, 5} <= set(periodic.joints)
     assert discovery.after_mm < 0.4 * discovery.before_mm
-    # the tracker is five times better than what is left, and the verdict must not pretend otherwise
+    # what is left is five times the tracker's noise, so the verdict must not be "explained"
     assert discovery.verdict == "unknown effect"
-    # beyond what was trained it does not know, and says so
+    # beyond the trained range the uncertainty grows
     outside = inside.copy()
     outside[0, 1] = 0.0  # joint 2 was trained from -186 to -90 degrees
     assert discovery.model.uncertainty(outside)[0] > 2.0 * discovery.model.uncertainty(inside)[0]
@@ -251,3 +252,15 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
 def test_an_uncalibrated_run_is_refused(tmp_path, plan):
     with measured_run(tmp_path / "run", plan, {}) as run, pytest.raises(InputError, match="cellapp calibrate"):
         discover_run(run)
+
+
+def test_the_pure_computation_needs_no_run_file(plan):
+    profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": {}}, 2)
+    profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    readings = blind_readings(profile, plan, 2)
+    models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
+    found = discover_readings(profile, CellModel(arms=models), readings)
+    known = circumstances_of_arms(models, readings)
+    alone = discover_arm(profile, "left", models["left"], readings["left"], known=known["left"])
+    assert set(found) == {"left", "right"}
+    assert found["left"].as_dict() == alone.as_dict()

@@ -1,4 +1,4 @@
-"""Proposed stops tell apart what the run's own could not, more than random ones; collection comes to them as asked."""
+"""Proposed stops decide what the run left open, better than random ones, and collection measures them."""
 
 from __future__ import annotations
 
@@ -12,25 +12,24 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cellapp.calibration.calibrate import calibrate_run
-from cellapp.cli import app
-from cellapp.collection.cell import Cell, build_plant, open_cell
+from cellapp.calibration.calibrate import CALIBRATION_FILE, calibrate_run
+from cellapp.cli.app import app
+from cellapp.collection.cell import build_plant
 from cellapp.collection.collect import collect_run
-from cellapp.collection.motion import Mover
-from cellapp.design.discrimination import Contest
 from cellapp.discovery import propose as proposing
-from cellapp.discovery.discover import Discovery, discover_run
-from cellapp.discovery.propose import STEPS_RAD, Proposal, propose_run
-from cellapp.errors import InputError
-from cellapp.planning.factors import FACTORS_RESULT, Factors, read_factors, write_factors
+from cellapp.discovery.discover import discover_run
+from cellapp.discovery.outcome import Discovery
+from cellapp.discovery.proposal.approaches import DWELLS_S, STEPS_RAD
+from cellapp.discovery.proposal.candidate_poses import Effort
+from cellapp.discovery.propose import Proposal, append_to_plan, propose_run, propose_stops
+from cellapp.model import CellModel
+from cellapp.planning.factors import FACTORS_RESULT, Factors, read_factors
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import NoDriver, Profile
-from cellapp.progress import Cancelled, CancelToken
 from cellapp.reporting.proposal import proposal_lines
 from cellapp.run import Readings, RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import refuse_motion
-from drivers.arms.simulated import SimulatedArm
 from tests.twin import small_twin, with_arms
 
 STOPS = 90
@@ -38,6 +37,9 @@ PROPOSED = 20
 PLAY = {"backlash": {"play": [8e-5, 8e-5, 5e-5, 0.0, 0.0, 0.0]}}
 SOFT = {"joint_compliance": {"stiffness": [2e6] * 6}}
 DWELL_S = 1.2
+EFFORT = Effort(drawn=70, kept=50, candidates=3000)
+"""Fewer candidates than by default: enough for these claims."""
+LITTLE = Effort(drawn=20, kept=50, candidates=480)
 
 
 def a_profile(effects: Mapping[str, Any]) -> Profile:
@@ -78,16 +80,6 @@ def measured_run(folder: Path, effects: Mapping[str, Any], plan: dict[str, np.nd
     return RunFile.create(folder, profile, fill)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def fewer_candidates() -> Iterator[None]:
-    """Enough for what is shown here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(proposing, "_DRAWN", 70)
-        patch.setattr(proposing, "_POSES", 50)
-        patch.setattr(proposing, "_MOST_CANDIDATES", 3000)
-        yield
-
-
 @pytest.fixture(scope="module")
 def plan() -> dict[str, np.ndarray]:
     return plan_stops(a_profile({}))
@@ -98,78 +90,45 @@ Tied = tuple[RunFile, dict[str, Discovery], Proposal]
 
 @pytest.fixture(scope="module")
 def tied(plan: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tied]:
-    """Both arms with backlash, which this run cannot tell from unsettled measurements, and what is proposed then."""
+    """Both arms have backlash, which this run cannot distinguish from unsettled measurements."""
     folder = tmp_path_factory.mktemp("tied") / "run"
     with measured_run(folder, {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
         calibrate_run(run)
         found = discover_run(run)
-        yield run, found, propose_run(run, found, PROPOSED)
+        yield run, found, propose_run(run, found, PROPOSED, effort=EFFORT)
 
 
-# -- the mathematics --------------------------------------------------------------------------------------------------
-
-
-def test_stops_taken_one_by_one_are_the_refit_with_all_of_them() -> None:
-    rng = np.random.default_rng(0)
-    p, d, m = 6, 40, 15
-    contest = Contest(
-        rows=rng.normal(size=(p, d)) * np.geomspace(1.0, 1e4, p)[:, None],
-        precision=np.array([0.0, 0.0, 0.0, 0.0, 2.0, 0.0]),
-        signals=rng.normal(size=(1, d)),
-        stops=rng.normal(size=(p, m, 3)) * np.geomspace(1.0, 1e4, p)[:, None, None],
-        there=rng.normal(size=(1, m, 3)),
-    )
-    race = contest.begin()
-    taken: list[int] = []
-    for stop in (3, 7, 3, 14):
-        promised = race.value + race.gains()[stop]
-        race.take(stop)
-        taken.append(stop)
-        design = np.hstack([contest.rows, *(contest.stops[:, k] for k in taken), np.diag(np.sqrt(contest.precision))])
-        signal = np.concatenate([contest.signals[0], *(contest.there[0, k] for k in taken), np.zeros(p)])
-        fitted = np.linalg.lstsq(design.T, signal, rcond=None)[0]
-        truth = float(np.sum((signal - fitted @ design) ** 2))
-        assert promised == pytest.approx(truth, rel=1e-8)
-        assert race.value == pytest.approx(truth, rel=1e-8)
-        assert contest.discrimination(np.array(taken)) == pytest.approx(truth, rel=1e-8)
-
-
-# -- what is proposed -------------------------------------------------------------------------------------------------
-
-
-def test_what_a_poor_plan_cannot_tell_is_told_by_the_proposed_stops_more_than_by_random_ones(tied: Tied) -> None:
+def test_proposed_stops_decide_what_a_poor_plan_leaves_open_and_better_than_random_ones(tied: Tied) -> None:
     _, found, proposal = tied
     for discovery in found.values():
-        assert set(discovery.findings[0].answer_set) == {"backlash", "unsettled_measurement"}
+        assert set(discovery.accepted[0].answer_set) == {"backlash", "unsettled_measurement"}
     assert len(proposal.stops) == PROPOSED
     for arm in ("left", "right"):
-        answers = {(a.effect, a.against): a for a in proposal.answers if a.arm == arm}
+        answers = {(a.effect, a.against): a for a in proposal.predictions if a.arm == arm}
         assert set(answers) == {("backlash", "unsettled_measurement"), ("unsettled_measurement", "backlash")}
         for answer in answers.values():
             assert answer.now < 0.1
             assert answer.proposed > 1.0
         hardest = min(answers.values(), key=lambda answer: answer.proposed / answer.needed)
-        assert hardest.gain > 1.5
+        assert hardest.gain_over_random > 1.5
 
 
-def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(proposing, "_DRAWN", 200)
-    monkeypatch.setattr(proposing, "_POSES", 140)
+def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
     with measured_run(tmp_path / "run", {"left": SOFT}, plan, tied=False) as run:
         calibrate_run(run)
         found = discover_run(run)
-        assert {"joint_compliance", "link_bending"} <= set(found["left"].findings[0].answer_set)
-        proposal = propose_run(run, found, 2 * PROPOSED)
+        assert {"joint_compliance", "link_bending"} <= set(found["left"].accepted[0].answer_set)
+        proposal = propose_run(run, found, 2 * PROPOSED, effort=Effort(drawn=200, kept=140, candidates=3000))
         elastic = {"joint_compliance", "link_bending"}
-        answers = [a for a in proposal.answers if a.arm == "left" and {a.effect, a.against} == elastic]
+        answers = [a for a in proposal.predictions if a.arm == "left" and {a.effect, a.against} == elastic]
         assert len(answers) == 2
         for answer in answers:
             assert answer.now < answer.random < answer.proposed
-            assert answer.gain > 1.3
-        # neither feels the last step: nobody goes a detour for it, and a person is told of the load
+            assert answer.gain_over_random > 1.3
+        # neither depends on the last step: there are no detours, and the advice is another load
         assert all(one == Factors() or one.via is None for stop in proposal.stops for one in stop.factors.values())
         assert any("another load would tell" in advice for advice in proposal.advice)
-        seen = [answer for answer in proposal.answers if answer.arm == "right"]
+        seen = [answer for answer in proposal.predictions if answer.arm == "right"]
         assert seen, "where nothing was found the stops make the faintest effects more visible"
         assert all(answer.against == "" and answer.proposed > answer.random for answer in seen)
 
@@ -191,7 +150,7 @@ def test_every_leg_is_inside_the_limits_and_free(tied: Tied) -> None:
     assert sizes == set(STEPS_RAD)
     assert signs == {-1.0, 1.0}
     dwells = {one.dwell_s for stop in proposal.stops for one in stop.factors.values()}
-    assert dwells == set(proposing.DWELLS_S)
+    assert dwells == set(DWELLS_S)
 
 
 def test_the_proposal_in_words_and_as_json(tied: Tied) -> None:
@@ -207,7 +166,7 @@ def test_the_proposal_in_words_and_as_json(tied: Tied) -> None:
     assert f"stops {STOPS + 1} to {STOPS + PROPOSED}" in " ".join(lines)
 
 
-def test_it_stands_in_the_run_and_a_new_one_takes_its_place(tied: Tied, plan: dict[str, np.ndarray]) -> None:
+def test_the_proposal_is_in_the_plan_until_a_new_one_replaces_it(tied: Tied, plan: dict[str, np.ndarray]) -> None:
     run, found, proposal = tied
     for name, q in run.read_plan().items():
         np.testing.assert_array_equal(q[:STOPS], plan[name])
@@ -218,20 +177,16 @@ def test_it_stands_in_the_run_and_a_new_one_takes_its_place(tied: Tied, plan: di
         for name, one in stop.factors.items():
             np.testing.assert_array_equal(factors[STOPS + number][name].via, one.via)
     try:
-        again = propose_run(run, found, 5)
+        again = propose_run(run, found, 5, effort=EFFORT)
         assert again.first == STOPS
         assert len(run.read_plan()["left"]) == STOPS + 5
         assert sorted(read_factors(run)) == list(range(STOPS, STOPS + 5))
     finally:
-        proposing._write(run, proposal.stops)
+        append_to_plan(run, proposal.stops)
 
 
-def test_a_run_that_is_not_driven_gets_the_list_only(
-    tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path) -> None:
     run, _, _ = tied
-    monkeypatch.setattr(proposing, "_DRAWN", 20)
-    monkeypatch.setattr(proposing, "_MOST_CANDIDATES", 480)
     readings = {name: run.readings(name) for name in run.arms()}
 
     def fill(copy: RunFile) -> None:
@@ -245,7 +200,7 @@ def test_a_run_that_is_not_driven_gets_the_list_only(
     ):
         with RunFile.create(tmp_path / str(number), profile, fill) as other:
             calibrate_run(other)
-            proposal = propose_run(other, discover_run(other), 4)
+            proposal = propose_run(other, discover_run(other), 4, effort=LITTLE)
             assert len(proposal.stops) == 4
             assert proposal.first is None
             assert any(says in note for note in proposal.notes)
@@ -257,8 +212,7 @@ def test_a_run_that_is_not_driven_gets_the_list_only(
 
 def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run, _, _ = tied
-    monkeypatch.setattr(proposing, "_DRAWN", 20)
-    monkeypatch.setattr(proposing, "_MOST_CANDIDATES", 480)
+    monkeypatch.setattr(proposing, "DEFAULT_EFFORT", LITTLE)
     out = tmp_path / "result.json"
     command = ["discover", str(run.folder), "--propose", "3", "--json", str(out)]
     try:
@@ -269,18 +223,15 @@ def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert "3 proposed stops" in done.output
         assert "collect DIR --resume" in " ".join(done.output.split())
     finally:
-        proposing._write(run, tied[2].stops)
+        append_to_plan(run, tied[2].stops)
 
 
-# -- collecting it ----------------------------------------------------------------------------------------------------
-
-
-def test_collecting_them_tells_the_effects_apart(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
+def test_collecting_the_proposed_stops_distinguishes_the_effects(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
     with measured_run(tmp_path / "run", {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
         calibrate_run(run)
-        before = {name: discovery.findings[0] for name, discovery in discover_run(run).items()}
-        assert all(len(finding.answer_set) == 2 for finding in before.values())
-        proposal = propose_run(run, discover_run(run), 2 * PROPOSED)
+        found = discover_run(run)
+        assert all(len(discovery.accepted[0].answer_set) == 2 for discovery in found.values())
+        proposal = propose_run(run, found, 2 * PROPOSED, effort=EFFORT)
         held_out = {name: run.readings(name).in_split("validate") for name in plan}
         assert collect_run(run, resume=True)[:-1] == ()
         for name in plan:
@@ -299,104 +250,17 @@ def test_collecting_them_tells_the_effects_apart(plan: dict[str, np.ndarray], tm
                 assert asked.dwell_s < readings.dwell_s[row] < asked.dwell_s + 10.0
         calibrate_run(run)
         for name, discovery in discover_run(run).items():
-            assert discovery.findings[0].term.slug == "backlash", name
-            assert discovery.findings[0].answer_set == ("backlash",), name
+            assert discovery.accepted[0].term.slug == "backlash", name
+            assert discovery.accepted[0].answer_set == ("backlash",), name
 
 
-class Moves:
-    """What the simulated arms were sent to."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.goals: list[tuple[str, np.ndarray]] = []
-        moves = self
-
-        class Arm(SimulatedArm):
-            def start_move(self, q: Any, *rest: Any) -> None:
-                moves.goals.append((self.name, np.array(q)))
-                super().start_move(q, *rest)
-
-        drivers = {"simulated": lambda name, arm, plant: Arm(plant, name)}
-        monkeypatch.setattr("cellapp.collection.cell.ARM_DRIVERS", drivers)
-
-    def went(self, name: str, q: np.ndarray) -> bool:
-        return any(arm == name and np.allclose(goal, q) for arm, goal in self.goals)
-
-
-def test_nothing_moves_that_the_gate_refuses(
-    plan: dict[str, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    moves = Moves(monkeypatch)
-    few = {name: q[:3] for name, q in plan.items()}
-    into_the_floor = np.array([0.0, 0.9, 0.0, 0.0, 0.0, 0.0])
-    beyond = few["right"][2] + 20.0
-    with RunFile.create(tmp_path / "run", small_twin(3)) as run:
-        run.write_plan(few)
-        write_factors(run, {1: {"left": Factors(into_the_floor)}, 2: {"right": Factors(beyond, 1.0)}})
-        notes = collect_run(run)
-        assert run.stops_done() == {0}
-        assert [note[:34] for note in notes[:2]] == [
-            "stop 2: left out: refused to move:",
-            "stop 3: left out: refused to move:",
-        ]
-        assert "floor" in notes[0]
-        assert "limits" in notes[1]
-        assert [event.text for event in run.events() if event.level == "warning"] == list(notes[:2])
-    assert not moves.went("left", into_the_floor)
-    assert not moves.went("right", beyond)
-    for name in few:
-        assert not moves.went(name, few[name][1])
-        assert not moves.went(name, few[name][2])
-
-
-def test_via_and_dwell_of_one_arm_are_honoured(
-    plan: dict[str, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    moves = Moves(monkeypatch)
-    few = {name: q[:2] for name, q in plan.items()}
-    via = few["left"][1] - 0.03
-    with RunFile.create(tmp_path / "run", small_twin(2)) as run:
-        run.write_plan(few)
-        write_factors(run, {1: {"left": Factors(via, 30.0), "right": Factors()}})
-        collect_run(run)
-        left, right = run.readings("left"), run.readings("right")
-    assert left.step is not None
-    assert right.step is not None
-    assert left.dwell_s is not None
-    assert right.dwell_s is not None
-    np.testing.assert_allclose(left.step[1], 0.03, atol=1e-9)
-    np.testing.assert_allclose(right.step[1], few["right"][1] - few["right"][0], atol=1e-9)
-    home = home_positions(small_twin(2))
-    np.testing.assert_allclose(left.step[0], few["left"][0] - home["left"], atol=1e-9)
-    assert moves.went("left", via)
-    assert 30.0 < left.dwell_s[1] < 33.0
-    assert right.dwell_s[1] < 6.0, "who need not wait is measured first"
-    assert left.time_s[1] > right.time_s[1]
-    assert 0.0 < left.dwell_s[0] < 6.0
-
-
-def test_a_real_arms_wait_ends_when_somebody_asks_to_stop() -> None:
-    profile = small_twin(2)
-    with open_cell(profile) as cell:
-        real = Cell(cell.arms, cell.tracker, None)
-        mover, token = Mover(profile, real, cell_bodies(profile)), CancelToken()
-        mover.rest("left", 0.0, token)
-        token.cancel()
-        with pytest.raises(Cancelled):
-            mover.rest("left", 600.0, token)
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("[]", "damaged"),
-        ('{"1": {"left": {"via": [0, 1]}}}', "6 finite joint positions"),
-        ('{"1": {"left": {"dwell_s": 1e9}}}', "between 0 and 600 s"),
-        ('{"1": {"middle": {}}}', "middle"),
-        ('{"one": {}}', "damaged"),
-    ],
-)
-def test_damaged_factors_are_named(tmp_path: Path, text: str, says: str) -> None:
-    with RunFile.create(tmp_path / "run", small_twin(2)) as run:
-        run.write_result(FACTORS_RESULT, text)
-        with pytest.raises(InputError, match=says):
-            read_factors(run)
+def test_the_pure_computation_is_reproducible(tied: Tied) -> None:
+    run, found, _ = tied
+    model = CellModel.load(run.folder / CALIBRATION_FILE)
+    readings = {name: run.readings(name) for name in model.arms}
+    first, second = (propose_stops(run.profile, model, readings, found, 2, effort=LITTLE) for _ in range(2))
+    assert first.first is None
+    assert first.predictions == second.predictions
+    for one, other in zip(first.stops, second.stops, strict=True):
+        for name in one.q:
+            np.testing.assert_array_equal(one.q[name], other.q[name])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellapp.kinematics.chain import (
-    Turns,
+    JointAngles,
     flange_poses,
     frame_poses,
     jacobian,
@@ -69,7 +69,7 @@ def test_jacobian_is_the_derivative_of_the_positions(seed, joints):
     geometry = random_arm(rng, joints)
     q = rng.uniform(-6, 6, (4, joints))
     columns = tuple(rng.permutation(len(parameter_names(joints))).tolist())  # any order
-    P, J = jacobian(geometry, Turns.of(q), columns)
+    P, J = jacobian(geometry, JointAngles.of(q), columns)
     np.testing.assert_allclose(P.T, smr_positions(geometry, q), atol=1e-13)
     vector, h = geometry.vector(), 1e-5
     for place, column in enumerate(columns):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -28,6 +29,38 @@ def test_zyx_angles_are_read_back(z, y, x):
 @given(st.tuples(*[st.floats(-1.7, 1.7)] * 3))
 def test_rotation_vectors_are_read_back(vector):
     np.testing.assert_allclose(rotation_vectors(rotation_from_vector(vector)[None])[0], vector, atol=1e-9)
+
+
+AXES = np.array(
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [0.6, -0.8, 0.0], [-1.0, 2.0, 2.0], [3.0, 1.0, -2.0]]
+)
+
+
+@pytest.mark.parametrize("axis", AXES, ids=str)
+@pytest.mark.parametrize("short_of_pi", [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1])
+def test_rotation_vectors_near_half_a_turn(axis, short_of_pi):
+    angle = np.pi - short_of_pi
+    rotation = rotation_from_vector(angle * axis / np.linalg.norm(axis))
+    (found,) = rotation_vectors(rotation[None])
+    assert np.linalg.norm(found) == pytest.approx(angle, abs=1e-9)
+    np.testing.assert_allclose(rotation_from_vector(found), rotation, atol=1e-9)
+
+
+def test_half_a_turn_written_as_a_matrix_has_length_pi():
+    flips = np.array([np.diag(signs) for signs in ([1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0])])
+    np.testing.assert_allclose(np.abs(rotation_vectors(flips)), np.pi * np.eye(3), atol=1e-12)
+    assert rotation_vectors(np.zeros((0, 3, 3))).shape == (0, 3)
+
+
+def test_small_rotations_keep_their_digits():
+    vector = np.array([3e-11, -4e-11, 1e-13])
+    np.testing.assert_allclose(rotation_vectors(rotation_from_vector(vector)[None])[0], vector, rtol=1e-9)
+
+
+@pytest.mark.parametrize("y", [np.pi / 2.0, -np.pi / 2.0, np.pi / 2.0 - 1e-11, 1e-9 - np.pi / 2.0])
+def test_zyx_angles_at_gimbal_lock_give_the_same_rotation(y):
+    rotation = rotation_zyx(0.4, y, -1.1)
+    np.testing.assert_allclose(rotation_zyx(*zyx_angles(rotation)), rotation, atol=1e-12)
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -146,15 +146,15 @@ def test_an_unsafe_home_and_arms_too_close_are_told() -> None:
     assert home is not None
     down = (*home[:1], math.radians(40.0), *home[2:])
     arms = {**profile.arms, "right": profile.arms["right"].model_copy(update={"home": down})}
-    with pytest.raises(InputError, match=r"no way to stop 1 of 3 .* arm right: comes nearer to the floor"):
+    with pytest.raises(InputError, match=r"stop 1 of 3 not found .* arm right: comes nearer to the floor"):
         plan_stops(profile.model_copy(update={"arms": arms}))
-    with pytest.raises(InputError, match=r"no way to stop 1 of 3 .* arms left and right: come nearer than 1500 mm"):
+    with pytest.raises(InputError, match=r"stop 1 of 3 not found .* arms left and right: come nearer than 1500 mm"):
         plan_stops(small_twin(3, plan={"clearance": 1.5, "floor": -3.0}))
 
 
 def test_ranges_outside_the_limits_are_named() -> None:
     ranges = ((-1.0, 1.0), *[(-7.5, -7.0)] * 5)
-    with pytest.raises(InputError, match=r"plan\.ranges: joint 2: nothing of \[-7\.5, -7\] rad .* arm left"):
+    with pytest.raises(InputError, match=r"plan\.ranges: joint 2: no part of \[-7\.5, -7\] rad .* arm left"):
         plan_stops(small_twin(3, plan={"ranges": ranges}))
 
 

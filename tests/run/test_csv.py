@@ -110,7 +110,7 @@ BAD_CELLS = [
     (0, "0,left", "zero,left", "configuration", "expected a whole number, got 'zero'"),
     (0, "0,left", "9999999999999999999999,left", "configuration", "expected a whole number"),
     (0, "0,left", "0,", "arm", "the value is missing"),
-    (0, "0,left", "0,middle", "arm", "there is no arm 'middle' in the profile; arms are left, right"),
+    (0, "0,left", "0,middle", "arm", "arm 'middle' is not in the profile; arms are left, right"),
     (2, "0.25", "", "q2", "the value is missing"),
     (2, "0.25", "abc", "q2", "expected a finite number such as 0.25, got 'abc'"),
     (2, "0.25", "nan", "q2", "expected a finite number such as 0.25, got 'nan'"),
@@ -246,7 +246,7 @@ def test_a_file_that_holds_no_readings(path: Path, content: bytes, where: str, s
 
 
 def test_a_missing_file_and_a_folder(path: Path) -> None:
-    assert "there is no such file" in refusal(path)
+    assert "file not found" in refusal(path)
     path.mkdir()
     assert "cannot be read" in refusal(path)
 
@@ -277,7 +277,7 @@ def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
 
 def test_an_import_without_any_reading_of_an_arm_is_refused(path: Path, tmp_path: Path) -> None:
     write(path, *(row for row in ROWS if "left" in row))
-    with pytest.raises(InputError, match=r"readings\.csv: arm: there is no reading of arm right"):
+    with pytest.raises(InputError, match=r"readings\.csv: arm: no reading of arm right"):
         import_csv(two_arms(), path, tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

@@ -172,13 +172,17 @@ def test_a_stop_is_stored_for_all_arms_or_for_none(profile: Profile, folder: Pat
 @pytest.mark.parametrize(
     ("arm", "wrong", "says"),
     [
-        ("middle", reading(0), "there is no arm 'middle'; arms are left, right"),
+        ("middle", reading(0), "arm 'middle' not found; arms are left, right"),
         ("left", reading(0, 3), "3 joint positions for the 2 joints of arm left"),
         ("left", Reading(q=np.array([0.0, np.nan]), p_M=np.zeros(3)), "not finite"),
         ("left", Reading(q=np.zeros(2), p_M=np.array([0.0, np.inf, 0.0])), "not finite"),
-        ("left", Reading(q=np.zeros(2), p_M=np.zeros(2)), "expected q"),
+        ("left", Reading(q=np.zeros(2), p_M=np.zeros(2)), "expected p_M"),
         ("left", Reading(q=np.zeros(2), p_M=np.zeros(3), split="test"), "'test' is not a split"),
-        ("left", Reading(q=np.zeros(2), p_M=np.zeros(3), approach=np.array([2, 0], np.int8)), "is not -1, 0 or 1"),
+        (
+            "left",
+            Reading(q=np.zeros(2), p_M=np.zeros(3), approach=np.array([2, 0], np.int8)),
+            r"is not -1, 0 \(unknown\) or 1",
+        ),
     ],
 )
 def test_values_that_are_no_reading(profile: Profile, folder: Path, arm: str, wrong: Reading, says: str) -> None:
@@ -223,7 +227,7 @@ def test_a_plan_does_not_change_under_measured_stops(profile: Profile, folder: P
         longer = {"left": np.vstack([plan["left"], [[9.0, 9.0]]])}
         run.write_plan(longer)
         other = {"left": longer["left"] + 1e-12}
-        with pytest.raises(InputError, match="stop 1 was measured already"):
+        with pytest.raises(InputError, match="stop 1 is measured already"):
             run.write_plan(other)
         np.testing.assert_array_equal(run.read_plan()["left"], longer["left"])
 
@@ -421,8 +425,8 @@ def spoil_profile(path: Path) -> None:
         (spoil_header_only, "is cut off: 100 bytes of"),
         (spoil_cut, "is cut off: .* restore it from a copy"),
         (spoil_middle, "is damaged .* restore it from a copy"),
-        (spoil_newer, r"newer cellapp \(schema 99, this one knows up to 2\); install the newer"),
-        (spoil_other, "is an SQLite file, but not one of cellapp's runs"),
+        (spoil_newer, r"newer cellapp \(schema 99, this one reads up to 3\); install the newer"),
+        (spoil_other, "is an SQLite file, but not a run of cellapp"),
         (spoil_tables, "is damaged .*no such table"),
         (spoil_profile, "holds a profile that this cellapp cannot read"),
     ],
@@ -443,7 +447,7 @@ def test_a_file_that_is_no_run_is_refused_and_left_alone(
 
 
 def test_a_missing_run(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no such run folder"):
+    with pytest.raises(InputError, match="run folder not found"):
         RunFile.open(tmp_path / "none")
     with pytest.raises(InputError, match=r"holds no run \(run.sqlite is missing\)"):
         RunFile.open(tmp_path, write=True)
@@ -539,6 +543,7 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
         connection.execute("ALTER TABLE reading DROP COLUMN step")
         connection.execute("ALTER TABLE reading DROP COLUMN dwell_s")
+        connection.execute("DROP TABLE stage")
         connection.execute("UPDATE meta SET value = '1' WHERE key = 'version'")
         connection.execute("PRAGMA user_version=1")
         connection.commit()

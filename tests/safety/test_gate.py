@@ -106,8 +106,8 @@ def test_numbers_that_are_none_and_vectors_of_another_length(twin: CellBodies) -
 
 def test_every_arm_must_be_known_and_have_bodies(twin: CellBodies) -> None:
     assert "arm middle" in refuse_motion(twin, HOME, {**HOME, "middle": np.zeros(6)})
-    assert "arm right: nobody says" in refuse_motion(twin, {"left": HOME["left"]}, HOME)
-    assert "arm right: nobody says" in refuse_motion(twin, HOME, {"left": HOME["left"]})
+    assert "arm right: its position or target is not given" in refuse_motion(twin, {"left": HOME["left"]}, HOME)
+    assert "arm right: its position or target is not given" in refuse_motion(twin, HOME, {"left": HOME["left"]})
     nothing = np.zeros((0, 3))
     bare = dataclasses.replace(
         twin.arms["left"], frames=np.zeros(0, dtype=np.int64), start=nothing, end=nothing, radius=np.zeros(0)

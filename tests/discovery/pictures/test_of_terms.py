@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from cellapp.calibration.circumstances import circumstances
-from cellapp.discovery.data import ArmData, Part
-from cellapp.discovery.pictures import cycles, pictures
+from cellapp.discovery.data import ArmData
+from cellapp.discovery.joint_fit import fit_terms
+from cellapp.discovery.pictures.cycles import dominant_cycles
+from cellapp.discovery.pictures.of_terms import pictures
+from cellapp.discovery.terms import ModelTerm
 from cellapp.effects import Law
 from cellapp.kinematics.chain import parameter_names, smr_positions
 from cellapp.model import ArmModel
@@ -30,7 +33,7 @@ def test_cycles_hold_the_middle_of_the_power():
     values = np.zeros(len(names))
     for k, amplitude in ((3, 1.0), (5, 10.0), (6, 12.0), (9, 8.0), (11, 1.0)):
         values[names.index(f"sin{k}q2")] = -amplitude * 1e-6
-    found = cycles([*names, "cos2q1"], np.append(values, 4e-6))
+    found = dominant_cycles([*names, "cos2q1"], np.append(values, 4e-6))
     assert list(found) == ["1", "2"]
     assert found["1"] == {"from": 2, "to": 2, "peak": 2, "rms_urad": pytest.approx(4.0 / math.sqrt(2.0))}
     assert (found["2"]["from"], found["2"]["to"], found["2"]["peak"]) == (5, 9, 6)
@@ -39,12 +42,12 @@ def test_cycles_hold_the_middle_of_the_power():
 
 
 def test_what_is_no_wave_has_no_cycles():
-    assert cycles(["half_play1", "cos1q"], np.array([1.0, 1.0])) == {}
-    assert cycles(["cos3q1", "sin3q1"], np.zeros(2)) == {}
+    assert dominant_cycles(["half_play1", "cos1q"], np.array([1.0, 1.0])) == {}
+    assert dominant_cycles(["cos3q1", "sin3q1"], np.zeros(2)) == {}
 
 
-def made(bend, *parts, off_axis_m=0.1):
-    """Pictures of a fit of ``parts`` to readings whose joints stand off by ``bend(q, approach)``."""
+def made(bend, *terms, off_axis_m=0.1):
+    """Pictures of a fit of ``terms`` to readings whose joints stand off by ``bend(q, approach)``."""
     profile = load_profile(PROFILE)
     geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
     named = dict(zip(parameter_names(6), geometry.vector(), strict=True)) | {"tx": off_axis_m, "ty": 0.0}
@@ -62,7 +65,7 @@ def made(bend, *parts, off_axis_m=0.1):
     )
     model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=UP)
     data = ArmData.of(profile, model, readings, circumstances(readings))
-    fit = data.fit(tuple(parts))
+    fit = fit_terms(data, tuple(terms))
     found = pictures(data, fit)
     for picture in found:
         assert len(picture.x) == len(picture.measured) == len(picture.computed) == len(picture.band) > 0
@@ -80,7 +83,7 @@ def only(joint, values):
 
 
 def test_backlash_stands_on_two_levels():
-    part = Part("backlash", Law("constant"), ("half_play2",))
+    part = ModelTerm("backlash", Law("constant"), ("half_play2",))
     (picture,) = made(lambda q, approach: only(2, -2e-4 * approach[:, 1]), part)
     assert picture.title.endswith(", joint 2")
     assert picture.x_label == "approach direction of joint 2"
@@ -97,7 +100,7 @@ def test_backlash_stands_on_two_levels():
 
 
 def test_a_wave_has_its_curve_over_the_whole_turn():
-    part = Part("transmission_error", Law("lines"), ("cos3q1", "sin3q1"))
+    part = ModelTerm("transmission_error", Law("lines"), ("cos3q1", "sin3q1"))
     (picture,) = made(lambda q, approach: only(1, 3e-4 * np.sin(3.0 * q[:, 0])), part)
     assert picture.x_label == "joint 1 [deg]"
     assert -180.0 <= picture.x[0] <= picture.x[-1] <= 180.0
@@ -110,7 +113,7 @@ def test_a_wave_has_its_curve_over_the_whole_turn():
 
 def test_fast_lines_are_laid_over_one_another_and_slow_ones_are_not():
     names = tuple(f"{wave}{k}q2" for k in (2, 60, 120) for wave in ("cos", "sin"))
-    part = Part("transmission_error", Law("gear", {"ratio": 60.0}), names)
+    part = ModelTerm("transmission_error", Law("gear", {"ratio": 60.0}), names)
     slow, fast = made(lambda q, approach: only(2, 1e-4 * np.sin(2.0 * q[:, 1]) + 3e-4 * np.cos(60.0 * q[:, 1])), part)
     assert (slow.curve.x[0], slow.curve.x[-1]) == (-180.0, 180.0)
     assert np.ptp(slow.computed) == pytest.approx(200.0, rel=0.2)
@@ -123,7 +126,7 @@ def test_fast_lines_are_laid_over_one_another_and_slow_ones_are_not():
 
 def test_a_drift_of_the_base_is_drawn_along_its_way_against_time():
     law = Law("linear", {"first_s": 0.0, "last_s": 60.0 * (N - 1)})
-    part = Part("base_drift", law, ("base_drift_x", "base_drift_y", "base_drift_z"))
+    part = ModelTerm("base_drift", law, ("base_drift_x", "base_drift_y", "base_drift_z"))
     (picture,) = made(lambda q, approach: np.zeros((N, 6)), part)
     assert picture.x_label == "time [h]"
     assert picture.x[-1] == pytest.approx((N - 1) / 60.0, rel=1e-4)
@@ -134,25 +137,25 @@ def test_a_drift_of_the_base_is_drawn_along_its_way_against_time():
 
 def test_axes_that_wobble_are_drawn_one_by_one():
     names = tuple(f"wobble_{way}{joint}_{wave}" for joint in (1, 3) for way in "xy" for wave in ("cos", "sin"))
-    first, second = made(lambda q, approach: np.zeros((N, 6)), Part("joint_axis_wobble", Law(), names))
+    first, second = made(lambda q, approach: np.zeros((N, 6)), ModelTerm("joint_axis_wobble", Law(), names))
     assert (first.x_label, second.x_label) == ("joint 1 [deg]", "joint 3 [deg]")
 
 
 def test_a_data_driven_term_is_drawn_against_each_of_its_variables():
     law = Law("joint 3|q1|time", {"order": 3.0, "order2": 2.0, "low2": 0.0, "high2": 60.0 * N, "typical2": 0.0})
-    part = Part("unknown", law, ("joint_3.sin1_q1", "joint_3.cos1_q1"))
+    part = ModelTerm("unknown", law, ("joint_3.sin1_q1", "joint_3.cos1_q1"))
     first, second = made(lambda q, approach: only(3, 2e-4 * np.sin(q[:, 0])), part)
     assert (first.x_label, second.x_label) == ("joint 1 [deg]", "time [h]")
     assert first.y_label == second.y_label == "offset of joint 3 [urad]"
     assert sorted(first.computed) == sorted(second.computed)
     law = Law("tracker radial|range", {"order": 2.0, "low": 1.0, "high": 5.0, "typical": 3.0})
-    (radial,) = made(lambda q, approach: np.zeros((N, 6)), Part("unknown", law, ("tracker_radial.p2_range",)))
+    (radial,) = made(lambda q, approach: np.zeros((N, 6)), ModelTerm("unknown", law, ("tracker_radial.p2_range",)))
     assert radial.x_label == "distance from the tracker [m]"
     assert "tracker radial" in radial.title
 
 
 def test_a_joint_that_does_not_move_the_smr_has_no_picture():
-    part = Part("backlash", Law("constant"), ("half_play2", "half_play6"))
+    part = ModelTerm("backlash", Law("constant"), ("half_play2", "half_play6"))
     for off_axis, seen in ((0.2, ["joint 2", "joint 6"]), (0.002, ["joint 2"])):
         found = made(lambda q, approach: np.zeros((N, 6)), part, off_axis_m=off_axis)
         assert [picture.title[-7:] for picture in found] == seen

@@ -1,0 +1,231 @@
+"""Residuals of the measurement model, their Jacobian and the weighted normal equations.
+
+The model of one reading is ``P_i = f(q_i + sum_j beta_j o_ij; g) + sum_j beta_j s_ij``: geometry g, and effects that
+are linear in their parameters beta, each an offset o of a joint or a shift s of the SMR. Readings are taken in chunks,
+so that memory does not grow with their number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.calibration.parameters import ParameterSet, gram_matrix
+from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
+from cellapp.kinematics.transforms import Array
+
+_CHUNK = 2048
+"""Configurations per chunk: the Jacobian of one chunk (3 x 40 x 2048 floats, 2 MB) stays in the cache."""
+
+
+@dataclass(frozen=True)
+class EffectColumns:
+    """Effects that are linear in their parameters: columns that offset a joint first, then those that shift the SMR.
+
+    Attributes
+    ----------
+    names, units : tuple of str, length m
+    joints : array, shape (k,), k <= m
+        Joint that each of the first k columns offsets, from 0.
+    offsets : array, shape (k, n)
+        Joint offset per unit of the parameter [rad].
+    shifts_M : array, shape (m - k, 3, n)
+        Shift of the SMR per unit of the other parameters, in the tracker frame [m].
+    prior_sd : array, shape (m,), optional
+        Standard deviation of a zero-mean prior in each parameter's unit, infinite without a prior. Where it is given,
+        the stated uncertainty of the readings is taken as exact and is not rescaled by their scatter.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    joints: NDArray[np.intp]
+    offsets: Array
+    shifts_M: Array
+    prior_sd: Array | None = None
+
+    def take(self, rows: NDArray[np.intp]) -> EffectColumns:
+        """The columns at some of the configurations."""
+        return replace(self, offsets=self.offsets[:, rows], shifts_M=self.shifts_M[:, :, rows])
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Readings in the layout of the kinematics, component first and configurations last.
+
+    Attributes
+    ----------
+    angles : JointAngles
+        Joint positions of the n configurations.
+    q : array, shape (n, N)
+        Joint positions [rad].
+    p_M : array, shape (3, n)
+        Measured SMR positions in the tracker frame [m].
+    white : array, shape (3, 3, n) or (n,), or None
+        Whitening factors (``weights.whitener``); None for equal weights.
+    effects : EffectColumns or None
+    """
+
+    angles: JointAngles
+    q: Array
+    p_M: Array
+    white: Array | None
+    effects: EffectColumns | None
+
+    @property
+    def count(self) -> int:
+        """Number of readings n."""
+        return self.angles.count
+
+    def chunks(self) -> Iterator[tuple[int, int]]:
+        """First and one past the last configuration of each chunk."""
+        for first in range(0, self.count, _CHUNK):
+            yield first, min(first + _CHUNK, self.count)
+
+    def sample(self) -> JointAngles:
+        """Evenly spaced configurations, at most two chunks of them: enough to find the rank of the Jacobian."""
+        stride = max(1, self.count // _CHUNK)
+        if stride == 1:
+            return self.angles
+        return JointAngles(self.angles.cosines[:, ::stride], self.angles.sines[:, ::stride])
+
+    def angles_with(self, beta: Array, first: int, last: int) -> JointAngles:
+        """Joint positions of a chunk after the effects' offsets."""
+        if self.effects is None or not len(self.effects.joints):
+            return self.angles.part(first, last)
+        q = self.q[first:last].copy()
+        joints, offsets = self.effects.joints, self.effects.offsets[:, first:last]
+        for joint in np.unique(joints):
+            columns = np.flatnonzero(joints == joint)
+            q[:, joint] += beta[columns] @ offsets[columns]
+        return JointAngles.of(q)
+
+    def shift(self, beta: Array, first: int, last: int) -> Array | None:
+        """Shift of the SMR by the effects in a chunk, (3, last - first) [m]; None without such effects."""
+        if self.effects is None or not len(self.effects.shifts_M):
+            return None
+        shifts = self.effects.shifts_M[:, :, first:last]
+        return np.asarray(np.tensordot(beta[len(self.effects.joints) :], shifts, axes=1))
+
+    def whiten(self, vectors: Array, first: int, last: int) -> Array:
+        """Vectors (3, ..., last - first) in units of their standard uncertainty."""
+        if self.white is None:
+            return vectors
+        white = self.white[..., first:last]
+        if white.ndim == 1:
+            return vectors * white
+        out = np.empty_like(vectors)
+        for row in range(3):  # white is lower triangular
+            np.multiply(white[row, 0], vectors[0], out=out[row])
+            for column in range(1, row + 1):
+                out[row] += white[row, column] * vectors[column]
+        return out
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Computed SMR positions ``P`` (3, n) [m], their Jacobian ``J`` (3, k, n) and its Gram matrix (k, k)."""
+
+    P: Array
+    J: Array
+    gram: Array
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Normal equations at one set of parameter values.
+
+    Attributes
+    ----------
+    A : array, shape (k, k)
+        ``sum J^T W J`` over whitened and weighted readings.
+    b : array, shape (k,)
+        ``sum J^T W r``.
+    gram : array, shape (k, k)
+        ``sum J^T J`` without whitening and weights.
+    cost : float
+        ``sum r^T W r``.
+    scale : array, shape (k,)
+        Root mean square displacement of the SMR per unit of each parameter, one value for all rotations of the
+        geometry [m/rad, m/m]. It scales parameters to metres at arm's length.
+    residuals : array, shape (3, n)
+        Measured minus computed SMR positions [m].
+    """
+
+    A: Array
+    b: Array
+    gram: Array
+    cost: float
+    scale: Array
+    residuals: Array
+
+
+def split_values(start: Geometry, parameters: ParameterSet, values: Array) -> tuple[Geometry, Array]:
+    """The geometry with the identified parameters set to the first of ``values`` (k,), and the effects' values."""
+    vector = start.vector()
+    size = len(parameters.columns)
+    vector[list(parameters.columns)] = values[:size]
+    return start.with_vector(vector), values[size:]
+
+
+def normal_equations(
+    start: Geometry,
+    observations: Observations,
+    parameters: ParameterSet,
+    values: Array,
+    weights: Array | None,
+    linearised: Linearisation | None = None,
+) -> NormalEquations:
+    """Normal equations at ``values`` (k,) with robust ``weights`` (n,).
+
+    ``linearised`` saves the evaluation where it is known; it must cover all readings in one chunk.
+    """
+    geometry, beta = split_values(start, parameters, values)
+    k = len(values)
+    A, b, gram, cost = np.zeros((k, k)), np.zeros(k), np.zeros((k, k)), 0.0
+    residuals = np.empty((3, observations.count))
+    unweighted = observations.white is None and weights is None
+    for first, last in observations.chunks():
+        model = linearised or _linearise(geometry, observations, parameters, beta, first, last)
+        J = model.J
+        r = np.subtract(observations.p_M[:, first:last], model.P, out=residuals[:, first:last])
+        shift = observations.shift(beta, first, last)
+        if shift is not None:
+            r -= shift
+        gram += model.gram
+        if not unweighted:
+            J, r = observations.whiten(J, first, last), observations.whiten(r, first, last)
+            if weights is not None:
+                root = np.sqrt(weights[first:last])
+                J, r = J * root, r * root
+            A += gram_matrix(J)
+        b += (J @ r[:, :, None]).sum(axis=0)[:, 0]
+        cost += float(np.vdot(r, r))
+    scale = _scale(gram, observations.count, parameters)
+    return NormalEquations(gram if unweighted else A, b, gram, cost, scale, residuals)
+
+
+def _linearise(
+    geometry: Geometry, observations: Observations, parameters: ParameterSet, beta: Array, first: int, last: int
+) -> Linearisation:
+    angles, effects = observations.angles_with(beta, first, last), observations.effects
+    P, J = jacobian(geometry, angles, parameters.columns)
+    if effects is not None:
+        _, by_joint = joint_jacobian(geometry, angles)
+        by_offset = effects.offsets[None, :, first:last] * by_joint[:, effects.joints]
+        J = np.concatenate([J, by_offset, effects.shifts_M[:, :, first:last].swapaxes(0, 1)], axis=1)
+    return Linearisation(P, J, gram_matrix(J))
+
+
+def _scale(gram: Array, count: int, parameters: ParameterSet) -> Array:
+    """``NormalEquations.scale`` from the Gram matrix; 1 for translations of the geometry."""
+    mean_square = np.maximum(np.diag(gram) / count, 1e-30)  # a parameter without effect must not divide by zero
+    scale = np.ones(len(gram))
+    rotations, size = parameters.rotations, len(parameters.columns)
+    if rotations:
+        scale[:rotations] = math.sqrt(float(mean_square[:rotations].mean()))
+    scale[size:] = np.sqrt(mean_square[size:])
+    return scale

@@ -1,0 +1,95 @@
+"""Which effects these data cannot show at all, and from which size on they would have shown the others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellapp.design.information import VISIBLE
+from cellapp.discovery.search.scan import LawScan
+from cellapp.discovery.search.significance import smallest_detectable
+from cellapp.discovery.search.state import SearchResult
+from cellapp.discovery.terms import UNKNOWN
+from cellapp.effects import EFFECTS
+from cellapp.kinematics.transforms import Array
+
+_BARELY_VISIBLE = 0.03
+"""Visible share below which an effect is reported as invisible under this plan: it would need to be 30 times as large
+as one that geometry cannot follow."""
+_MOST_SIZES = 40
+"""Parameters of one effect whose smallest sizes are reported: all joints and axes, but not hundreds of lines."""
+
+Entry = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class _Detectable:
+    """An effect's largest visible share, smallest size of each parameter, and the least rms displacement (whitened)."""
+
+    visible_share: float
+    sizes: dict[str, dict[str, Any]]
+    least_rms: float
+
+
+def detectability(found: SearchResult, accepted: Iterable[str]) -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
+    """Effects that the data cannot show, and those that they could have shown and did not, with their smallest sizes.
+
+    Those that were ``accepted`` are left out.
+    """
+    others = [slug for slug in EFFECTS if slug not in set(accepted) and slug != UNKNOWN]
+    scan, white = found.scan, found.geometry_only.white
+    if found.fit.terms:
+        scan = LawScan.of(found.fit.candidates(found.data, others), found.fit.projector)
+        white = found.fit.white
+    noise_mm = 1e3 * _noise_m(white)
+    invisible: list[Entry] = []
+    not_found: list[Entry] = []
+    for slug in others:
+        if lacking := EFFECTS[slug].untestable(found.data.context):
+            invisible.append({"effect": slug, "reason": f"not testable: {lacking}", "smallest_seen": None})
+            continue
+        one = _detectable(scan, slug, found.threshold)
+        entry = {
+            "effect": slug,
+            "visible_share": one.visible_share,
+            "smallest_seen": one.sizes or None,
+            "smallest_seen_rms_mm": one.least_rms * noise_mm * math.sqrt(3.0) if math.isfinite(one.least_rms) else None,
+        }
+        if one.visible_share <= _BARELY_VISIBLE:
+            how_much = "all" if one.visible_share <= VISIBLE else "nearly all"
+            reason = f"invisible: geometry can follow {how_much} of it under this plan"
+            invisible.append({**entry, "reason": reason})
+        else:
+            not_found.append({**entry, "reason": "not found; it could have been seen from these sizes on"})
+    return tuple(invisible), tuple(not_found)
+
+
+def _detectable(scan: LawScan, slug: str, threshold: float) -> _Detectable:
+    """Visible share and smallest sizes of one effect, over all its laws."""
+    sizes: dict[str, dict[str, Any]] = {}
+    share, least_rms = 0.0, math.inf
+    for number, candidate in enumerate(scan.candidates):
+        if candidate.slug != slug:
+            continue
+        place = scan.place(number)
+        share = max(share, float(scan.visible_share[place].max(initial=0.0)))
+        size_of = smallest_detectable(scan, number, threshold)
+        rms = np.sqrt(np.mean(scan.rows[place] ** 2, axis=1)).tolist()
+        for column, displaced in zip(candidate.columns, rms, strict=True):
+            size = size_of[column.name]
+            if not math.isfinite(size):
+                continue
+            least_rms = min(least_rms, size * displaced)
+            known = sizes.get(column.name)
+            if (known is None or size < known["value"]) and len(sizes) < _MOST_SIZES:
+                sizes[column.name] = {"value": size, "unit": column.unit}
+    return _Detectable(share, sizes, least_rms)
+
+
+def _noise_m(white: Array) -> float:
+    """Standard uncertainty [m] that the mean weight of a coordinate stands for."""
+    return 1.0 / math.sqrt(float(np.mean(np.einsum("aan->an", white) ** 2)))

@@ -1,0 +1,54 @@
+"""Readings that the search does not see: the validate split, on which the gap between model and data is shown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.calibration.calibrate import rms_length_mm
+from cellapp.calibration.evaluation import evaluate, position_errors
+from cellapp.effects import Circumstances
+from cellapp.model import ArmModel
+from cellapp.results import StageErrors
+from cellapp.run import Readings, stated_uncertainty
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Held-out readings of one arm and the circumstances of their stops."""
+
+    readings: Readings
+    known: Circumstances
+
+    @classmethod
+    def of(cls, readings: Readings, known: Circumstances) -> HeldOut:
+        """The validate split."""
+        rows = readings.in_split("validate")
+        return cls(readings.take(rows), known.take(rows))
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    def rms_mm(self, model: ArmModel) -> float:
+        """Rms position error of a model."""
+        computed = model.predict(self.readings.q, known=self.known)
+        return float(np.sqrt(np.mean((position_errors(self.readings.p_M, computed) * 1e3) ** 2)))
+
+    def evaluate(self, model: ArmModel) -> StageErrors:
+        """Position and distance errors of a model."""
+        return evaluate(self.readings.p_M, model.predict(self.readings.q, known=self.known))
+
+    def noise_floor_mm(self) -> float:
+        """Rms length of the stated noise; NaN where the readings state none."""
+        sigma = stated_uncertainty(self.readings)
+        return math.nan if sigma is None else rms_length_mm(sigma)
+
+    def predicted_uncertainty_mm(self, model: ArmModel) -> Mapping[str, float] | None:
+        """Median and largest uncertainty that a model predicts of itself here; None where it predicts none."""
+        predicted = model.uncertainty(self.readings.q)
+        if not predicted.any():
+            return None
+        return {"median": float(np.median(predicted)) * 1e3, "largest": float(predicted.max()) * 1e3}

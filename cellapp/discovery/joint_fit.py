@@ -1,0 +1,316 @@
+"""Joint fit of geometry and effect terms, linearised there for everything that is compared with it.
+
+With W the whitening, the rows of the design are W [J, A]: derivatives of the SMR position by the geometric parameters
+and by those of the terms. The residual y and these rows define the linear models of scan, review and proposals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.calibration.curves import MAX_CYCLES, curve_standard_deviation
+from cellapp.calibration.identification import Identification, identify
+from cellapp.calibration.normal_equations import EffectColumns
+from cellapp.calibration.weights import excess_variance, with_excess
+from cellapp.design.information import NuisanceProjector
+from cellapp.discovery.candidates import CandidateLaw, whitened_displacements
+from cellapp.discovery.data import ArmData, whitening
+from cellapp.discovery.residual import ProjectedResidual
+from cellapp.discovery.terms import ModelTerms, TermLayout, curve_prior_of, cycles_of, prior_sd
+from cellapp.effects import EFFECTS, EffectColumn, EffectTerm, Law
+from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
+from cellapp.kinematics.transforms import Array
+from cellapp.model import ArmModel
+from cellapp.model.nominal import prior_sigmas
+
+_WEIGHING_ROUNDS = 3
+"""Rounds of fitting and estimating the excess variance at most: the fit depends on its root only, and weakly."""
+_EXCESS_CHANGE = 0.02
+"""Relative change of the excess variance below which its estimate has converged: weights then change by 1 %."""
+_CURVE_POINTS = 180
+"""Points of a curve's standard deviation over a turn: one in 2 degrees, below the shortest period (3.6)."""
+_BOUND_ERRORS = 4.0
+"""Standard errors by which a value may pass its physical bound: chance does so in one of 30 000 cases, and the value
+of a joint that hardly feels an effect may well come out negative."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """Effect terms fitted together with the geometry.
+
+    Attributes
+    ----------
+    terms : ModelTerms
+    layout : TermLayout
+        Where the parameters of each term stand.
+    identification : Identification
+        Geometric parameters first, then those of the terms in their order.
+    columns : tuple of EffectColumn
+        Columns of all terms in their order.
+    model : ArmModel
+        The fitted arm.
+    white : array, shape (3, 3, n)
+        Whitening of each point [1/m].
+    by_joint : array, shape (3, N, n)
+        Whitened derivatives of the SMR position by the joints.
+    rows : array, shape (p, 3 n)
+        Whitened derivatives by all that was fitted.
+    precision : array, shape (p,)
+        Prior precisions, zero without a prior.
+    residual : array, shape (3 n,)
+        Whitened.
+    """
+
+    terms: ModelTerms
+    layout: TermLayout
+    identification: Identification
+    columns: tuple[EffectColumn, ...]
+    model: ArmModel
+    white: Array
+    by_joint: Array
+    rows: Array
+    precision: Array
+    residual: Array
+    _behind: dict[int, ProjectedResidual] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def projector(self) -> NuisanceProjector:
+        """Onto the complement of all that was fitted."""
+        return NuisanceProjector.of(self.rows, self.precision)
+
+    @cached_property
+    def projected_residual(self) -> ProjectedResidual:
+        """The residual in the complement of all that was fitted."""
+        return ProjectedResidual(self.projector, self.residual)
+
+    def residual_without(self, term: int) -> ProjectedResidual:
+        """What a model without one term would leave, in the complement of that model's parameters."""
+        if term not in self._behind:
+            kept = self.layout.all_but(term)
+            projector = NuisanceProjector.of(self.rows[kept], self.precision[kept])
+            self._behind[term] = ProjectedResidual(projector, self.residual + self.signal(term))
+        return self._behind[term]
+
+    def removed_square(self, term: int) -> float:
+        """Sum of squares of what a term alone explains: its signal in the complement of all else."""
+        return float(np.sum(self.residual_without(term).projector.project(self.signal(term)) ** 2))
+
+    def term_rows(self, term: int) -> Array:
+        """Whitened columns of a term (m, 3 n)."""
+        return self.rows[self.layout.parameters(term)]
+
+    def term_values(self, term: int) -> Array:
+        """Fitted values of a term's parameters (m,)."""
+        return self.identification.effect_values[self.layout.columns(term)]
+
+    def term_columns(self, term: int) -> tuple[EffectColumn, ...]:
+        """Columns of a term."""
+        return self.columns[self.layout.columns(term)]
+
+    def signal(self, term: int) -> Array:
+        """What a term predicts, whitened (3 n,)."""
+        return np.asarray(self.term_values(term) @ self.term_rows(term))
+
+    @cached_property
+    def target(self) -> Array:
+        """Residual plus what terms with priors predict, whitened (3 n,): what linear refits with these priors fit."""
+        first = self.layout.geometric
+        with_prior = np.flatnonzero(self.precision[first:] > 0.0)
+        if not len(with_prior):
+            return self.residual
+        held = self.identification.effect_values[with_prior] @ self.rows[first + with_prior]
+        return np.asarray(self.residual + held)
+
+    def candidate(self, data: ArmData, slug: str, law: Law) -> CandidateLaw:
+        """A law as a candidate beside this model."""
+        columns = data.columns(slug, law)
+        return CandidateLaw(slug, law, tuple(columns), self.displacements(columns))
+
+    def candidates(self, data: ArmData, slugs: Sequence[str]) -> list[CandidateLaw]:
+        """All laws of some effects that the data allow to test."""
+        testable = [slug for slug in slugs if not EFFECTS[slug].untestable(data.context)]
+        return [self.candidate(data, slug, law) for slug in testable for law in EFFECTS[slug].laws(data.context)]
+
+    def displacements(self, columns: Sequence[EffectColumn]) -> Array:
+        """Whitened SMR displacements (m, 3 n) of columns."""
+        return whitened_displacements(columns, self.by_joint, self.white)
+
+    def blocks_beyond_bounds(self, term: int) -> set[str]:
+        """Blocks of a term with a value outside its physical bounds by more than chance allows."""
+        errors = self.identification.standard_errors[self.layout.parameters(term)].tolist()
+        return {
+            column.block
+            for column, value, error in zip(
+                self.term_columns(term), self.term_values(term).tolist(), errors, strict=True
+            )
+            if not column.lower - _BOUND_ERRORS * error <= value <= column.upper + _BOUND_ERRORS * error
+        }
+
+
+def fit_terms(data: ArmData, terms: ModelTerms) -> JointFit:
+    """Fit geometry and terms to all readings and linearise there."""
+    found, columns = _identify(data, terms)
+    layout = TermLayout.of(len(found.parameter_set.columns), [len(term.names) for term in terms])
+    white = whitening(data.sigma, len(data))
+    angles = JointAngles.of(data.readings.q)
+    _, J = jacobian(found.geometry, angles, found.parameter_set.columns)
+    _, by_joint = joint_jacobian(found.geometry, angles)
+    by_joint = np.einsum("acn,cjn->ajn", white, by_joint)
+    geometric = np.einsum("acn,ckn->kan", white, J).reshape(layout.geometric, -1)
+    return JointFit(
+        terms=terms,
+        layout=layout,
+        identification=found,
+        columns=columns,
+        model=_fitted_model(data, found, terms, layout, columns),
+        white=white,
+        by_joint=by_joint,
+        rows=np.concatenate([geometric, whitened_displacements(columns, by_joint, white)]),
+        precision=_precision(data, found, terms, layout),
+        residual=np.einsum("acn,nc->an", white, found.residuals).ravel(),
+    )
+
+
+def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
+    """Fit terms with weights of their own; effects are evaluated at the geometry that this finds."""
+    here = reweighted(data, terms)
+    here = here.at(fit_terms(here, terms).model)
+    return here, fit_terms(here, terms)
+
+
+def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
+    """The data with weights that include what a model with ``terms`` leaves beyond the stated uncertainty.
+
+    Free curves bring a noise of their own, which the evidence of their prior found.
+    """
+    if data.stated is None:
+        return data
+    curves = curve_prior_of(terms)
+    if curves is not None:
+        noise = curves.noise
+        return replace(data, sigma=data.stated * (noise if data.stated.ndim == 1 else noise**2))
+    sigma, excess = data.stated, -1.0
+    for _ in range(_WEIGHING_ROUNDS):
+        found, _ = _identify(replace(data, sigma=sigma), terms)
+        before, excess = excess, excess_variance(found.residuals, data.stated, found.degrees_of_freedom)
+        sigma = with_excess(data.stated, excess)
+        if abs(excess - before) <= _EXCESS_CHANGE * excess:
+            break
+    return replace(data, sigma=sigma)
+
+
+def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[EffectColumn, ...]]:
+    """Joint identification of geometry and terms, with effect parameters in the order of the terms' columns."""
+    columns = data.term_columns(terms)
+    order = _joint_columns_first(columns)
+    settings = data.profile.calibration
+    found = identify(
+        data.model.geometry,
+        data.readings.q,
+        data.readings.p_M,
+        sigma=data.sigma,
+        parameter_set=data.parameter_set,
+        prior_sigma=prior_sigmas(data.model.nominal, settings.priors),
+        prior_mean=data.model.nominal,
+        robust=settings.robust,
+        effects=_effect_columns(data, terms, columns, order) if columns else None,
+        tolerance=settings.tolerance,
+        max_iterations=settings.max_iterations,
+    )
+    return _reordered(found, np.argsort(order)), columns
+
+
+def _joint_columns_first(columns: Sequence[EffectColumn]) -> NDArray[np.intp]:
+    """Places of the columns that offset a joint, then of those that shift the SMR."""
+    return np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
+
+
+def _effect_columns(
+    data: ArmData, terms: ModelTerms, columns: Sequence[EffectColumn], order: NDArray[np.intp]
+) -> EffectColumns:
+    """Columns as the identification takes them: joint offsets first."""
+    of_joints = [columns[place] for place in order if columns[place].joint is not None]
+    of_smr = [columns[place] for place in order if columns[place].joint is None]
+    sd, n = prior_sd(terms), len(data)
+    return EffectColumns(
+        names=tuple(columns[place].name for place in order),
+        units=tuple(columns[place].unit for place in order),
+        joints=np.array([column.joint for column in of_joints], dtype=np.intp),
+        offsets=np.array([column.offset for column in of_joints]).reshape(-1, n),
+        shifts_M=np.array([column.shift_M for column in of_smr]).reshape(-1, n, 3).swapaxes(1, 2),
+        prior_sd=None if sd is None else sd[order],
+    )
+
+
+def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identification:
+    """The identification with its effect parameters at places ``effects``."""
+    size = len(found.parameter_set.columns)
+    place = np.concatenate([np.arange(size), size + effects]).astype(np.intp)
+    return replace(
+        found,
+        names=tuple(found.names[i] for i in place),
+        units=tuple(found.units[i] for i in place),
+        values=found.values[place],
+        standard_errors=found.standard_errors[place],
+        covariance=found.covariance[np.ix_(place, place)],
+        effect_values=found.effect_values[effects],
+    )
+
+
+def _precision(data: ArmData, found: Identification, terms: ModelTerms, layout: TermLayout) -> Array:
+    """Prior precisions (p,) of all that was fitted; those of the geometry only beside a stated uncertainty."""
+    precision = np.zeros(layout.total)
+    if data.sigma is not None:
+        beliefs = prior_sigmas(data.model.nominal, data.profile.calibration.priors)
+        for row, name in enumerate(found.names[: layout.geometric]):
+            if name in beliefs:
+                precision[row] = 1.0 / beliefs[name] ** 2
+    sd = prior_sd(terms)
+    if sd is not None:
+        precision[layout.geometric :] = 1.0 / sd**2
+    return precision
+
+
+def _fitted_model(
+    data: ArmData, found: Identification, terms: ModelTerms, layout: TermLayout, columns: Sequence[EffectColumn]
+) -> ArmModel:
+    """The arm with the fitted terms; the covariance is kept without the many coefficients of free curves."""
+    fitted = []
+    kept = list(range(layout.geometric))
+    for number, term in enumerate(terms):
+        here = layout.parameters(number)
+        bands: dict[int, Array] = {}
+        if term.curves is None:
+            kept += range(here.start, here.stop)
+        else:
+            for joint in term.curves.joints:
+                rows = [
+                    here.start + i
+                    for i, column in enumerate(columns[layout.columns(number)])
+                    if column.joint == joint and cycles_of(column.name) <= MAX_CYCLES
+                ]
+                bands[joint] = curve_standard_deviation(found.covariance[np.ix_(rows, rows)], _CURVE_POINTS)
+        fitted.append(
+            EffectTerm(
+                slug=term.slug,
+                names=term.names,
+                values=found.values[here],
+                standard_errors=found.standard_errors[here],
+                units=found.units[here],
+                law=term.law,
+                note=term.note,
+                spread=bands,
+            )
+        )
+    return replace(
+        data.model,
+        geometry=found.geometry,
+        effects=tuple(fitted),
+        identified=tuple(found.names[i] for i in kept),
+        covariance=found.covariance[np.ix_(kept, kept)],
+    )

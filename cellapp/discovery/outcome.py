@@ -1,0 +1,125 @@
+"""Outcome of discovery in one arm's data: accepted effects with their evidence, verdict, and the extended model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cellapp.calibration.cooperative import PairCalibration
+from cellapp.discovery.describe import Description
+from cellapp.discovery.pictures.picture import Picture
+from cellapp.discovery.search.state import Rival
+from cellapp.effects import EffectTerm
+from cellapp.model import ArmModel, CellModel
+from cellapp.results import StageErrors, Verdict
+
+
+@dataclass(frozen=True)
+class AcceptedEffect:
+    """An effect that became part of the model, with its evidence.
+
+    Attributes
+    ----------
+    term : EffectTerm
+    joints : tuple of int
+        Joints it offsets, from 1.
+    acts_on : tuple of str
+        Joints or frames it acts on.
+    score, p_value : float
+        Score beside all other effects, and its p-value corrected for the whole scan.
+    heldout_before_mm, heldout_after_mm : float
+        Held-out rms error without and with it.
+    rivals : tuple of Rival
+    correlated : (str, float), optional
+        Geometric parameter that its values are most correlated with, and the correlation.
+    description : Description, optional
+        Of a data-driven term.
+    """
+
+    term: EffectTerm
+    joints: tuple[int, ...]
+    acts_on: tuple[str, ...]
+    score: float
+    p_value: float
+    heldout_before_mm: float
+    heldout_after_mm: float
+    rivals: tuple[Rival, ...]
+    correlated: tuple[str, float] | None
+    description: Description | None = None
+
+    @property
+    def answer_set(self) -> tuple[str, ...]:
+        """The effect and all that these data cannot distinguish from it."""
+        return (self.term.slug, *(rival.slug for rival in self.rivals if not rival.distinguishable))
+
+
+@dataclass(frozen=True)
+class GapStep:
+    """The held-out rms error after one step of the search."""
+
+    what: str
+    effect: str
+    heldout_mm: float
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """Outcome of discovery in one arm's data.
+
+    Attributes
+    ----------
+    accepted : tuple of AcceptedEffect
+    noise_floor_mm : float
+        Rms length of the stated noise; NaN where none is stated.
+    before_mm, after_mm : float
+        Held-out rms error before and after.
+    steps : tuple of GapStep
+    threshold : float
+        Score that an effect had to pass.
+    omnibus_p, scatter : float
+        p-value and root of chi-square per degree of freedom of what is left; NaN where no noise is stated.
+    invisible, not_found : tuple of mapping
+        Effects that this plan cannot show, and those that it could have shown, with the smallest size.
+    verdict, sentence : str
+    model : ArmModel
+        With the accepted effects.
+    stage : StageErrors
+        Held-out errors of that model.
+    pictures : tuple of Picture
+    network_mm : mapping, optional
+        Rms correction of a residual network before and after.
+    uncertainty_mm : mapping, optional
+        Predicted uncertainty at the held-out stops.
+    """
+
+    accepted: tuple[AcceptedEffect, ...]
+    noise_floor_mm: float
+    before_mm: float
+    after_mm: float
+    steps: tuple[GapStep, ...]
+    threshold: float
+    omnibus_p: float
+    scatter: float
+    invisible: tuple[Mapping[str, Any], ...]
+    not_found: tuple[Mapping[str, Any], ...]
+    verdict: Verdict
+    sentence: str
+    model: ArmModel
+    stage: StageErrors
+    pictures: tuple[Picture, ...] = ()
+    network_mm: Mapping[str, float] | None = None
+    uncertainty_mm: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class CellDiscovery:
+    """Outcome of discovery in the data of every arm.
+
+    ``model`` is the cell with the accepted effects; ``pair`` the cooperative errors with them, None where no effect was
+    accepted or there is no pair.
+    """
+
+    arms: Mapping[str, Discovery]
+    model: CellModel
+    pair: PairCalibration | None

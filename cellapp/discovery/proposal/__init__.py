@@ -1,0 +1,1 @@
+"""Choice of further stops: open hypotheses, candidates, greedy selection, predicted discrimination."""

@@ -1,0 +1,110 @@
+"""Further stops as a fitted model predicts them: columns of its parameters there, and the expected uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from cellapp.discovery.candidates import whitened_displacements
+from cellapp.discovery.data import ArmData, whitening
+from cellapp.discovery.joint_fit import JointFit
+from cellapp.effects import EFFECTS, Circumstances, EffectContext, Law
+from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
+from cellapp.kinematics.transforms import Array
+
+_MOST_JOINED = 200
+"""Further stops that are joined to the run, spread evenly: enough to show which factors vary among them."""
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateDesign:
+    """Candidate stops (m of them) for one fitted model.
+
+    Attributes
+    ----------
+    context : EffectContext
+        What effects may depend on there.
+    white : array, shape (3, 3, m)
+        Whitening of the expected uncertainty.
+    by_joint : array, shape (3, N, m)
+        Whitened derivatives of the SMR position by the joints.
+    geometric : array, shape (p, 3 m)
+        Whitened derivatives by the fitted geometric parameters.
+    """
+
+    context: EffectContext
+    white: Array
+    by_joint: Array
+    geometric: Array
+
+    @classmethod
+    def of(cls, data: ArmData, fit: JointFit, q: Array, known: Circumstances) -> CandidateDesign:
+        """At configurations ``q`` (m, N) [rad] in the circumstances ``known``."""
+        model, found = fit.model, fit.identification
+        true_q = model.true_joints(q, known=known) if model.effects else None
+        context = replace(model.context(q, known=known), stands=true_q)
+        white = whitening(_expected_sigma(data, context), len(q))
+        angles = JointAngles.of(q)
+        columns = found.parameter_set.columns
+        J = jacobian(found.geometry, angles, columns)[1]
+        by_joint = np.einsum("acn,cjn->ajn", white, joint_jacobian(found.geometry, angles)[1])
+        geometric = np.einsum("acn,ckn->kan", white, J).reshape(len(columns), -1)
+        return cls(context, white, by_joint, geometric)
+
+    def rows(self, slug: str, law: Law, names: Sequence[str]) -> Array:
+        """Whitened columns (k, 3 m) of a law."""
+        found = {column.name: column for column in EFFECTS[slug].columns(self.context, law, frozenset(names))}
+        return whitened_displacements([found[name] for name in names], self.by_joint, self.white)
+
+    @staticmethod
+    def by_stop(rows: Array) -> Array:
+        """Rows (p, 3 m), ordered by coordinate and then by stop, as (p, m, 3)."""
+        return rows.reshape(len(rows), 3, -1).transpose(0, 2, 1)
+
+
+def _expected_sigma(data: ArmData, context: EffectContext) -> Array | None:
+    """Uncertainty of further readings: the run's mean variances along the beam and across it, in their directions."""
+    sigma = data.sigma
+    if sigma is None:
+        return None
+    if sigma.ndim == 1:
+        return np.full(len(context), float(np.sqrt(np.mean(sigma**2))))
+    frame = _beam_frame(data.context)
+    variances = np.mean(np.einsum("nac,nab,nbc->nc", frame, sigma, frame), axis=0)
+    frame = _beam_frame(context)
+    return np.asarray(np.einsum("nac,c,nbc->nab", frame, variances, frame))
+
+
+def _beam_frame(context: EffectContext) -> Array:
+    """Unit vectors along the beam, horizontally across it and upward across it as columns, (n, 3, 3)."""
+    _, beam = context.beam
+    _, _, horizontal, upward = context.across
+    return np.stack([beam, horizontal, upward], axis=2)
+
+
+def joined_context(data: ArmData, q: Array, known: Circumstances) -> EffectContext:
+    """The run and some of the further stops (configurations, circumstances) as one context."""
+    rows = np.arange(len(q))[:: max(1, len(q) // _MOST_JOINED)]
+    joined = _joined_circumstances(data.known, len(data), known.take(rows), len(rows))
+    return data.model.context(np.concatenate([data.readings.q, q[rows]]), known=joined)
+
+
+def _joined_circumstances(first: Circumstances, n: int, second: Circumstances, m: int) -> Circumstances:
+    """Circumstances of n stops and of m further ones; NaN where only the others state a value."""
+    joined: dict[str, Any] = {"record": first.record}
+    for entry in fields(Circumstances):
+        values = [getattr(first, entry.name), getattr(second, entry.name)]
+        stated = [value for value in values if value is not None]
+        if entry.name == "record" or not stated:
+            continue
+        rest = stated[0].shape[1:]
+        joined[entry.name] = np.concatenate(
+            [
+                np.full((size, *rest), np.nan) if value is None else np.asarray(value, dtype=np.float64)
+                for value, size in zip(values, (n, m), strict=True)
+            ]
+        )
+    return Circumstances(**joined)

@@ -1,0 +1,79 @@
+"""Residual network beside the accepted effects: how much it still corrects, and a model for what stays unknown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.calibration.residual import train_network
+from cellapp.discovery.held_out import HeldOut
+from cellapp.discovery.outcome import Discovery, GapStep
+from cellapp.effects import Circumstances
+from cellapp.kinematics.transforms import Array
+from cellapp.model import ArmModel, ResidualNetwork
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken
+from cellapp.run import Readings
+
+_READINGS_A_FOLD = 2
+"""Readings that each fold of a network's training needs: with one there is no scatter to judge it by."""
+
+
+def with_network(
+    profile: Profile,
+    calibrated: ArmModel,
+    discovery: Discovery,
+    readings: Readings,
+    known: Circumstances,
+    cancel: CancelToken,
+) -> Discovery:
+    """The outcome with the corrections of a network before and after the accepted effects.
+
+    The network joins the model only where an effect stays unknown and it makes held-out errors smaller.
+    """
+    held_out = HeldOut.of(readings, known)
+    network = discovery.model.network
+    if discovery.accepted:
+        rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
+        network = _train(profile, discovery.model, readings.take(rows), known.take(rows), cancel)
+    q = held_out.readings.q
+    corrections = {"before": _correction_mm(calibrated.network, q), "after": _correction_mm(network, q)}
+    discovery = replace(discovery, network_mm=corrections)
+    if not discovery.accepted or discovery.verdict != "unknown effect" or network is None:
+        return discovery
+    model = replace(discovery.model, network=network)
+    after_mm = held_out.rms_mm(model)
+    if after_mm >= discovery.after_mm:
+        return discovery
+    return replace(
+        discovery,
+        model=model,
+        after_mm=after_mm,
+        steps=(*discovery.steps, GapStep("a network for the rest", "", after_mm)),
+        stage=held_out.evaluate(model),
+    )
+
+
+def _train(
+    profile: Profile, model: ArmModel, readings: Readings, known: Circumstances, cancel: CancelToken
+) -> ResidualNetwork | None:
+    """A network for the residuals of ``model``; None where it does not predict left-out readings better than none."""
+    if len(readings) < _READINGS_A_FOLD * profile.network.folds:
+        return None
+    residual_M = readings.p_M - model.predict(readings.q, known=known)
+    return train_network(
+        readings.q,
+        residual_M @ model.geometry.T_M_B()[:3, :3],
+        seed=profile.seed,
+        folds=profile.network.folds,
+        iterations=profile.network.iterations,
+        cancel=cancel,
+    ).network
+
+
+def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:
+    """Rms length of a network's corrections."""
+    if network is None:
+        return 0.0
+    return float(np.sqrt(np.mean(np.sum(network.correct(q) ** 2, axis=1)))) * 1e3

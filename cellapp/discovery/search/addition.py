@@ -1,0 +1,78 @@
+"""Adding an effect of the library: the best law that passes threshold, physical bounds and cross-validation."""
+
+from __future__ import annotations
+
+from cellapp.calibration.identification import TooFewReadings
+from cellapp.discovery.candidates import LawScore
+from cellapp.discovery.cross_validation import cross_validated_gain
+from cellapp.discovery.data import ArmData
+from cellapp.discovery.joint_fit import fit_terms
+from cellapp.discovery.residual import ProjectedResidual
+from cellapp.discovery.search.comparison import floor_reached
+from cellapp.discovery.search.scan import LawScan
+from cellapp.discovery.search.state import SearchProblem, SearchState, SearchStep
+from cellapp.discovery.terms import ModelTerm, ModelTerms
+from cellapp.effects import EFFECTS
+
+_REMAINDER = 0.1
+"""Share (rms) of an effect that its law may leave over and that may look like another effect: laws are taken to
+describe their effects to 10 %."""
+
+
+def addition(problem: SearchProblem, state: SearchState, score: LawScore) -> SearchStep | None:
+    """The step that adds the law of ``score``; None where it does not hold."""
+    residual = state.fit.projected_residual
+    possible = within_bounds(state.data, state.fit.terms, residual, score)
+    if possible is None or possible.value <= problem.threshold or _is_remainder(state, possible):
+        return None
+    if cross_validated_gain(state.data, state.fit, possible.rows) <= 0.0:
+        return None
+    term = ModelTerm(possible.slug, possible.candidate.law, possible.names)
+    title = EFFECTS[possible.slug].title
+    return problem.step(possible.slug, f"{title} added", possible.value, (*state.fit.terms, term))
+
+
+def within_bounds(data: ArmData, others: ModelTerms, residual: ProjectedResidual, score: LawScore) -> LawScore | None:
+    """The score without the blocks whose fitted values are physically impossible; None where nothing is left.
+
+    A negative stiffness at one joint is an alias of something else there. It says nothing against the effect at other
+    joints.
+    """
+    candidate, current = score.candidate, score
+    with_refinements = any(candidate.refines((place,)) for place in score.chosen)
+    banned: set[str] = set()
+    while True:
+        term = ModelTerm(current.slug, candidate.law, current.names)
+        try:
+            trial = fit_terms(data, (*others, term))
+        except TooFewReadings:  # the readings do not determine all its columns
+            return None
+        impossible = trial.blocks_beyond_bounds(len(others))
+        if not impossible:
+            return current
+        banned |= impossible
+        kept = [place for place, column in enumerate(candidate.columns) if column.block not in banned]
+        if not kept:
+            return None
+        scan = LawScan.of([candidate.keep(kept)], residual.projector)
+        again = scan.score(0, residual, with_refinements=with_refinements)
+        if again is None:
+            return None
+        current = LawScore(candidate, again.value, tuple(kept[k] for k in again.chosen), again.explained_share)
+
+
+def _is_remainder(state: SearchState, score: LawScore) -> bool:
+    """Whether a law is likely what the imperfect law of a far larger look-alike leaves over, and is not needed."""
+    if not floor_reached(state):
+        return False
+    fit = state.fit
+    explained = score.explained_share * fit.projected_residual.square
+    return any(
+        explained < _REMAINDER**2 * fit.removed_square(number)
+        for number, term in enumerate(fit.terms)
+        if term.is_library_effect and _look_alike(score.slug, term.slug)
+    )
+
+
+def _look_alike(first: str, second: str) -> bool:
+    return first in EFFECTS[second].look_alikes or second in EFFECTS[first].look_alikes

@@ -1,0 +1,129 @@
+"""Which blocks (joints, lines) of one law a residual needs: forward selection, and backward elimination from all.
+
+Forward selection adds the best block while the score grows by more than ``NEXT_BLOCK``. Where an effect is spread
+evenly over many joints no single block may gain enough, so that backward elimination is tried from all blocks as well
+(Draper, Smith, Applied Regression Analysis, 3rd ed., chapter 15).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.design.information import SMALLEST, VISIBLE, visible_root
+from cellapp.discovery.candidates import Block, CandidateLaw
+from cellapp.discovery.residual import ProjectedResidual, bic_gain
+from cellapp.kinematics.transforms import Array
+
+NEXT_BLOCK = 10.0
+"""Gain of the score from which another block joins: very strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995)
+773), as what a law leaves over at one joint often looks a little like another joint's share."""
+_MOST_TOGETHER = 24
+"""Columns from which backward elimination starts at most: six joints with up to four columns each. Beyond, as with
+hundreds of lines, all at once would fit noise."""
+_MOST_TRIED = 40
+"""Blocks that forward selection tries in full at each step; of more, the most promising by their own columns."""
+_PSEUDO_INVERSE = 1e-10
+"""Relative cut of singular values where only a ranking depends on it; far above rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class BlockSelection:
+    """The visible blocks of a candidate law and a residual to be explained.
+
+    ``projected`` are the law's rows behind the model's parameters (m, d), ``norms`` (m,) those of its rows before,
+    ``moments`` (m,) = B M y.
+    """
+
+    candidate: CandidateLaw
+    projected: Array
+    norms: Array
+    moments: Array
+    residual: ProjectedResidual
+    blocks: tuple[Block, ...]
+
+    @classmethod
+    def of(
+        cls,
+        candidate: CandidateLaw,
+        projected: Array,
+        visible_share: Array,
+        residual: ProjectedResidual,
+        *,
+        with_refinements: bool,
+    ) -> BlockSelection | None:
+        """The visible blocks; None where none is visible but such as only refine others."""
+        wanted = [block for block in candidate.blocks if with_refinements or not candidate.refines(block)]
+        trimmed = (tuple(place for place in block if visible_share[place] > VISIBLE) for block in wanted)
+        blocks = tuple(block for block in trimmed if block)
+        if all(candidate.refines(block) for block in blocks):
+            return None
+        norms = np.maximum(np.linalg.norm(candidate.rows, axis=1), SMALLEST)
+        return cls(candidate, projected, norms, candidate.rows @ residual.projected, residual, blocks)
+
+    def select(self, price: float) -> tuple[Block, float]:
+        """The chosen columns and their score; ``price`` is that of the law, paid again for each further line."""
+        line_price = price if len(self.candidate.blocks) > _MOST_TRIED else 0.0
+        chosen, best = self._forward(line_price)
+        if len(self.blocks) > 1 and sum(map(len, self.blocks)) <= _MOST_TOGETHER:
+            together, value = self._backward()
+            if value > best + NEXT_BLOCK:
+                return together, value
+        return chosen, best
+
+    def score(self, columns: Sequence[int]) -> tuple[float, float]:
+        """BIC gain of some columns, without the price of choosing the law, and R^2."""
+        chosen = list(columns)
+        gram = self.candidate.rows[chosen] @ self.projected[chosen].T
+        root, rank = visible_root(gram, self.norms[chosen])
+        share = float(np.sum((root.T @ self.moments[chosen]) ** 2)) / self.residual.square
+        return bic_gain(share, len(self.residual), int(rank)), share
+
+    def _forward(self, line_price: float) -> tuple[Block, float]:
+        """Add the best block while the score grows; one that only refines others cannot be the first."""
+        main = [block for block in self.blocks if not self.candidate.refines(block)]
+        best, chosen = max((self.score(block)[0], block) for block in self._promising(main, ()))
+        left = [block for block in self.blocks if block != chosen]
+        while left and best > 0.0:
+            left = self._promising(left, chosen)
+            top, block = max((self.score((*chosen, *block))[0], block) for block in left)
+            if top - line_price <= best + NEXT_BLOCK:
+                break
+            best, chosen = top - line_price, (*chosen, *block)
+            left = [other for other in left if other != block]
+        return chosen, best
+
+    def _backward(self) -> tuple[Block, float]:
+        """From all blocks, drop the least needed while that costs less than ``NEXT_BLOCK``."""
+        together: Block = tuple(place for block in self.blocks for place in block)
+        value = self.score(together)[0]
+        while len(together) > 1:
+            fewer = []
+            for block in self.blocks:
+                rest = tuple(place for place in together if place not in block)
+                if len(rest) < len(together) and any(not self.candidate.refines((place,)) for place in rest):
+                    fewer.append((self.score(rest)[0], rest))
+            if not fewer:
+                break
+            top, rest = max(fewer)
+            if top <= value - NEXT_BLOCK:
+                break
+            together, value = rest, top
+        return together, value
+
+    def _promising(self, blocks: list[Block], chosen: Block) -> list[Block]:
+        """At most ``_MOST_TRIED`` blocks, those that explain most beside the chosen columns, each column on its own."""
+        if len(blocks) <= _MOST_TRIED:
+            return blocks
+        moments, information = self.moments, np.einsum("md,md->m", self.candidate.rows, self.projected)
+        if chosen:
+            kept = list(chosen)
+            cross = self.candidate.rows @ self.projected[kept].T
+            inverse = np.linalg.pinv(cross[kept], rcond=_PSEUDO_INVERSE, hermitian=True)
+            moments = moments - cross @ (inverse @ self.moments[kept])
+            information = information - np.einsum("mk,kl,ml->m", cross, inverse, cross)
+        floor = 1e-12 * max(float(information.max()), SMALLEST)
+        gain = moments**2 / np.maximum(information, floor)
+        return sorted(blocks, key=lambda block: -float(gain[list(block)].sum()))[:_MOST_TRIED]

@@ -1,0 +1,135 @@
+"""States of the search for missing effects: problem, current model, steps taken, review of the result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cellapp.discovery.data import ArmData
+from cellapp.discovery.joint_fit import JointFit, refit
+from cellapp.discovery.search.scan import LawScan
+from cellapp.discovery.search.significance import corrected_p_value
+from cellapp.discovery.terms import ModelTerm, ModelTerms
+from cellapp.kinematics.transforms import Array
+from cellapp.model import ArmModel
+from cellapp.progress import CancelToken
+
+SCORE_MARGIN = 10.0
+"""Difference of scores that counts as very strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773: twice the
+log Bayes factor above 10). Effects within it of an accepted one are its rivals; what is not in the library, and a more
+complicated law, must lead by it."""
+
+
+@dataclass(frozen=True)
+class SearchStep:
+    """A step of the search: effect, description, score, and the terms it leads to; the model once they are fitted."""
+
+    slug: str
+    what: str
+    score: float
+    p_value: float
+    terms: ModelTerms
+    model: ArmModel | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SearchState:
+    """A model in the search, how it was reached, and the effects dropped on the way."""
+
+    data: ArmData
+    fit: JointFit
+    steps: tuple[SearchStep, ...] = ()
+    dropped: tuple[str, ...] = ()
+
+    @property
+    def slugs(self) -> set[str]:
+        """Effects in the model."""
+        return {term.slug for term in self.fit.terms}
+
+
+@dataclass(frozen=True)
+class SearchProblem:
+    """What does not change during a search.
+
+    Attributes
+    ----------
+    data : ArmData
+        With the weights that the readings state.
+    slugs : tuple of str
+        Effects of the library to look for.
+    null_maxima : array
+        Largest scores of simulated data with nothing missing.
+    threshold : float
+        Score that an effect must pass.
+    cancel : CancelToken
+    """
+
+    data: ArmData
+    slugs: tuple[str, ...]
+    null_maxima: Array
+    threshold: float
+    cancel: CancelToken
+
+    def p_value(self, score: float) -> float:
+        """Chance of so large a score where nothing is missing, corrected for the whole scan."""
+        return corrected_p_value(self.null_maxima, score)
+
+    def state(self, terms: ModelTerms, steps: Sequence[SearchStep] = (), dropped: Sequence[str] = ()) -> SearchState:
+        """The fitted state of some terms."""
+        return SearchState(*refit(self.data, terms), tuple(steps), tuple(dropped))
+
+    def step(self, slug: str, what: str, score: float, terms: ModelTerms) -> SearchStep:
+        """A step with its p-value."""
+        return SearchStep(slug, what, score, self.p_value(score), terms)
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect that scores near an accepted one in its place.
+
+    ``distinguishable``: the accepted effect still explains something beside the rival.
+    """
+
+    slug: str
+    score: float
+    distinguishable: bool
+
+
+@dataclass(frozen=True)
+class Review:
+    """Score of an accepted term beside all others, and the effects that could take its place."""
+
+    term: ModelTerm
+    score: float
+    p_value: float
+    rivals: tuple[Rival, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """The outcome of a search.
+
+    Attributes
+    ----------
+    data, fit
+        The final model on the readings that were searched.
+    geometry_only : JointFit
+        The fit before the search.
+    scan : LawScan
+        Of all candidates beside the geometry.
+    reviews : tuple of Review
+        One for each term of ``fit``.
+    steps, dropped
+        How it came about.
+    threshold : float
+        Score that an effect had to pass.
+    """
+
+    data: ArmData
+    fit: JointFit
+    geometry_only: JointFit
+    scan: LawScan
+    reviews: tuple[Review, ...]
+    steps: tuple[SearchStep, ...]
+    dropped: tuple[str, ...]
+    threshold: float

@@ -1,0 +1,143 @@
+"""Stepwise search for the effects that a calibrated model lacks.
+
+1. Add effects of the library while one passes the threshold; refine the law of an effect before a second is named.
+2. Where the named effects leave more than the noise, extend the model by what the library lacks: data-driven terms or
+   free curves of the joints. Try that beside the named effects and, unless these explain nearly all, in their place.
+3. Review each model, take the best by the Bayesian information criterion, and find the rivals of its terms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from cellapp.discovery.data import ArmData
+from cellapp.discovery.joint_fit import fit_terms, refit, reweighted
+from cellapp.discovery.search.addition import addition
+from cellapp.discovery.search.comparison import best_state, floor_reached, names_dominate
+from cellapp.discovery.search.data_driven import beyond_library
+from cellapp.discovery.search.joint_curves import with_joint_curves
+from cellapp.discovery.search.refinement import MANY_LINES, refinement
+from cellapp.discovery.search.review import review, reviewed
+from cellapp.discovery.search.scan import LawScan
+from cellapp.discovery.search.significance import score_threshold, simulate_null_maxima
+from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchResult, SearchState, SearchStep
+from cellapp.discovery.search.tuning import apply_step
+from cellapp.discovery.terms import TRANSMISSION_ERROR
+from cellapp.progress import CancelToken
+
+_MOST_EFFECTS = 5
+"""Effects of the library in one model at most: beyond, what is added explains what the others' laws leave over."""
+_MOST_STEPS = 16
+"""Additions and refinements at most: three for each of the effects, and one more."""
+_NULL_SEED = 0xD15C
+"""Beside the profile's seed: the simulated noise is then independent of all other draws."""
+
+
+def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken) -> SearchResult:
+    """Search for effects among ``slugs`` and, beyond them, for what no effect of the library explains."""
+    settings = data.profile.discovery
+    weighed = reweighted(data, ())
+    fit = fit_terms(weighed, ())
+    start = SearchState(weighed.at(fit.model), fit)
+    scan = LawScan.of(fit.candidates(start.data, slugs), fit.projector)
+    seed = (data.profile.seed, _NULL_SEED)
+    null_maxima = simulate_null_maxima(scan, fit.projector, settings.null_simulations, seed)
+    threshold = score_threshold(null_maxima, settings.false_alarm)
+    problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, cancel)
+    best = _best_model(problem, start, scan)
+    return SearchResult(
+        data=best.data,
+        fit=best.fit,
+        geometry_only=fit,
+        scan=scan,
+        reviews=tuple(review(problem, best, number) for number in range(len(best.fit.terms))),
+        steps=best.steps,
+        dropped=best.dropped,
+        threshold=threshold,
+    )
+
+
+def refit_to_all(found: SearchResult, data: ArmData) -> SearchResult:
+    """The outcome of a search among some readings, fitted to all of them."""
+    here, fit = refit(data.at(found.fit.model), found.fit.terms)
+    return replace(found, data=here, fit=fit)
+
+
+def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan) -> SearchState:
+    """The best of the reviewed models: named effects alone, extended by what the library lacks, or the reverse."""
+    named = reviewed(problem, _with_library_effects(problem, start, scan))
+    if floor_reached(named):
+        return named
+    extended = beyond_library(problem, named)
+    if extended is None:
+        return named
+    states = [named, reviewed(problem, _with_library_effects(problem, extended))]
+    if named.fit.terms and not names_dominate(problem, named, extended):
+        first = beyond_library(problem, start)
+        if first is not None:
+            states.append(reviewed(problem, _with_library_effects(problem, first)))
+    return best_state(problem, states)
+
+
+def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawScan | None = None) -> SearchState:
+    """Add and refine effects of the library while one passes; ``scan`` is that of the first step, if known."""
+    refused: set[tuple[str, str]] = set()
+    refining = True
+    for _ in range(_MOST_STEPS):
+        problem.cancel.check()
+        step = _next_step(problem, state, scan, refused, refining=refining)
+        if step is None:
+            break
+        after = apply_step(problem, state, step)
+        if step.slug in state.slugs and best_state(problem, [after, state]) is state:
+            refining = False  # the refinement was better in the linear scan only
+            continue
+        state, scan = after, None
+        if step.slug == TRANSMISSION_ERROR and len(step.terms[-1].names) >= MANY_LINES:
+            # what a curve leaves is judged better than what some of its lines leave
+            state = with_joint_curves(problem, state) or state
+    return state
+
+
+def _next_step(
+    problem: SearchProblem,
+    state: SearchState,
+    scan: LawScan | None,
+    refused: set[tuple[str, str]],
+    *,
+    refining: bool,
+) -> SearchStep | None:
+    """The best refinement of an effect in the model, else the best new effect that holds; None if nothing passes.
+
+    Laws that do not hold join ``refused``.
+    """
+    fit = state.fit
+    if scan is None:
+        left = [slug for slug in problem.slugs if slug not in state.slugs]
+        scan = LawScan.of(fit.candidates(state.data, left), fit.projector)
+    scores = [score for score in scan.ranked(fit.projected_residual) if score.key not in refused]
+    if refining:
+        step = refinement(problem, state, _needed_gain(problem, scores[0].value if scores else -math.inf))
+        if step is not None:
+            return step
+    if len(state.slugs) >= _MOST_EFFECTS:
+        return None
+    for score in scores:
+        if score.value <= problem.threshold:
+            break
+        if score.key in refused:
+            continue
+        step = addition(problem, state, score)
+        if step is not None:
+            return step
+        refused.add(score.key)
+    return None
+
+
+def _needed_gain(problem: SearchProblem, best_new: float) -> float:
+    """Gain that a refinement needs: it goes before a new name of about the same score, else it must be clear."""
+    if best_new > problem.threshold:
+        return max(best_new - SCORE_MARGIN, 0.0)
+    return max(problem.threshold, SCORE_MARGIN)

@@ -1,0 +1,73 @@
+"""Tuning the constants of accepted laws (onset, time constant, knee, width), which enter the model non-linearly.
+
+Coordinate search: each constant moves to a nearby value while the term then explains more of the residual beside all
+other terms; the distances shrink from round to round.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.discovery.data import ArmData
+from cellapp.discovery.joint_fit import JointFit, fit_terms, refit
+from cellapp.discovery.search.state import SearchProblem, SearchState, SearchStep
+from cellapp.discovery.terms import ModelTerms, with_term
+from cellapp.effects import Law
+
+_SHRINKAGE = (1.0, 1.0, 0.5, 0.5, 0.25, 0.12)
+"""Factors on the distances of each round: from 35 % to 4 % of a constant, finer than data determine a time constant."""
+_LEAST_IMPROVEMENT = 1e-9
+"""Relative gain below which two values of a constant count as equal; above rounding."""
+
+
+def apply_step(problem: SearchProblem, state: SearchState, step: SearchStep) -> SearchState:
+    """The state after a step: refitted with weights of its own, constants tuned, the step added to the history."""
+    data, fit = refit(problem.data, step.terms)
+    tuned = _tuned_terms(data, fit)
+    if tuned is not step.terms:
+        data, fit = refit(problem.data, tuned)
+    done = replace(step, terms=fit.terms, model=fit.model)
+    return SearchState(data, fit, (*state.steps, done), state.dropped)
+
+
+def _tuned_terms(data: ArmData, fit: JointFit) -> ModelTerms:
+    """The terms with tuned constants of all library effects, one after the other, on the same weights."""
+    for number, term in enumerate(fit.terms):
+        if term.is_library_effect:
+            law = _tuned_law(data, fit, number)
+            if law is not term.law:
+                fit = fit_terms(data, with_term(fit.terms, number, replace(term, law=law)))
+    return fit.terms
+
+
+def _tuned_law(data: ArmData, fit: JointFit, number: int) -> Law:
+    """The law of a term with the constants that explain most; the law itself where none explains more."""
+    term, residual = fit.terms[number], fit.residual_without(number)
+    names = set(term.names)
+    law, explained = term.law, residual.explained(fit.term_rows(number))
+    for shrink in _SHRINKAGE:
+        for nearby in nearby_laws(law, data, shrink):
+            columns = [column for column in data.columns(term.slug, nearby) if column.name in names]
+            trial = residual.explained(fit.displacements(columns))
+            if trial > explained * (1.0 + _LEAST_IMPROVEMENT):
+                law, explained = nearby, trial
+    return law
+
+
+def nearby_laws(law: Law, data: ArmData, shrink: float) -> list[Law]:
+    """Laws with one constant changed: an onset in a neighbouring pause, a time or size up to 35 % away."""
+    found = []
+    for key, value in law.constants.items():
+        if key == "onset_s":
+            times = np.sort(np.asarray(data.known.time_s))
+            pauses = (times[1:] + times[:-1]) / 2.0
+            place = int(np.searchsorted(pauses, value))
+            around = range(max(place - 6, 7), min(place + 7, len(pauses) - 7))
+            found += [replace(law, constants={**law.constants, key: float(pauses[i])}) for i in around]
+        elif key.startswith(("tau", "knee", "width", "lag")):
+            for factor in (math.exp(-0.3 * shrink), math.exp(0.3 * shrink)):
+                found.append(replace(law, constants={**law.constants, key: value * factor}))
+    return found

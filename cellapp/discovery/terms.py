@@ -1,0 +1,145 @@
+"""Terms of a model under test: which effects, by which laws, with which columns; and where their parameters stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.calibration.curves import MAX_CYCLES, CurvePrior, spectrum_variances
+from cellapp.effects import Law
+from cellapp.kinematics.transforms import Array
+
+UNKNOWN = "unknown"
+"""Slug of data-driven terms."""
+TRANSMISSION_ERROR = "transmission_error"
+"""Slug of the effect whose lines a free curve of the joint angle can replace."""
+_LEAST_PRIOR = 1e-9
+"""Least standard deviation of a curve coefficient [rad]: 1 nm at a metre, which keeps the normal matrix invertible."""
+
+
+@dataclass(frozen=True)
+class ModelTerm:
+    """An effect in a model under test.
+
+    Attributes
+    ----------
+    slug, law
+        Effect and law.
+    names : tuple of str
+        Which of the law's columns.
+    curves : CurvePrior, optional
+        Prior of free curves of the joint angle.
+    free : frozenset of str
+        Columns of a free curve without a prior: sharp lines.
+    note : str
+        Description of a data-driven term.
+    """
+
+    slug: str
+    law: Law
+    names: tuple[str, ...]
+    curves: CurvePrior | None = None
+    free: frozenset[str] = frozenset()
+    note: str = ""
+
+    @property
+    def is_library_effect(self) -> bool:
+        """Whether it has a name and a law with few parameters: neither a data-driven term nor free curves."""
+        return self.slug != UNKNOWN and self.curves is None
+
+    def prior_sd(self) -> Array:
+        """Standard deviation (m,) of each column's prior, infinite for those without."""
+        sd = np.full(len(self.names), math.inf)
+        if self.curves is None:
+            return sd
+        curves = self.curves
+        by_joint: Mapping[int, Array] = {
+            joint: np.sqrt(spectrum_variances(length, amplitude, MAX_CYCLES))
+            for joint, length, amplitude in zip(
+                curves.joints, curves.lengths.tolist(), curves.amplitudes.tolist(), strict=True
+            )
+        }
+        for place, name in enumerate(self.names):
+            cycles, joint = cycles_of(name), int(name.rpartition("q")[2]) - 1
+            if name not in self.free and cycles <= MAX_CYCLES and joint in by_joint:
+                sd[place] = max(float(by_joint[joint][cycles - 1]), _LEAST_PRIOR)
+        return sd
+
+
+ModelTerms = tuple[ModelTerm, ...]
+
+
+def without_term(terms: ModelTerms, term: int) -> ModelTerms:
+    """All terms but one."""
+    return terms[:term] + terms[term + 1 :]
+
+
+def with_term(terms: ModelTerms, term: int, instead: ModelTerm) -> ModelTerms:
+    """The terms with one replaced."""
+    return (*terms[:term], instead, *terms[term + 1 :])
+
+
+def curve_prior_of(terms: ModelTerms) -> CurvePrior | None:
+    """Prior of the free curves among some terms; None without curves. A model has one set of curves at most."""
+    return next((term.curves for term in terms if term.curves is not None), None)
+
+
+def has_curves(terms: ModelTerms) -> bool:
+    """Whether some terms hold free curves."""
+    return curve_prior_of(terms) is not None
+
+
+def prior_sd(terms: ModelTerms) -> Array | None:
+    """Standard deviation of each column's prior, infinite without; None where no term has any."""
+    return np.concatenate([term.prior_sd() for term in terms]) if has_curves(terms) else None
+
+
+def cycles_of(name: str) -> int:
+    """Cycles a turn of a column such as ``cos12q3``."""
+    return int(name[3:].partition("q")[0])
+
+
+@dataclass(frozen=True)
+class TermLayout:
+    """Where the parameters of each term stand: first those of the geometry, then the terms in their order.
+
+    Attributes
+    ----------
+    geometric : int
+        Number of geometric parameters.
+    ends : tuple of int
+        For each term the end of its columns, counted from the first effect column.
+    """
+
+    geometric: int
+    ends: tuple[int, ...]
+
+    @classmethod
+    def of(cls, geometric: int, sizes: Sequence[int]) -> TermLayout:
+        """From the number of columns of each term."""
+        return cls(geometric, tuple(accumulate(sizes)))
+
+    @property
+    def total(self) -> int:
+        """Number of all parameters."""
+        return self.geometric + (self.ends[-1] if self.ends else 0)
+
+    def columns(self, term: int) -> slice:
+        """Places of a term among the effect columns."""
+        return slice(self.ends[term - 1] if term else 0, self.ends[term])
+
+    def parameters(self, term: int) -> slice:
+        """Places of a term among all parameters."""
+        columns = self.columns(term)
+        return slice(self.geometric + columns.start, self.geometric + columns.stop)
+
+    def all_but(self, term: int) -> NDArray[np.bool_]:
+        """Mask of the parameters that are not of a term."""
+        kept = np.ones(self.total, dtype=bool)
+        kept[self.parameters(term)] = False
+        return kept

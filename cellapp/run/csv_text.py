@@ -1,0 +1,90 @@
+"""A CSV file as text: cells by column, with the line of each row, and the problems found in it."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from cellapp.errors import InputError
+
+_SHOWN = 5
+"""Problems per message: enough to see a pattern, few enough to read."""
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """The cells of a file by column; ``lines`` are the numbers of the lines in which the rows end."""
+
+    path: Path
+    names: tuple[str, ...]
+    lines: tuple[int, ...]
+    cells: dict[str, tuple[str, ...]]
+
+
+@dataclass
+class Problems:
+    """Problems of one file, reported together in the order of lines, so that they can be corrected in one go."""
+
+    path: Path
+    found: dict[tuple[int, str], str] = field(default_factory=dict)
+    count: int = 0
+
+    def add(self, line: int, column: str, text: str) -> None:
+        """Note a problem; only the first is kept of several with one cell (a column that both arms lack)."""
+        self.count += 1
+        self.found.setdefault((line, column), f"{self.path}:{line}: {column}: {text}")
+
+    def check(self) -> None:
+        """Raise ``InputError`` with the first problems if there are any."""
+        if self.found:
+            texts = [self.found[where] for where in sorted(self.found, key=lambda where: where[0])]
+            more = [f"and {len(texts) - _SHOWN} more"] if len(texts) > _SHOWN else []
+            raise InputError("\n".join(texts[:_SHOWN] + more))
+
+
+def read_csv_table(path: Path) -> CsvTable:
+    """Read a UTF-8, comma-separated file; blank rows are skipped.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is not CSV in UTF-8, is empty, or a row differs in length from the header.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return _parse(path, file)
+    except FileNotFoundError:
+        raise InputError(f"{path}: file not found; give a CSV file of readings") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}; give a CSV file of readings") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text ({error.reason}); save the file as CSV in UTF-8") from None
+
+
+def _parse(path: Path, file: Iterable[str]) -> CsvTable:
+    reader = csv.reader(file, strict=True)
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    names: tuple[str, ...] | None = None
+    line = 0
+    try:
+        for row in reader:
+            line = reader.line_num
+            if not any(row):
+                continue
+            if names is None:
+                names = tuple(name.strip() for name in row)
+                continue
+            if len(row) != len(names):
+                column = names[len(row)] if len(row) < len(names) else f"column {len(names) + 1}"
+                raise InputError(f"{path}:{line}: {column}: the row has {len(row)} cells, the header has {len(names)}")
+            rows.append(row)
+            lines.append(line)
+    except csv.Error as error:
+        raise InputError(f"{path}:{line + 1}: not CSV: {error}; correct the line") from None
+    if names is None:
+        raise InputError(f"{path} is empty; expected a header row and a row per arm per stop")
+    columns = zip(*rows, strict=True) if rows else [()] * len(names)
+    return CsvTable(path, names, tuple(lines), dict(zip(names, columns, strict=True)))

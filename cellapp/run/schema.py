@@ -1,0 +1,56 @@
+"""The tables of a run file and the versions of their schema."""
+
+from __future__ import annotations
+
+import sqlite3
+
+from cellapp.run.columns import COLUMNS
+
+SCHEMA_VERSION = 3
+"""2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``."""
+
+_KEY = ("arm TEXT NOT NULL", "PRIMARY KEY (arm, configuration)")
+_EXTRAS = "extras TEXT"
+"""Unknown columns of an imported file, as one JSON object per reading."""
+
+
+_STAGE_TABLE = (
+    "CREATE TABLE stage (number INTEGER PRIMARY KEY, name TEXT NOT NULL, written TEXT NOT NULL, program TEXT NOT NULL,"
+    " basis TEXT, text TEXT NOT NULL, model TEXT)"
+)
+"""Append-only. Files of schema 1 and 2 lack it; they have results of verbs in the table ``result``."""
+
+
+def create_tables(connection: sqlite3.Connection) -> None:
+    """Make all tables, inside the caller's transaction."""
+    arm, primary_key = _KEY
+    columns = [arm, *(column.sql_declaration for column in COLUMNS), _EXTRAS, primary_key]
+    for statement in (
+        "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)",
+        "CREATE TABLE plan (arm TEXT NOT NULL, stop INTEGER NOT NULL, q TEXT NOT NULL, PRIMARY KEY (arm, stop))",
+        f"CREATE TABLE reading ({', '.join(columns)})",
+        "CREATE TABLE event"
+        " (number INTEGER PRIMARY KEY, written TEXT NOT NULL, time_s, level TEXT NOT NULL, text TEXT NOT NULL)",
+        "CREATE TABLE result (name TEXT PRIMARY KEY, written TEXT NOT NULL, text TEXT NOT NULL)",
+        _STAGE_TABLE,
+    ):
+        connection.execute(statement)
+    connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+
+
+def schema_version(connection: sqlite3.Connection) -> int:
+    """The schema with which the file was written."""
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def upgrade(connection: sqlite3.Connection) -> None:
+    """Add what a file of an older schema lacks, inside the caller's transaction; nothing stored is changed."""
+    version = schema_version(connection)
+    if version == SCHEMA_VERSION:
+        return
+    for column in COLUMNS:
+        if column.since > version:
+            connection.execute(f"ALTER TABLE reading ADD COLUMN {column.sql_declaration}")
+    connection.execute(_STAGE_TABLE)
+    connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))
+    connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")

@@ -1,0 +1,29 @@
+"""Factors of planned stops: damaged ones are named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cellapp.errors import InputError
+from cellapp.planning.factors import FACTORS_RESULT, read_factors
+from cellapp.run import RunFile
+from tests.twin import small_twin
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[]", "damaged"),
+        ('{"1": {"left": {"via": [0, 1]}}}', "6 finite joint positions"),
+        ('{"1": {"left": {"dwell_s": 1e9}}}', "between 0 and 600 s"),
+        ('{"1": {"middle": {}}}', "middle"),
+        ('{"one": {}}', "damaged"),
+    ],
+)
+def test_damaged_factors_are_named(tmp_path: Path, text: str, says: str) -> None:
+    with RunFile.create(tmp_path / "run", small_twin(2)) as run:
+        run.write_result(FACTORS_RESULT, text)
+        with pytest.raises(InputError, match=says):
+            read_factors(run)
