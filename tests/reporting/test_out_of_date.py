@@ -12,12 +12,12 @@ import pytest
 
 from cellapp.pipeline import calibrate_run
 from cellapp.reporting.tables import all_tables, out_of_date_sentences
-from cellapp.results import DISCOVER, VERIFY
+from cellapp.results import CALIBRATE, DISCOVER, VERIFY, DiscoverResult
 from cellapp.run import RunFile
-from cellapp.run.stages import read_results
-from tests.reporting.cases import discovery
+from cellapp.run.stages import CALIBRATION_FILE, read_results
+from tests.reporting.cases import discovery, unknown_effect
 from tests.reporting.parsed_page import Page, page_of
-from tests.reporting.runs import LEFT, RIGHT, store_discovery
+from tests.reporting.runs import LEFT, RIGHT, fill, store_discovery
 
 
 @pytest.fixture
@@ -85,6 +85,24 @@ def test_a_result_of_an_older_version_is_not_shown(single: RunFile) -> None:
     (line,) = (text for text in page.texts if text.startswith("Missing effects: "))
     assert "version of cellapp stored it" in line
     assert f"Next step: cellapp discover {single.folder}" in page.words
+
+
+def test_effects_that_an_older_version_wrote_into_the_calibration_are_not_shown(
+    single: RunFile, tmp_path: Path
+) -> None:
+    result = read_results(single).calibrate
+    assert result is not None
+    with_effects = result.with_effects(DiscoverResult(arms={"only": unknown_effect("only")}))
+    with RunFile.create(tmp_path / "old", single.profile) as old:
+        fill(old)
+        old.assign_splits("only", list(single.readings("only").split or ()))
+        old.write_result(CALIBRATE, with_effects.to_json())
+        shutil.copy(single.folder / CALIBRATION_FILE, old.folder)
+        page = page_of(old)
+    assert "geometry, position" in page.texts
+    assert "effects, position" not in page.texts
+    assert "Arm only (out of date)" in page.texts
+    assert "Calibration: an older version of cellapp stored it" in page.text
 
 
 def test_terminal_tables_leave_out_what_does_not_hold(changing: RunFile) -> None:
