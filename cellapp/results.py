@@ -318,6 +318,15 @@ class CalibrateResult(Result):
         }
         return self.model_copy(update={"arms": arms, "pair": {**self.pair, **found.pair}})
 
+    def without_effects(self) -> CalibrateResult:
+        """This result without the stage ``effects``, which older versions wrote into it."""
+        arms = {
+            name: arm.model_copy(update={"validate_": {k: v for k, v in arm.validate_.items() if k != "effects"}})
+            for name, arm in self.arms.items()
+        }
+        pair = {method: entry for method, entry in self.pair.items() if method != "effects"}
+        return self.model_copy(update={"arms": arms, "pair": pair})
+
 
 # -- discover ---------------------------------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from cellapp.reporting.table import Cell, Column, Interval, Table, number_column
-from cellapp.reporting.words import interval_95, knees, law_words, place_words, short_reason
+from cellapp.reporting.words import interval_95, law_words, place_words, short_reason
 from cellapp.results import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult
 
 _MM = ".4f"
@@ -100,10 +100,9 @@ def accepted_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
 
 def _accepted_row(found: AcceptedEffect) -> tuple[Cell, ...]:
     evidence, correlated = found.evidence, found.correlated_with
-    law, knee = law_words(found.effect, found.law), knees(found.law, found.where.joints)
     return (
         found.title,
-        f"{law}; {knee}" if knee else law,
+        law_words(found.effect, found.law, found.where.joints),
         place_words(found.where),
         evidence.statistic,
         evidence.corrected_p,

@@ -75,20 +75,20 @@ def _arm_sentence(arm: ArmCalibrationResult, found: ArmDiscoveryResult | None) -
     with_effects = found is not None and bool(found.accepted)
     best = arm.validate_["effects"].position_mm if with_effects else geometry
     sentence = (
-        f"The SMR position is predicted to {best.mean:.3f} mm (mean over {best.n} configurations that the"
-        f" calibration did not use); with the nominal geometry the error is {nominal.mean:.3f} mm"
+        f"The mean error of the predicted SMR position is {best.mean:.3f} mm ({best.n} configurations that the"
+        f" calibration did not use); with the nominal geometry it is {nominal.mean:.3f} mm"
     )
     return sentence + (f", with the identified geometry alone {geometry.mean:.3f} mm." if with_effects else ".")
 
 
 def _pair_sentence(method: Method, best: PairMethodResult, nominal: PairMethodResult | None) -> str:
     sentence = (
-        f"The distance between the two arms' SMRs is predicted to {best.cooperative_mm.mean:.3f} mm with"
-        f" {METHOD_WORDS[method]}"
+        f"The mean error of the predicted distance between the two arms' SMRs is {best.cooperative_mm.mean:.3f} mm"
+        f" with {METHOD_WORDS[method]} (held-out stops)"
     )
     if method != "nominal" and nominal is not None:
-        sentence += f"; with the nominal cell the error is {nominal.cooperative_mm.mean:.3f} mm"
-    return sentence + " (means over held-out stops)."
+        sentence += f"; with the nominal cell it is {nominal.cooperative_mm.mean:.3f} mm"
+    return sentence + "."
 
 
 def warnings(data: ReportData) -> list[str]:

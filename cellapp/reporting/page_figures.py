@@ -39,7 +39,7 @@ def accuracy_figures(data: ReportData) -> list[CaptionedFigure]:
         errors, floor = held_out.errors_mm, data.calibrate.arms[name].tracker_mm
         legend = [(stage, STAGE_WORDS[stage]) for stage in errors] + _floor_legend(floor)
         if "geometry" not in errors:
-            legend.append(("", "later stages: the older version of cellapp that calibrated did not store their models"))
+            legend.append(("", "models of later stages: not stored by the older version of cellapp that calibrated"))
         elif "effects" not in errors:
             legend.append(("", f"no effects: {_why_no_effects(data)}"))
         svg = figures.error_figure(f"errors{number}", held_out.readings.configuration, errors, floor)

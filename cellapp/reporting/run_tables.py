@@ -7,6 +7,7 @@ import math
 
 from cellapp.profile import Profile, profile_to_json
 from cellapp.reporting.table import Column, Table, number_column
+from cellapp.reporting.tables import merged_words
 from cellapp.results import (
     CalibrateResult,
     CompensateResult,
@@ -116,12 +117,11 @@ def profile_text(profile: Profile) -> str:
 
 def merged_sentences(result: CalibrateResult) -> list[str]:
     """Which parameters were dropped, and which identified ones take their place."""
-    sentences = []
-    for name, arm in result.arms.items():
-        for parameter, shares in arm.merged.items():
-            into = ", ".join(f"{share:+.4g} {kept}" for kept, share in shares.items()) or "nothing: no effect here"
-            sentences.append(f"arm {name}: {parameter} is merged into {into}")
-    return sentences
+    return [
+        f"arm {name}: {parameter} is merged into {merged_words(shares)}"
+        for name, arm in result.arms.items()
+        for parameter, shares in arm.merged.items()
+    ]
 
 
 def _when(stage: StageState) -> str:

@@ -77,8 +77,8 @@ _PLAIN = {
 }
 
 
-def law_words(effect: str, law: LawRecord) -> str:
-    """A law in words, with those of its constants that were searched for."""
+def law_words(effect: str, law: LawRecord, joints: Sequence[int] = ()) -> str:
+    """A law in words, with the constants that were searched for, such as the knee torques of ``joints`` (from 1)."""
     name, constants = law.name, law.constants
     if effect == "unknown":
         channel, *variables = name.split("|")
@@ -87,7 +87,9 @@ def law_words(effect: str, law: LawRecord) -> str:
             words += f", period {constants['period_s'] / 60.0:.3g} min"
         return words
     words = _LAWS.get((effect, name)) or _ANY_EFFECT.get(name) or _PLAIN.get(effect) or name.replace("_", " ")
-    return ", ".join([words, *_constants(constants)])
+    words = ", ".join([words, *_constants(constants)])
+    knees = [f"{constants[f'knee{j}']:.3g} Nm for joint {j}" for j in joints if f"knee{j}" in constants]
+    return f"{words}; knee at {', '.join(knees)}" if knees else words
 
 
 def _constants(constants: Mapping[str, float]) -> list[str]:
@@ -104,13 +106,6 @@ def _constants(constants: Mapping[str, float]) -> list[str]:
         tau = constants["tau_s"]
         words.append(f"time constant {tau / 60.0:.3g} min" if tau >= 120.0 else f"time constant {tau:.2g} s")
     return words
-
-
-def knees(law: LawRecord, joints: Sequence[int]) -> str:
-    """The knee torques of some joints of a compliance with two slopes; empty for any other law."""
-    found = {joint: law.constants.get(f"knee{joint}") for joint in joints}
-    known = [f"{value:.3g} Nm for joint {joint}" for joint, value in found.items() if value is not None]
-    return f"knee at {', '.join(known)}" if known else ""
 
 
 def place_words(where: Place) -> str:

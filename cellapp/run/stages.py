@@ -174,12 +174,11 @@ def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:
         except InputError:
             out_of_date[name] = _UNREADABLE
     calibrate, discover = found.get(CALIBRATE), found.get(DISCOVER)
-    if (
-        isinstance(calibrate, CalibrateResult)
-        and isinstance(discover, DiscoverResult)
-        and DISCOVER not in stages.out_of_date
-    ):
-        found[CALIBRATE] = calibrate.with_effects(discover)
+    if isinstance(calibrate, CalibrateResult):
+        if isinstance(discover, DiscoverResult) and DISCOVER not in stages.out_of_date:
+            found[CALIBRATE] = calibrate.with_effects(discover)
+        else:
+            found[CALIBRATE] = calibrate.without_effects()
     return RunResults.model_validate({"run": str(run.folder), "out_of_date": out_of_date, **found})
 
 
