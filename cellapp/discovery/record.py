@@ -65,7 +65,7 @@ def arm_result(found: Discovery) -> ArmDiscoveryResult:
         not_found=tuple(AbsentEffect.model_validate(entry) for entry in found.not_found),
         network_mm=None if found.network_mm is None else BeforeAfter.model_validate(found.network_mm),
         uncertainty_mm=None if uncertainty is None else PredictedUncertainty.model_validate(uncertainty),
-        pictures=tuple(_picture(picture) for picture in found.pictures),
+        pictures=tuple(picture_result(picture) for picture in found.pictures),
         validate_={"effects": found.stage} if found.accepted else {},
         verdict=found.verdict,
         sentence=found.sentence,
@@ -141,7 +141,8 @@ def _description(found: Description) -> TermDescription:
     )
 
 
-def _picture(found: drawn.Picture) -> Picture:
+def picture_result(found: drawn.Picture) -> Picture:
+    """One picture."""
     curve = found.curve
     return Picture(
         title=found.title,

@@ -95,7 +95,7 @@ def target_tables(result: CompensateResult) -> list[Table]:
         if commands:
             joints = len(next(iter(commands.values())))
             columns = (Column("target"), *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
-            rows = tuple((name, *map(math.degrees, q)) for name, q in commands.items())
+            rows = tuple((name, *(math.degrees(angle) for angle in q)) for name, q in commands.items())
             tables.append(Table(f"Arm {arm}: compensated commands", columns, rows))
     return tables
 

@@ -165,7 +165,7 @@ def test_the_proposal_in_words_and_as_json(tied: Tied) -> None:
     lines = proposal_lines(typed)
     assert sum("backlash / unsettled_measurement" in line for line in lines) == 2
     assert all(len(line) <= 80 for line in lines)
-    assert any("would tell" in line for line in lines)
+    assert any("these stops would" in line for line in lines)
     assert f"stops {STOPS + 1} to {STOPS + PROPOSED}" in " ".join(lines)
 
 

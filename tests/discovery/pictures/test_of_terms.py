@@ -13,6 +13,7 @@ from cellapp.discovery.data import ArmData
 from cellapp.discovery.joint_fit import fit_terms
 from cellapp.discovery.pictures.cycles import dominant_cycles
 from cellapp.discovery.pictures.of_terms import pictures
+from cellapp.discovery.record import picture_result
 from cellapp.discovery.terms import ModelTerm
 from cellapp.effects import Law
 from cellapp.kinematics.chain import parameter_names, smr_positions
@@ -71,7 +72,7 @@ def made(bend, *terms, off_axis_m=0.1):
         assert len(picture.x) == len(picture.measured) == len(picture.computed) == len(picture.band) > 0
         assert list(picture.x) == sorted(picture.x)
         assert min(picture.band) >= 0.0
-        json.dumps(picture.as_dict(), allow_nan=False)
+        json.dumps(picture_result(picture).model_dump(), allow_nan=False)
     return found
 
 
