@@ -6,7 +6,7 @@ import json
 import math
 
 from cellapp.profile import Profile, profile_to_json
-from cellapp.reporting.table import Column, Table, number_column
+from cellapp.reporting.table import Cell, Column, Table, number_column
 from cellapp.reporting.tables import merged_words
 from cellapp.results import (
     CalibrateResult,
@@ -95,8 +95,8 @@ def target_tables(result: CompensateResult) -> list[Table]:
         if commands:
             joints = len(next(iter(commands.values())))
             columns = (Column("target"), *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
-            rows = tuple((name, *(math.degrees(angle) for angle in q)) for name, q in commands.items())
-            tables.append(Table(f"Arm {arm}: compensated commands", columns, rows))
+            rows: list[tuple[Cell, ...]] = [(name, *map(math.degrees, q)) for name, q in commands.items()]
+            tables.append(Table(f"Arm {arm}: compensated commands", columns, tuple(rows)))
     return tables
 
 

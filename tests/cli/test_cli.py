@@ -228,13 +228,16 @@ SHOWN = {
     "plan": ("Arm left: planned stops", "cellapp-stops"),
     "targets": ("out of reach", "cellapp-compensate"),
     "verification": ("left, compensated", "cellapp-verify"),
-    "log": ("info", "cellapp-log"),
+    "log": ("warning  the first line", "cellapp-log"),
     "profile": ('"name": "twin"', "cellapp-profile"),
     "history": ("rests on: profile", "cellapp-history"),
 }
 
 
 def test_looking_changes_no_byte(work: Path, call: Any) -> None:
+    with RunFile.open(work / "done", write=True) as run:
+        run.log("warning", "the first line")
+        run.log("info", "the last line")
     before = bytes_below(work / "done")
     for part, (says, schema) in SHOWN.items():
         ended = call("show", "done", part)
@@ -417,7 +420,7 @@ BAD = [
     (None, "export collected --geometry out.json", ["not calibrated yet; run 'cellapp calibrate' first"]),
     (None, "show planned calibration", ["no calibration is stored; make it with 'cellapp calibrate'"]),
     (None, "show planned overview --last 3", ["--level and --last belong to 'log'"]),
-    (None, "show nothing", ["nothing: there is no such run folder"]),
+    (None, "show nothing", ["nothing: run folder not found"]),
     (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-plan, "]),
     (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
     (None, "push done twin.yaml", ["twin.yaml: "]),
