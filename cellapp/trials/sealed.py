@@ -395,17 +395,7 @@ def _write_run(
     for slug in case.slugs:
         without = exact({other: values for other, values in parameters.items() if other != slug})[case.arm]
         moved = with_all[case.arm].p_M - without.p_M
-        seen = beyond_geometry(profile.arms[case.arm], without.q, without.p_M, moved)
-        name = _IN_THE_LIBRARY.get(slug, slug)
-        effects.append(
-            HiddenLaw(
-                effect=name,
-                plant=slug,
-                parameters=_plain(parameters[slug]),
-                raw_um=_rms_um(moved),
-                visible_um=_rms_um(seen),
-            )
-        )
+        effects.append(_hidden_law(profile.arms[case.arm], slug, parameters[slug], without, moved))
 
     def fill(run: RunFile) -> None:
         for name, arm in readings.items():
@@ -425,6 +415,17 @@ def _write_run(
         held_out_um={name: _rms_um((arm.p_M - with_all[name].p_M)[held_out[name]]) for name, arm in readings.items()},
         seeds={"plan": plan_seed, "plant": plant_seed, "noise": noise_seed},
         readings=digest_of(readings),
+    )
+
+
+def _hidden_law(arm: Arm, slug: str, parameters: Mapping[str, Any], without: Readings, moved: Array) -> HiddenLaw:
+    """One hidden effect; ``without`` are exact readings without it, ``moved`` (n, 3) [m] the displacement by it."""
+    return HiddenLaw(
+        effect=_IN_THE_LIBRARY.get(slug, slug),
+        plant=slug,
+        parameters=_plain(parameters),
+        raw_um=_rms_um(moved),
+        visible_um=_rms_um(beyond_geometry(arm, without.q, without.p_M, moved)),
     )
 
 
