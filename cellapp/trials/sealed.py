@@ -31,11 +31,12 @@ from cellapp.kinematics.chain import JointAngles, jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
-from cellapp.profile import Arm, NoDriver, Profile, Sensors
+from cellapp.profile import Arm, Profile, Sensors
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Record, Result
 from cellapp.run import Readings, RunFile, stated_uncertainty
 from cellapp.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
+from drivers.no_driver import NoDriver
 from drivers.plant import OUTSIDE, REALISTIC, suggest
 
 TRUTH_FILE = "truth.json"
@@ -290,13 +291,13 @@ def digest_of(readings: Mapping[str, Readings]) -> str:
 
 def without_truth(profile: Profile, number: int) -> Profile:
     """The profile of a sealed run: no section ``plant``, no device, the run's number as its seed."""
-    arms = {name: arm.model_copy(update={"driver": NoDriver(kind="none")}) for name, arm in profile.arms.items()}
+    arms = {name: arm.model_copy(update={"driver": NoDriver()}) for name, arm in profile.arms.items()}
     return profile.model_copy(
         update={
             "name": f"sealed-{number:04d}",
             "seed": number,
             "arms": arms,
-            "tracker": profile.tracker.model_copy(update={"driver": NoDriver(kind="none")}),
+            "tracker": profile.tracker.model_copy(update={"driver": NoDriver()}),
             "sensors": Sensors(),
             "network": profile.network.model_copy(update={"kind": "none"}),
             "plant": None,
