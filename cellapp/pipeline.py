@@ -5,7 +5,7 @@ The command line and the terminal application call these functions. Nothing else
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -439,11 +439,8 @@ def _targets_json(targets: Sequence[Target]) -> str:
 
 def _not_driven(run: RunFile) -> str:
     """Why this program cannot drive further stops of a run; empty if it can."""
-    drivers: Mapping[str, str] = {
-        **{f"arms.{name}": arm.driver.kind for name, arm in run.profile.arms.items()},
-        "tracker": run.profile.tracker.driver.kind,
-    }
-    for what, kind in drivers.items():
-        if kind == "none":
-            return f"the driver of {what} is 'none'"
+    missing = [f"arms.{name}" for name, arm in run.profile.arms.items() if not arm.driver.has_device]
+    missing += [] if run.profile.tracker.driver.has_device else ["tracker"]
+    if missing:
+        return f"the driver of {missing[0]} is 'none'"
     return "" if run.read_plan() else "the run has no plan (it was imported)"

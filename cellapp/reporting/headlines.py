@@ -128,6 +128,6 @@ def _how_to_verify(data: ReportData) -> str:
     command = "measure targets with: cellapp push DIR TARGETS --verify"
     if data.results.verify is not None:
         return f"targets were pushed, but none was measured with both commands; {command}"
-    if all(arm.driver.kind == "none" for arm in data.profile.arms.values()):
+    if not any(arm.driver.has_device for arm in data.profile.arms.values()):
         return f"the profile has no devices; with a profile that has, {command}"
     return command
