@@ -328,7 +328,7 @@ def push_run(
     notes = list(compensated.notes)
 
     def opened(cell: Cell) -> None:
-        notes.extend(check_controllers(run, cell))
+        notes.extend(check_controllers(run, cell).notes)
 
     pushed = push(run.profile, _model(run, used), commands, listener, cancel, verify=verify, opened=opened)
     notes += [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]

@@ -1,8 +1,10 @@
-"""What may import what, and what stands nowhere, read from the syntax of every module."""
+"""Which module may import which, and which calls are forbidden, read from the syntax of every module."""
 
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +13,17 @@ import pytest
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(path for folder in ("cellapp", "drivers") for path in (ROOT / folder).rglob("*.py"))
 PURE = ("kinematics", "effects", "model", "calibration")
-TOUCH_DRIVERS = ("collection", "compensation", "commissioning", "trials")
+OPEN_DEVICES = ("collection", "compensation", "commissioning", "trials")
+SETTINGS = (
+    "drivers.quantities",
+    "drivers.settings",
+    *(
+        f"drivers.{folder}.{module}"
+        for folder in ("arms", "trackers", "sensors")
+        for module in ("registry", "settings")
+    ),
+)
+"""What the profile may import from drivers: settings, and the lists of the kinds that have some."""
 
 
 def imported(path: Path) -> Iterator[str]:
@@ -53,11 +65,31 @@ def test_the_plant_knows_no_driver_either(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("cellapp/")], ids=name)
-def test_only_those_who_move_or_look_touch_drivers(path: Path) -> None:
-    inside = path.relative_to(ROOT / "cellapp")
-    if inside.parts[0] in TOUCH_DRIVERS:
+def test_only_the_profile_imports_settings_and_only_some_packages_open_devices(path: Path) -> None:
+    package = path.relative_to(ROOT / "cellapp").parts[0]
+    if package in OPEN_DEVICES:
         return
-    assert imports_of(path, "drivers") == []
+    allowed = SETTINGS if package == "profile" else ()
+    found = imports_of(path, "drivers")
+    assert [name for name in found if not any(f"{name}.".startswith(f"{module}.") for module in allowed)] == []
+
+
+def test_loading_the_profile_loads_no_driver() -> None:
+    """Settings modules import neither numpy nor a device library, so that every command starts fast."""
+    heavy = {"numpy", "serial", "rtde_control", "clr", "drivers.plant", "drivers.arms.ur", "drivers.trackers.lmf"}
+    code = f"import sys, cellapp.profile; sys.exit(', '.join({heavy} & sys.modules.keys()) or None)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_generic_code_compares_no_kinds_of_devices() -> None:
+    """A kind brings what generic code asks about it: ``needs_plant``, ``has_device`` and the like."""
+    for path in (ROOT / "cellapp").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            parts = [node.left, *node.comparators] if isinstance(node, ast.Compare) else []
+            parts = [node.subject] if isinstance(node, ast.Match) else parts
+            where = f"{name(path)}:{getattr(node, 'lineno', 0)}"
+            assert not any(ast.unparse(part).endswith("driver.kind") for part in parts), where
 
 
 @pytest.mark.parametrize("package", PURE)

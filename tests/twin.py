@@ -7,7 +7,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from cellapp.collection.cell import Cell
 from cellapp.profile import Profile, load_profile
+from drivers.clock import SimulatedClock
+from drivers.plant import Plant
 
 PROFILES = Path(__file__).parents[1] / "profiles"
 
@@ -54,6 +57,12 @@ def finished_twin(stops: int = 120) -> Profile:
     sizes = {"identify": 80, "train": 1, "validate_": 39, "pair_identify": 50, "pair_validate": 30}
     splits = profile.splits.model_copy(update={key: max(1, int(size * share)) for key, size in sizes.items()})
     return profile.model_copy(update={"splits": splits})
+
+
+def plant_of(cell: Cell) -> Plant:
+    """The plant behind an open simulated cell."""
+    assert isinstance(cell.clock, SimulatedClock)
+    return cell.clock.plant
 
 
 def with_arms(profile: Profile, **changes: Any) -> Profile:

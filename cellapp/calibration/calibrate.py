@@ -24,7 +24,7 @@ from cellapp.calibration.residual import SHAPES, Shape, Training, train_network
 from cellapp.calibration.splits import draw_splits
 from cellapp.calibration.station import station_change
 from cellapp.errors import InputError
-from cellapp.kinematics.chain import smr_positions
+from cellapp.kinematics.chain import Geometry, smr_positions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.model.nominal import (
@@ -36,7 +36,7 @@ from cellapp.model.nominal import (
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Provenance, Repeatability, Stage, StageErrors
-from cellapp.run import Readings, stated_uncertainty
+from cellapp.run import SPLITS, Readings, stated_uncertainty
 
 
 @dataclass(frozen=True)
@@ -176,24 +176,7 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         )
     learn, held_out = readings.take(identify_rows), readings.take(validate_rows)
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
-    settings = profile.calibration
-    priors = prior_sigmas(nominal, settings.priors)
-    try:
-        identification, excess = identify_with_excess(
-            nominal,
-            learn.q,
-            learn.p_M,
-            sigma=stated_uncertainty(learn),
-            parameter_set=settings.parameter_set,
-            prior_sigma=priors,
-            robust=settings.robust,
-            tolerance=settings.tolerance,
-            max_iterations=settings.max_iterations,
-        )
-    except TooFewReadings as error:
-        raise InputError(f"arm '{name}': {error}") from None
-    except ValueError as error:
-        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
+    identification, excess = _identify(profile, name, nominal, learn)
     model = ArmModel(
         geometry=identification.geometry,
         nominal=nominal,
@@ -207,7 +190,6 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         "nominal": evaluate(held_out.p_M, smr_positions(nominal, held_out.q)),
         "geometry": evaluate(held_out.p_M, smr_positions(identification.geometry, held_out.q)),
     }
-    counts = {word: len(readings.in_split(word)) for word in ("identify", "train", "validate")}
     notes = [] if identification.converged else [f"arm '{name}': {identification.message}; do not use this calibration"]
     moved = station_change(smr_positions(nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
     if moved is not None:
@@ -221,11 +203,32 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         identification=identification,
         excess_m=excess,
         validate=stages,
-        counts=counts,
+        counts={word: len(readings.in_split(word)) for word in SPLITS},
         repeatability=repeatability(readings.q, readings.p_M),
         tracker_mm=None if stated is None else rms_length_mm(stated),
     )
     return calibration, notes
+
+
+def _identify(profile: Profile, name: str, nominal: Geometry, learn: Readings) -> tuple[Identification, float]:
+    """Identify one arm as the profile says; also its excess scatter [m]."""
+    settings = profile.calibration
+    try:
+        return identify_with_excess(
+            nominal,
+            learn.q,
+            learn.p_M,
+            sigma=stated_uncertainty(learn),
+            parameter_set=settings.parameter_set,
+            prior_sigma=prior_sigmas(nominal, settings.priors),
+            robust=settings.robust,
+            tolerance=settings.tolerance,
+            max_iterations=settings.max_iterations,
+        )
+    except TooFewReadings as error:
+        raise InputError(f"arm '{name}': {error}") from None
+    except ValueError as error:
+        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
 
 
 def train_arm(

@@ -1,57 +1,95 @@
-"""Whose readings a run holds: the controllers are recorded when it begins and compared whenever the cell is opened."""
+"""The arm controllers of a run: recorded when it begins, compared whenever the cell is opened."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pydantic import TypeAdapter, ValidationError
 
 from cellapp.collection.cell import Cell
-from cellapp.errors import HardwareError
+from cellapp.errors import HardwareError, InputError
 from cellapp.run import RunFile
-from drivers.arms.protocol import ArmError
-from drivers.arms.ur_checks import stale
+from drivers.arms.protocol import Arm, ArmError, stale
 
 CONTROLLERS_RESULT = "controllers"
-"""Name of the result: arm -> model, serial, software, dh_checksum."""
+"""Name of the stored result: arm -> model, serial, software, dh_checksum."""
 
 
-def check_controllers(run: RunFile, cell: Cell) -> tuple[str, ...]:
-    """Record who the controllers are, or compare them with what was recorded. Returns and logs what a person must know.
+@dataclass(frozen=True)
+class ControllerIdentity:
+    """Identity of one controller, as it reports it; ``dh_checksum`` distinguishes factory calibrations of its D-H."""
 
-    A changed checksum of a controller's own D-H warns: a model from before is stale.
+    model: str
+    serial: str
+    software: str
+    dh_checksum: str
+
+
+@dataclass(frozen=True)
+class ControllerCheck:
+    """The controllers of an open cell by arm, and what a person must know about them."""
+
+    identities: Mapping[str, ControllerIdentity]
+    notes: tuple[str, ...]
+
+
+_STORED = TypeAdapter(dict[str, ControllerIdentity])
+
+
+def recorded_controllers(run: RunFile) -> dict[str, ControllerIdentity]:
+    """Return the controllers that a run has recorded, by arm. Raises ``InputError`` if the record is damaged."""
+    text = run.read_result(CONTROLLERS_RESULT)
+    if text is None:
+        return {}
+    try:
+        return _STORED.validate_json(text)
+    except ValidationError:
+        raise InputError(f"{run.path}: the record of its controllers is damaged; start a new run") from None
+
+
+def check_controllers(run: RunFile, cell: Cell) -> ControllerCheck:
+    """Record new controllers in the run, compare the others with their record, and log the notes.
+
+    A changed checksum of a controller's own D-H is noted: an earlier model is stale.
 
     Raises
     ------
     HardwareError
-        If an arm's controller is not the one with which the run began, or does not answer.
+        If an arm has another controller than the one recorded, or its controller does not answer.
+    InputError
+        If the record is damaged.
     """
-    text = run.read_result(CONTROLLERS_RESULT)
-    recorded = {} if text is None else json.loads(text)
+    recorded = recorded_controllers(run)
+    identities: dict[str, ControllerIdentity] = {}
     notes: list[str] = []
-    now = {}
     for name, arm in cell.arms.items():
-        try:
-            identity = arm.identify()
-            notes += arm.warnings()
-        except ArmError as error:
-            raise HardwareError(str(error)) from error
-        now[name] = {
-            "model": identity.model,
-            "serial": identity.serial,
-            "software": identity.software,
-            "dh_checksum": identity.dh_checksum,
-        }
-        before = recorded.get(name)
-        if before is None:
-            continue
-        if before["serial"] and identity.serial and before["serial"] != identity.serial:
-            raise HardwareError(
-                f"arm {name}: the run was begun with controller {before['serial']}, this one is {identity.serial};"
-                " nothing was moved. Start a new run for another arm"
-            )
-        if before["dh_checksum"] != identity.dh_checksum:
-            notes.append(f"arm {name}: {stale(before['dh_checksum'], identity.dh_checksum)}")
-    if set(now) - set(recorded):
-        run.write_result(CONTROLLERS_RESULT, json.dumps(now | recorded))
+        identities[name], warnings = _query(arm)
+        notes += warnings
+        if name in recorded:
+            notes += _compare(name, recorded[name], identities[name])
+    if set(identities) - set(recorded):
+        run.write_result(CONTROLLERS_RESULT, _STORED.dump_json(identities | recorded).decode("utf-8"))
     for note in notes:
         run.log("warning", note)
-    return tuple(notes)
+    return ControllerCheck(identities, tuple(notes))
+
+
+def _query(arm: Arm) -> tuple[ControllerIdentity, tuple[str, ...]]:
+    try:
+        found = arm.identify()
+        warnings = arm.warnings()
+    except ArmError as error:
+        raise HardwareError(str(error)) from error
+    return ControllerIdentity(found.model, found.serial, found.software, found.dh_checksum), warnings
+
+
+def _compare(name: str, before: ControllerIdentity, now: ControllerIdentity) -> list[str]:
+    if before.serial and now.serial and before.serial != now.serial:
+        raise HardwareError(
+            f"arm {name}: the run began with controller {before.serial}, this one is {now.serial}; nothing was moved."
+            " Start a new run for another arm"
+        )
+    if before.dh_checksum != now.dh_checksum:
+        return [f"arm {name}: {stale(before.dh_checksum, now.dh_checksum)}"]
+    return []

@@ -1,10 +1,9 @@
-"""Moving the arms of an open cell: nothing moves without the gate, and all stop when one does."""
+"""Motion and measurement in an open cell: the gate checks every motion, and a fault of one arm stops all arms."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -22,11 +21,17 @@ from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable,
 Vector = NDArray[np.float64]
 
 _MOVE_ALLOWANCE_S = 10.0
+"""Start and settling of a motion, added to twice its ideal duration: a lowered speed slider makes it longer."""
 _ROUND_S = 1.0
-"""How long one arm is waited for before the others are looked at again: a fault of any stops all of them."""
+"""Longest wait for one arm before the others are checked again: a fault of any arm stops all of them."""
 _WRONG_TARGET_M = 0.05
+"""Nominal geometry and base poses predict an SMR better than this; SMRs of two arms are farther apart."""
 _AT_TARGET_RAD = 1e-3
+"""Well above the repeatability of a joint, well below any planned step."""
+_STILL_RAD = 1e-9
+"""Smaller commanded steps are rounding: the joint does not move."""
 _MEASURING_TRIES = 2
+"""A beam that somebody crossed is usually free at the second try."""
 
 
 class MotionRefused(CellappError):
@@ -36,83 +41,87 @@ class MotionRefused(CellappError):
 
 
 class Mover:
-    """Moves the arms of one open cell, remembers where each joint came from, and measures.
+    """Moves the arms of one open cell, records the last motion of each joint, and measures.
 
-    It always starts from where the arms really are, as their controllers say.
+    Every motion starts from the joint positions that the controllers report.
     """
 
     def __init__(self, profile: Profile, cell: Cell, bodies: CellBodies) -> None:
         self._profile, self._cell, self._bodies = profile, cell, bodies
         self._approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
         self._step: dict[str, Vector] = {}
-        self._rests_since: dict[str, float] = {}
+        self._rest_since_s: dict[str, float] = {}
 
     def positions(self) -> dict[str, Vector]:
-        """Where the arms are now. Raises ``HardwareError`` if one is not ready or moves."""
+        """Return the joint positions (N,) of all arms [rad]. Raises ``HardwareError`` if one is not ready or moves."""
         positions = {}
         for name in self._cell.arms:
             state = self._state(name)
             if not state.ready or state.moving:
                 raise HardwareError(
                     f"arm {name}: not ready: {state.reason or 'it is moving'}; look at the arm, release it there,"
-                    " then go on with --resume"
+                    " then continue with --resume"
                 )
             positions[name] = state.q
         return positions
 
     def refusal(self, *legs: Mapping[str, Vector]) -> str:
-        """Why the arms must not go from where they are to the targets of each leg in turn; empty if they may."""
-        here = self.positions()
+        """Return why the arms must not move to the targets of each leg in turn; empty if they may."""
+        start = self.positions()
         for targets in legs:
-            there = {**here, **targets}
-            refusal = refuse_motion(self._bodies, here, there)
+            end = {**start, **targets}
+            refusal = refuse_motion(self._bodies, start, end)
             if refusal:
                 return refusal
-            here = there
+            start = end
         return ""
 
     def move(self, targets: Mapping[str, Vector]) -> dict[str, ArmState]:
-        """Move to ``targets`` (name -> (N,) [rad]), arms together, and wait until all rest there.
+        """Move to ``targets`` (name -> (N,) [rad]), all arms at once, and wait until they are at rest.
 
         Raises
         ------
         MotionRefused
             If the gate refuses; nothing has moved.
         HardwareError
-            If an arm refuses, faults or does not arrive; all arms have been told to stop.
+            If an arm refuses, faults or does not arrive; a stop has been sent to all arms.
         """
-        here = self.positions()
-        refusal = refuse_motion(self._bodies, here, {**here, **targets})
+        start = self.positions()
+        refusal = refuse_motion(self._bodies, start, {**start, **targets})
         if refusal:
             raise MotionRefused(f"refused to move: {refusal}")
         try:
-            timeout = 0.0
+            timeout_s = 0.0
             for name, q in targets.items():
                 speed, acceleration = self._rates(name)
-                way = np.abs(q - here[name])
-                timeout = max(timeout, float((way / speed + speed / acceleration).max()) * 2.0 + _MOVE_ALLOWANCE_S)
+                way = np.abs(q - start[name])
+                timeout_s = max(timeout_s, float((way / speed + speed / acceleration).max()) * 2.0 + _MOVE_ALLOWANCE_S)
                 self._cell.arms[name].start_move(q, speed, acceleration)
-            states = self._settled(list(targets), timeout)
+            states = self._settled(list(targets), timeout_s)
         except ArmError as error:
             self.stop()
-            raise HardwareError(f"{error}; all arms were told to stop") from error
+            raise HardwareError(f"{error}; a stop was sent to all arms") from error
         except BaseException:
             self.stop()
             raise
         for name, q in targets.items():
-            moved = q - here[name]
-            turned = np.abs(moved) > 1e-9
-            self._approach[name] = np.where(turned, np.sign(moved), self._approach[name]).astype(np.int8)
-            self._step[name] = np.where(turned, states[name].q - here[name], 0.0)
-            away = float(np.abs(states[name].q - q).max())
-            if away > _AT_TARGET_RAD:
-                raise HardwareError(f"arm {name}: rests {np.degrees(away):.3f} deg from where it was sent")
+            self._record_step(name, start[name], q, states[name].q)
         return states
 
-    def go_home(self) -> None:
-        """Bring the arms home one at a time, in whatever order the gate lets them.
+    def _record_step(self, name: str, start: Vector, commanded: Vector, reached: Vector) -> None:
+        """Record the last motion of each joint. Raises ``HardwareError`` if the arm did not reach its target."""
+        step = commanded - start
+        moved = np.abs(step) > _STILL_RAD
+        self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
+        self._step[name] = np.where(moved, reached - start, 0.0)
+        miss = float(np.abs(reached - commanded).max())
+        if miss > _AT_TARGET_RAD:
+            raise HardwareError(f"arm {name}: it came to rest {np.degrees(miss):.3f} deg from its target")
 
-        Raises as ``move`` does; ``MotionRefused`` if no arm that is not at home yet can go there.
+    def go_home(self) -> None:
+        """Move the arms home one at a time, in an order that the gate accepts.
+
+        Raises as ``move`` does; ``MotionRefused`` if none of the remaining arms can move home.
         """
         homes = home_positions(self._profile)
         waiting = list(homes)
@@ -122,10 +131,10 @@ class Mover:
             waiting.remove(name)
 
     def _settled(self, names: Sequence[str], timeout_s: float) -> dict[str, ArmState]:
-        """Wait for all arms in turns, until a whole round found each of them at rest."""
+        """Wait for the arms in turn, until each of them was at rest in the same round."""
         late = ""
         for name in names:
-            self._rests_since.pop(name, None)
+            self._rest_since_s.pop(name, None)
         for _ in range(math.ceil(timeout_s / _ROUND_S)):
             states = {}
             for name in names:
@@ -134,53 +143,42 @@ class Mover:
                 except ArmTimeout:
                     late = name
                     continue
-                self._rests_since.setdefault(name, self._seen_at_rest_s(name))
+                since_s = states[name].rest_since_s
+                self._rest_since_s.setdefault(name, self._cell.clock.now_s() if since_s is None else since_s)
             if len(states) == len(names):
                 return states
         raise ArmTimeout(f"arm {late}: did not come to rest within {timeout_s:.0f} s")
 
     def approach(self, name: str) -> NDArray[np.int8]:
-        """Sign of each joint's last motion, 0 where it has not moved yet."""
+        """Return the sign of each joint's last motion (N,); 0 if it has not moved yet."""
         return self._approach[name]
 
     def step(self, name: str) -> Vector | None:
-        """Each joint's last motion (N,) with its sign [rad]; None before the arm has moved."""
+        """Return each joint's last motion (N,) with its sign [rad]; None if the arm has not moved yet."""
         return self._step.get(name)
 
     def rested_s(self, name: str) -> float | None:
-        """How long an arm has been at rest [s]; None before it has moved.
+        """Return how long an arm has been at rest [s]; None if it has not moved yet.
 
-        In a real cell from the moment on when its controller was seen to have settled.
+        If its controller does not report when it came to rest, this counts from when it was seen to have settled.
         """
-        since = self._rests_since.get(name)
-        return None if since is None else self._clock_s() - since
+        since_s = self._rest_since_s.get(name)
+        return None if since_s is None else self._cell.clock.now_s() - since_s
 
     def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
-        """Let time pass until an arm has rested for ``dwell_s``. Raises ``Cancelled`` as soon as somebody asks to stop.
-
-        A simulated cell's clock is set forward.
-        """
-        left = dwell_s - (self.rested_s(name) or 0.0)
-        if left > 0.0:
-            if self._cell.plant is not None:
-                self._cell.plant.advance(left)
-            else:
-                cancel.wait(left)
+        """Wait until an arm has been at rest for ``dwell_s`` [s]. Raises ``Cancelled`` as soon as ``cancel`` is set."""
+        left_s = dwell_s - (self.rested_s(name) or 0.0)
+        if left_s > 0.0:
+            self._cell.clock.wait(left_s, cancel.wait)
         cancel.check()
 
-    def _clock_s(self) -> float:
-        return time.monotonic() if self._cell.plant is None else self._cell.plant.clock_s
-
-    def _seen_at_rest_s(self, name: str) -> float:
-        return time.monotonic() if self._cell.plant is None else self._cell.plant.rest_s(name)
-
     def measure(self, name: str, q: Vector) -> Point:
-        """Measure the SMR of an arm that stands at ``q`` (N,); tries twice.
+        """Measure the SMR of an arm at rest at ``q`` (N,) [rad]; tries twice.
 
         Raises
         ------
         TargetLost, WrongTarget, Unstable
-            If there is no reading to be had.
+            If both tries failed.
         HardwareError
             If the tracker itself fails.
         """
@@ -203,7 +201,7 @@ class Mover:
         raise problem
 
     def stop(self) -> None:
-        """Tell every arm to stop, whatever the others answer."""
+        """Send a stop to every arm, whatever the others answer."""
         for arm in self._cell.arms.values():
             with contextlib.suppress(ArmError):
                 arm.stop()

@@ -1,18 +1,17 @@
-"""The verb: stand in for the UR controllers of a profile and move its simulated cell, for any client to try."""
+"""The verb: emulate the UR controllers and the tracker bridge of a profile, with its simulated cell behind them."""
 
 from __future__ import annotations
 
-import ipaddress
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 from cellapp.collection.cell import build_plant
-from cellapp.collection.token import read_token
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Arm, Profile
 from cellapp.progress import CancelToken
+from drivers.arms.settings import EmulatedController
 from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
 from drivers.emulators.ur_controller import (
     STANDARD_PORTS,
@@ -22,16 +21,20 @@ from drivers.emulators.ur_controller import (
     UrControllerServer,
 )
 from drivers.plant import Plant
+from drivers.settings import SettingError
 
 _STEP_S = 0.2
+"""Longest time for which a cancel, such as Ctrl-C, goes unnoticed."""
 _CB3_MODELS = ("UR3", "UR5", "UR10")
+_JOINTS = 6
+"""Of every UR arm."""
 
 
 @dataclass(frozen=True)
 class EmulatedArm:
-    """Which arm is stood in for, by which controller, and where that listens.
+    """An arm whose controller is emulated, and where that listens.
 
-    ``control_port`` on 127.0.0.1 takes faults and the operator's actions on command; see
+    ``control_port`` on 127.0.0.1 accepts commands for faults and for the operator's actions; see
     ``drivers/emulators/ur_controller/control.py``.
     """
 
@@ -45,6 +48,7 @@ class EmulatedArm:
     control_port: int = 0
 
     def __str__(self) -> str:
+        """Return controller and ports, for the person who started it."""
         return (
             f"arm {self.arm}: {self.controller.model} ({self.controller.series}), serial {self.controller.serial},"
             f" at {self.host}: dashboard {self.dashboard_port}, primary {self.primary_port}, script"
@@ -54,31 +58,30 @@ class EmulatedArm:
 
 @dataclass(frozen=True)
 class EmulatedTracker:
-    """Where the tracker of the simulated cell is served over the bridge protocol."""
+    """Address at which the tracker of the simulated cell is served over the bridge protocol."""
 
     host: str
     port: int
 
     def __str__(self) -> str:
+        """Return host and port, for the person who started it."""
         return f"tracker: simulated, bridge protocol at {self.host} port {self.port}"
 
 
 def emulated_tracker(profile: Profile) -> EmulatedTracker | None:
-    """The stand-in for a tracker of kind ``bridge`` with a loopback ``socket://`` URL; None for any other."""
-    driver = profile.tracker.driver
-    if profile.plant is None or driver.kind != "bridge" or not driver.url.startswith("socket://"):
-        return None
-    host, _, port = driver.url.removeprefix("socket://").rpartition(":")
-    loopback = _loopback(host)
-    return None if loopback is None else EmulatedTracker(loopback, int(port))
+    """Return where the tracker of a profile can be emulated; None without a simulated cell or a loopback address."""
+    bridge = profile.tracker.driver.emulated_bridge()
+    return None if profile.plant is None or bridge is None else EmulatedTracker(bridge.host, bridge.port)
 
 
 def _serve_tracker(
     stack: ExitStack, profile: Profile, plant: Plant, server: UrControllerServer, tracker: EmulatedTracker
 ) -> EmulatedTracker:
-    """Have the tracker look at what the controllers move; it waits for their clock and touches nothing without lock."""
-    driver = profile.tracker.driver
-    token = read_token(driver.token_file, driver.token_env) if driver.kind == "bridge" else None
+    """Serve the tracker of the cell that the controllers move; it waits for their clock and holds their lock."""
+    try:
+        token = profile.tracker.driver.token()
+    except SettingError as error:
+        raise InputError(str(error)) from error
     bridge = TrackerBridgeEmulator(
         plant, clock=threading.Condition(server.cell.lock), host=tracker.host, port=tracker.port, token=token
     )
@@ -91,37 +94,43 @@ def _serve_tracker(
 
 
 def emulated_arms(profile: Profile) -> list[EmulatedArm]:
-    """The stand-ins that a profile asks for, on the standard ports.
+    """Return the controllers that can be emulated for a profile, on the standard ports.
 
-    An arm of kind ``ur`` is stood in for where its host is a loopback address, a simulated one on 127.0.0.2, 127.0.0.3
-    and so on; the others are left to their own controllers.
+    The kind of an arm decides: its own loopback address, or any free one from 127.0.0.2 on. Arms with a controller on
+    another machine are left out.
 
     Raises
     ------
     InputError
-        If there is nothing to stand in for, two arms share an address, or an arm is not a UR with six joints.
+        If no controller can be emulated, two arms share an address, or an arm is not a UR arm with six joints.
     """
-    hosts: dict[str, str] = {}
-    for name, arm in profile.arms.items():
-        if arm.driver.kind == "ur":
-            host = _loopback(arm.driver.host)
-            if host is not None and host in hosts.values():
-                raise InputError(f"arms.{name}.driver.host: {host} is another arm's; give each its own, as 127.0.0.2")
-            if host is not None:
-                hosts[name] = host
-    free = (f"127.0.0.{number}" for number in range(2, 255) if f"127.0.0.{number}" not in hosts.values())
-    simulated = [name for name, arm in profile.arms.items() if arm.driver.kind == "simulated"]
-    hosts |= dict(zip(simulated, free, strict=False))
-    if not hosts:
+    emulated = {name: arm.driver.emulated_controller() for name, arm in profile.arms.items()}
+    controllers = {name: controller for name, controller in emulated.items() if controller is not None}
+    if not controllers:
         raise InputError(
-            f"profile {profile.name}: nothing to stand in for; needed is an arm whose driver is 'simulated', or 'ur'"
-            " with a loopback address such as 127.0.0.2 for its host"
+            f"profile {profile.name}: no controller to emulate; this needs an arm whose driver is 'simulated', or 'ur'"
+            " with a loopback address such as 127.0.0.2 as its host"
         )
+    hosts = _hosts(controllers)
     return [
-        EmulatedArm(name, _controller(name, arm, number), hosts[name])
+        EmulatedArm(name, _personality(name, arm, controllers[name].serial, number), hosts[name])
         for number, (name, arm) in enumerate(profile.arms.items(), start=1)
-        if name in hosts
+        if name in controllers
     ]
+
+
+def _hosts(controllers: Mapping[str, EmulatedController]) -> dict[str, str]:
+    """Return the address of each controller; those without one get free addresses. Raises ``InputError``."""
+    hosts: dict[str, str] = {}
+    for name, controller in controllers.items():
+        if controller.host is not None and controller.host in hosts.values():
+            raise InputError(
+                f"arms.{name}.driver.host: {controller.host} is another arm's; give each its own, as 127.0.0.2"
+            )
+        if controller.host is not None:
+            hosts[name] = controller.host
+    free = (f"127.0.0.{number}" for number in range(2, 255) if f"127.0.0.{number}" not in hosts.values())
+    return hosts | dict(zip((name for name in controllers if name not in hosts), free, strict=False))
 
 
 def emulate(
@@ -133,24 +142,32 @@ def emulate(
     tracker: EmulatedTracker | None = None,
     announce_tracker: Callable[[EmulatedTracker], None] = lambda _: None,
 ) -> None:
-    """Stand in for the controllers of a profile until ``cancel``; all ports are free again when this returns.
+    """Emulate the controllers of a profile until ``cancel``; all ports are free again when this returns.
 
-    The arms move the simulated cell where the profile has a section ``plant``; elsewhere joints alone.
+    The arms belong to the simulated cell if the profile has a section ``plant``; otherwise only their joints move.
 
-    ``announce`` is called once, when all listen, with the addresses. ``arms`` replaces what ``emulated_arms`` would
-    choose; a port 0 in it takes a free one. ``tracker`` and ``announce_tracker``, which is called first, likewise for
-    the tracker, which looks at the same cell. ``pace`` is how many seconds pass in the cell for each second of
-    wall time.
+    Parameters
+    ----------
+    announce : callable
+        Called once with the addresses, when all controllers listen.
+    arms : sequence of EmulatedArm, or None
+        Controllers instead of ``emulated_arms``; a port 0 takes a free one.
+    pace : float
+        Seconds that pass in the cell for each second of wall time.
+    tracker : EmulatedTracker, or None
+        Address instead of ``emulated_tracker``. The tracker measures the same cell.
+    announce_tracker : callable
+        Called before ``announce`` with the tracker's address.
 
     Raises
     ------
     InputError
         As ``emulated_arms``, and if ``pace`` is not between 0 and 1000.
     HardwareError
-        If a port is in use or an address cannot be had, or the simulated cell fails on the way.
+        If a port is in use, an address is not available, or the simulation fails while it runs.
     """
     chosen = emulated_arms(profile) if arms is None else arms
-    seen_by = emulated_tracker(profile) if tracker is None else tracker
+    served = emulated_tracker(profile) if tracker is None else tracker
     plant = None if profile.plant is None else build_plant(profile)
     controllers = [_config(arm, profile.arms[arm.arm]) for arm in chosen]
     try:
@@ -158,20 +175,29 @@ def emulate(
     except ValueError as error:
         raise InputError(f"profile {profile.name}: {error}") from error
     with ExitStack() as stack:
-        try:
-            stack.enter_context(server)
-        except OSError as error:
-            raise HardwareError(
-                f"{error.strerror}; see whether another emulator or simulator runs here. On macOS,"
-                " addresses other than 127.0.0.1 must be added first: ifconfig lo0 alias 127.0.0.2"
-            ) from error
-        if seen_by is not None and plant is not None:
-            announce_tracker(_serve_tracker(stack, profile, plant, server, seen_by))
+        _listen(stack, server)
+        if served is not None and plant is not None:
+            announce_tracker(_serve_tracker(stack, profile, plant, server, served))
         announce([_listening(arm, server.addresses) for arm in chosen])
-        while not cancel.wait(_STEP_S):  # in steps, so that Ctrl-C is heard
-            if server.failure is not None:
-                why = f"{type(server.failure).__name__}: {server.failure}"
-                raise HardwareError(f"the emulated cell cannot go on ({why}); its ports are closed") from server.failure
+        while not cancel.wait(_STEP_S):
+            _check(server)
+
+
+def _listen(stack: ExitStack, server: UrControllerServer) -> None:
+    try:
+        stack.enter_context(server)
+    except OSError as error:
+        raise HardwareError(
+            f"{error.strerror}; see whether another emulator or simulator runs here. On macOS,"
+            " addresses other than 127.0.0.1 must be added first: ifconfig lo0 alias 127.0.0.2"
+        ) from error
+
+
+def _check(server: UrControllerServer) -> None:
+    """Raise ``HardwareError`` if the simulation failed."""
+    if server.failure is not None:
+        why = f"{type(server.failure).__name__}: {server.failure}"
+        raise HardwareError(f"the emulated cell cannot go on ({why}); its ports are closed") from server.failure
 
 
 def _listening(arm: EmulatedArm, addresses: Addresses) -> EmulatedArm:
@@ -209,25 +235,17 @@ def _config(emulated: EmulatedArm, arm: Arm) -> ControllerConfig:
     )
 
 
-def _loopback(host: str) -> str | None:
-    """The address of a host that is this machine, else None."""
-    if host == "localhost":
-        return "127.0.0.1"
-    try:
-        return host if ipaddress.IPv4Address(host).is_loopback else None
-    except ValueError:
-        return None
-
-
-def _controller(name: str, arm: Arm, number: int) -> Personality:
+def _personality(name: str, arm: Arm, serial: str | None, number: int) -> Personality:
+    """Return the controller of a UR arm. Raises ``InputError`` if the arm's type is not a UR arm."""
     model = arm.type.model.strip()
     joints = arm.type.joints
-    if not model.upper().startswith("UR") or len(joints) != 6:
-        raise InputError(f"arms.{name}.type: '{model}' with {len(joints)} joints is no UR; only those are stood in for")
-    serial = arm.driver.serial if arm.driver.kind == "ur" else None
+    if not model.upper().startswith("UR") or len(joints) != _JOINTS:
+        raise InputError(
+            f"arms.{name}.type: '{model}' with {len(joints)} joints is not a UR arm; only UR controllers are emulated"
+        )
     return Personality(
         series="CB3" if model.upper() in _CB3_MODELS else "e-Series",
-        model=model.removesuffix("e").removesuffix("E"),  # controllers leave it out
+        model=model.removesuffix("e").removesuffix("E"),  # e-Series controllers report the model without it
         serial=serial or f"2015990000{number}",
         rows=tuple((joint.theta, joint.d, joint.a, joint.alpha) for joint in joints),
     )

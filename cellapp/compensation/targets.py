@@ -9,7 +9,9 @@ import yaml
 from pydantic import Field, ValidationError
 
 from cellapp.errors import InputError
-from cellapp.profile import CellPoint, Profile, Section, Turn
+from cellapp.profile import CellPoint, Profile
+from drivers.quantities import Turn
+from drivers.settings import Section
 
 
 class Target(Section):

@@ -1,44 +1,17 @@
-"""The profile: what a cell is, as its owner writes it in YAML, checked and frozen."""
+"""The profile: the description of a cell in YAML, checked and frozen."""
 
-from cellapp.profile.schema import (
-    Arm,
-    BridgeTrackerDriver,
-    CellPoint,
-    Discovery,
-    LmfTrackerDriver,
-    NoDriver,
-    Pose,
-    Priors,
-    Profile,
-    Section,
-    Sensors,
-    SerialSensor,
-    SimulatedSensor,
-    Splits,
-    Turn,
-    UrArmDriver,
-    load_profile,
-    profile_from_json,
-    profile_to_json,
-)
+from cellapp.profile.loader import load_profile, profile_from_json, profile_to_json
+from cellapp.profile.schema import Arm, CellPoint, Discovery, Pose, Priors, Profile, Sensors, Splits
 
 __all__ = [
     "Arm",
-    "BridgeTrackerDriver",
     "CellPoint",
     "Discovery",
-    "LmfTrackerDriver",
-    "NoDriver",
     "Pose",
     "Priors",
     "Profile",
-    "Section",
     "Sensors",
-    "SerialSensor",
-    "SimulatedSensor",
     "Splits",
-    "Turn",
-    "UrArmDriver",
     "load_profile",
     "profile_from_json",
     "profile_to_json",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -81,20 +82,12 @@ def bridge_trial(
     if measurements < every or every < 1:
         raise InputError("trials bridge: there must be at least one group of measurements, of at least one each")
     cancel = cancel or CancelToken()
-    rng = np.random.default_rng([seed, 0xB41D])
-    plant = build_plant(profile)
     nests = _nests(profile)
-    names = list(nests)
-    possible = np.array(ALL_FAULTS if serial is None else FAULTS)  # on one cable there is no second client
-    kinds = rng.permutation(np.resize(possible, measurements // every))  # each kind about equally often
-    fault_at = {group * every + int(rng.integers(every)): str(kind) for group, kind in enumerate(kinds)}
-    took: dict[str, list[float]] = {kind: [] for kind in ("", *ALL_FAULTS)}
-    times: list[float] = []
-    strange = lost = 0
+    fault_at = _drawn_faults(measurements, every, seed, ALL_FAULTS if serial is None else FAULTS)
     with ExitStack() as stack:
         emulator = stack.enter_context(
             TrackerBridgeEmulator(
-                plant,
+                build_plant(profile),
                 nests=nests,
                 reboot_s=0.3,
                 slow_s=1.6 * _SILENCE_S,
@@ -109,42 +102,73 @@ def bridge_trial(
             tracker.connect()
         except TrackerError as error:
             raise HardwareError(str(error)) from error
+        log = _Log()
         for number in range(measurements):
             cancel.check()
-            listener(Progress("bridge", number, measurements, fault_at.get(number, "")))
-            nest = names[number % len(names)]
-            kind = fault_at.get(number, "")
+            fault = fault_at.get(number, "")
+            listener(Progress("bridge", number, measurements, fault))
+            nest = list(nests)[number % len(nests)]
             began_s = time.monotonic()
-            if kind == SECOND_CLIENT:
+            if fault == SECOND_CLIENT:
                 _second_client(url)
-            elif kind:
-                emulator.fault(kind)
-            try:
-                point = tracker.measure(nests[nest], _AVERAGING_S)
-            except TargetLost:
-                if kind != "beam":
-                    lost += 1
-                    continue
-                point = tracker.measure(nests[nest], _AVERAGING_S)  # as collection does after a broken beam
-            except TrackerError:
-                lost += 1
-                continue
-            took[kind].append(time.monotonic() - began_s)
-            times.append(point.time_s)
-            strange += bool(np.linalg.norm(point.p_M - nests[nest]) > _NEAR_M)
-        forgotten = len(took["reboot"])  # made, and lost with the bridge's memory before delivery
-        doubled = len(times) - len(set(times)) + max(0, emulator.tracker.measured - forgotten - len(times))
+            elif fault:
+                emulator.fault(fault)
+            _measure(tracker, nests[nest], fault, began_s, log)
+        made = emulator.tracker.measured
     listener(Progress("bridge", measurements, measurements, "done"))
-    return BridgeResult(
-        asked=measurements,
-        delivered=len(times),
-        lost=lost,
-        doubled=doubled,
-        strange=strange,
-        faults={kind: len(took[kind]) for kind in ALL_FAULTS},
-        recovery_s={kind: max(took[kind]) for kind in ALL_FAULTS if took[kind]},
-        undisturbed_s=float(np.median(took[""])) if took[""] else None,
-    )
+    return log.result(measurements, made)
+
+
+@dataclass
+class _Log:
+    """What is recorded during a trial: time of each measurement [s] by fault, and the time stamps of the points [s]."""
+
+    took_s: dict[str, list[float]] = field(default_factory=lambda: {fault: [] for fault in ("", *ALL_FAULTS)})
+    stamps_s: list[float] = field(default_factory=list)
+    strange: int = 0
+    lost: int = 0
+
+    def result(self, asked: int, made: int) -> BridgeResult:
+        """The summary; ``made`` is the number of measurements that the tracker made."""
+        delivered, took_s = len(self.stamps_s), self.took_s
+        forgotten = len(took_s["reboot"])  # made, and lost with the bridge's memory before delivery
+        return BridgeResult(
+            asked=asked,
+            delivered=delivered,
+            lost=self.lost,
+            doubled=delivered - len(set(self.stamps_s)) + max(0, made - forgotten - delivered),
+            strange=self.strange,
+            faults={fault: len(took_s[fault]) for fault in ALL_FAULTS},
+            recovery_s={fault: max(took_s[fault]) for fault in ALL_FAULTS if took_s[fault]},
+            undisturbed_s=float(np.median(took_s[""])) if took_s[""] else None,
+        )
+
+
+def _drawn_faults(measurements: int, every: int, seed: int, faults: Sequence[str]) -> dict[int, str]:
+    """One fault in each group of ``every`` measurements: number of the measurement -> fault, each about equally often.
+
+    Over a serial cable there is no second client, so ``faults`` lacks that one.
+    """
+    rng = np.random.default_rng([seed, 0xB41D])
+    drawn = rng.permutation(np.resize(np.array(faults), measurements // every))
+    return {group * every + int(rng.integers(every)): str(fault) for group, fault in enumerate(drawn)}
+
+
+def _measure(tracker: BridgeTracker, nest_M: np.ndarray, fault: str, began_s: float, log: _Log) -> None:
+    """Measure one nest (3,) [m] and record what became of it; its time counts from ``began_s``."""
+    try:
+        point = tracker.measure(nest_M, _AVERAGING_S)
+    except TargetLost:
+        if fault != "beam":
+            log.lost += 1
+            return
+        point = tracker.measure(nest_M, _AVERAGING_S)  # as collection does after a broken beam
+    except TrackerError:
+        log.lost += 1
+        return
+    log.took_s[fault].append(time.monotonic() - began_s)
+    log.stamps_s.append(point.time_s)
+    log.strange += bool(np.linalg.norm(point.p_M - nest_M) > _NEAR_M)
 
 
 def _second_client(url: str) -> None:

@@ -22,8 +22,9 @@ from cellapp.errors import HardwareError
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Record, Result
 from drivers.arms.protocol import ArmError, EmergencyStop, JointLimits, LinkLost, ProtectiveStop
-from drivers.arms.ur import UrArm, UrSettings
+from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
+from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import (
     ControllerConfig,
     EmulatorProcess,
@@ -267,7 +268,7 @@ def _driver(name: str, host: str) -> UrArm:
         payload_kg=0.0,
         payload_center_m=np.zeros(3),
     )
-    return UrArm(name, host, expected, UrSettings(settle_s=_SETTLE_S))
+    return UrArm(name, UrSettings(host=host, settle_time=_SETTLE_S), expected)
 
 
 def _disconnect(arm: UrArm) -> None:

@@ -7,7 +7,9 @@ at |dg| < 1e-5 or after 1000 iterations; on the redundant model its steps along 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -99,7 +101,7 @@ def compare_parameter_sets(
     stops = identify_stops + validate_stops
     q = plan_stops(bare_profile(profile, stops))[arm]
     learn, held_out = q[:identify_stops], q[identify_stops:]
-    results: dict[tuple[str, str], list[tuple[int, int, bool, float, float]]] = {}
+    solutions: dict[tuple[str, str], list[_Solution]] = {}
     for done, seed in enumerate(seeds):
         cancel.check()
         listener(Progress("parameter sets", done, len(seeds), f"seed {seed}"))
@@ -110,34 +112,45 @@ def compare_parameter_sets(
         if nominal.joints == 6:
             sets.insert(1, paper_set(start))
         for chosen in sets:
-            geometry, iterations, converged = plain_gauss_newton(start, learn, noisy[:identify_stops], chosen)
-            ours = identify(
-                start,
-                learn,
-                noisy[:identify_stops],
-                parameter_set=chosen,
-                tolerance=PAPER_TOLERANCE,
-                max_iterations=PAPER_ITERATIONS,
-            )
-            for solver, found, steps, ended in (
-                ("plain", geometry, iterations, converged),
-                ("cellapp", ours.geometry, ours.iterations, ours.converged),
-            ):
-                error = summarise(position_errors(noisy[identify_stops:], smr_positions(found, held_out)))
-                results.setdefault((chosen.name, solver), []).append(
-                    (len(chosen.columns), steps, ended, error.mean, error.max)
-                )
+            for found in _both_solvers(start, learn, noisy[:identify_stops], chosen):
+                error = summarise(position_errors(noisy[identify_stops:], smr_positions(found.geometry, held_out)))
+                found = replace(found, mean_mm=error.mean, max_mm=error.max)
+                solutions.setdefault((chosen.name, found.solver), []).append(found)
     listener(Progress("parameter sets", len(seeds), len(seeds), "done"))
-    return [
-        ParameterSetTrial(
-            parameter_set=name,
-            solver=solver,
-            parameters=rows[0][0],
-            iterations=float(np.median([row[1] for row in rows])),
-            converged=sum(row[2] for row in rows),
-            seeds=len(rows),
-            mean_mm=float(np.median([row[3] for row in rows])),
-            max_mm=float(np.median([row[4] for row in rows])),
-        )
-        for (name, solver), rows in results.items()
-    ]
+    return [_medians(name, solver, found) for (name, solver), found in solutions.items()]
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """One identification, and its held-out errors [mm]."""
+
+    solver: str
+    parameters: int
+    geometry: Geometry
+    iterations: int
+    converged: bool
+    mean_mm: float = math.nan
+    max_mm: float = math.nan
+
+
+def _both_solvers(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> tuple[_Solution, _Solution]:
+    geometry, iterations, converged = plain_gauss_newton(start, q, p_M, chosen)
+    ours = identify(start, q, p_M, parameter_set=chosen, tolerance=PAPER_TOLERANCE, max_iterations=PAPER_ITERATIONS)
+    size = len(chosen.columns)
+    return (
+        _Solution("plain", size, geometry, iterations, converged),
+        _Solution("cellapp", size, ours.geometry, ours.iterations, ours.converged),
+    )
+
+
+def _medians(name: str, solver: str, found: Sequence[_Solution]) -> ParameterSetTrial:
+    return ParameterSetTrial(
+        parameter_set=name,
+        solver=solver,
+        parameters=found[0].parameters,
+        iterations=float(np.median([one.iterations for one in found])),
+        converged=sum(one.converged for one in found),
+        seeds=len(found),
+        mean_mm=float(np.median([one.mean_mm for one in found])),
+        max_mm=float(np.median([one.max_mm for one in found])),
+    )

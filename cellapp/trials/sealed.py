@@ -31,11 +31,12 @@ from cellapp.kinematics.chain import JointAngles, jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
-from cellapp.profile import Arm, NoDriver, Profile, Sensors
+from cellapp.profile import Arm, Profile, Sensors
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Record, Result
 from cellapp.run import Readings, RunFile, stated_uncertainty
 from cellapp.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
+from drivers.no_driver import NoDriver
 from drivers.plant import OUTSIDE, REALISTIC, suggest
 
 TRUTH_FILE = "truth.json"
@@ -290,13 +291,13 @@ def digest_of(readings: Mapping[str, Readings]) -> str:
 
 def without_truth(profile: Profile, number: int) -> Profile:
     """The profile of a sealed run: no section ``plant``, no device, the run's number as its seed."""
-    arms = {name: arm.model_copy(update={"driver": NoDriver(kind="none")}) for name, arm in profile.arms.items()}
+    arms = {name: arm.model_copy(update={"driver": NoDriver()}) for name, arm in profile.arms.items()}
     return profile.model_copy(
         update={
             "name": f"sealed-{number:04d}",
             "seed": number,
             "arms": arms,
-            "tracker": profile.tracker.model_copy(update={"driver": NoDriver(kind="none")}),
+            "tracker": profile.tracker.model_copy(update={"driver": NoDriver()}),
             "sensors": Sensors(),
             "network": profile.network.model_copy(update={"kind": "none"}),
             "plant": None,
@@ -395,17 +396,7 @@ def _write_run(
     for slug in case.slugs:
         without = exact({other: values for other, values in parameters.items() if other != slug})[case.arm]
         moved = with_all[case.arm].p_M - without.p_M
-        seen = beyond_geometry(profile.arms[case.arm], without.q, without.p_M, moved)
-        name = _IN_THE_LIBRARY.get(slug, slug)
-        effects.append(
-            HiddenLaw(
-                effect=name,
-                plant=slug,
-                parameters=_plain(parameters[slug]),
-                raw_um=_rms_um(moved),
-                visible_um=_rms_um(seen),
-            )
-        )
+        effects.append(_hidden_law(profile.arms[case.arm], slug, parameters[slug], without, moved))
 
     def fill(run: RunFile) -> None:
         for name, arm in readings.items():
@@ -425,6 +416,17 @@ def _write_run(
         held_out_um={name: _rms_um((arm.p_M - with_all[name].p_M)[held_out[name]]) for name, arm in readings.items()},
         seeds={"plan": plan_seed, "plant": plant_seed, "noise": noise_seed},
         readings=digest_of(readings),
+    )
+
+
+def _hidden_law(arm: Arm, slug: str, parameters: Mapping[str, Any], without: Readings, moved: Array) -> HiddenLaw:
+    """One hidden effect; ``without`` are exact readings without it, ``moved`` (n, 3) [m] the displacement by it."""
+    return HiddenLaw(
+        effect=_IN_THE_LIBRARY.get(slug, slug),
+        plant=slug,
+        parameters=_plain(parameters),
+        raw_um=_rms_um(moved),
+        visible_um=_rms_um(beyond_geometry(arm, without.q, without.p_M, moved)),
     )
 
 

@@ -1,6 +1,6 @@
-"""What an arm must do, in the field's words. Any arm that does it can stand in the cell.
+"""Interface of an arm. Any arm with a driver of this interface can be used in the cell.
 
-Joint vectors are read from the controller, shape (N,), radians. No call blocks for ever.
+Joint vectors are read from the controller, shape (N,), radians. Every call returns in bounded time.
 """
 
 from __future__ import annotations
@@ -8,22 +8,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-if TYPE_CHECKING:  # only to say what is meant: a driver's own processes start without numpy
+if TYPE_CHECKING:  # for annotations only: a driver's worker process starts without numpy
     import numpy as np
     from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
 class ArmIdentity:
-    """Who the arm is: what its controller says of itself.
+    """Identity of the arm as reported by its controller.
 
     Attributes
     ----------
     dh_rows : array, shape (N, 4), or None
-        The calibrated D-H rows theta, d, a, alpha that the controller computes with [rad, m, m, rad], where it tells
-        them.
+        Calibrated D-H rows theta, d, a, alpha that the controller uses [rad, m, m, rad]; None if not reported.
     dh_checksum : str
-        What tells one factory calibration of the arm from another; empty where the controller has none.
+        Checksum of the arm's factory calibration; empty if the controller has none.
     """
 
     model: str
@@ -35,7 +34,7 @@ class ArmIdentity:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """What the controller allows its joints.
+    """Limits of the joints in the controller.
 
     Attributes
     ----------
@@ -52,7 +51,7 @@ class JointLimits:
 
 @dataclass(frozen=True)
 class Tool:
-    """What the controller believes the arm carries; None where it does not tell.
+    """Payload and TCP as configured in the controller; None if not reported.
 
     Attributes
     ----------
@@ -70,7 +69,7 @@ class Tool:
 
 @dataclass(frozen=True)
 class ArmState:
-    """The arm at one moment.
+    """State of the arm at one moment.
 
     Attributes
     ----------
@@ -79,17 +78,19 @@ class ArmState:
     time_s : float
         Controller time [s].
     moving : bool
-        Whether any joint moves or a motion is under way.
+        Whether any joint moves or a motion is running.
     ready : bool
         Whether it would accept a motion: no stop, no fault, brakes released.
     reason : str
         Why it is not ready; empty when it is.
     payload_kg : float or None
-        Payload the controller believes in.
+        Payload configured in the controller.
     joint_temperature_c : array, shape (N,), or None
-        Joint temperatures where the controller gives them [degC].
+        Joint temperatures [degC]; None if not reported.
     robot_mode, safety_mode, program : str
-        In the controller's words; empty where it has none.
+        As named by the controller; empty if it has none.
+    rest_since_s : float or None
+        When the arm came to rest, on the cell's clock [s]; None if not reported.
     """
 
     q: NDArray[np.float64]
@@ -102,18 +103,27 @@ class ArmState:
     robot_mode: str = ""
     safety_mode: str = ""
     program: str = ""
+    rest_since_s: float | None = None
+
+
+def stale(before: str, now: str) -> str:
+    """Return a sentence about a changed ``dh_checksum``."""
+    return (
+        f"the checksum of the controller's D-H was {before or 'none'}, now it is {now or 'none'}: a joint or the"
+        " factory calibration was changed, and an earlier model is stale; collect and calibrate again"
+    )
 
 
 class ArmError(Exception):
-    """Base of all that an arm can refuse or suffer."""
+    """Base of all errors of an arm."""
 
 
 class ProtectiveStop(ArmError):
-    """The controller stopped the arm to protect it; a person must look and release it."""
+    """The controller stopped the arm to protect it; a person must inspect and release it."""
 
 
 class EmergencyStop(ArmError):
-    """Somebody pressed the button."""
+    """An emergency stop button is pressed."""
 
 
 class LinkLost(ArmError):
@@ -121,7 +131,7 @@ class LinkLost(ArmError):
 
 
 class NotInRemoteControl(ArmError):
-    """The controller takes no commands from outside: its pendant has the arm."""
+    """The controller accepts no commands over the network, because its pendant is in local control."""
 
 
 class LimitExceeded(ArmError):
@@ -129,7 +139,7 @@ class LimitExceeded(ArmError):
 
 
 class WrongRobot(ArmError):
-    """The controller is not the one that the profile names."""
+    """The controller is not the one named in the profile."""
 
 
 class ArmTimeout(ArmError):
@@ -137,33 +147,33 @@ class ArmTimeout(ArmError):
 
 
 class Arm(Protocol):
-    """One arm. A motion is started, then awaited, so that two arms can move at once."""
+    """One arm. Starting a motion and waiting for its end are separate, so that two arms can move at once."""
 
     @property
     def name(self) -> str:
         """The arm's name in the profile."""
 
     def connect(self) -> None:
-        """Open the link, or open it anew after a fault; harmless when open. Nothing moves.
+        """Open the link, or reopen it after a fault; harmless when open. Nothing moves.
 
-        Raises ``LinkLost``, or why the arm would refuse to move: ``WrongRobot``, ``NotInRemoteControl``,
+        Raises ``LinkLost``, or the reason why the arm would refuse to move: ``WrongRobot``, ``NotInRemoteControl``,
         ``ProtectiveStop``, ``EmergencyStop``, ``LimitExceeded``, else ``ArmError``.
         """
 
     def identify(self) -> ArmIdentity:
-        """Who the controller says it is."""
+        """Return the identity reported by the controller."""
 
     def limits(self) -> JointLimits:
-        """What the controller allows its joints."""
+        """Return the limits of the joints."""
 
     def tool(self) -> Tool:
-        """What the controller believes the arm carries."""
+        """Return payload and TCP as configured in the controller."""
 
     def warnings(self) -> tuple[str, ...]:
-        """What a person should know of this arm though it would move; a sentence each."""
+        """Return findings that a person should know but that do not keep the arm from moving; one sentence each."""
 
     def state(self) -> ArmState:
-        """The state now; never an old one: raises ``LinkLost`` instead."""
+        """Return the current state, never an old one. Raises ``LinkLost``."""
 
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Start a joint motion to ``q`` (N,), at most at ``speed`` (N,) [rad/s] and ``acceleration`` (N,) [rad/s^2].
@@ -172,10 +182,10 @@ class Arm(Protocol):
         """
 
     def wait_settled(self, timeout_s: float) -> ArmState:
-        """Wait until the arm rests at the end of its motion. Raises ``ArmTimeout`` or what stopped it."""
+        """Wait until the arm rests at the end of its motion. Raises ``ArmTimeout``, or the error that stopped it."""
 
     def stop(self) -> None:
-        """Bring the arm to rest now; harmless when it rests."""
+        """Stop the arm now; harmless when it rests."""
 
     def disconnect(self) -> None:
-        """Close the link and leave the robot as it was found; harmless when closed."""
+        """Close the link and leave the robot as it was before ``connect``; harmless when closed."""

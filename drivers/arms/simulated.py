@@ -20,14 +20,17 @@ from drivers.arms.protocol import (
 from drivers.plant import Plant
 
 CYCLE_S = 0.008
-"""Asking the controller takes one of its cycles, so that time passes for who polls."""
+"""Control cycle: every query takes one, so that time passes while a caller polls."""
 SETTLE_S = 0.2
-"""How long the arm must have rested to count as settled."""
+"""An arm counts as settled after this time at rest."""
 _ROUNDING_RAD = 1e-9
+"""A target may exceed a limit by rounding."""
+_ROUNDING = 1e-9
+"""Relative excess of a rate that counts as rounding."""
 
 
 class SimulatedArm:
-    """One arm of a ``Plant``. Faults: ``protective_stop``, ``emergency_stop``, ``cut_link``; ``release`` ends them."""
+    """One arm of a ``Plant``. Faults: ``protective_stop``, ``emergency_stop``, ``cut_link``; cleared by ``release``."""
 
     def __init__(self, plant: Plant, name: str) -> None:
         if name not in plant.names:
@@ -41,7 +44,7 @@ class SimulatedArm:
 
     @property
     def name(self) -> str:
-        """The arm's name in the cell."""
+        """Name of the arm in the cell."""
         return self._name
 
     def connect(self) -> None:
@@ -60,28 +63,28 @@ class SimulatedArm:
             raise type(self._fault)(*self._fault.args)
 
     def identify(self) -> ArmIdentity:
-        """Who it is: a simulated arm."""
+        """Return the identity of a simulated arm."""
         self._link()
         model = f"simulated, {self._config.joints} joints"
         return ArmIdentity(model=model, serial=f"SIM-{self._name}", software="simulated")
 
     def limits(self) -> JointLimits:
-        """What the arm of the simulated cell may do."""
+        """Return the limits of the arm in the plant."""
         self._link()
         return JointLimits(self._config.limits.copy(), self._config.speed.copy(), self._config.acceleration.copy())
 
     def tool(self) -> Tool:
-        """What it carries; it has no tool centre point."""
+        """Return the payload; there is no tool centre point."""
         self._link()
         mass, center = self._plant.payload(self._name)
         return Tool(payload_kg=mass, payload_center_m=center, tcp=None)
 
     def warnings(self) -> tuple[str, ...]:
-        """Nothing: there is no hardware to be stale."""
+        """Return no warnings: there is no hardware to check."""
         return ()
 
     def state(self) -> ArmState:
-        """The state after one cycle of the controller."""
+        """Return the state after one control cycle."""
         self._link()
         self._plant.advance(CYCLE_S)
         return self._now()
@@ -95,6 +98,7 @@ class SimulatedArm:
             reason="" if self._fault is None else str(self._fault),
             payload_kg=self._plant.payload(self._name)[0],
             joint_temperature_c=self._plant.joint_temperatures_c(self._name),
+            rest_since_s=None if self._plant.moving(self._name) else self._plant.rest_s(self._name),
         )
 
     def _per_joint(self, what: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -110,7 +114,7 @@ class SimulatedArm:
         return array
 
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Start a joint motion: straight in joint space, all joints start and end together.
+        """Start a joint motion, straight in joint space: all joints start and end together.
 
         Raises ``LimitExceeded``, ``ProtectiveStop``, ``EmergencyStop``, ``LinkLost``, or ``ArmError`` while it moves.
         """
@@ -129,7 +133,7 @@ class SimulatedArm:
             ("acceleration", "rad/s^2", acceleration, self._config.acceleration),
         ):
             rate = self._per_joint(what, value)
-            for joint in np.flatnonzero((rate <= 0.0) | (rate > most * (1.0 + 1e-9))):
+            for joint in np.flatnonzero((rate <= 0.0) | (rate > most * (1.0 + _ROUNDING))):
                 raise LimitExceeded(
                     f"arm {self._name}: {what} {rate[joint]:g} {unit} of joint {joint + 1} is not above 0 and at most"
                     f" {most[joint]:g} {unit}"
@@ -140,7 +144,7 @@ class SimulatedArm:
         self._plant.start_move(self._name, goal, rates[0], rates[1])
 
     def wait_settled(self, timeout_s: float) -> ArmState:
-        """Let time pass until the arm has rested for ``SETTLE_S``. Raises ``ArmTimeout`` or what stopped it."""
+        """Advance until the arm was at rest for ``SETTLE_S``. Raises ``ArmTimeout``, or the fault that stopped it."""
         self._link()
         needed = self._plant.rest_s(self._name) + SETTLE_S - self._plant.clock_s
         if needed > timeout_s:
@@ -152,7 +156,7 @@ class SimulatedArm:
         return self._now()
 
     def stop(self) -> None:
-        """Brake now; time passes until the arm rests. Harmless at rest."""
+        """Brake now and advance until the arm is at rest. Harmless at rest."""
         self._link()
         self._brake()
 
@@ -166,24 +170,24 @@ class SimulatedArm:
             self.stop()
         self._connected = False
 
-    # -- faults, for those who test what happens then ------------------------------------------------------------------
+    # -- faults, for tests --------------------------------------------------------------------------------------------
 
     def protective_stop(self, reason: str = "a force limit was exceeded") -> None:
-        """Stop the arm as its controller would; it moves again after ``release``."""
+        """Stop the arm as its controller would; it accepts motions again after ``release``."""
         self._fault = ProtectiveStop(f"arm {self._name}: protective stop, {reason}; look at the arm, then release it")
         self._plant.stop(self._name)
 
     def emergency_stop(self) -> None:
-        """Press the button; the arm moves again after ``release``."""
+        """Press the emergency stop; the arm accepts motions again after ``release``."""
         self._fault = EmergencyStop(f"arm {self._name}: the emergency stop is pressed; clear the cell, then release it")
         self._plant.stop(self._name)
 
     def cut_link(self) -> None:
-        """Let no call through until ``release`` and ``connect``. The arm itself goes on."""
+        """Block all calls until ``release`` and ``connect``. The arm itself continues its motion."""
         self._link_cut = True
         self._connected = False
 
     def release(self) -> None:
-        """Take back every fault."""
+        """Clear every fault."""
         self._fault = None
         self._link_cut = False

@@ -1,6 +1,6 @@
-"""Whether a UR controller is the one that is meant, and would let its arm be moved as intended.
+"""Check that a UR controller is the expected one and that its arm can be moved as intended.
 
-The same list is what is looked at without any motion and what is refused before the first one.
+The same list serves the doctor, which moves nothing, and ``UrArm.connect``, which refuses if one fails.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from drivers.arms.protocol import (
     NotInRemoteControl,
     ProtectiveStop,
     WrongRobot,
+    stale,
 )
 from drivers.arms.ur_probe import UrProbe
 
@@ -29,6 +30,7 @@ JOINTS = 6
 _LIMIT_SLACK_RAD = 1e-3
 _RATE_SLACK = 1e-3
 _TCP_SLACK_M, _TCP_SLACK_RAD = 5e-4, 2e-3
+"""Slack for the rounding of values typed on the pendant."""
 _SAFETY_REMEDY = {
     "REDUCED": "speeds and forces are limited: leave the area or clear the input that triggers it",
     "PROTECTIVE_STOP": "go to the arm, see what stopped it, clear the cause, then enable the robot on the pendant",
@@ -43,22 +45,22 @@ _SAFETY_REMEDY = {
 
 @dataclass(frozen=True)
 class UrExpectation:
-    """The arm that is meant, and how it is to be moved.
+    """The expected arm and the motions that will be requested.
 
     Attributes
     ----------
     model : str
-        As its maker sells it: "UR10", "UR5e".
+        Sales name: "UR10", "UR5e".
     serial, checksum : str or None
-        Of the controller, and of the calibrated D-H at the last calibration; None: not known, not compared.
+        Of the controller, and of its D-H parameters at the last calibration; None: unknown, not compared.
     limits : JointLimits
-        The positions, speeds and accelerations that will be asked for, six joints.
+        Positions, speeds and accelerations that will be requested, six joints.
     payload_kg, payload_center_m : float, array of shape (3,)
-        What hangs on the flange, centre of mass in the flange frame [m].
+        Mass on the flange, centre of mass in the flange frame [m].
     tcp : array, shape (6,), or None
         Tool centre point: position [m], rotation vector [rad]; None: not compared.
     payload_slack_kg, payload_slack_m : float
-        How far the controller's payload and its centre may be from those.
+        Accepted deviation of the payload configured in the controller.
     """
 
     model: str
@@ -74,7 +76,7 @@ class UrExpectation:
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at. ``error``: what a failed one is, to a program that wanted to move the arm."""
+    """Result of one check. ``error``: exception that a failed check raises at ``connect``."""
 
     subject: str
     status: Status
@@ -82,54 +84,54 @@ class Check:
     error: type[ArmError] = ArmError
 
 
-def checks(expected: UrExpectation, said: UrProbe) -> list[Check]:
-    """All that can be said without moving anything, in the order in which a person would put it right."""
+def checks(expected: UrExpectation, probe: UrProbe) -> list[Check]:
+    """Return all checks that need no motion, in the order in which a person would correct them."""
     return [
-        _model(expected, said),
-        _serial(expected, said),
-        _safety(said),
-        _robot_mode(said),
-        _remote_control(said),
-        _program(said),
-        *(_port(port, is_open) for port, is_open in said.ports.items()),
-        _state(said),
-        _payload(expected, said),
-        _tcp(expected, said),
-        _limits(expected, said),
-        _kinematics(expected, said),
+        _model(expected, probe),
+        _serial(expected, probe),
+        _safety(probe),
+        _robot_mode(probe),
+        _remote_control(probe),
+        _program(probe),
+        *(_port(port, is_open) for port, is_open in probe.ports.items()),
+        _state(probe),
+        _payload(expected, probe),
+        _tcp(expected, probe),
+        _limits(expected, probe),
+        _kinematics(expected, probe),
     ]
 
 
 def safety_error(mode: str) -> type[ArmError]:
-    """What a safety mode other than normal is to a program."""
+    """Return the exception for a safety mode other than normal."""
     if mode.endswith("EMERGENCY_STOP"):
         return EmergencyStop
     return ProtectiveStop if mode == "PROTECTIVE_STOP" else ArmError
 
 
 def safety_remedy(mode: str) -> str:
-    """What a person does about a safety mode other than normal."""
+    """Return what a person must do about a safety mode other than normal."""
     return _SAFETY_REMEDY.get(mode, "look at the pendant")
 
 
-def _model(expected: UrExpectation, said: UrProbe) -> Check:
+def _model(expected: UrExpectation, probe: UrProbe) -> Check:
     subject, model = "model", expected.model.strip()
-    if said.full_model is None:
-        return Check(subject, "warning", f"the controller does not tell its model; check that it is a {model}")
-    if said.full_model.casefold() == model.casefold():
-        return Check(subject, "ok", said.full_model)
+    if probe.full_model is None:
+        return Check(subject, "warning", f"the controller does not report its model; check that it is a {model}")
+    if probe.full_model.casefold() == model.casefold():
+        return Check(subject, "ok", probe.full_model)
     text = (
-        f"the controller drives a {said.full_model}, the profile names a {model}; check driver.host (are the arms"
+        f"the controller drives a {probe.full_model}, the profile names a {model}; check driver.host (are the arms"
         " swapped?) and type"
     )
     return Check(subject, "failed", text, WrongRobot)
 
 
-def _serial(expected: UrExpectation, said: UrProbe) -> Check:
-    subject, reported = "serial", said.serial
+def _serial(expected: UrExpectation, probe: UrProbe) -> Check:
+    subject, reported = "serial", probe.serial
     if reported is None:
         known = f"{expected.serial} could not be compared" if expected.serial else "it cannot be compared"
-        text = f"the controller does not tell its serial number (PolyScope before 3.12 or 5.6?); {known}"
+        text = f"the controller does not report its serial number (PolyScope before 3.12 or 5.6?); {known}"
         return Check(subject, "warning", text)
     if expected.serial is None:
         text = f'{reported}; not in the profile: add driver.serial: "{reported}" to be sure of the right arm'
@@ -140,10 +142,10 @@ def _serial(expected: UrExpectation, said: UrProbe) -> Check:
     return Check(subject, "failed", text, WrongRobot)
 
 
-def _safety(said: UrProbe) -> Check:
-    subject, mode, status = "safety", said.safety_mode, said.safety_status
+def _safety(probe: UrProbe) -> Check:
+    subject, mode, status = "safety", probe.safety_mode, probe.safety_status
     if mode is None:
-        return Check(subject, "failed", "the controller does not tell its safety mode; look at the pendant")
+        return Check(subject, "failed", "the controller does not report its safety mode; look at the pendant")
     if mode != "NORMAL":
         return Check(subject, "failed", f"{mode}: {safety_remedy(mode)}", safety_error(mode))
     if status not in (None, "NORMAL"):
@@ -151,34 +153,34 @@ def _safety(said: UrProbe) -> Check:
     return Check(subject, "ok", "NORMAL")
 
 
-def _robot_mode(said: UrProbe) -> Check:
-    subject, mode = "robot mode", said.robot_mode
+def _robot_mode(probe: UrProbe) -> Check:
+    subject, mode = "robot mode", probe.robot_mode
     if mode == "RUNNING":
         return Check(subject, "ok", "RUNNING: powered, brakes released")
     if mode is None:
-        return Check(subject, "failed", "the controller does not tell its mode; look at the pendant")
+        return Check(subject, "failed", "the controller does not report its mode; look at the pendant")
     text = f"{mode}, needed is RUNNING; power the arm on and release its brakes on the pendant"
     return Check(subject, "failed", text)
 
 
-def _remote_control(said: UrProbe) -> Check:
+def _remote_control(probe: UrProbe) -> Check:
     subject = "remote control"
-    if said.series == "CB3":
+    if probe.series == "CB3":
         return Check(subject, "ok", "CB3 controllers have no such switch")
-    if said.remote_control is None:
-        text = "the controller does not tell (PolyScope before 5.6?); see that its pendant shows Remote"
+    if probe.remote_control is None:
+        text = "the controller does not report it (PolyScope before 5.6?); check that its pendant shows Remote"
         return Check(subject, "warning", text)
-    if said.remote_control:
+    if probe.remote_control:
         return Check(subject, "ok", "on")
     text = "off; enable it (Settings > System > Remote Control), then switch the pendant from Local to Remote"
     return Check(subject, "failed", text, NotInRemoteControl)
 
 
-def _program(said: UrProbe) -> Check:
+def _program(probe: UrProbe) -> Check:
     subject = "program"
-    if said.program_running is None:
-        return Check(subject, "warning", "the controller does not tell whether a program runs; look at the pendant")
-    if said.program_running:
+    if probe.program_running is None:
+        return Check(subject, "warning", "the controller does not report whether a program runs; look at the pendant")
+    if probe.program_running:
         return Check(subject, "failed", "a program runs, and the arm may move; stop it on the pendant before a job")
     return Check(subject, "ok", "none runs")
 
@@ -190,10 +192,10 @@ def _port(port: int, is_open: bool) -> Check:
     return Check(f"port {port}", "failed", text, LinkLost)
 
 
-def _state(said: UrProbe) -> Check:
-    subject, sample = "state", said.sample
+def _state(probe: UrProbe) -> Check:
+    subject, sample = "state", probe.sample
     if sample is None:
-        return Check(subject, "failed", f"could not be read: {said.sample_note}", LinkLost)
+        return Check(subject, "failed", f"could not be read: {probe.sample_note}", LinkLost)
     if not sample.at_rest:
         return Check(subject, "failed", "the arm moves; wait until it rests, or stop what moves it on the pendant")
     where = ", ".join(f"{np.degrees(angle):.1f}" for angle in sample.q)
@@ -203,28 +205,34 @@ def _state(said: UrProbe) -> Check:
     return Check(subject, "ok", f"at rest at [{where}] deg")
 
 
-def _payload(expected: UrExpectation, said: UrProbe) -> Check:
+def _payload(expected: UrExpectation, probe: UrProbe) -> Check:
     subject = "payload"
     wanted = f"{expected.payload_kg:.3f} kg at {_millimetres(expected.payload_center_m)}"
-    sample = said.sample
+    sample = probe.sample
     if sample is None or sample.payload_kg is None:
-        return Check(subject, "warning", f"the controller does not tell; see that its installation says {wanted}")
+        return Check(
+            subject, "warning", f"the controller does not report it; check that its installation says {wanted}"
+        )
     center = None if sample.payload_center_m is None else np.array(sample.payload_center_m)
     has = f"{sample.payload_kg:.3f} kg" + ("" if center is None else f" at {_millimetres(center)}")
-    heavy = max(expected.payload_kg, sample.payload_kg) > expected.payload_slack_kg  # the centre of nothing is nowhere
+    heavy = max(expected.payload_kg, sample.payload_kg) > expected.payload_slack_kg  # a payload of zero has no centre
     off = 0.0 if center is None or not heavy else float(np.abs(center - expected.payload_center_m).max())
     if abs(sample.payload_kg - expected.payload_kg) <= expected.payload_slack_kg and off <= expected.payload_slack_m:
         return Check(subject, "ok", has)
-    text = f"the controller reckons with {has}, the profile says {wanted}; set it on the pendant, or correct payload"
+    text = (
+        f"the controller is configured with {has}, the profile says {wanted}; set it on the pendant, or correct payload"
+    )
     return Check(subject, "failed", text)
 
 
-def _tcp(expected: UrExpectation, said: UrProbe) -> Check:
-    subject, tcp = "TCP", said.tcp
+def _tcp(expected: UrExpectation, probe: UrProbe) -> Check:
+    subject, tcp = "TCP", probe.tcp
     if tcp is None:
         if expected.tcp is None:
-            return Check(subject, "ok", "not told, and not stated in the profile")
-        return Check(subject, "warning", f"the controller does not tell; see that it is {_tcp_text(expected.tcp)}")
+            return Check(subject, "ok", "not reported, and not stated in the profile")
+        return Check(
+            subject, "warning", f"the controller does not report it; check that it is {_tcp_text(expected.tcp)}"
+        )
     has = _tcp_text(np.array(tcp))
     if expected.tcp is None:
         return Check(subject, "ok", f"{has}; not stated in the profile (driver.tcp), so not compared")
@@ -235,47 +243,39 @@ def _tcp(expected: UrExpectation, said: UrProbe) -> Check:
     return Check(subject, "failed", text)
 
 
-def _limits(expected: UrExpectation, said: UrProbe) -> Check:
-    subject, limits, wanted = "joint limits", said.limits, expected.limits
+def _limits(expected: UrExpectation, probe: UrProbe) -> Check:
+    subject, limits, wanted = "joint limits", probe.limits, expected.limits
     if limits is None:
-        return Check(subject, "warning", "the controller does not tell its joint limits; compare them on the pendant")
-    complaints = []
+        return Check(subject, "warning", "the controller does not report its joint limits; compare them on the pendant")
+    excess = []
     for joint in range(JOINTS):
         low, high = limits.position[joint]
         asked_low, asked_high = wanted.position[joint]
         if asked_low < low - _LIMIT_SLACK_RAD or asked_high > high + _LIMIT_SLACK_RAD:
-            complaints.append(
+            excess.append(
                 f"joint {joint + 1} may go from {np.degrees(low):.1f} to {np.degrees(high):.1f} deg, the profile asks"
                 f" for {np.degrees(asked_low):.1f} to {np.degrees(asked_high):.1f}"
             )
         if wanted.speed[joint] > limits.speed[joint] * (1.0 + _RATE_SLACK):
-            complaints.append(
-                f"joint {joint + 1} may turn at {np.degrees(limits.speed[joint]):.1f} deg/s, the profile asks for"
+            excess.append(
+                f"joint {joint + 1} may rotate at {np.degrees(limits.speed[joint]):.1f} deg/s, the profile asks for"
                 f" {np.degrees(wanted.speed[joint]):.1f}"
             )
-    if complaints:
-        text = f"{'; '.join(complaints)}; tighten limits or speed_scale in the profile, or widen them on the pendant"
+    if excess:
+        text = f"{'; '.join(excess)}; tighten limits or speed_scale in the profile, or widen them on the pendant"
         return Check(subject, "failed", text, LimitExceeded)
     return Check(subject, "ok", "as wide as the profile's")
 
 
-def _kinematics(expected: UrExpectation, said: UrProbe) -> Check:
-    subject, found = "kinematics", said.kinematics
+def _kinematics(expected: UrExpectation, probe: UrProbe) -> Check:
+    subject, found = "kinematics", probe.kinematics
     if found is None:
-        return Check(subject, "warning", f"the controller's own D-H could not be read: {said.kinematics_note}")
+        return Check(subject, "warning", f"the controller's own D-H could not be read: {probe.kinematics_note}")
     if expected.checksum is not None and expected.checksum.strip().lower() != found.checksum:
         return Check(subject, "warning", stale(expected.checksum.strip().lower(), found.checksum))
     if not found.checksum:
         return Check(subject, "ok", "D-H without a factory calibration read")
     return Check(subject, "ok", f"factory-calibrated D-H read, checksum {found.checksum}")
-
-
-def stale(then: str, now: str) -> str:
-    """What a changed checksum of the controller's D-H means."""
-    return (
-        f"the checksum of the controller's D-H was {then or 'none'}, now it is {now or 'none'}: a joint or the factory"
-        " calibration was changed, and a model from before is stale; collect and calibrate anew"
-    )
 
 
 def _millimetres(point: NDArray[np.float64]) -> str:

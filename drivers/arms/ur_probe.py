@@ -1,7 +1,7 @@
-"""What a Universal Robots controller says of itself, over plain sockets. Nothing here changes a robot's state.
+"""Probe a Universal Robots controller over plain sockets, without changing the robot's state.
 
-The dashboard port is asked a fixed list of questions; the primary port is only listened to; of RTDE the state is read
-once; on the script port a connection is opened and closed without a byte.
+The dashboard port gets a fixed list of questions. From the primary port data are only read, over RTDE the state is read
+once. On the script port a connection is opened and closed without sending a byte.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from drivers.arms.ur_links import (
     SCRIPT_PORT,
     Connection,
     Dashboard,
-    left,
+    printable,
+    remaining_s,
     resolve,
-    shown,
 )
 from drivers.arms.ur_rtde_reader import UrSample, read_sample
 
 _LARGEST_PACKAGE = 65536
-_MOST_PACKAGES = 200
-_MOST_STATES = 20  # the kinematics come in the first one; 20 are two seconds
+_MAX_PACKAGES = 200
+_MAX_STATES = 20  # the kinematics come in the first one; 20 states last two seconds
 _PACKAGE_HEADER = struct.Struct(">iB")
 _SUB_HEADER = struct.Struct(">IB")
 _ROBOT_STATE = 16
@@ -46,11 +46,11 @@ _KINEMATICS = struct.Struct(">6I24dI")
 _CONFIGURATION = 6
 _JOINT_LIMITS = struct.Struct(">24d")  # lowest and highest position of each joint, then speed and acceleration of each
 _SERIES = {3: "CB3", 5: "e-Series", 10: "PolyScope X"}
-_SOLD_WITH_AN_E = ("UR3", "UR5", "UR10", "UR16")
+_MODELS_WITH_E_SUFFIX = ("UR3", "UR5", "UR10", "UR16")
 
 
 class _Query(enum.StrEnum):
-    """All that is ever sent to a controller. Only questions belong here."""
+    """Everything that is ever sent to a dashboard: questions only."""
 
     VERSION = "PolyscopeVersion"
     MODEL = "get robot model"
@@ -76,14 +76,14 @@ _ANSWERS = {
 
 @dataclass(frozen=True)
 class UrKinematics:
-    """The D-H parameters that the controller itself computes with: nominal ones plus its factory calibration.
+    """D-H parameters that the controller uses: nominal values plus its factory calibration.
 
-    ``A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha)``; each tuple has one value a joint, [rad] or [m].
+    ``A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha)``; each tuple has one value per joint, [rad] or [m].
 
     Attributes
     ----------
     checksums : tuple of int
-        One for each joint; all 0xFFFFFFFF where there is no calibration (a simulator).
+        One per joint; all 0xFFFFFFFF without calibration (a simulator).
     status : int
         Calibration status: 0 none, 2 calibrated.
     """
@@ -97,7 +97,7 @@ class UrKinematics:
 
     @property
     def checksum(self) -> str:
-        """The six checksums as one text; empty where there is no calibration."""
+        """The six checksums as one text; empty without calibration."""
         if not self.status or set(self.checksums) == {0xFFFFFFFF}:
             return ""
         return "-".join(f"{value:08x}" for value in self.checksums)
@@ -110,7 +110,7 @@ class UrKinematics:
 
 @dataclass(frozen=True)
 class UrPrimary:
-    """What the primary interface tells of an arm; None: it was not told.
+    """Data from the primary interface; None: not received.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class UrPrimary:
 
 @dataclass(frozen=True)
 class UrProbe:
-    """What a controller said. None: it did not say, or its software is too old to be asked.
+    """Result of a probe. None: not reported, or not supported by the software version.
 
     Attributes
     ----------
@@ -138,18 +138,18 @@ class UrProbe:
     series : str
         "CB3", "e-Series" or "PolyScope X", from the version's first number; else "unknown".
     model : str or None
-        As the controller gives it, which leaves out the "e" of the e-Series; see ``full_model``.
+        As reported by the controller, without the "e" of the e-Series; see ``full_model``.
     robot_mode, safety_mode, safety_status : str or None
-        In the controller's words, e.g. "RUNNING", "NORMAL".
+        As named by the controller, e.g. "RUNNING", "NORMAL".
     remote_control : bool or None
-        Whether it takes commands from outside; None where there is no such switch (CB3).
+        Whether it accepts commands over the network; None if it has no such switch (CB3).
     ports : mapping
         Primary, script and RTDE port -> whether it accepts a connection.
     kinematics : UrKinematics or None
     kinematics_note : str
         Why there are no kinematics; empty when there are.
     limits : JointLimits or None
-        What the controller allows its joints.
+        Limits of the joints in the controller.
     tcp : tuple of float or None
         Tool centre point in the flange frame: position [m], rotation vector [rad].
     sample : UrSample or None
@@ -180,7 +180,7 @@ class UrProbe:
     @property
     def full_model(self) -> str | None:
         """The model with the "e" of the e-Series, whose D-H differs from the CB3 arm of the same name."""
-        if self.series != "CB3" and self.model in _SOLD_WITH_AN_E:
+        if self.series != "CB3" and self.model in _MODELS_WITH_E_SUFFIX:
             return f"{self.model}e"
         return self.model
 
@@ -194,14 +194,14 @@ def probe_ur(
     script_port: int = SCRIPT_PORT,
     rtde_port: int = RTDE_PORT,
 ) -> UrProbe:
-    """Ask a UR controller who and how it is. Returns or raises within ``timeout_s`` in all, whatever the host does.
+    """Read identity and state of a UR controller. Returns or raises within ``timeout_s``, whatever the host does.
 
-    IPv4 only, as the RTDE client that would follow.
+    IPv4 only, like the RTDE client.
 
     Raises
     ------
     LinkLost
-        If no UR dashboard answers at ``host``; says what happened there and what to do.
+        If no UR dashboard answers at ``host``; the message says what happened and what to do.
     ValueError
         If ``timeout_s`` is not a positive number.
     """
@@ -210,13 +210,13 @@ def probe_ur(
     deadline = time.monotonic() + timeout_s
     address = resolve(host, deadline)
     with ExitStack() as stack:
-        # all at once, so that one dead port takes no time from the others
+        # all at once, so that a dead port takes no time from the others
         dashboard, primary, script, rtde = (
             stack.enter_context(Connection(host, address, port))
             for port in (dashboard_port, primary_port, script_port, rtde_port)
         )
         try:
-            said = _converse(dashboard, deadline)
+            conversation = _ask_dashboard(dashboard, deadline)
         except LinkLost as error:
             soon = min(deadline, time.monotonic() + 0.2)
             others = [str(link.port) for link in (primary, script, rtde) if not link.refusal(soon)]
@@ -226,10 +226,10 @@ def probe_ur(
                 f"{error}. Other UR ports accept a connection there ({', '.join(others)}): see whether the dashboard"
                 " server is switched on (Settings > Security > Services)"
             ) from error
-        sample, sample_note = _state(rtde, time.monotonic() + 0.5 * left(deadline))
-        told = _listen(primary, deadline)
+        sample, sample_note = _state(rtde, time.monotonic() + 0.5 * remaining_s(deadline))
+        primary_state = _read_primary(primary, deadline)
         ports = {link.port: not link.refusal(deadline) for link in (primary, script, rtde)}
-    greeting, software, answers = said
+    greeting, software, answers = conversation
     remote = answers.get(_Query.REMOTE_CONTROL)
     running = answers.get(_Query.RUNNING)
     return UrProbe(
@@ -245,10 +245,10 @@ def probe_ur(
         remote_control=None if remote is None else remote.lower() == "true",
         program_running=None if running is None else running.lower() == "true",
         ports=ports,
-        kinematics=told.kinematics,
-        kinematics_note=told.note,
-        limits=told.limits,
-        tcp=told.tcp,
+        kinematics=primary_state.kinematics,
+        kinematics_note=primary_state.note,
+        limits=primary_state.limits,
+        tcp=primary_state.tcp,
         sample=sample,
         sample_note=sample_note,
     )
@@ -261,22 +261,22 @@ def _series(software: str) -> str:
 # -- dashboard --------------------------------------------------------------------------------------------------------
 
 
-def _converse(link: Connection, deadline: float) -> tuple[str, str, dict[_Query, str]]:
-    """Greeting, version and the answers that could be read."""
+def _ask_dashboard(link: Connection, deadline: float) -> tuple[str, str, dict[_Query, str]]:
+    """Return greeting, version and the answers that could be read."""
     dashboard = Dashboard(link, deadline)
     version = dashboard.ask(_Query.VERSION)
     found = _ANSWERS[_Query.VERSION].match(version)
     if found is None:
         raise LinkLost(
-            f"{link.where}: expected a PolyScope version such as 'URSoftware 3.15.8.106339', got '{shown(version)}';"
-            " check that this is a UR controller"
+            f"{link.where}: expected a PolyScope version such as 'URSoftware 3.15.8.106339', got"
+            f" '{printable(version)}'; check that this is a UR controller"
         )
     software = found.group(1)
     answers: dict[_Query, str] = {}
     for query in _Query:
         if query is _Query.VERSION or (query is _Query.REMOTE_CONTROL and _series(software) == "CB3"):
             continue
-        # software that does not know a question says so in a line of its own; that counts as no answer
+        # older software answers an unknown question with an error line, which counts as no answer
         match = _ANSWERS[query].match(dashboard.ask(query))
         if match:
             answers[query] = match.group(1)
@@ -293,67 +293,67 @@ def _state(link: Connection, deadline: float) -> tuple[UrSample | None, str]:
 # -- primary interface ------------------------------------------------------------------------------------------------
 
 
-def _listen(link: Connection, deadline: float) -> UrPrimary:
-    """Read packages until one tells the kinematics; what is told in the same or an earlier one comes with them."""
+def _read_primary(link: Connection, deadline: float) -> UrPrimary:
+    """Read packages until one contains the kinematics; also return what the same and earlier ones contain."""
     refusal = link.refusal(deadline)
     if refusal:
         return UrPrimary(note=f"port {link.port}: no connection ({refusal})")
-    held = bytearray()
+    received = bytearray()
     packages = states = 0
-    told = UrPrimary()
+    primary_state = UrPrimary()
 
-    def ended(why: str) -> UrPrimary:
-        return replace(told, note=f"port {link.port}: {why}")
+    def incomplete(why: str) -> UrPrimary:
+        return replace(primary_state, note=f"port {link.port}: {why}")
 
-    while packages < _MOST_PACKAGES and states < _MOST_STATES:
-        if len(held) >= _PACKAGE_HEADER.size:
-            size, kind = _PACKAGE_HEADER.unpack_from(held)
+    while packages < _MAX_PACKAGES and states < _MAX_STATES:
+        if len(received) >= _PACKAGE_HEADER.size:
+            size, kind = _PACKAGE_HEADER.unpack_from(received)
             if not _PACKAGE_HEADER.size <= size <= _LARGEST_PACKAGE:
-                return ended(f"what it sends are no UR packages (one of {size} bytes)")
-            if len(held) >= size:
-                package = bytes(held[_PACKAGE_HEADER.size : size])
-                del held[:size]
+                return incomplete(f"its data are not UR packages (one of {size} bytes)")
+            if len(received) >= size:
+                package = bytes(received[_PACKAGE_HEADER.size : size])
+                del received[:size]
                 packages += 1
                 if kind == _ROBOT_STATE:
                     states += 1
                     try:
                         now = parse_robot_state(package)
                     except ValueError as error:
-                        return ended(str(error))
-                    told = UrPrimary(
-                        kinematics=now.kinematics or told.kinematics,
-                        limits=now.limits or told.limits,
-                        tcp=now.tcp or told.tcp,
+                        return incomplete(str(error))
+                    primary_state = UrPrimary(
+                        kinematics=now.kinematics or primary_state.kinematics,
+                        limits=now.limits or primary_state.limits,
+                        tcp=now.tcp or primary_state.tcp,
                     )
-                    if told.kinematics is not None:
-                        return told
+                    if primary_state.kinematics is not None:
+                        return primary_state
                 continue
         try:
             more = link.receive(deadline)
         except OSError as error:
-            return ended(f"the link broke ({error})")
+            return incomplete(f"the link broke ({error})")
         if more is None:
-            return ended("connected, but no kinematics came in time")
+            return incomplete("connected, but no kinematics came in time")
         if not more:
-            return ended("the controller closed the connection before kinematics came")
-        held += more
-    return ended(f"no kinematics in the first {packages} packages")
+            return incomplete("the controller closed the connection before kinematics came")
+        received += more
+    return incomplete(f"no kinematics in the first {packages} packages")
 
 
 def parse_robot_state(state: bytes) -> UrPrimary:
-    """What a robot-state package (its payload, after size and type) tells; nothing of it need be there.
+    """Parse a robot-state package (its payload, after size and type); every part of it is optional.
 
-    Sub-packages of other types are skipped by their size, and what a later software appends is left aside.
+    Sub-packages of other types are skipped by their size; bytes that later software appends are ignored.
 
     Raises
     ------
     ValueError
-        If the sizes do not fit together, or a value is not a finite number.
+        If the sizes are inconsistent, or a value is not a finite number.
     """
     kinematics, limits, tcp = None, None, None
     for kind, payload in _sub_packages(state):
         if kind == _CARTESIAN_INFO:
-            if len(payload) >= _CARTESIAN.size:  # older software leaves the TCP out
+            if len(payload) >= _CARTESIAN.size:  # older software omits the TCP
                 tcp = _values(_CARTESIAN, payload, "tool's position")[6:]
         elif kind == _KINEMATICS_INFO:
             values = _values(_KINEMATICS, payload, "kinematics")
@@ -372,7 +372,7 @@ def parse_robot_state(state: bytes) -> UrPrimary:
 
 
 def _sub_packages(state: bytes) -> Iterator[tuple[int, bytes]]:
-    """Type and payload of each."""
+    """Yield type and payload of each sub-package."""
     at = 0
     while at < len(state):
         if len(state) - at < _SUB_HEADER.size:

@@ -1,6 +1,6 @@
-"""Reading a UR controller's state over RTDE with a plain socket: outputs only, nothing is ever written to it.
+"""Read a UR controller's state over RTDE with a plain socket: outputs only, nothing is written.
 
-It stands beside the RTDE client that moves the arm, for the moments when that one is in doubt or not wanted yet.
+Used when the RTDE client that moves the arm has failed or has not been started.
 Packets are ``size uint16, type uint8, payload``, big-endian; protocol version 2.
 """
 
@@ -13,12 +13,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from drivers.arms.protocol import LinkLost
-from drivers.arms.ur_links import RTDE_PORT, Connection, left, resolve
+from drivers.arms.ur_links import RTDE_PORT, Connection, remaining_s, resolve
 
 _HEADER = struct.Struct(">HB")
 _VERSION, _OUTPUTS, _START, _DATA = ord("V"), ord("O"), ord("S"), ord("U")
 _FREQUENCY_HZ = 125.0
-_MOST_PACKETS = 1000
+"""Rate that every series supports."""
+_MAX_PACKETS = 1000
 _FORMATS = {
     "DOUBLE": "d",
     "INT32": "i",
@@ -30,11 +31,11 @@ _FORMATS = {
     "VECTOR6D": "6d",
     "VECTOR6INT32": "6i",
 }
-_ALWAYS = ("timestamp", "actual_q", "actual_qd", "robot_mode", "safety_mode", "runtime_state")
-_LATER = ("target_speed_fraction", "payload", "payload_cog")
-"""Not every version of the software knows these."""
+_REQUIRED = ("timestamp", "actual_q", "actual_qd", "robot_mode", "safety_mode", "runtime_state")
+_OPTIONAL = ("target_speed_fraction", "payload", "payload_cog")
+"""Older software versions lack some of these."""
 _AT_REST_RAD_S = 0.005
-_AGAIN_AFTER_S = 0.1
+_RETRY_S = 0.1
 
 SAFETY_MODES = {
     1: "NORMAL",
@@ -64,9 +65,9 @@ PROGRAM_STATES = {0: "STOPPING", 1: "STOPPED", 2: "PLAYING", 3: "PAUSING", 4: "P
 
 @dataclass(frozen=True)
 class UrSample:
-    """One packet. ``q`` and ``qd``: six joints [rad], [rad/s]; None: this software does not tell.
+    """One state. ``q``, ``qd``: six joints [rad, rad/s]; None: not reported by this software version.
 
-    ``robot_mode``, ``safety_mode`` and ``program`` are in the controller's words, e.g. RUNNING, NORMAL, PLAYING.
+    ``robot_mode``, ``safety_mode`` and ``program`` are named as in the manual, e.g. RUNNING, NORMAL, PLAYING.
     """
 
     time_s: float
@@ -81,42 +82,42 @@ class UrSample:
 
     @property
     def at_rest(self) -> bool:
-        """Whether no joint moves faster than encoders' noise."""
+        """Whether no joint moves faster than the noise of the encoders."""
         return max(map(abs, self.qd)) < _AT_REST_RAD_S
 
 
 def read_sample(link: Connection, deadline: float) -> UrSample:
-    """The first state on a new connection to the RTDE port.
+    """Return the first state from a new connection to the RTDE port.
 
     Raises
     ------
     LinkLost
-        If none comes by the deadline, or what answers is no RTDE server.
+        If none comes by the deadline, or the peer is not an RTDE server.
     """
     return next(_samples(link, deadline))
 
 
 def wait_at_rest(host: str, timeout_s: float, *, port: int = RTDE_PORT, dwell_s: float = 0.05) -> UrSample:
-    """Watch the arm over a connection of its own until it has rested for ``dwell_s``. Returns the last state.
+    """Watch the arm over a separate connection until it has rested for ``dwell_s``; return the last state.
 
-    A controller that refuses or drops the connection is asked again until the time is over.
+    Connects again if the controller refuses or drops the connection.
 
     Raises
     ------
     LinkLost
-        If it cannot be seen, or was not at rest, within ``timeout_s``.
+        If no state comes, or the arm does not rest, within ``timeout_s``.
     """
     deadline = time.monotonic() + timeout_s
     while True:
         try:
-            return _watched_to_rest(host, deadline, port, dwell_s)
+            return _watch_until_rest(host, deadline, port, dwell_s)
         except LinkLost:
-            if left(deadline) < 2.0 * _AGAIN_AFTER_S:
+            if remaining_s(deadline) < 2.0 * _RETRY_S:
                 raise
-            time.sleep(_AGAIN_AFTER_S)
+            time.sleep(_RETRY_S)
 
 
-def _watched_to_rest(host: str, deadline: float, port: int, dwell_s: float) -> UrSample:
+def _watch_until_rest(host: str, deadline: float, port: int, dwell_s: float) -> UrSample:
     since, moves = None, False
     with Connection(host, resolve(host, deadline), port) as link:
         try:
@@ -131,34 +132,34 @@ def _watched_to_rest(host: str, deadline: float, port: int, dwell_s: float) -> U
                 if time.monotonic() > deadline:
                     break
         except LinkLost:
-            if not moves or left(deadline) > 0.0:
+            if not moves or remaining_s(deadline) > 0.0:
                 raise
     raise LinkLost(f"{host}: the arm still moves")
 
 
 def _samples(link: Connection, deadline: float) -> Iterator[UrSample]:
-    """States as they come."""
+    """Subscribe to the outputs and yield states as they come."""
     refusal = link.refusal(deadline)
     if refusal:
         raise LinkLost(f"{link.where}: no RTDE connection ({refusal})")
     packets = _Packets(link, deadline)
     if packets.ask(_VERSION, struct.pack(">H", 2)) != b"\x01":
         raise LinkLost(f"{link.where}: the controller does not speak RTDE protocol 2")
-    names: tuple[str, ...] = _ALWAYS + _LATER
-    types = _recipe(packets, names)
+    names: tuple[str, ...] = _REQUIRED + _OPTIONAL
+    types = _setup_outputs(packets, names)
     if "NOT_FOUND" in types:
         names = tuple(name for name, kind in zip(names, types, strict=True) if kind != "NOT_FOUND")
-        types = _recipe(packets, names)
-    missing = [name for name in _ALWAYS if name not in names]
+        types = _setup_outputs(packets, names)
+    missing = [name for name in _REQUIRED if name not in names]
     unknown = [kind for kind in types if kind not in _FORMATS]
     if missing or unknown:
-        raise LinkLost(f"{link.where}: the controller's RTDE does not tell {', '.join(missing or unknown)}")
+        raise LinkLost(f"{link.where}: the controller's RTDE does not provide {', '.join(missing or unknown)}")
     if packets.ask(_START, b"") != b"\x01":
         raise LinkLost(f"{link.where}: the controller did not start to send its state")
     formats = [struct.Struct(f">{_FORMATS[kind]}") for kind in types]
     expected = 1 + sum(part.size for part in formats)
     while True:
-        payload = packets.next_of(_DATA)
+        payload = packets.next_payload(_DATA)
         if len(payload) != expected:
             raise LinkLost(f"{link.where}: a state of {len(payload)} bytes came, expected {expected}")
         values, at = {}, 1
@@ -168,8 +169,8 @@ def _samples(link: Connection, deadline: float) -> Iterator[UrSample]:
         yield _sample(link.where, values)
 
 
-def _recipe(packets: _Packets, names: Sequence[str]) -> list[str]:
-    """The types of the outputs asked for, in order."""
+def _setup_outputs(packets: _Packets, names: Sequence[str]) -> list[str]:
+    """Request outputs and return their types, in order."""
     answer = packets.ask(_OUTPUTS, struct.pack(">d", _FREQUENCY_HZ) + ",".join(names).encode("ascii"))
     types = answer[1:].decode("ascii", errors="replace").strip(",").split(",")
     if len(types) != len(names):
@@ -186,59 +187,59 @@ def _sample(where: str, values: Mapping[str, tuple[float, ...]]) -> UrSample:
         time_s=values["timestamp"][0],
         q=values["actual_q"],
         qd=values["actual_qd"],
-        robot_mode=named(ROBOT_MODES, values["robot_mode"][0]),
-        safety_mode=named(SAFETY_MODES, values["safety_mode"][0]),
-        program=named(PROGRAM_STATES, values["runtime_state"][0]),
+        robot_mode=mode_name(ROBOT_MODES, values["robot_mode"][0]),
+        safety_mode=mode_name(SAFETY_MODES, values["safety_mode"][0]),
+        program=mode_name(PROGRAM_STATES, values["runtime_state"][0]),
         speed_fraction=None if fraction is None else fraction[0],
         payload_kg=None if payload is None else payload[0],
         payload_center_m=values.get("payload_cog"),
     )
 
 
-def named(names: Mapping[int, str], code: float) -> str:
-    """The controller's word for a code, or the code itself where it is a new one."""
+def mode_name(names: Mapping[int, str], code: float) -> str:
+    """Return the controller's name of a mode, or ``UNKNOWN_`` and the number of an unknown one."""
     return names.get(int(code), f"UNKNOWN_{int(code)}")
 
 
 class _Packets:
-    """Packets from a connection, all before one deadline."""
+    """RTDE packets on a connection, all before one deadline."""
 
     def __init__(self, link: Connection, deadline: float) -> None:
         self.where = link.where
         self._link, self._deadline = link, deadline
-        self._held = bytearray()
+        self._received = bytearray()
 
     def ask(self, kind: int, payload: bytes) -> bytes:
         try:
             self._link.send(_HEADER.pack(_HEADER.size + len(payload), kind) + payload, self._deadline)
         except OSError as error:
             raise LinkLost(f"{self.where}: the RTDE link broke ({error})") from error
-        return self.next_of(kind)
+        return self.next_payload(kind)
 
-    def next_of(self, wanted: int) -> bytes:
-        """The payload of the next packet of a type; the others are skipped."""
-        for _ in range(_MOST_PACKETS):
+    def next_payload(self, wanted: int) -> bytes:
+        """Return the payload of the next packet of type ``wanted``; skip others."""
+        for _ in range(_MAX_PACKETS):
             while True:
-                if len(self._held) >= _HEADER.size:
-                    size, kind = _HEADER.unpack_from(self._held)
+                if len(self._received) >= _HEADER.size:
+                    size, kind = _HEADER.unpack_from(self._received)
                     if size < _HEADER.size:
-                        raise LinkLost(f"{self.where}: what answers is no RTDE server")
-                    if len(self._held) >= size:
+                        raise LinkLost(f"{self.where}: the peer is not an RTDE server")
+                    if len(self._received) >= size:
                         break
-                self._more()
-            payload = bytes(self._held[_HEADER.size : size])
-            del self._held[:size]
+                self._receive()
+            payload = bytes(self._received[_HEADER.size : size])
+            del self._received[:size]
             if kind == wanted:
                 return payload
-        raise LinkLost(f"{self.where}: what answers is no RTDE server")
+        raise LinkLost(f"{self.where}: the peer is not an RTDE server")
 
-    def _more(self) -> None:
+    def _receive(self) -> None:
         try:
             more = self._link.receive(self._deadline)
         except OSError as error:
             raise LinkLost(f"{self.where}: the RTDE link broke ({error})") from error
         if more is None:
-            raise LinkLost(f"{self.where}: connected, but the RTDE port fell silent")
+            raise LinkLost(f"{self.where}: connected, but the RTDE port sent nothing more")
         if not more:
             raise LinkLost(f"{self.where}: the controller closed the RTDE connection")
-        self._held += more
+        self._received += more

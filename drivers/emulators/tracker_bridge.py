@@ -1,4 +1,4 @@
-"""A tracker bridge with the simulated tracker behind it, on the real wire, and faults on command.
+"""Tracker bridge that serves the simulated tracker over the real protocol, with faults on command.
 
     plant = Plant(config)
     with TrackerBridgeEmulator(plant) as bridge:
@@ -6,12 +6,12 @@
         tracker.connect()
         bridge.fault("garbage")      # the next answer comes damaged
 
-Alone it passes the plant's time itself, at once. Where other emulators share the plant, one of them advances its clock
-and all hold one lock: give that lock as a ``threading.Condition`` (``clock``), and the tracker waits for the plant's
-clock, with the lock released, instead of advancing it.
+On its own, the emulator advances the plant's clock itself, without waiting. If other emulators share the plant, one of
+them advances the clock and all use one lock: pass that lock as a ``threading.Condition`` (``clock``). The tracker then
+waits for the plant's clock, with the lock released, instead of advancing it.
 
-From another process, faults are asked for on a connection of their own to the same port, before any ``hello``:
-``1 fault kind=garbage*CRC``; loopback clients only.
+Another process requests faults on a separate connection to the same port, before any ``hello``:
+``1 fault kind=garbage*CRC``; from loopback addresses only.
 """
 
 from __future__ import annotations
@@ -27,8 +27,10 @@ from numpy.typing import NDArray
 
 from drivers.plant import Plant
 from drivers.trackers import bridge_wire as wire
-from drivers.trackers.bridge_server import Link, Reply, TrackerService, is_loopback
+from drivers.trackers.bridge_links import Link
+from drivers.trackers.bridge_server import TrackerService, is_loopback
 from drivers.trackers.bridge_wire import BadField, Line
+from drivers.trackers.bridge_worker import Reply
 from drivers.trackers.protocol import TrackerTimeout
 from drivers.trackers.simulated import Imperfections, SimulatedTracker
 
@@ -38,12 +40,13 @@ FAULTS: tuple[Fault, ...] = get_args(Fault)
 _STANDSTILL_S = 30.0
 _POLL_S = 0.005
 _WATCH_S = 0.1
+"""Plant time between two looks at the beam and the SMR during a measurement on a shared plant."""
 
 
 class WaitingClock:
-    """Lets the plant's time pass by waiting for whoever advances it; called with ``clock`` held.
+    """Waits until another emulator has advanced the plant; called with ``clock`` held.
 
-    Raises ``TrackerTimeout`` where the plant's clock has stood still for half a minute.
+    Raises ``TrackerTimeout`` if the plant's clock has not advanced for half a minute.
     """
 
     def __init__(self, plant: Plant, clock: threading.Condition) -> None:
@@ -58,16 +61,16 @@ class WaitingClock:
             if self._plant.clock_s != seen_s:
                 seen_s, last = self._plant.clock_s, time.monotonic()
             elif time.monotonic() - last > _STANDSTILL_S:
-                raise TrackerTimeout("tracker: the simulated cell's clock stands still; nobody advances the plant")
+                raise TrackerTimeout("tracker: the simulated cell's clock does not advance; nothing moves the plant on")
 
 
 class TrackerBridgeEmulator(TrackerService):
-    """A bridge that serves the tracker of a ``Plant``; otherwise as ``TrackerService``, whose options it takes.
+    """A ``TrackerService`` for the tracker of a ``Plant``, with faults on command.
 
     Attributes
     ----------
     tracker : SimulatedTracker
-        With faults of its own; touch it only while nothing is measured.
+        Has faults of its own; change it only while no measurement runs.
     """
 
     def __init__(
@@ -82,10 +85,10 @@ class TrackerBridgeEmulator(TrackerService):
         slow_s: float = 3.0,
         **options: Any,
     ) -> None:
-        """Prepare to serve the tracker of ``plant``.
+        """Configure a service for the tracker of ``plant``.
 
-        ``clock`` is the lock of a shared plant, see above. A restart takes ``reboot_s`` of real time for the bridge,
-        and of the plant's for the tracker; a slow answer is ``slow_s`` late. ``options`` are those of the service.
+        ``clock`` is the lock of a shared plant, see above. A restart takes ``reboot_s``: real time for the bridge,
+        plant time for the tracker. A slow answer is ``slow_s`` late. ``options`` are those of ``TrackerService``.
         """
         pass_time: Callable[[float], None] | None = None if clock is None else WaitingClock(plant, clock)
         self.tracker = SimulatedTracker(
@@ -99,53 +102,55 @@ class TrackerBridgeEmulator(TrackerService):
         super().__init__(self.tracker, lock=clock, **options)
         self._plant_names = (*plant.names, *(nests or {}))
         self._reboot_s, self._slow_s = reboot_s, slow_s
-        self._tracker_down_s = 0.0 if clock is None else reboot_s  # alone, only measuring passes time
+        self._tracker_down_s = (
+            0.0 if clock is None else reboot_s
+        )  # without other emulators, only measuring advances the clock
         self._faults: deque[Fault] = deque()
         self._late: deque[tuple[float, Link, int, Reply]] = deque()
         self._down_until = 0.0
         self._covered: frozenset[str] = frozenset()
 
     def fault(self, kind: str) -> None:
-        """Let something go wrong with the next measurement; several of them one after the other.
+        """Inject a fault into the next measurement; repeated calls queue faults for the following ones.
 
         Parameters
         ----------
         kind
-            ``beam``: something stands in the beam, for this measurement alone. ``slow``, ``garbage``, ``truncate``,
-            ``silence``, ``repeat``: what happens to its answer on the way. ``drop``: the link goes when the answer
-            should come. ``reboot``: the bridge's computer restarts, and forgets. ``tracker-reboot``: the tracker does.
+            ``beam``: the beam is blocked during this measurement. ``slow``, ``garbage``, ``truncate``, ``silence``,
+            ``repeat``: the answer is delayed, damaged, cut, lost or sent twice. ``drop``: the connection ends instead
+            of an answer. ``reboot``: the bridge's computer restarts and forgets all results. ``tracker-reboot``: the
+            tracker restarts.
 
-        Raises ``ValueError`` for any other word.
+        Raises ``ValueError`` for any other kind.
         """
         known = next((fault for fault in FAULTS if fault == kind), None)
         if known is None:
-            raise ValueError(f"there is no fault '{kind}'; there are {', '.join(FAULTS)}")
+            raise ValueError(f"unknown fault '{kind}'; known are {', '.join(FAULTS)}")
         self._faults.append(known)
 
     def poll(self, timeout_s: float = 0.0) -> None:
-        """Look after all links once; late answers go out."""
+        """Handle all links once and send delayed answers."""
         super().poll(min(timeout_s, 0.05) if self._late else timeout_s)
         while self._late and time.monotonic() > self._late[0][0]:
             _, link, sequence, reply = self._late.popleft()
-            if link in self._links:
+            if link in self._links.links:
                 self._answer(link, sequence, reply)
 
-    def _accept(self) -> None:
-        if time.monotonic() >= self._down_until:
-            super()._accept()
-        elif self._listening is not None:  # as a computer that is starting: nobody is home
-            self._listening.accept()[0].close()
+    def accepts_connections(self) -> bool:
+        """Return whether the emulated computer runs; while it restarts, connections are closed at once."""
+        return time.monotonic() >= self._down_until
 
-    def _hear(self, link: Link, raw: bytes) -> None:
-        if time.monotonic() >= self._down_until:
-            super()._hear(link, raw)
+    def line_received(self, link: Link, raw: bytes) -> None:
+        """Execute a line; ignore it while the emulated computer restarts."""
+        if self.accepts_connections():
+            super().line_received(link, raw)
 
-    def _stranger(self, link: Link, line: Line) -> None:
+    def _without_session(self, link: Link, line: Line) -> None:
         if line.word != "fault":
-            super()._stranger(link, line)
+            super()._without_session(link, line)
             return
         if not link.permanent and not is_loopback(link.peer.rpartition(":")[0]):
-            self._error(link, line.sequence, "refused", "faults are for clients on this machine")
+            self._error(link, line.sequence, "refused", "only clients on this machine may request faults")
             return
         try:
             self.fault(line.fields.get("kind", ""))
@@ -154,8 +159,8 @@ class TrackerBridgeEmulator(TrackerService):
         self._answer(link, line.sequence, ("ok", {}))
 
     def _command(self, link: Link, line: Line) -> None:
-        measuring = line.word in ("measure", "two-face") and line.fields.get("id", "") not in self._kept
-        if measuring and self._faults and self._job is None:
+        measuring = line.word in ("measure", "two-face") and line.fields.get("id", "") not in self._results
+        if measuring and self._faults and self._active is None:
             if self._faults[0] == "tracker-reboot":
                 self._faults.popleft()
                 self.tracker.reboot(self._tracker_down_s)
@@ -165,12 +170,12 @@ class TrackerBridgeEmulator(TrackerService):
                 self.tracker.covered |= self._covered
         super()._command(link, line)
 
-    def _keep(self, id_: str, reply: Reply) -> None:
+    def _keep_result(self, id_: str, reply: Reply) -> None:
         self.tracker.covered -= self._covered
         self._covered = frozenset()
-        super()._keep(id_, reply)
+        super()._keep_result(id_, reply)
 
-    def _finish(self, link: Link, sequence: int, reply: Reply) -> None:
+    def _deliver(self, link: Link, sequence: int, reply: Reply) -> None:
         measured = reply[0] == "ok" and any(key.endswith("averaging") for key in reply[1])
         kind = self._faults.popleft() if self._faults and measured else ""
         line = wire.encode(sequence, *reply)
@@ -178,17 +183,18 @@ class TrackerBridgeEmulator(TrackerService):
             case "slow":
                 self._late.append((time.monotonic() + self._slow_s, link, sequence, reply))
             case "garbage":
-                self._send(link, bytes(byte ^ 0x15 if k % 7 == 3 else byte for k, byte in enumerate(line[:-1])) + b"\n")
+                damaged = bytes(byte ^ 0x15 if k % 7 == 3 else byte for k, byte in enumerate(line[:-1]))
+                self._links.send(link, damaged + b"\n")
             case "truncate":
-                self._send(link, line[: len(line) // 2])
+                self._links.send(link, line[: len(line) // 2])
             case "silence":
                 pass
             case "drop":
-                self._drop(link, "a dropped link was asked for", forever=True)
+                self._links.drop(link, "the fault 'drop' was requested", at_once=True)
             case "repeat":
-                self._send(link, line + line)
+                self._links.send(link, line + line)
             case "reboot":
                 self._down_until = time.monotonic() + self._reboot_s
-                self.forget()
+                self.restart()
             case _:
-                super()._finish(link, sequence, reply)
+                super()._deliver(link, sequence, reply)

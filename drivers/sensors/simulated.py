@@ -21,7 +21,7 @@ class SimulatedAirSensor:
         self._connected = True
 
     def read(self) -> AirReading:
-        """The air now. Raises ``SensorLinkLost`` when not connected."""
+        """Return the current air. Raises ``SensorLinkLost`` when not connected."""
         if not self._connected:
             raise SensorLinkLost("air sensor: the simulated link is not open; connect first")
         return AirReading(

@@ -1,7 +1,7 @@
-"""A tracker behind a bridge: on a serial cable, a serial server or TCP, whatever URL pyserial knows. See BRIDGE.md.
+"""Client of the tracker bridge, over any pyserial URL (serial port, serial server, TCP). BRIDGE.md has the protocol.
 
-After any doubt (a damaged line, silence, a link that broke) the link is synchronised anew, and a measurement is asked
-for again under the id that it had: the bridge then returns the one that it made; none is lost and none is made twice.
+After any fault of the link (a damaged line, silence, a broken connection) the client synchronises again and repeats the
+command under the same id. The bridge then returns the result it has: no measurement is lost, none is made twice.
 """
 
 from __future__ import annotations
@@ -39,26 +39,26 @@ LOG = logging.getLogger(__name__)
 
 _T = TypeVar("_T")
 
-_SLICE_S = 0.05
+_READ_TIMEOUT_S = 0.05
 _RETRY_S = 0.2
-_AT_ONCE = 4096
-_MOST_STALE_LINES = 500
-_MOST_DRAINED = 1_000_000
+_READ_BYTES = 4096
+_MAX_STALE_LINES = 500
+_MAX_DRAINED_BYTES = 1_000_000
 _LONGEST_COMMAND_S = 600.0
-_HALTED = ("prepare", "measure", "two-face")
+_HALTABLE = ("prepare", "measure", "two-face")
 """Commands that ``halt`` ends."""
 
 
-class _Doubt(Exception):
-    """Something on the link was not as it must be; what was asked may or may not have been done."""
+class _LinkFault(Exception):
+    """The link failed or delivered damaged data; the bridge may or may not have executed the command."""
 
 
 class _Busy(Exception):
-    """The tracker is at work on what was asked before."""
+    """The tracker is at work on an earlier command."""
 
 
-class _Unprepared(Exception):
-    """The bridge wants the tracker prepared by this client first."""
+class _NotPrepared(Exception):
+    """The bridge requires that this client prepares the tracker first."""
 
 
 class BridgeTracker:
@@ -74,11 +74,11 @@ class BridgeTracker:
         preparation: Preparation | None = None,
         patience_s: float | None = None,
     ) -> None:
-        """Prepare to speak with the bridge at ``url`` (``socket://host:port``, ``rfc2217://host:port``, ``COM3``, ...).
+        """Configure a client of the bridge at ``url`` (``socket://host:port``, ``rfc2217://host:port``, ``COM3``, ...).
 
-        ``timeout_s`` is how long the bridge may be silent; while it works it says so every second. ``preparation`` is
-        applied at every connect; without one it is left to ``prepare``. ``patience_s`` is how long a command may take
-        in all, by default as long as the bridge itself gives the tracker. Nothing is opened yet.
+        ``timeout_s`` is the longest silence of the bridge; while it works it sends a line every second. ``preparation``
+        is applied at every connect; without one, call ``prepare``. ``patience_s`` limits the total time of a command,
+        by default to what the bridge itself allows. Nothing is opened yet.
         """
         self._url = url
         self._token = token
@@ -88,9 +88,9 @@ class BridgeTracker:
         self._patience_s = patience_s
         self._client = secrets.token_hex(8)
         self._port: serial.SerialBase | None = None
-        self._held = bytearray()
+        self._received = bytearray()
         self._sequence = secrets.randbelow(wire.LAST_SEQUENCE)
-        self._in_doubt = False
+        self._out_of_sync = False
         self._boot = ""
         self._longest_s = 60.0
         self._writing = threading.Lock()
@@ -100,10 +100,10 @@ class BridgeTracker:
     # -- the tracker's calls -------------------------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Open the link, introduce this client, have the tracker prepared; tried once.
+        """Open the link and a session, and prepare the tracker; one attempt.
 
-        Raises ``TrackerLinkLost`` where nobody answers, ``TrackerRefused`` where another client holds the tracker or
-        the token is wrong, ``NotReady`` where it cannot be prepared as asked.
+        Raises ``TrackerLinkLost`` if the bridge does not answer, ``TrackerRefused`` if another client holds the tracker
+        or the token is wrong, ``NotReady`` if the tracker cannot be prepared as configured.
         """
         self._close()
         self._halting.clear()
@@ -111,8 +111,8 @@ class BridgeTracker:
             self._establish(time.monotonic() + 2.0 * self._timeout_s)
             if self._settings is not None:
                 self.prepare(self._settings)
-        except _Doubt as error:
-            self._lost(error)
+        except _LinkFault as error:
+            self._raise_link_lost(error)
         except ValueError as error:
             self._close()
             raise NotReady(f"{error}; change it in the profile") from error
@@ -121,75 +121,75 @@ class BridgeTracker:
             raise
 
     def identify(self) -> TrackerIdentity:
-        """Ask the tracker who it is."""
-        return self._read(wire.read_identity, self._ask("identify"))
+        """Return model, serial number and software of the tracker."""
+        return self._read(wire.read_identity, self._command("identify"))
 
     def prepare(self, settings: Preparation) -> None:
-        """Have the tracker initialised where needed and set up; from now on also after every connect."""
+        """Initialise the tracker where needed and apply ``settings``, now and after every connect."""
         self._halting.clear()
-        self._ask("prepare", wire.preparation_fields(settings) | {"id": _new_id()})
+        self._command("prepare", wire.preparation_fields(settings) | {"id": _new_id()})
         self._settings = settings
 
     def unmet(self) -> list[str]:
-        """Every precondition that keeps the tracker from measuring, in words."""
-        return self._read(wire.read_unmet, self._ask("unmet"))
+        """Return every precondition that keeps the tracker from measuring, as sentences."""
+        return self._read(wire.read_unmet, self._command("unmet"))
 
     def measure(self, expected_M: NDArray[np.float64], averaging_s: float) -> Point:
-        """Have the SMR at ``expected_M`` (3,) [m] measured. Raises as every tracker does."""
+        """Measure the SMR at ``expected_M`` (3,) [m]. Raises the errors of ``Tracker.measure``."""
         self._halting.clear()
-        return self._read(wire.read_point, self._ask("measure", _wanted(expected_M, averaging_s)))
+        return self._read(wire.read_point, self._command("measure", _measure_fields(expected_M, averaging_s)))
 
     def measure_two_face(self, expected_M: NDArray[np.float64], averaging_s: float) -> TwoFace:
-        """Have the SMR at ``expected_M`` (3,) [m] measured in both faces. Raises as every tracker does."""
+        """Measure the SMR at ``expected_M`` (3,) [m] in both faces. Raises the errors of ``Tracker.measure``."""
         self._halting.clear()
-        return self._read(wire.read_two_face, self._ask("two-face", _wanted(expected_M, averaging_s)))
+        return self._read(wire.read_two_face, self._command("two-face", _measure_fields(expected_M, averaging_s)))
 
     def inclination(self) -> Inclination | None:
-        """The level, or None where there is none."""
-        return self._read(wire.read_inclination, self._ask("inclination"))
+        """Return the level's reading, or None if the tracker has no level."""
+        return self._read(wire.read_inclination, self._command("inclination"))
 
     def halt(self) -> None:
-        """End what is under way, which then raises ``Halted``; from any thread, and harmless when nothing is."""
+        """End the running command, which then raises ``Halted``; harmless when none runs. From any thread."""
         self._halting.set()
-        with contextlib.suppress(_Doubt):  # whoever waits for an answer finds the link broken, and halts after it
+        with contextlib.suppress(_LinkFault):  # the waiting command notices the fault, and halts after it
             self._write(wire.encode(self._next_sequence(), "halt"))
 
     def disconnect(self) -> None:
-        """Let the tracker go and close the link; harmless when closed."""
-        if self._port is not None and not self._in_doubt:
-            with contextlib.suppress(_Doubt, _Busy, TrackerError):  # the bridge also lets go of who is silent
+        """Release the tracker and close the link; harmless when closed."""
+        if self._port is not None and not self._out_of_sync:
+            with contextlib.suppress(_LinkFault, _Busy, TrackerError):  # the bridge also releases a silent client
                 self._exchange("bye", {}, time.monotonic() + min(self._timeout_s, 1.0))
         self._close()
 
-    # -- asking, again where there is doubt ----------------------------------------------------------------------------
+    # -- commands, repeated after a link fault -------------------------------------------------------------------------
 
-    def _ask(self, verb: str, fields: Mapping[str, str] | None = None) -> Fields:
-        """The answer to a command, which may be given more than once: it has an id, or changes nothing."""
-        if self._port is None and not self._in_doubt:
+    def _command(self, verb: str, fields: Mapping[str, str] | None = None) -> Fields:
+        """Return the answer to a command. It may be sent more than once, so it must have an id or change nothing."""
+        if self._port is None and not self._out_of_sync:
             raise TrackerLinkLost(f"tracker bridge {self._url}: not open; connect first")
         patience_s = self._longest_s + 2.0 * self._timeout_s if self._patience_s is None else self._patience_s
         until_s = time.monotonic() + patience_s
-        problem: Exception = _Doubt("no answer")
+        problem: Exception = _LinkFault("no answer")
         while time.monotonic() < until_s:
             try:
-                if self._port is None or self._in_doubt:
+                if self._port is None or self._out_of_sync:
                     self._recover(until_s)
-                if self._halting.is_set() and verb in _HALTED:
+                if self._halting.is_set() and verb in _HALTABLE:
                     self._exchange("halt", {}, until_s)
-                    raise Halted(f"tracker bridge {self._url}: halted; the measurement, if any, was given up")
+                    raise Halted(f"tracker bridge {self._url}: halted; the measurement, if any, was abandoned")
                 return self._exchange(verb, fields or {}, until_s)
-            except _Unprepared as error:
+            except _NotPrepared as error:
                 self._prepare_again(error, until_s)
             except _Busy as error:
                 problem = error
-            except _Doubt as error:
+            except _LinkFault as error:
                 LOG.info("tracker bridge %s: %s; synchronising", self._url, error)
                 problem = error
-                self._in_doubt = True
+                self._out_of_sync = True
             self._pause.wait(_RETRY_S)
-        self._lost(problem)
+        self._raise_link_lost(problem)
 
-    def _lost(self, problem: Exception) -> NoReturn:
+    def _raise_link_lost(self, problem: Exception) -> NoReturn:
         self._close()
         raise TrackerLinkLost(
             f"tracker bridge {self._url}: {problem}; see that the tracker's computer runs 'cellapp tracker-bridge' and"
@@ -197,132 +197,133 @@ class BridgeTracker:
         ) from problem
 
     def _read(self, reader: Callable[[Fields], _T], fields: Fields) -> _T:
-        """What an answer says. Raises ``TrackerError`` where it is whole but makes no sense."""
+        """Convert an answer. Raises ``TrackerError`` if it is undamaged but invalid."""
         try:
             return reader(fields)
         except BadField as error:
-            raise TrackerError(f"tracker bridge {self._url}: the bridge's answer makes no sense: {error}") from error
+            raise TrackerError(f"tracker bridge {self._url}: the bridge's answer is invalid: {error}") from error
 
     def _recover(self, until_s: float) -> None:
-        """Make the link trustworthy again. Raises ``_Doubt``."""
+        """Synchronise the link, or open it again. Raises ``_LinkFault``."""
         if self._port is None:
             self._establish(until_s)
             return
         try:
             answer = self._synchronise(until_s)
             if answer.get("boot") == self._boot and answer.get("holding") == "1":
-                self._in_doubt = False
+                self._out_of_sync = False
             else:
-                self._introduce(until_s)
-        except _Doubt:
+                self._open_session(until_s)
+        except _LinkFault:
             self._close_port()
             raise
 
     def _prepare_again(self, problem: Exception, until_s: float) -> None:
-        """The bridge has started anew, or another client had the tracker: set it up as it was."""
+        """Prepare the tracker as before, because the bridge restarted or another client held it."""
         if self._settings is None:
             raise NotReady(f"tracker bridge {self._url}: {problem}") from problem
         try:
             self._exchange("prepare", wire.preparation_fields(self._settings) | {"id": _new_id()}, until_s)
-        except (_Doubt, _Busy) as error:
-            self._in_doubt = self._in_doubt or isinstance(error, _Doubt)
+        except (_LinkFault, _Busy) as error:
+            self._out_of_sync = self._out_of_sync or isinstance(error, _LinkFault)
             self._pause.wait(_RETRY_S)
 
     def _establish(self, until_s: float) -> None:
-        """Open the port, synchronise, introduce this client. Raises ``_Doubt``, or ``TrackerRefused``."""
+        """Open the port, synchronise, open a session. Raises ``_LinkFault`` or ``TrackerRefused``."""
         self._open()
         self._synchronise(until_s)
-        self._introduce(until_s)
+        self._open_session(until_s)
 
-    def _introduce(self, until_s: float) -> None:
+    def _open_session(self, until_s: float) -> None:
+        """Open a session. Raises ``_LinkFault`` or ``TrackerRefused``."""
         hello = {"protocol": str(wire.VERSION), "client": self._client}
         answer = self._exchange("hello", hello, until_s)
         try:
             longest_s = wire.read_number(answer, "longest", 0.0, 1e6)
         except BadField as error:
-            raise _Doubt(f"the bridge introduced itself badly: {error}") from error
+            raise _LinkFault(f"the bridge's answer to 'hello' is invalid: {error}") from error
         if answer.get("auth") == "hmac-sha256":
             self._prove(answer.get("nonce", ""), until_s)
         elif self._token is not None:
             self._close()
             raise TrackerRefused(
-                f"tracker bridge {self._url}: a token is set here, but the bridge asks for none: it is not the one that"
-                " was meant, or was started without its token"
+                f"tracker bridge {self._url}: a token is set here, but the bridge asks for none: it is another"
+                " bridge, or was started without its token"
             )
         self._boot = answer.get("boot", "")
         self._longest_s = min(longest_s, _LONGEST_COMMAND_S)
-        self._in_doubt = False
+        self._out_of_sync = False
 
     def _prove(self, nonce: str, until_s: float) -> None:
-        """Show that the token is known, without showing it, and have the bridge show the same."""
+        """Prove knowledge of the token without sending it; require the same of the bridge."""
         if self._token is None:
             self._close()
             raise TrackerRefused(f"tracker bridge {self._url}: it asks for a token; name it in the profile")
         ours = secrets.token_hex(16)
         known = wire.proof(self._token, "client", self._client, nonce, ours)
         answer = self._exchange("auth", {"nonce": ours, "proof": known}, until_s)
-        if not wire.same(answer.get("proof", ""), wire.proof(self._token, "server", self._client, nonce, ours)):
+        if not wire.proofs_equal(answer.get("proof", ""), wire.proof(self._token, "server", self._client, nonce, ours)):
             self._close()
             raise TrackerRefused(f"tracker bridge {self._url}: it does not know the token; it is not the real bridge")
 
     def _synchronise(self, until_s: float) -> Fields:
-        """Read away whatever comes until the answer to a number that nobody can know. Raises ``_Doubt``."""
+        """Discard input up to the answer that repeats a random nonce. Raises ``_LinkFault``."""
         nonce = secrets.token_hex(8)
-        self._held.clear()
+        self._received.clear()
         sequence = self._next_sequence()
         until_s = min(until_s, time.monotonic() + self._timeout_s)
         self._write(b"\n" + wire.encode(sequence, "sync", {"nonce": nonce}))
         drained = 0
-        while drained < _MOST_DRAINED:
+        while drained < _MAX_DRAINED_BYTES:
             raw = self._raw_line(until_s)
             drained += len(raw)
             with contextlib.suppress(Garbled):
                 line = wire.decode(raw)
                 if line.sequence == sequence and line.word == "ok" and line.fields.get("nonce") == nonce:
                     return line.fields
-        raise _Doubt("what comes over the link is no bridge's")
+        raise _LinkFault("the input is not from a tracker bridge")
 
     def _exchange(self, verb: str, fields: Fields, until_s: float) -> Fields:
-        """One command and its answer. Raises ``_Doubt``, ``_Busy``, or what the tracker said."""
+        """Send one command and return its answer. Raises ``_LinkFault``, ``_Busy``, or the tracker's error."""
         sequence = self._next_sequence()
         try:
             line = wire.encode(sequence, verb, fields)
         except ValueError as error:
             raise NotReady(f"tracker bridge {self._url}: {error}") from error
         self._write(line)
-        for _ in range(_MOST_STALE_LINES):
+        for _ in range(_MAX_STALE_LINES):
             raw = self._raw_line(min(until_s, time.monotonic() + self._timeout_s))
             try:
                 answer = wire.decode(raw)
             except Garbled as error:
-                raise _Doubt(f"a damaged line came ({error})") from error
+                raise _LinkFault(f"a damaged line came ({error})") from error
             if answer.sequence == 0 and answer.word == "error":
-                raise _Doubt(answer.fields.get("text", "the bridge did not understand"))
+                raise _LinkFault(answer.fields.get("text", "the bridge did not understand"))
             if answer.sequence != sequence:
-                continue  # an answer to what was given up before
-            if answer.word == "wait":  # a sign of life
-                if self._halting.is_set() and verb in _HALTED:
+                continue  # an answer to an abandoned command
+            if answer.word == "wait":
+                if self._halting.is_set() and verb in _HALTABLE:
                     self._write(wire.encode(self._next_sequence(), "halt"))
                 continue
             if answer.word == "ok":
                 return answer.fields
-            self._said(verb, answer)
-        raise _Doubt("the answer does not come for all that is said")
+            self._raise_error(verb, answer)
+        raise _LinkFault("only answers to other commands came")
 
-    def _said(self, verb: str, answer: Line) -> NoReturn:
-        """Raise what an ``error`` means."""
-        kind, words = answer.fields.get("kind", ""), answer.fields.get("text", "no reason was given")
+    def _raise_error(self, verb: str, answer: Line) -> NoReturn:
+        """Raise the exception that an ``error`` line stands for."""
+        kind, text = answer.fields.get("kind", ""), answer.fields.get("text", "no reason was given")
         if kind == "busy":
-            raise _Busy(words)
+            raise _Busy(text)
         if kind == "unprepared":
-            raise _Unprepared(words)
+            raise _NotPrepared(text)
         if kind in ("no-session", "garbled"):
-            raise _Doubt(words)
+            raise _LinkFault(text)
         if kind in ("held", "refused", "version"):
             self._close()
         if kind in ("bad-field", "unknown-command"):
-            raise ValueError(f"tracker bridge {self._url}: '{verb}' was refused: {words}")
-        raise wire.ERRORS.get(kind, TrackerError)(words)
+            raise ValueError(f"tracker bridge {self._url}: '{verb}' was refused: {text}")
+        raise wire.ERRORS.get(kind, TrackerError)(text)
 
     # -- bytes ---------------------------------------------------------------------------------------------------------
 
@@ -332,100 +333,99 @@ class BridgeTracker:
             return self._sequence
 
     def _open(self) -> None:
-        """Open the port. Raises ``_Doubt``.
+        """Open the port in a thread of its own. Raises ``_LinkFault``.
 
-        In a thread of its own, because looking up a name, and what some kinds of port do when opened, know no time
-        limit; a port that opens too late is closed at once.
+        Name resolution and some kinds of port have no time limit when opened. A port that opens too late is closed.
         """
         self._close_port()
-        opening = _Opening(self._url, self._baud, write_timeout_s=self._timeout_s)
+        opening = _PortOpener(self._url, self._baud, write_timeout_s=self._timeout_s)
         self._port = opening.wait(self._timeout_s)
-        self._held.clear()
+        self._received.clear()
 
     def _write(self, data: bytes) -> None:
         with self._writing:
             if self._port is None:
-                raise _Doubt("the link is closed")
+                raise _LinkFault("the link is closed")
             try:
                 self._port.write(data)
             except (serial.SerialException, OSError) as error:
-                raise _Doubt(f"the link broke: {error}") from error
+                raise _LinkFault(f"the link broke: {error}") from error
 
     def _raw_line(self, until_s: float) -> bytes:
-        """The next line, with its end. Raises ``_Doubt`` when none comes in time or it is too long."""
+        """Return the next line with its line end. Raises ``_LinkFault`` if none comes in time or it is too long."""
         while True:
-            end = self._held.find(b"\n") + 1
+            end = self._received.find(b"\n") + 1
             if end:
-                raw = bytes(self._held[:end])
-                del self._held[:end]
+                raw = bytes(self._received[:end])
+                del self._received[:end]
                 return raw
-            if len(self._held) > wire.LONGEST_LINE:
-                raise _Doubt(f"a line longer than {wire.LONGEST_LINE} bytes came")
+            if len(self._received) > wire.LONGEST_LINE:
+                raise _LinkFault(f"a line longer than {wire.LONGEST_LINE} bytes came")
             if time.monotonic() > until_s:
-                raise _Doubt(f"no answer within {self._timeout_s:g} s")
+                raise _LinkFault(f"no answer within {self._timeout_s:g} s")
             port = self._port
             if port is None:
-                raise _Doubt("the link is closed")
+                raise _LinkFault("the link is closed")
             try:
-                self._held += port.read(1)
+                self._received += port.read(1)
                 waiting = port.in_waiting
                 if waiting:
-                    self._held += port.read(min(waiting, _AT_ONCE))
+                    self._received += port.read(min(waiting, _READ_BYTES))
             except (serial.SerialException, OSError) as error:
-                if b"\n" in self._held:
-                    continue  # the last words of who hung up then
-                raise _Doubt(f"the link broke: {error}") from error
+                if b"\n" in self._received:
+                    continue  # lines that came before the connection closed
+                raise _LinkFault(f"the link broke: {error}") from error
 
     def _close(self) -> None:
         self._close_port()
-        self._in_doubt = False
+        self._out_of_sync = False
 
     def _close_port(self) -> None:
         with self._writing:
             port, self._port = self._port, None
         if port is not None:
-            _shut(port)
+            _shut_down(port)
 
 
-class _Opening:
-    """A port that is being opened in a thread of its own."""
+class _PortOpener:
+    """Opens a port in a thread of its own."""
 
     def __init__(self, url: str, baud: int, write_timeout_s: float) -> None:
         self._url, self._baud, self._write_timeout_s = url, baud, write_timeout_s
         self._port: serial.SerialBase | None = None
-        self._why = ""
+        self._error = ""
         self._done = threading.Event()
-        self._given_up = False
+        self._abandoned = False
         self._lock = threading.Lock()
         threading.Thread(target=self._run, name="opening the tracker bridge", daemon=True).start()
 
     def _run(self) -> None:
         try:
             port = serial.serial_for_url(
-                self._url, baudrate=self._baud, timeout=_SLICE_S, write_timeout=self._write_timeout_s
+                self._url, baudrate=self._baud, timeout=_READ_TIMEOUT_S, write_timeout=self._write_timeout_s
             )
         except (serial.SerialException, OSError, ValueError) as error:
-            self._why = str(error)
+            self._error = str(error)
         else:
             with self._lock:
-                if not self._given_up:
+                if not self._abandoned:
                     self._port = port
-            if self._given_up:
-                _shut(port)
+            if self._abandoned:
+                _shut_down(port)
         self._done.set()
 
     def wait(self, timeout_s: float) -> serial.SerialBase:
-        """The open port. Raises ``_Doubt``."""
+        """Return the open port. Raises ``_LinkFault`` if it fails or takes longer than ``timeout_s``."""
         self._done.wait(timeout_s)
         with self._lock:
-            self._given_up = self._port is None
+            self._abandoned = self._port is None
         if self._port is None:
-            raise _Doubt(self._why or f"could not be opened within {timeout_s:g} s")
+            raise _LinkFault(self._error or f"could not be opened within {timeout_s:g} s")
         return self._port
 
 
-def _shut(port: serial.SerialBase) -> None:
-    if isinstance(port, TcpPort):  # its own close waits, and leaves the socket of a broken link to the collector
+def _shut_down(port: serial.SerialBase) -> None:
+    if isinstance(port, TcpPort):  # its close() waits, and leaks the socket of a broken link
         inner, port.is_open = port._socket, False
         with contextlib.suppress(OSError):
             inner.shutdown(socket.SHUT_RDWR)
@@ -439,8 +439,8 @@ def _new_id() -> str:
     return secrets.token_hex(8)
 
 
-def _wanted(expected_M: NDArray[np.float64], averaging_s: float) -> dict[str, str]:
-    """The fields of a measurement under a new id. Raises ``ValueError`` for what is no point or no time."""
+def _measure_fields(expected_M: NDArray[np.float64], averaging_s: float) -> dict[str, str]:
+    """Return the fields of a measurement under a new id. Raises ``ValueError`` for an invalid point or time."""
     expected = np.asarray(expected_M, dtype=np.float64)
     if expected.shape != (3,) or not np.isfinite(expected).all():
         raise ValueError("tracker: the expected point must be three finite coordinates in metres")

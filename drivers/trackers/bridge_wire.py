@@ -1,7 +1,7 @@
-"""Lines of the tracker bridge protocol, version 1, as both ends write and read them. BRIDGE.md describes it.
+"""Encoding of the tracker bridge protocol, version 1, for both ends. BRIDGE.md describes it.
 
-A line is ``SEQ WORD key=value ...*CRC`` and a line feed: printable ASCII, at most ``LONGEST_LINE`` bytes, the CRC-32 of
-all before the star as eight hexadecimal digits.
+A line is ``NUMBER WORD key=value ...*CRC`` and a line feed: printable ASCII, at most ``LONGEST_LINE`` bytes. CRC is the
+CRC-32 of all bytes before the star as eight hexadecimal digits.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ LONGEST_TEXT = 300
 LAST_SEQUENCE = 999_999
 SHORTEST_TOKEN = 16
 LOOPBACK_PORT = 50960
-"""Where the bridge listens unless told otherwise."""
+"""Default TCP port of the bridge."""
 
 Fields = Mapping[str, str]
 
 _LINE = re.compile(rb"(0|[1-9][0-9]{0,5}) ([a-z][a-z-]{0,19})((?: [a-z][a-z0-9._]{0,19}=[!-)+-~]*)*)")
 _CRC = re.compile(rb"[0-9A-Fa-f]{8}")
 _ESCAPE = re.compile(r"%([0-9A-F]{2})")
-_PLAIN = re.compile(r"[^!-$&-)+-~]")  # whatever is not printable ASCII, a percent sign or a star
+_TO_ESCAPE = re.compile(r"[^!-$&-)+-~]")  # not printable ASCII, a percent sign or a star
 _NUMBER = re.compile(r"[-+]?(?:[0-9]{1,20}\.?[0-9]{0,30}|\.[0-9]{1,30})(?:[eE][-+]?[0-9]{1,3})?")
-_ID = re.compile(r"[0-9A-Za-z_-]{8,64}")
+_IDENTIFIER = re.compile(r"[0-9A-Za-z_-]{8,64}")
 _AXES = ("x", "y", "z")
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_UPPER_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 ERRORS: Mapping[str, type[TrackerError]] = {
     "not-ready": NotReady,
@@ -67,20 +67,20 @@ ERRORS: Mapping[str, type[TrackerError]] = {
     "held": TrackerRefused,
     "version": TrackerRefused,
 }
-"""What the tracker or its guard says, by the word that stands for it. ``failed`` is whatever has no word of its own."""
+"""Exception for each ``kind`` of an ``error`` line; ``failed`` stands for every class without a kind of its own."""
 
 
 class Garbled(ValueError):
-    """A line that is none: damaged on its way, too long, or from something that speaks otherwise."""
+    """Input that is not a line of the protocol: damaged, too long, or of another protocol."""
 
 
 class BadField(ValueError):
-    """A whole line with a field that is missing or makes no sense."""
+    """An undamaged line with a missing or invalid field."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line: its number, its word (a command, or ``ok``, ``wait``, ``error``) and its fields."""
+    """One line: its number, its word (a command, ``ok``, ``wait`` or ``error``) and its fields."""
 
     sequence: int
     word: str
@@ -88,17 +88,17 @@ class Line:
 
 
 def encode(sequence: int, word: str, fields: Fields | None = None) -> bytes:
-    """A line with its line feed. Raises ``ValueError`` where it would be longer than allowed or is badly formed."""
+    """Return a line with its line feed. Raises ``ValueError`` if it would be too long or malformed."""
     parts = [str(sequence), word, *(f"{key}={_escaped(value)}" for key, value in (fields or {}).items())]
     body = " ".join(parts).encode("ascii")
     line = b"%s*%08X\n" % (body, zlib.crc32(body))
     if len(line) > LONGEST_LINE or not _LINE.fullmatch(body):
-        raise ValueError(f"no line of the bridge protocol: {len(line)} bytes, '{word}'")
+        raise ValueError(f"not a line of the bridge protocol: {len(line)} bytes, '{word}'")
     return line
 
 
 def decode(raw: bytes) -> Line:
-    """Read a line, with or without its end. Raises ``Garbled``."""
+    """Decode a line, with or without its line end. Raises ``Garbled``."""
     raw = raw.rstrip(b"\r\n")
     if len(raw) + 1 > LONGEST_LINE:
         raise Garbled(f"the line is longer than {LONGEST_LINE} bytes")
@@ -114,13 +114,15 @@ def decode(raw: bytes) -> Line:
     for part in match.group(3).decode("ascii").split(" ")[1:]:
         key, _, value = part.partition("=")
         if key in fields:
-            raise Garbled(f"the key '{key}' is there twice")
+            raise Garbled(f"the key '{key}' occurs twice")
         fields[key] = _unescaped(value)
     return Line(int(match.group(1)), match.group(2).decode("ascii"), fields)
 
 
 def _escaped(value: str) -> str:
-    return _PLAIN.sub(lambda found: "".join(f"%{byte:02X}" for byte in found.group().encode("utf-8", "replace")), value)
+    return _TO_ESCAPE.sub(
+        lambda found: "".join(f"%{byte:02X}" for byte in found.group().encode("utf-8", "replace")), value
+    )
 
 
 def _unescaped(value: str) -> str:
@@ -128,18 +130,18 @@ def _unescaped(value: str) -> str:
     return raw.encode("latin-1").decode("utf-8", "replace")
 
 
-def text(words: str, most: int = LONGEST_TEXT) -> str:
-    """Words for a person, cut so that they take no more than ``most`` bytes of a line."""
-    if len(_escaped(words)) <= most:
-        return words
-    cut = words[:most]
-    while len(_escaped(cut)) > most - 3:
-        cut = cut[: len(cut) * (most - 3) // len(_escaped(cut))]
+def text(message: str, max_bytes: int = LONGEST_TEXT) -> str:
+    """Return a message for a person, shortened so that it takes at most ``max_bytes`` of a line."""
+    if len(_escaped(message)) <= max_bytes:
+        return message
+    cut = message[:max_bytes]
+    while len(_escaped(cut)) > max_bytes - 3:
+        cut = cut[: len(cut) * (max_bytes - 3) // len(_escaped(cut))]
     return cut + "..."
 
 
 def number(value: float) -> str:
-    """A finite number so that it is read back bit for bit."""
+    """Format a finite number so that it is read back bit for bit. Raises ``BadField`` otherwise."""
     value = float(value)
     if not math.isfinite(value):
         raise BadField(f"{value!r} is not a finite number")
@@ -147,7 +149,7 @@ def number(value: float) -> str:
 
 
 def read_number(fields: Fields, key: str, low: float = -1e12, high: float = 1e12) -> float:
-    """A number in a range. Raises ``BadField``."""
+    """Read a number between ``low`` and ``high``. Raises ``BadField``."""
     if key not in fields:
         raise BadField(f"the field '{key}' is missing")
     found = fields[key]
@@ -158,48 +160,48 @@ def read_number(fields: Fields, key: str, low: float = -1e12, high: float = 1e12
 
 
 def read_optional(fields: Fields, key: str, low: float = -1e12, high: float = 1e12) -> float | None:
-    """A number, or None where the field is missing or empty."""
+    """Read a number, or None if the field is missing or empty. Raises ``BadField``."""
     return read_number(fields, key, low, high) if fields.get(key) else None
 
 
 def read_id(fields: Fields, key: str = "id") -> str:
-    """An identifier of 8 to 64 letters, digits, ``-`` or ``_``. Raises ``BadField``."""
+    """Read an identifier of 8 to 64 letters, digits, ``-`` or ``_``. Raises ``BadField``."""
     value = fields.get(key, "")
-    if not _ID.fullmatch(value):
+    if not _IDENTIFIER.fullmatch(value):
         raise BadField(f"{key} is '{text(value)}'; expected 8 to 64 letters and digits that were never used before")
     return value
 
 
 def proof(token: str, side: str, client: str, server_nonce: str, client_nonce: str) -> str:
-    """What shows that ``side`` ("client" or "server") knows the token: HMAC-SHA256, in hexadecimal digits."""
-    said = "|".join((f"tracker-bridge-{VERSION}", side, client, server_nonce, client_nonce))
-    return hmac.new(token.encode("utf-8"), said.encode("ascii"), hashlib.sha256).hexdigest()
+    """Return the HMAC-SHA256, in hexadecimal digits, that proves that ``side`` (client or server) knows the token."""
+    message = "|".join((f"tracker-bridge-{VERSION}", side, client, server_nonce, client_nonce))
+    return hmac.new(token.encode("utf-8"), message.encode("ascii"), hashlib.sha256).hexdigest()
 
 
-def same(one: str, other: str) -> bool:
-    """Whether two proofs are equal, in a time that tells nothing about where they differ."""
+def proofs_equal(one: str, other: str) -> bool:
+    """Compare two proofs in constant time."""
     return hmac.compare_digest(one.lower().encode("utf-8"), other.lower().encode("utf-8"))
 
 
 def error_fields(error: BaseException) -> dict[str, str]:
-    """The fields of an ``error`` line for what a tracker raised: the word for its class or the nearest above it."""
+    """Return the fields of an ``error`` line for an exception: the kind of its class or of the nearest base class."""
     if isinstance(error, ValueError):
         return {"kind": "bad-field", "text": text(str(error))}
-    kinds = {known: kind for kind, known in reversed(list(ERRORS.items()))}  # of several words for one class the first
+    kinds = {known: kind for kind, known in reversed(list(ERRORS.items()))}  # of several kinds for one class, the first
     kind = next((kinds[known] for known in type(error).__mro__ if known in kinds), "failed")
     return {"kind": kind, "text": text(str(error))}
 
 
-# -- what the tracker says, as fields ----------------------------------------------------------------------------------
+# -- fields of each command and its answer ----------------------------------------------------------------------------
 
 
 def identity_fields(identity: TrackerIdentity) -> dict[str, str]:
-    """Of an ``identify``."""
+    """Return the answer to ``identify``."""
     return {key: text(getattr(identity, key)) for key in ("model", "serial", "software")}
 
 
 def read_identity(fields: Fields) -> TrackerIdentity:
-    """Of an ``identify``. Raises ``BadField``."""
+    """Read the answer to ``identify``. Raises ``BadField``."""
     missing = [key for key in ("model", "serial", "software") if key not in fields]
     if missing:
         raise BadField(f"the field '{missing[0]}' is missing")
@@ -207,7 +209,7 @@ def read_identity(fields: Fields) -> TrackerIdentity:
 
 
 def preparation_fields(settings: Preparation) -> dict[str, str]:
-    """Of a ``prepare``."""
+    """Return the fields of ``prepare``."""
     fields = {"reflector": settings.reflector, "accuracy": settings.accuracy}
     for key, value in (
         ("temperature", settings.temperature_c),
@@ -220,11 +222,11 @@ def preparation_fields(settings: Preparation) -> dict[str, str]:
 
 
 def read_preparation(fields: Fields) -> Preparation:
-    """Of a ``prepare``. Raises ``ValueError``."""
-    asked = fields.get("accuracy", "standard")
-    accuracy = next((known for known in ACCURACIES if known == asked), None)
+    """Read the fields of ``prepare``. Raises ``ValueError``."""
+    name = fields.get("accuracy", "standard")
+    accuracy = next((known for known in ACCURACIES if known == name), None)
     if accuracy is None:
-        raise BadField(f"accuracy is '{text(asked)}'; expected one of {', '.join(ACCURACIES)}")
+        raise BadField(f"accuracy is '{text(name)}'; expected one of {', '.join(ACCURACIES)}")
     return Preparation(
         reflector=fields.get("reflector", ""),
         accuracy=accuracy,
@@ -235,10 +237,10 @@ def read_preparation(fields: Fields) -> Preparation:
 
 
 def point_fields(point: Point, prefix: str = "") -> dict[str, str]:
-    """Of a measured point. Raises ``BadField`` where it holds what is no number."""
+    """Return the fields of a measured point. Raises ``BadField`` if it holds a value that is not finite."""
     values: dict[str, float | None] = {
         **dict(zip(_AXES, point.p_M, strict=True)),
-        **{f"c{_AXES[i]}{_AXES[j]}": point.covariance_M[i, j] for i, j in _PAIRS},
+        **{f"c{_AXES[i]}{_AXES[j]}": point.covariance_M[i, j] for i, j in _UPPER_TRIANGLE},
         "time": point.time_s,
         "averaging": point.averaging_s,
         "temperature": point.temperature_c,
@@ -259,10 +261,10 @@ def point_fields(point: Point, prefix: str = "") -> dict[str, str]:
 
 
 def read_point(fields: Fields, prefix: str = "") -> Point:
-    """Of a measured point. Raises ``BadField``."""
+    """Read a measured point. Raises ``BadField``."""
     own = {key.removeprefix(prefix): value for key, value in fields.items() if key.startswith(prefix)}
     covariance = np.zeros((3, 3))
-    for i, j in _PAIRS:
+    for i, j in _UPPER_TRIANGLE:
         low = 0.0 if i == j else -1.0
         covariance[i, j] = covariance[j, i] = read_number(own, f"c{_AXES[i]}{_AXES[j]}", low, 1.0)
     face: Face = 1 if read_number(own, "face", 1, 2) == 1 else 2
@@ -285,17 +287,17 @@ def read_point(fields: Fields, prefix: str = "") -> Point:
 
 
 def two_face_fields(pair: TwoFace) -> dict[str, str]:
-    """Of a ``two-face``."""
+    """Return the answer to ``two-face``."""
     return point_fields(pair.first, "a.") | point_fields(pair.second, "b.")
 
 
 def read_two_face(fields: Fields) -> TwoFace:
-    """Of a ``two-face``. Raises ``BadField``."""
+    """Read the answer to ``two-face``. Raises ``BadField``."""
     return TwoFace(read_point(fields, "a."), read_point(fields, "b."))
 
 
 def inclination_fields(level: Inclination | None) -> dict[str, str]:
-    """Of an ``inclination``."""
+    """Return the answer to ``inclination``."""
     if level is None:
         return {"fitted": "0"}
     tilt_x, tilt_y = level.tilt_rad
@@ -309,7 +311,7 @@ def inclination_fields(level: Inclination | None) -> dict[str, str]:
 
 
 def read_inclination(fields: Fields) -> Inclination | None:
-    """Of an ``inclination``. Raises ``BadField``."""
+    """Read the answer to ``inclination``. Raises ``BadField``."""
     if read_number(fields, "fitted", 0, 1) == 0:
         return None
     return Inclination(
@@ -320,13 +322,12 @@ def read_inclination(fields: Fields) -> Inclination | None:
 
 
 def unmet_fields(unmet: list[str]) -> dict[str, str]:
-    """Of an ``unmet``: how many, and the first of them in words."""
-    shown = unmet[:5]
-    return {"count": str(len(unmet))} | {f"u{k}": text(words) for k, words in enumerate(shown, start=1)}
+    """Return the answer to ``unmet``: the number of preconditions and the first five as text."""
+    return {"count": str(len(unmet))} | {f"u{k}": text(item) for k, item in enumerate(unmet[:5], start=1)}
 
 
 def read_unmet(fields: Fields) -> list[str]:
-    """Of an ``unmet``. Raises ``BadField``."""
+    """Read the answer to ``unmet``. Raises ``BadField``."""
     count = int(read_number(fields, "count", 0, 10_000))
     unmet = [fields[f"u{k}"] for k in range(1, count + 1) if f"u{k}" in fields]
     if len(unmet) < count:

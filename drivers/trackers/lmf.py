@@ -1,35 +1,36 @@
-"""A Leica AT960 (or its kin) through Leica's LMF, in this process, on the Windows PC that the tracker is wired to.
+"""A Leica tracker (AT960 and relatives) through Leica's LMF, in this process, on the Windows PC it is connected to.
 
-Written from Leica's documents and from what other programs do; neither LMF nor a tracker was at hand, so the tests run
-against a stand-in with LMF's names and rules. Whatever those sources leave open is a setting, is read from the objects
+Written from Leica's documents and from what other programs do. Neither LMF nor a tracker was available, so the tests
+run against a stand-in with LMF's names and rules. What those sources leave open is a setting, is read from the objects
 themselves (units, kinds of enumerations), or is refused.
 
-Threads. One thread of ours speaks with LMF, and every wait for it ends: a call into LMF that hangs costs that thread
-and not the program. LMF delivers its events one by one on a thread of its own, and a command that causes one waits
-until its handlers have returned: ours only note. pythonnet keeps Python's lock while a *property* is read or written,
-unlike with a method; a handler that LMF waits for meanwhile could never run. Hence nobody listens while settings are
-written.
+Threads. One thread of the driver calls LMF, and every wait for it has a time limit: a call that hangs costs that
+thread, not the program. LMF delivers its events one by one on a thread of its own, and a command that causes one waits
+until its handlers have returned: ours only store the message. pythonnet keeps Python's lock while a *property* is read
+or written, unlike with a method; a handler that LMF waits for meanwhile could never run. Hence no handler is subscribed
+while settings are written.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-import operator
-import re
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.trackers.lmf_calls import Commands
-from drivers.trackers.lmf_objects import Lmf, error_number, factor, load_lmf, plain, precision_m, si, told
+from drivers.trackers.lmf_calls import CallThread
+from drivers.trackers.lmf_objects import Lmf, describe, error_number, load_lmf, to_si, unwrap
+from drivers.trackers.lmf_results import ErrorLaw, read_air, read_position, tracker_time_s
+from drivers.trackers.lmf_settings import DEFAULT_LIBRARY, LmfSettings
+from drivers.trackers.lmf_setup import apply_settings, set_quantity, start_level_monitoring
 from drivers.trackers.protocol import (
     Face,
     Inclination,
@@ -50,106 +51,21 @@ Vector = NDArray[np.float64]
 _T = TypeVar("_T")
 
 MEASURING_S: Mapping[str, float] = MappingProxyType({"fast": 2.0, "standard": 12.0, "precise": 12.0})
-"""Leica's recommended time limits of a stationary measurement on the AT9x0, by accuracy [s]."""
+"""Time limits of a stationary measurement on the AT9x0 that Leica recommends, by accuracy [s]."""
 OTHER_PROFILE_S = 7.0
+"""Added to the averaging time of a measurement whose duration the caller sets, for starting and ending it."""
 CONNECTING_S = 60.0
 INITIALISING_S = 60.0
 """Leica allows 30 s; its simulator is slow on purpose."""
 LEVELLING_S = 180.0
 FINDING_S = 30.0
 
-_AS_IT_COMES = Preparation()
+_NO_PREPARATION = Preparation()
+_USUAL_ACCURACY = ErrorLaw()
 _IN_USE = 10011
-_TICKS_1970 = 621_355_968_000_000_000  # of 100 ns, since the year 1
-_MOST_MESSAGES = 200
+"""LMF's error number for a tracker that another program holds."""
+_MAX_MESSAGES = 200
 _POINTING, _MEASURING, _TURNING = "pointing and searching", "measuring", "turning to face 2"
-_SIMULATOR = re.compile(r"(AT930|AT960|AT40[123]|AT500|ATS600)[A-Z]{0,3}Simulator(#\d+)?", re.IGNORECASE)
-_PROFILES = {"accuracy": "StationaryMeasurementProfile", "time": "CustomStationaryMeasurementProfile"}
-_AIR = {"Temperature": (-40.0, 85.0), "Pressure": (500.0, 1200.0), "Humidity": (0.0, 100.0)}
-
-
-@dataclass(frozen=True)
-class ErrorLaw:
-    """Maximum permissible errors ``constant + proportional * distance`` [m, m/m], across the beam and along it.
-
-    Half of one is taken for a standard deviation, as the maker calls half of it typical.
-    """
-
-    transverse: tuple[float, float] = (15e-6, 6e-6)
-    range: tuple[float, float] = (10e-6, 0.3e-6)
-
-    def covariance(self, p_M: Vector) -> Vector:
-        """Covariance (3, 3) [m^2] of a point (3,) [m]: angles and range apart, turned into the axes of M."""
-        distance = float(np.linalg.norm(p_M))
-        across = 0.5 * (self.transverse[0] + self.transverse[1] * distance)
-        along = 0.5 * (self.range[0] + self.range[1] * distance)
-        beam = np.outer(p_M, p_M) / distance**2
-        return across**2 * (np.eye(3) - beam) + along**2 * beam
-
-
-@dataclass(frozen=True)
-class LmfSettings:
-    """How this driver uses LMF.
-
-    Attributes
-    ----------
-    address : str
-        The tracker's IP address or host name, or a simulator of LMF such as ``AT960LRSimulator#1``.
-    serial : str
-        Serial number that the tracker must have; empty: any.
-    library : str
-        Where LMF.Tracker.Connection.dll is: its path, or its bare name where Python's path finds it.
-    stationary : {"accuracy", "time"}
-        Whether the tracker decides how long to average (its accuracies), or ``averaging_s`` of each call does.
-    power_lock : bool
-        Search with the camera; else in a spiral around the prediction, which is slower and stays nearer to it.
-    search_radius_m : float or None
-        Radius of a search [m]; None leaves LMF's.
-    wrong_target_m : float
-        How far from its prediction an SMR may be [m].
-    shaking_m : float
-        Precision reported by the tracker above which the SMR counts as moving [m].
-    gravity : bool
-        Level the tracker: M's z axis is the vertical, and tilting is monitored. Else M is fixed to the tracker.
-    command_s : float
-        Time limit of everything that has none of Leica's own, pointing and searching included [s].
-    law : ErrorLaw
-        Accuracy of the tracker, as LMF reports no covariance.
-    target_words : tuple of str
-        Words by which a precondition of LMF says that nothing is locked: before pointing that is no obstacle.
-    lost_numbers : tuple of int
-        Error numbers of LMF that mean a lost target, where it does not show otherwise. Leica publishes no list; the
-        one given is from another's log.
-    measuring_s : mapping of str to float
-        Time limits by accuracy [s].
-    """
-
-    address: str
-    serial: str = ""
-    library: str = "LMF.Tracker.Connection"
-    stationary: Literal["accuracy", "time"] = "accuracy"
-    power_lock: bool = True
-    search_radius_m: float | None = None
-    wrong_target_m: float = 0.05
-    shaking_m: float = 100e-6
-    gravity: bool = False
-    command_s: float = 15.0
-    law: ErrorLaw = ErrorLaw()
-    target_words: tuple[str, ...] = ("target", "reflector")
-    lost_numbers: tuple[int, ...] = (840702,)
-    measuring_s: Mapping[str, float] = field(default_factory=lambda: MEASURING_S)
-
-    def __post_init__(self) -> None:
-        if "simulator" in self.address.casefold() and _SIMULATOR.fullmatch(self.address) is None:
-            raise ValueError(
-                f"address: '{self.address}' is no simulator of LMF; they are called like AT960LRSimulator or"
-                " AT960Simulator#506432"
-            )
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the address is one of LMF's simulators."""
-        return _SIMULATOR.fullmatch(self.address) is not None
 
 
 @dataclass(frozen=True)
@@ -161,63 +77,68 @@ class FoundTracker:
     serial: str
 
 
-def find_trackers(library: str = LmfSettings.library, load: Callable[[str], Lmf] = load_lmf) -> list[FoundTracker]:
-    """Trackers in the networks of this computer. Raises ``LmfMissing``, ``TrackerTimeout``, ``TrackerError``."""
+def find_trackers(library: str = DEFAULT_LIBRARY, load: Callable[[str], Lmf] = load_lmf) -> list[FoundTracker]:
+    """Return the trackers in this computer's networks. Raises ``LmfMissing``, ``TrackerTimeout``, ``TrackerError``."""
 
-    def look() -> list[FoundTracker]:
+    def find() -> list[FoundTracker]:
         lmf = load(library)
         try:
             finder = lmf.TrackerFinder()
             finder.Refresh()
             return [FoundTracker(str(t.IPAddress), str(t.Type), str(t.SerialNumber)) for t in finder.Trackers]
-        except lmf.thrown as error:
-            raise TrackerError(f"tracker: LMF could not look for trackers: {told(error)}") from error
+        except lmf.exceptions as error:
+            raise TrackerError(f"tracker: LMF could not search for trackers: {describe(error)}") from error
 
-    commands = Commands()
+    calls = CallThread()
     try:
-        return commands.call("looking for trackers", look, FINDING_S)
+        return calls.call("searching for trackers", find, FINDING_S)
     finally:
-        commands.close()
-
-
-# -- the tracker ------------------------------------------------------------------------------------------------------
+        calls.close()
 
 
 class LmfTracker:
-    """One tracker of Leica's through LMF."""
+    """One Leica tracker through LMF."""
 
     def __init__(
         self,
         settings: LmfSettings,
-        preparation: Preparation = _AS_IT_COMES,
+        preparation: Preparation = _NO_PREPARATION,
         load: Callable[[str], Lmf] = load_lmf,
+        law: ErrorLaw = _USUAL_ACCURACY,
     ) -> None:
-        """Nothing is opened yet. ``preparation`` is applied at every connect, as LMF forgets its settings."""
+        """Nothing is opened yet. ``preparation`` is applied at every connect, as LMF forgets its settings.
+
+        ``law`` is the accuracy of the tracker.
+        """
         self._use = settings
+        self._law = law
         self._preparation = preparation
         self._load = load
         self._lmf: Lmf | None = None
         self._tracker: Any = None
-        self._commands: Commands | None = None
-        self._messages: deque[str] = deque(maxlen=_MOST_MESSAGES)
-        self._news: deque[str] = deque(maxlen=_MOST_MESSAGES)
-        self._gone = ""
-        self._listening = False
+        self._calls: CallThread | None = None
+        self._messages: deque[str] = deque(maxlen=_MAX_MESSAGES)
+        self._unreported: deque[str] = deque(maxlen=_MAX_MESSAGES)
+        self._disconnected = ""
+        self._subscribed = False
         self._reflector = ""
-        self._averages_s: float | None = None
-        # Kept, so that what is taken off an event later is the very object that was put on it.
-        self._listeners = (("Disconnected", self._on_gone), ("ErrorArrived", self._on_message),
-                           ("WarningArrived", self._on_message))  # fmt: skip
+        self._averaging_set_s: float | None = None
+        # bound once: an event must be given the same object when the handler is removed
+        self._handlers = (
+            ("Disconnected", self._on_disconnected),
+            ("ErrorArrived", self._on_message),
+            ("WarningArrived", self._on_message),
+        )
 
     # -- link ----------------------------------------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Connect, check who it is, and apply the settings. The head does not move.
+        """Connect, check the serial number and apply the settings. The head does not move.
 
         Raises
         ------
         LmfMissing
-            If LMF is not here.
+            If LMF is not installed.
         TrackerRefused
             If another program holds the tracker.
         TrackerLinkLost
@@ -226,60 +147,61 @@ class LmfTracker:
             If it is another tracker, or does not take a setting.
         """
         self.disconnect()
-        self._gone = ""
-        commands = self._commands = Commands()
+        self._disconnected = ""
+        calls = self._calls = CallThread()
         try:
-            commands.call("connecting", partial(self._open, commands), max(CONNECTING_S, self._use.command_s))
+            calls.call("connecting", partial(self._open, calls), max(CONNECTING_S, self._use.timeout))
         except BaseException:
             self.disconnect()
             raise
 
-    def _open(self, commands: Commands) -> None:
+    def _open(self, calls: CallThread) -> None:
         lmf = self._lmf = self._load(self._use.library)
+        address = self._use.address
         try:
-            tracker = lmf.Connection().Connect(self._use.address)
-        except lmf.thrown as error:
+            tracker = lmf.Connection().Connect(address)
+        except lmf.exceptions as error:
             if error_number(error) == _IN_USE:
                 raise TrackerRefused(
-                    f"tracker {self._use.address}: another program or connection holds it: {told(error)}"
+                    f"tracker {address}: another program or connection holds it: {describe(error)}"
                 ) from error
-            raise TrackerLinkLost(f"tracker {self._use.address}: no connection: {told(error)}") from error
+            raise TrackerLinkLost(f"tracker {address}: no connection: {describe(error)}") from error
         if tracker is None:
-            raise TrackerLinkLost(f"tracker {self._use.address}: no connection, and LMF does not tell why")
-        if self._commands is not commands:  # nobody waits any more; a tracker left connected could not be had again
+            raise TrackerLinkLost(f"tracker {address}: no connection, and LMF gives no reason")
+        if self._calls is not calls:  # connect() has timed out; a tracker left connected would refuse the next attempt
             tracker.Disconnect()
             return
-        self._tracker, self._listening = tracker, False
+        self._tracker, self._subscribed = tracker, False
         serial = str(tracker.SerialNumber)
         if self._use.serial and serial != self._use.serial:
             raise TrackerError(
-                f"tracker {self._use.address}: its serial number is {serial}, the settings name {self._use.serial};"
+                f"tracker {address}: its serial number is {serial}, the settings name {self._use.serial};"
                 " check address and serial"
             )
-        with self._translated("settings"):
+        with self._translating_errors("settings"):
             self._apply(tracker, self._preparation)
-        self._listen(tracker)
+        self._subscribe(tracker)
 
     def disconnect(self) -> None:
-        """Let the tracker go; harmless when not connected. A call that hangs is left behind."""
-        commands, tracker = self._commands, self._tracker
-        self._commands = self._tracker = None
-        self._averages_s = None
-        if commands is None:
+        """Release the tracker; harmless when not connected. A call that hangs is abandoned."""
+        calls, tracker = self._calls, self._tracker
+        self._calls = self._tracker = None
+        self._averaging_set_s = None
+        if calls is None:
             return
         if tracker is not None:
-            with contextlib.suppress(TrackerError):  # it is being let go of, whatever it says
-                commands.call("disconnecting", partial(self._close, tracker), self._use.command_s)
-        commands.close()
+            with contextlib.suppress(TrackerError):  # it is released in any case
+                calls.call("disconnecting", partial(self._close, tracker), self._use.timeout)
+        calls.close()
 
     def _close(self, tracker: Any) -> None:
-        with self._translated("disconnecting"):
-            self._deafen(tracker)
+        with self._translating_errors("disconnecting"):
+            self._unsubscribe(tracker)
             tracker.Disconnect()
 
     def identify(self) -> TrackerIdentity:
-        """Who the tracker is, its firmware, and whether LMF only simulates it."""
-        return self._ask("identifying", self._identify)
+        """Return model, serial number and firmware, and whether LMF only simulates the tracker."""
+        return self._call("identifying", self._identify)
 
     def _identify(self, tracker: Any) -> TrackerIdentity:
         model = str(tracker.ProductName or tracker.Name or "tracker")
@@ -288,12 +210,12 @@ class LmfTracker:
         return TrackerIdentity(model, str(tracker.SerialNumber), f"firmware {tracker.InstalledFirmware}")
 
     def notices(self) -> list[str]:
-        """What the tracker has told by itself, and what is not right with it but does not keep it from measuring."""
-        return [*self._ask("looking at the tracker", self._look_for_notices), *self._messages]
+        """Return deficiencies that do not prevent measuring, and the messages the tracker has sent, as sentences."""
+        return [*self._call("reading the tracker's state", self._deficiencies), *self._messages]
 
-    def _look_for_notices(self, tracker: Any) -> list[str]:
+    def _deficiencies(self, tracker: Any) -> list[str]:
         notices = []
-        if not plain(tracker.IsCompatibleWithInstalledFirmware):
+        if not unwrap(tracker.IsCompatibleWithInstalledFirmware):
             notices.append(
                 f"its firmware is {tracker.InstalledFirmware}, this LMF was made for {tracker.ExpectedFirmware}"
             )
@@ -302,203 +224,98 @@ class LmfTracker:
         return notices + self._air_notices(tracker)
 
     def _air_notices(self, tracker: Any) -> list[str]:
-        if self._preparation.temperature_c is None and not plain(tracker.MeteoStation.IsAirSensorConnected):
+        if self._preparation.temperature_c is None and not unwrap(tracker.MeteoStation.IsAirSensorConnected):
             return ["its air sensor is not connected"]
         return []
 
-    def others(self) -> str:
-        """Which trackers LMF finds in the networks of this computer, in words: for whoever looks for this one."""
+    def visible_trackers(self) -> str:
+        """Return which trackers LMF finds in this computer's networks, as a sentence for a person."""
         try:
             found = find_trackers(self._use.library, self._load)
         except TrackerError as error:
             return str(error)
-        seen = ", ".join(f"{t.model} {t.serial} at {t.address}" for t in found)
-        return f"LMF sees {seen}" if seen else "LMF sees no tracker in the networks of this computer"
+        names = ", ".join(f"{t.model} {t.serial} at {t.address}" for t in found)
+        return f"LMF sees {names}" if names else "LMF sees no tracker in the networks of this computer"
 
     # -- settings ------------------------------------------------------------------------------------------------------
 
     def prepare(self, settings: Preparation) -> None:
         """Initialise and level where needed (the head moves), and apply ``settings``, now and at every connect.
 
-        Raises ``NotReady`` with all that is unmet, ``ValueError`` for what this tracker does not have.
+        Raises ``NotReady`` with all unmet preconditions, ``ValueError`` for a setting that the tracker does not have.
         """
-        self._begin()
-        if self._ask("looking at the tracker", self._needs_initialising):
-            self._ask("initialising", lambda tracker: tracker.Initialize(), INITIALISING_S, heeds_halt=True)
-        self._ask("settings", partial(self._prepare, settings=settings))
+        self._clear_halt()
+        if self._call("reading the tracker's state", self._needs_initialising):
+            self._call("initialising", lambda tracker: tracker.Initialize(), INITIALISING_S, haltable=True)
+        self._call("settings", partial(self._apply, preparation=settings))
         self._preparation = settings
         if self._use.gravity:
-            self._ask("levelling", self._level, LEVELLING_S, heeds_halt=True)
+            self._call("levelling", self._level, LEVELLING_S, haltable=True)
         unmet = self.unmet()
         if unmet:
             raise NotReady(f"tracker: not ready to measure: {'; '.join(unmet)}")
 
     def _needs_initialising(self, tracker: Any) -> bool:
-        """LMF's numbers for "not initialised" are not public: anything it misses while the laser is ready counts."""
+        """Return whether LMF reports any precondition while the laser is ready.
+
+        LMF's number for "not initialised" is not public.
+        """
         if self._laser_and_stand(tracker):
             return False
         return bool(self._preconditions(tracker))
 
-    def _prepare(self, tracker: Any, settings: Preparation) -> None:
-        self._deafen(tracker)
-        try:
-            self._apply(tracker, settings)
-        finally:
-            self._listen(tracker)
-
-    def _apply(self, tracker: Any, settings: Preparation) -> None:
-        """All that LMF forgets at a connect, and the few things it keeps, read back one by one."""
-        for path, kind, name in (
-            (("Settings", "CoordinateType"), "ECoordinateType", "Cartesian"),
-            (("Settings", "Units", "LengthUnit"), "ELengthUnit", "Meter"),
-            (("Settings", "Units", "AngleUnit"), "EAngleUnit", "Radian"),
-            (("Settings", "Units", "TemperatureUnit"), "ETemperatureUnit", "Celsius"),
-            (("Settings", "Units", "PressureUnit"), "EPressureUnit", "HPascal"),
-        ):
-            self._choose(tracker, path, kind, name)
-        if plain(tracker.Measurement.MeasurementInProgress):
-            tracker.Measurement.StopMeasurement()  # changing the profile of a running one fails
-        profile = self._profile(tracker)
-        profile.Select()
-        if self._use.stationary == "accuracy":
-            self._choose(profile, ("Accuracy",), "EAccuracy", settings.accuracy.capitalize())
-            self._set(profile, "TwoFace", False)
-        self._averages_s = None
-        self._reflector = self._select_reflector(tracker, settings.reflector)
-        self._set(tracker.PowerLock, "UsePowerLock", self._use.power_lock)
-        if self._use.search_radius_m is not None:
-            self._set_quantity(tracker.TargetSearch.Radius, "length", self._use.search_radius_m)
-        self._apply_air(tracker, settings)
-        level = tracker.InclinationSensor
-        if level is not None and not self._use.gravity:
-            self._set(level, "InclinedToGravity", False)  # LMF keeps it from one connect to the next
-
-    def _profile(self, tracker: Any) -> Any:
-        wanted = _PROFILES[self._use.stationary]
-        profiles = list(tracker.Measurement.Profiles)
-        for profile in profiles:
-            if type(profile).__name__ == wanted:
-                return profile
-        known = ", ".join(type(profile).__name__ for profile in profiles)
-        raise ValueError(f"tracker: it has no {wanted}, only {known}; change 'stationary'")
-
-    def _select_reflector(self, tracker: Any, name: str) -> str:
-        """Select by class, name or product name; which reflector hangs there only people know."""
-        if name:
-            targets = [target for target in tracker.Targets if plain(target.IsSelectable)]
-            called = [[type(t).__name__, str(t.Name), str(t.ProductName)] for t in targets]
-            wanted = name.casefold()
-            exact = [t for t, names in zip(targets, called) if wanted in (n.casefold() for n in names)]
-            partly = [t for t, names in zip(targets, called) if any(wanted in n.casefold() for n in names)]
-            fitting = exact or partly
-            if len(fitting) != 1:
-                which = "several" if fitting else "none"
-                known = ", ".join(f"'{names[1]}' ({names[0]})" for names in called)
-                raise ValueError(f"tracker: of its reflectors {which} fits '{name}'; they are {known}")
-            fitting[0].Select()
-            chosen = tracker.Targets.PreSelected
-            if chosen is None or str(chosen.Name) != str(fitting[0].Name):
-                raise TrackerError(f"tracker: it did not take the reflector '{name}'; is a probe locked?")
-        chosen = tracker.Targets.PreSelected
-        return "" if chosen is None else str(chosen.Name)
-
-    def _apply_air(self, tracker: Any, settings: Preparation) -> None:
-        given = (settings.temperature_c, settings.pressure_hpa, settings.humidity_percent)
-        if any(value is None for value in given) and any(value is not None for value in given):
-            raise ValueError("tracker: give air temperature, pressure and humidity together, or none of them")
-        station = tracker.MeteoStation
-        if given[0] is None:
-            self._choose(station, ("Source",), "EMeteoSource", "LiveMeteo")
-            return
-        self._choose(station, ("Source",), "EMeteoSource", "ManualMeteo")
-        for name, value in zip(_AIR, given):
-            self._set(station, f"Manual{name}", value)
+    def _apply(self, tracker: Any, preparation: Preparation) -> None:
+        assert self._lmf is not None
+        with self._no_handlers(tracker):
+            self._averaging_set_s = None
+            self._reflector = apply_settings(self._lmf, tracker, self._use, preparation)
 
     def _level(self, tracker: Any) -> None:
-        level = tracker.InclinationSensor
-        if level is None:
-            raise ValueError("tracker: it has no level; turn 'gravity' off")
-        self._deafen(tracker)
-        try:
-            level.GetInclinationToGravity()
-            self._set(level, "InclinedToGravity", True)
-            self._set(level.Monitoring, "Active", True)
-            level.Monitoring.Reset()
-        finally:
-            self._listen(tracker)
-
-    def _choose(self, root: Any, path: tuple[str, ...], kind: str, name: str) -> None:
-        """Set an enumeration, plain or in a value object, by its member's name, and read it back from ``root``."""
-
-        def holder() -> tuple[Any, str, Any]:
-            owner = root
-            for step in path[:-1]:
-                owner = getattr(owner, step)
-            value = getattr(owner, path[-1])
-            return (value, "Value", value.Value) if hasattr(value, "Value") else (owner, path[-1], value)
-
-        owner, attribute, current = holder()
-        members = type(current) if hasattr(type(current), name) else self._enumeration(kind)
-        if not hasattr(members, name):
-            raise TrackerError(f"tracker: this LMF has no {kind}.{name}, which {'.'.join(path)} needs")
-        wanted = getattr(members, name)
-        if int(current) == int(wanted):
-            return
-        try:
-            setattr(owner, attribute, wanted)
-        except TypeError:  # some value objects take the number
-            setattr(owner, attribute, int(wanted))
-        if int(holder()[2]) != int(wanted):
-            raise TrackerError(f"tracker: {'.'.join(path)} does not take {name}; it stays at {holder()[2]}")
-
-    def _enumeration(self, name: str) -> Any:
-        return None if self._lmf is None else self._lmf.enumeration(name)
-
-    @staticmethod
-    def _set(owner: Any, name: str, wanted: object) -> None:
-        """Set a value object, or a plain property, and read it back."""
-        value = getattr(owner, name)
-        if plain(value) != wanted:
-            if hasattr(value, "Value"):
-                value.Value = wanted
-            else:
-                setattr(owner, name, wanted)
-            found = plain(getattr(owner, name))
-            if found != wanted and not (isinstance(wanted, float) and math.isclose(found, wanted, rel_tol=1e-6)):
-                raise TrackerError(f"tracker: {name} does not take {wanted}; it stays at {found}")
-
-    @staticmethod
-    def _set_quantity(value: Any, kind: str, wanted_si: float) -> None:
-        """Set a value object in the unit that it says it has."""
-        value.Value = wanted_si / factor(value, kind)
+        with self._no_handlers(tracker):
+            start_level_monitoring(tracker)
 
     # -- events --------------------------------------------------------------------------------------------------------
 
-    def _listen(self, tracker: Any) -> None:
-        for name, handler in self._listeners:
-            setattr(tracker, name, operator.iadd(getattr(tracker, name), handler))
-        self._listening = True
+    def _subscribe(self, tracker: Any) -> None:
+        for name, handler in self._handlers:
+            event = getattr(tracker, name)
+            event += handler
+            setattr(tracker, name, event)
+        self._subscribed = True
 
-    def _deafen(self, tracker: Any) -> None:
-        if not self._listening:
-            return  # pythonnet refuses to take off what was not put on
-        self._listening = False
-        for name, handler in self._listeners:
-            setattr(tracker, name, operator.isub(getattr(tracker, name), handler))
+    def _unsubscribe(self, tracker: Any) -> None:
+        if not self._subscribed:
+            return  # pythonnet refuses to remove a handler that was not added
+        self._subscribed = False
+        for name, handler in self._handlers:
+            event = getattr(tracker, name)
+            event -= handler
+            setattr(tracker, name, event)
 
-    def _on_gone(self, *arguments: Any) -> None:
+    @contextlib.contextmanager
+    def _no_handlers(self, tracker: Any) -> Iterator[None]:
+        """Keep the handlers unsubscribed while settings are written; see the module's docstring."""
+        subscribed = self._subscribed
+        self._unsubscribe(tracker)
+        try:
+            yield
+        finally:
+            if subscribed:
+                self._subscribe(tracker)
+
+    def _on_disconnected(self, *arguments: Any) -> None:
         cause = arguments[-1] if arguments else None
-        self._gone = "LMF reports the connection closed" + (f": {told(cause)}" if cause is not None else "")
+        self._disconnected = "LMF reports the connection closed" + (f": {describe(cause)}" if cause is not None else "")
 
     def _on_message(self, *arguments: Any) -> None:
         if arguments:
-            self._news.append(told(arguments[-1]))
+            self._unreported.append(describe(arguments[-1]))
 
     # -- readiness -----------------------------------------------------------------------------------------------------
 
     def unmet(self) -> list[str]:
-        """What keeps it from measuring. That nothing is locked yet does not count: measuring begins with pointing."""
-        return self._ask("looking at the tracker", self._unmet)
+        """Return what prevents measuring. A target that is not locked yet does not count: measuring points first."""
+        return self._call("reading the tracker's state", self._unmet)
 
     def _unmet(self, tracker: Any) -> list[str]:
         return self._laser_and_stand(tracker) + self._preconditions(tracker)
@@ -507,11 +324,11 @@ class LmfTracker:
     def _laser_and_stand(tracker: Any) -> list[str]:
         unmet = []
         laser = tracker.Laser
-        if laser is not None and not plain(laser.IsOn):
+        if laser is not None and not unwrap(laser.IsOn):
             unmet.append("its laser is off: switch it on and let it warm up")
-        elif laser is not None and not plain(laser.IsLaserWarmedUp):
+        elif laser is not None and not unwrap(laser.IsLaserWarmedUp):
             unmet.append("its laser is warming up")
-        if not plain(tracker.QuickRelease):
+        if not unwrap(tracker.QuickRelease):
             unmet.append("its quick release is open: close it")
         return unmet
 
@@ -519,76 +336,80 @@ class LmfTracker:
         locked = tracker.Targets.Selected is not None
         unmet = []
         for precondition in tracker.Measurement.Status.Preconditions:
-            text = told(precondition)
-            if locked or not any(word in text.casefold() for word in self._use.target_words):
+            text = describe(precondition)
+            if locked or not any(word.casefold() in text.casefold() for word in self._use.target_words):
                 unmet.append(text)
         return unmet
 
     def inclination(self) -> Inclination | None:
-        """The monitored level; None where there is none or ``gravity`` is off."""
-        return self._ask("reading the level", self._inclination)
+        """Return the monitored level; None if there is none or ``gravity`` is off."""
+        return self._call("reading the level", self._inclination)
 
     def _inclination(self, tracker: Any) -> Inclination | None:
         level = tracker.InclinationSensor
-        if level is None or not plain(level.Monitoring.Active):
+        if level is None or not unwrap(level.Monitoring.Active):
             return None
         tilt = level.CurrentInclinationToGravity
         initial, current = level.Monitoring.Initial, level.Monitoring.Current
         return Inclination(
-            tilt_rad=(si(tilt.InclinationRotX, "angle"), si(tilt.InclinationRotY, "angle")),
+            tilt_rad=(to_si(tilt.InclinationRotX, "angle"), to_si(tilt.InclinationRotY, "angle")),
             drift_rad=math.hypot(
-                si(current.X, "angle") - si(initial.X, "angle"), si(current.Y, "angle") - si(initial.Y, "angle")
+                to_si(current.X, "angle") - to_si(initial.X, "angle"),
+                to_si(current.Y, "angle") - to_si(initial.Y, "angle"),
             ),
-            threshold_rad=si(level.Monitoring.Threshold, "angle"),
+            threshold_rad=to_si(level.Monitoring.Threshold, "angle"),
         )
 
     # -- measuring -----------------------------------------------------------------------------------------------------
 
     def measure(self, expected_M: Vector, averaging_s: float) -> Point:
-        """Point at ``expected_M`` (3,) [m], lock the SMR there and measure it, in face 1. Raises as the protocol says.
+        """Point at ``expected_M`` (3,) [m], lock the SMR there and measure it in face 1. Errors as in the protocol.
 
-        How long is averaged the tracker decides, unless ``stationary`` is "time".
+        The tracker sets the averaging time, unless ``stationary`` is "time".
         """
-        expected = self._asked(expected_M, averaging_s)
+        expected = self._checked(expected_M, averaging_s)
         return self._measure(expected, averaging_s)
 
     def measure_two_face(self, expected_M: Vector, averaging_s: float) -> TwoFace:
-        """Measure in face 1, turn over, measure in face 2, turn back whatever happens."""
-        expected = self._asked(expected_M, averaging_s)
+        """Measure in face 1, change face, measure in face 2; always return to face 1."""
+        expected = self._checked(expected_M, averaging_s)
         first = self._measure(expected, averaging_s)
         try:
-            self._ask(_TURNING, partial(self._turn, face=2), heeds_halt=True)
+            self._call(_TURNING, partial(self._change_face, face=2), haltable=True)
             second = self._average(expected, averaging_s, 2)
         finally:
-            self._ask("turning to face 1", partial(self._turn, face=1))
+            self._call("turning to face 1", partial(self._change_face, face=1))
         return TwoFace(first, second)
 
     def halt(self) -> None:
-        """The measurement under way raises ``Halted``. LMF finishes its call by itself; the next one waits for that."""
-        commands = self._commands
-        if commands is not None:
-            commands.halt()
+        """Make the running measurement raise ``Halted``. LMF finishes its call; the next one waits for that."""
+        calls = self._calls
+        if calls is not None:
+            calls.halt()
 
-    def _asked(self, expected_M: Vector, averaging_s: float) -> Vector:
+    def _checked(self, expected_M: Vector, averaging_s: float) -> Vector:
+        """Check the arguments of a measurement and clear an earlier halt. Raises ``ValueError``."""
         if not 0.0 < averaging_s < math.inf:
             raise ValueError(f"tracker: averaging must last longer than 0 s, not {averaging_s!r} s")
         expected = np.asarray(expected_M, dtype=np.float64)
         if expected.shape != (3,) or not np.isfinite(expected).all():
             raise ValueError("tracker: the expected point must be three finite coordinates in metres")
-        self._begin()
+        self._clear_halt()
         return expected
 
     def _measure(self, expected: Vector, averaging_s: float) -> Point:
-        self._ask(_POINTING, partial(self._lock, expected=expected, averaging_s=averaging_s), heeds_halt=True)
+        self._call(_POINTING, partial(self._lock, expected=expected, averaging_s=averaging_s), haltable=True)
         return self._average(expected, averaging_s, 1)
 
     def _lock(self, tracker: Any, expected: Vector, averaging_s: float) -> None:
         unmet = self._unmet(tracker)
         if unmet:
             raise NotReady(f"tracker: not ready to measure: {'; '.join(unmet)}")
-        if self._use.stationary == "time" and averaging_s != self._averages_s:
-            self._set_time(tracker, averaging_s)
-        if not plain(tracker.Face.IsFace1):
+        if self._use.stationary == "time" and averaging_s != self._averaging_set_s:
+            with self._no_handlers(tracker):
+                set_quantity(tracker.Measurement.Profiles.Selected.Time, "time", averaging_s)
+            self._averaging_set_s = averaging_s
+        if not unwrap(tracker.Face.IsFace1):
             tracker.Face.Change()
         found = tracker.PositionTo(True, False, *(float(value) for value in expected))
         if found is None or tracker.Targets.Selected is None:
@@ -596,18 +417,10 @@ class LmfTracker:
         if self._reflector and str(found.Name) != self._reflector:
             raise WrongTarget(f"tracker: it locked a '{found.Name}' where a '{self._reflector}' was expected")
 
-    def _set_time(self, tracker: Any, averaging_s: float) -> None:
-        self._deafen(tracker)
-        try:
-            self._set_quantity(tracker.Measurement.Profiles.Selected.Time, "time", averaging_s)
-        finally:
-            self._listen(tracker)
-        self._averages_s = averaging_s
-
-    def _turn(self, tracker: Any, face: Face) -> None:
-        if bool(plain(tracker.Face.IsFace1)) != (face == 1):
+    def _change_face(self, tracker: Any, face: Face) -> None:
+        if bool(unwrap(tracker.Face.IsFace1)) != (face == 1):
             tracker.Face.Change()
-            if bool(plain(tracker.Face.IsFace1)) != (face == 1):
+            if bool(unwrap(tracker.Face.IsFace1)) != (face == 1):
                 raise TrackerError(f"tracker: it does not turn to face {face}")
         if face == 2 and tracker.Targets.Selected is None:
             raise TargetLost("tracker: it did not find the SMR again in face 2")
@@ -616,15 +429,17 @@ class LmfTracker:
         if self._use.stationary == "time":
             limit_s = averaging_s + OTHER_PROFILE_S
         else:
-            limit_s = self._use.measuring_s[self._preparation.accuracy]
+            limit_s = MEASURING_S[self._preparation.accuracy]
         read = partial(self._read, averaging_s=averaging_s, face=face)
-        point = self._ask(_MEASURING, read, limit_s, heeds_halt=True)
+        point = self._call(_MEASURING, read, limit_s, haltable=True)
         off_m = float(np.linalg.norm(point.p_M - expected))
-        if off_m > self._use.wrong_target_m:
+        if off_m > self._use.wrong_target:
             raise WrongTarget(f"tracker: it locked an SMR {off_m * 1e3:.0f} mm from where one was expected")
         return point
 
     def _read(self, tracker: Any, averaging_s: float, face: Face) -> Point:
+        """Measure the locked SMR and convert LMF's result."""
+        assert self._lmf is not None
         if tracker.Targets.Selected is None:
             raise TargetLost("tracker: the beam to the SMR broke before it was measured")
         began_s = time.monotonic()
@@ -632,105 +447,85 @@ class LmfTracker:
         ended_s = time.monotonic()
         if result is None:
             raise TargetLost("tracker: it measured nothing")
-        position = result.Position
-        kind = plain(position.CoordinateType)
-        if str(kind) != "Cartesian" and int(kind) != int(self._enumeration("ECoordinateType").Cartesian):
-            raise TrackerError(f"tracker: the point comes in {kind} coordinates; another program changed that")
-        coordinates = (position.Coordinate1, position.Coordinate2, position.Coordinate3)
-        p_M = np.array([si(coordinate, "length") for coordinate in coordinates])
-        precision = np.array([precision_m(coordinate) for coordinate in coordinates])
-        if not (np.isfinite(p_M).all() and np.isfinite(precision).all() and np.linalg.norm(p_M) > 0.0):
-            raise TrackerError("tracker: it reports a point that is none")
-        if bool(plain(position.IsFace2)) != (face == 2):
-            raise TrackerError(f"tracker: it measured in another face than {face}")
-        seen_m = float(np.linalg.norm(precision))
-        if seen_m > self._use.shaking_m:
-            raise Unstable(f"tracker: the SMR moved while it was measured: precision {seen_m * 1e6:.0f} um")
-        covariance = self._use.law.covariance(p_M)
-        covariance *= max(1.0, seen_m**2 / float(np.trace(covariance)))  # it shook more than the law knows
-        air, quality = self._air(result)
-        flags = str(plain(result.Info.FlagsWithWarnings))
-        if flags != "AllOk":
-            quality.append(flags)
-        quality += self._air_notices(tracker)
-        while self._news:  # also what came since the last point
-            text = self._news.popleft()
-            self._messages.append(text)
-            quality.append(text)
-        ticks = int(result.TimeStamp.Ticks)
+        p_M, precision_M = read_position(self._lmf, result.Position, face)
+        precision_m = float(np.linalg.norm(precision_M))
+        if precision_m > self._use.shaking:
+            raise Unstable(f"tracker: the SMR moved while it was measured: precision {precision_m * 1e6:.0f} um")
+        covariance_M = self._law.covariance(p_M)
+        covariance_M *= max(1.0, precision_m**2 / float(np.trace(covariance_M)))  # the SMR shook more than specified
+        air, quality = read_air(result)
         return Point(
             p_M=p_M,
-            covariance_M=covariance,
+            covariance_M=covariance_M,
             time_s=0.5 * (began_s + ended_s),
             averaging_s=averaging_s if self._use.stationary == "time" else ended_s - began_s,
             temperature_c=air["Temperature"],
             pressure_hpa=air["Pressure"],
             humidity_percent=air["Humidity"],
-            precision_M=precision,
+            precision_M=precision_M,
             face=face,
-            tracker_time_s=(ticks - _TICKS_1970) * 1e-7 if ticks else None,
+            tracker_time_s=tracker_time_s(result),
             host_time_s=time.time(),
             reflector=self._reflector,
-            quality=tuple(quality),
+            quality=(*quality, *self._air_notices(tracker), *self._new_messages()),
         )
 
-    @staticmethod
-    def _air(result: Any) -> tuple[dict[str, float | None], list[str]]:
-        """What the refraction was corrected with, in the units set at connect, and what is not to be believed of it."""
-        air: dict[str, float | None] = {}
-        doubts = []
-        for name, (low, high) in _AIR.items():
-            value = float(plain(getattr(result, name)))
-            air[name] = value if low <= value <= high else None
-            if air[name] is None:
-                doubts.append(f"{name.lower()} applied to the point reads {value:g}, which cannot be")
-        return air, doubts
+    def _new_messages(self) -> list[str]:
+        """Return the messages that came since the last point, and keep them for ``notices``."""
+        messages = []
+        while self._unreported:
+            messages.append(self._unreported.popleft())
+        self._messages.extend(messages)
+        return messages
 
     # -- calls ---------------------------------------------------------------------------------------------------------
 
-    def _begin(self) -> None:
-        if self._commands is not None:
-            self._commands.begin()
+    def _clear_halt(self) -> None:
+        if self._calls is not None:
+            self._calls.clear_halt()
 
-    def _ask(
-        self, what: str, function: Callable[[Any], _T], limit_s: float | None = None, *, heeds_halt: bool = False
+    def _call(
+        self, what: str, function: Callable[[Any], _T], limit_s: float | None = None, *, haltable: bool = False
     ) -> _T:
-        """Run ``function(tracker)`` on LMF's thread and say what LMF throws in the protocol's words."""
-        commands, tracker = self._commands, self._tracker
-        if commands is None or tracker is None:
+        """Run ``function(tracker)`` on the thread that calls LMF; raise LMF's exceptions as ``TrackerError``."""
+        calls, tracker = self._calls, self._tracker
+        if calls is None or tracker is None:
             raise TrackerLinkLost(f"tracker {self._use.address}: not connected")
-        if self._gone:
-            raise TrackerLinkLost(f"tracker {self._use.address}: {self._gone}; connect again")
+        if self._disconnected:
+            raise TrackerLinkLost(f"tracker {self._use.address}: {self._disconnected}; connect again")
 
         def run() -> _T:
-            with self._translated(what):
+            with self._translating_errors(what):
                 return function(tracker)
 
-        return commands.call(what, run, self._use.command_s if limit_s is None else limit_s, heeds_halt=heeds_halt)
+        return calls.call(what, run, self._use.timeout if limit_s is None else limit_s, haltable=haltable)
 
     @contextlib.contextmanager
-    def _translated(self, what: str) -> Iterator[None]:
-        thrown = () if self._lmf is None else self._lmf.thrown
+    def _translating_errors(self, what: str) -> Iterator[None]:
+        exceptions = () if self._lmf is None else self._lmf.exceptions
         try:
             yield
-        except thrown as error:
-            raise self._meant(what, error) from error
+        except exceptions as error:
+            raise self._classified(what, error) from error
         except AttributeError as error:
             raise TrackerError(f"tracker: this LMF lacks what the driver needs: {error}; is it v1.10?") from error
 
-    def _meant(self, what: str, error: BaseException) -> TrackerError:
-        """LMF publishes no numbers for a lost target: what it is shows in the state it leaves behind."""
-        text = f"tracker: {what} failed: {told(error)}"
-        if self._gone:
-            return TrackerLinkLost(f"{text}; {self._gone}")
+    def _classified(self, what: str, error: BaseException) -> TrackerError:
+        """Return the protocol's error for an exception of LMF.
+
+        LMF publishes no numbers for a lost target, so the state after the failure decides.
+        """
+        text = f"tracker: {what} failed: {describe(error)}"
+        if self._disconnected:
+            return TrackerLinkLost(f"{text}; {self._disconnected}")
         if error_number(error) in self._use.lost_numbers:
             return TargetLost(text)
-        thrown = () if self._lmf is None else self._lmf.thrown
+        exceptions = () if self._lmf is None else self._lmf.exceptions
         try:
             unmet = self._unmet(self._tracker)
             lost = self._tracker.Targets.Selected is None
-        except thrown:
-            return TrackerLinkLost(f"{text}; it does not tell its state either")
+        except exceptions:
+            return TrackerLinkLost(f"{text}; its state cannot be read either")
         if unmet:
             return NotReady(f"{text}; not ready: {'; '.join(unmet)}")
         return TargetLost(text) if lost and what in (_POINTING, _MEASURING, _TURNING) else TrackerError(text)

@@ -1,4 +1,4 @@
-"""LMF as Python sees it: loading Leica's library, and reading the value objects that it has in place of numbers."""
+"""Loading Leica's library LMF, and reading its value objects, which stand for numbers."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 
 
 class LmfMissing(TrackerError):
-    """LMF cannot be loaded here: no Windows, no pythonnet, or no Leica library."""
+    """LMF cannot be loaded: not Windows, no pythonnet, or no Leica library."""
 
 
 @dataclass(frozen=True)
 class Lmf:
-    """What is used of LMF: two classes, its enumerations by name, and the base of what it throws."""
+    """The parts of LMF that the driver uses: two classes, enumerations by name, the base classes of its exceptions."""
 
     Connection: Callable[[], Any]
     TrackerFinder: Callable[[], Any]
     enumeration: Callable[[str], Any]
-    thrown: tuple[type[BaseException], ...]
+    exceptions: tuple[type[BaseException], ...]
 
 
 def load_lmf(library: str) -> Lmf:
-    """Load Leica's library through pythonnet. Raises ``LmfMissing``, in words."""
+    """Load Leica's library through pythonnet. Raises ``LmfMissing`` with what is missing."""
     needs = "LMF needs Windows and the extra cellapp[lmf]"
     if sys.platform != "win32":
         raise LmfMissing(f"{needs}; this is {sys.platform}. The tracker's PC can serve it: 'cellapp tracker-bridge'")
@@ -56,38 +56,40 @@ def load_lmf(library: str) -> Lmf:
     return Lmf(modules[0].Connection, modules[0].TrackerFinder, enumeration, (system.Exception,))
 
 
-def plain(value: Any) -> Any:
-    """The value in a value object; a plain one as it is. Leica's documents do not agree which some members are."""
+def unwrap(value: Any) -> Any:
+    """Return the value in a value object, or a plain value unchanged; Leica's documents disagree on some members."""
     return value.Value if hasattr(value, "Value") else value
 
 
-def factor(value: Any, kind: str) -> float:
-    """What a value object's number must be multiplied with to be SI. Raises ``TrackerError`` for a unit unknown."""
+def si_factor(value: Any, kind: str) -> float:
+    """Return the factor from a value object's unit to SI. Raises ``TrackerError`` for an unknown unit."""
     unit = str(value.UnitString).strip().replace("µ", "u").replace("μ", "u")
     if unit not in _UNITS[kind]:
-        raise TrackerError(f"tracker: a {kind} comes in '{unit}', which is not understood")
+        raise TrackerError(f"tracker: a {kind} comes in '{unit}', an unknown unit")
     return _UNITS[kind][unit]
 
 
-def si(value: Any, kind: str) -> float:
-    return float(value.Value) * factor(value, kind)
+def to_si(value: Any, kind: str) -> float:
+    """Return a value object's number in SI."""
+    return float(value.Value) * si_factor(value, kind)
 
 
 def precision_m(coordinate: Any) -> float:
-    """Precision of a coordinate [m]: a number in the coordinate's unit, or a value object with its own."""
+    """Return the precision of a coordinate [m]: a number in the coordinate's unit, or a value object with its own."""
     precision = coordinate.Precision
     if hasattr(precision, "UnitString"):
-        return si(precision, "length")
-    return float(plain(precision)) * factor(coordinate, "length")
+        return to_si(precision, "length")
+    return float(unwrap(precision)) * si_factor(coordinate, "length")
 
 
 def error_number(error: object) -> int | None:
+    """Return LMF's number of an error, or None."""
     number = getattr(error, "Number", None)
-    return None if number is None else int(plain(number))
+    return None if number is None else int(unwrap(number))
 
 
-def told(message: object) -> str:
-    """An exception, error, warning or precondition of LMF in one line: its four fields, or whatever text it has."""
+def describe(message: object) -> str:
+    """Return an exception, error, warning or precondition of LMF as one line: its four fields, or its text."""
     number = error_number(message)
     if number is None:
         return one_line(message)
@@ -96,4 +98,5 @@ def told(message: object) -> str:
 
 
 def one_line(error: object) -> str:
+    """Return an error's text as one line of limited length."""
     return " ".join(str(error).split())[:300] or type(error).__name__

@@ -1,4 +1,4 @@
-"""The tracker of the simulated cell: it sees what the plant lets it see, and has faults of its own."""
+"""The tracker of the simulated cell, with errors and faults of its own."""
 
 from __future__ import annotations
 
@@ -34,40 +34,43 @@ from drivers.trackers.protocol import (
 Vector = NDArray[np.float64]
 
 SEARCH_RADIUS_M = 0.1
-"""How far from the expected point an SMR is still found."""
+"""Search radius about the expected point."""
 POINTING_S = 0.5
-"""Turning the head and locking."""
+"""Time for turning the head and locking."""
 FACE_CHANGE_S = 3.0
 INITIALISE_S = 30.0
 SETTLE_S = 0.1
-"""An arm that has rested for less than this still shakes its SMR."""
+"""An SMR still shakes if its arm was at rest for less than this."""
 INCLINATION_THRESHOLD_RAD = 15e-6
 REFLECTORS = ("simulated 1.5 in",)
 
 _WATCH_S = 0.02
+"""Interval of checking the target while anything moves: 5 mm at 0.25 m/s."""
 _MOVED_M = 5e-6
+"""A target that moves by more than the tracker's noise is unstable."""
 _STANDARD_AIR = (20.0, 1013.25, 50.0)
+"""Temperature [degC], pressure [hPa] and humidity [%] without a weather station."""
 
 
 @dataclass(frozen=True)
 class Imperfections:
-    """What is wrong with the tracker itself. As it stands here nothing is, beyond the noise of its specification.
+    """Errors of the tracker itself. The defaults are a tracker with the noise of its specification alone.
 
     Attributes
     ----------
     warm_up_rad, warm_up_m : array (3,), float
-        Rotation vector in M by which the head points wrong when it has just been switched on, and what it adds to
-        every distance [rad, m]; both fade with the time constant ``warm_up_s``.
+        Pointing error as a rotation vector in M [rad], and distance error [m], just after switching on; both decay with
+        the time constant ``warm_up_s``.
     laser_s : float
-        How long after switching on the laser needs before anything can be measured [s].
+        Warm-up time of the laser, before which nothing can be measured [s].
     collimation_rad, index_rad : float
-        Errors of azimuth and elevation that change sign with the face [rad]; the first grows towards the zenith.
+        Errors of azimuth and elevation that change sign with the face [rad]; the first increases towards the zenith.
     tilt_rad : tuple of two float
-        How far the tracker leans, as its level tells [rad].
+        Tilt of the tracker, as its level reports it [rad].
     weather_station : bool
-        Whether it measures the air. Without, and without values given by ``prepare``, it corrects for standard air.
+        Whether it measures the air. Otherwise it corrects for the values of ``prepare``, or for standard air.
     pressure_hpa, humidity_percent : float
-        The true air; its temperature is the plant's.
+        Pressure and humidity of the true air; its temperature is the plant's.
     clock_offset_s, clock_rate : float
         Its own clock against the plant's: ``offset + (1 + rate) t``.
     """
@@ -87,8 +90,8 @@ class Imperfections:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """One SMR in the room: whose, where (3,) in M, why it cannot be seen ("" when it can)."""
+class _Smr:
+    """An SMR: its owner in words, its arm (None: a nest), position (3,) [m] in M, why it is hidden ("" if visible)."""
 
     owner: str
     arm: str | None
@@ -98,7 +101,7 @@ class _Seen:
 
 
 def refractivity(temperature_c: float, pressure_hpa: float, humidity_percent: float) -> float:
-    """n - 1 of moist air at 633 nm: density of an ideal gas, and Edlen's term for water vapour.
+    """Return n - 1 of moist air at 633 nm: density of an ideal gas, and Edlen's term for water vapour.
 
     Within 0.3 ppm of Ciddor (1996) between 10 and 30 degC: 271.4e-6 at 20 degC, 1013.25 hPa, 50 %.
     """
@@ -108,18 +111,18 @@ def refractivity(temperature_c: float, pressure_hpa: float, humidity_percent: fl
 
 
 class SimulatedTracker:
-    """The tracker of a ``Plant``. It locks the visible SMR nearest to where it is told to look, whosever that is.
+    """The tracker of a ``Plant``. It locks the visible SMR that is nearest to the expected point, of whichever arm.
 
-    An SMR is seen in the field of view, inside its acceptance angle and where no body of any arm crosses the beam.
+    An SMR is visible inside the field of view and its acceptance angle, if no body of any arm crosses the beam.
 
     Attributes
     ----------
     obstacles : list of str
-        Preconditions that are not met, in words; add some to make it refuse.
+        Preconditions that are not met, in words; add one to make it refuse.
     covered : set of str
-        Arms (or nests) whose SMR something hides.
+        Arms or nests whose SMR is covered.
     measured : int
-        How many points it has made.
+        Number of points measured.
     """
 
     def __init__(
@@ -133,15 +136,24 @@ class SimulatedTracker:
         pass_time: Callable[[float], None] | None = None,
         watch_s: float = math.inf,
     ) -> None:
-        """Stand in the cell of ``plant``.
+        """Prepare the tracker of ``plant``; nothing is opened yet.
 
-        ``nests`` holds SMRs in fixed places, name -> (3,) [m] in M. A locked SMR farther than ``wrong_target_m`` from
-        where it was expected is refused; by default that is left to who asks. ``switched_on_s`` is on the plant's
-        clock. ``pass_time`` lets a duration [s] of the plant pass, by default ``plant.advance``; give one that waits
-        where somebody else advances the plant, and ``watch_s``, how often to look at the target meanwhile.
+        Parameters
+        ----------
+        nests : mapping, or None
+            SMRs in fixed places, name -> (3,) [m] in M.
+        wrong_target_m : float or None
+            Largest distance of a locked SMR from the expected point [m]; None leaves this check to the caller.
+        switched_on_s : float
+            When it was switched on, on the plant's clock [s].
+        pass_time : callable, or None
+            Lets a duration [s] of the plant pass; None is ``plant.advance``. It must wait if another thread advances
+            the plant.
+        watch_s : float
+            Longest interval of checking the target meanwhile [s].
         """
         self._plant = plant
-        self._wrong = imperfections
+        self._errors = imperfections
         self._nests = {name: np.array(p, dtype=np.float64) for name, p in (nests or {}).items()}
         self._wrong_target_m = wrong_target_m
         self._switched_on_s = switched_on_s
@@ -181,12 +193,12 @@ class SimulatedTracker:
             raise TrackerLinkLost(f"tracker: the simulated link is {down or 'not open; connect first'}")
 
     def identify(self) -> TrackerIdentity:
-        """Who it is: a simulated tracker."""
+        """Return the identity of a simulated tracker."""
         self._link()
         return TrackerIdentity(model="simulated tracker", serial="SIM-tracker", software="simulated")
 
     def prepare(self, settings: Preparation) -> None:
-        """Initialise after a restart, which takes its time, and apply ``settings``."""
+        """Apply ``settings``; after a restart, initialise first, which takes ``INITIALISE_S``."""
         self._link()
         if settings.reflector and settings.reflector not in REFLECTORS:
             known = ", ".join(f"'{name}'" for name in REFLECTORS)
@@ -198,12 +210,12 @@ class SimulatedTracker:
         self._settings = settings
 
     def unmet(self) -> list[str]:
-        """Every precondition that keeps it from measuring."""
+        """Return every precondition that is not met, in words."""
         self._link()
         unmet = list(self.obstacles)
         if not self._initialised:
             unmet.append("it has not been initialised since it was switched on")
-        left = self._switched_on_s + self._wrong.laser_s - self._plant.clock_s
+        left = self._switched_on_s + self._errors.laser_s - self._plant.clock_s
         if left > 0.0:
             unmet.append(f"its laser is warming up, {left:.0f} s are left")
         return unmet
@@ -213,23 +225,23 @@ class SimulatedTracker:
     def measure(self, expected_M: Vector, averaging_s: float) -> Point:
         """Lock the visible SMR nearest to ``expected_M`` (3,) [m] and average it for ``averaging_s``.
 
-        What it locks may be another arm's: unless ``wrong_target_m`` was given only who asked can tell, from the
-        distance to the expected point. Raises ``TargetLost``, ``WrongTarget``, ``Unstable``, ``NotReady``, ``Halted``
+        The SMR may belong to another arm: without ``wrong_target_m``, the caller must check the distance to the
+        expected point. Raises ``TargetLost``, ``WrongTarget``, ``Unstable``, ``NotReady``, ``Halted``
         or ``TrackerLinkLost``.
         """
-        expected = self._asked(expected_M, averaging_s)
+        expected = self._checked_request(expected_M, averaging_s)
         return self._measure(expected, averaging_s, 1)
 
     def measure_two_face(self, expected_M: Vector, averaging_s: float) -> TwoFace:
         """Measure in face 1, turn the head over, measure in face 2 and turn it back. Raises as ``measure``."""
-        expected = self._asked(expected_M, averaging_s)
+        expected = self._checked_request(expected_M, averaging_s)
         first = self._measure(expected, averaging_s, 1)
         self._wait(FACE_CHANGE_S)
         second = self._measure(expected, averaging_s, 2)
         self._wait(FACE_CHANGE_S)
         return TwoFace(first, second)
 
-    def _asked(self, expected_M: Vector, averaging_s: float) -> Vector:
+    def _checked_request(self, expected_M: Vector, averaging_s: float) -> Vector:
         unmet = self.unmet()
         if unmet:
             raise NotReady(f"tracker: not ready to measure: {'; '.join(unmet)}")
@@ -248,16 +260,16 @@ class SimulatedTracker:
         if locked.moving or rested_s < SETTLE_S:
             self._unstable(locked)
         taken_s = self._plant.clock_s
-        air = (self._plant.air_temperature_c, self._wrong.pressure_hpa, self._wrong.humidity_percent)
+        air = (self._plant.air_temperature_c, self._errors.pressure_hpa, self._errors.humidity_percent)
         read, covariance = self._plant.measure_positions(locked.p_M[None], averaging_s=averaging_s)
         applied, warnings = self._applied(air)
-        p_M = self._as_it_reads(read[0], face, air, applied)
+        p_M = self._with_errors(read[0], face, air, applied)
         self._average(locked, averaging_s)
         if self._wrong_target_m is not None and np.linalg.norm(p_M - expected) > self._wrong_target_m:
             off_mm = float(np.linalg.norm(p_M - expected)) * 1e3
             raise WrongTarget(f"tracker: it locked an SMR {off_mm:.0f} mm from where one was expected")
         self.measured += 1
-        clock = self._wrong.clock_offset_s + (1.0 + self._wrong.clock_rate) * self._plant.clock_s
+        clock = self._errors.clock_offset_s + (1.0 + self._errors.clock_rate) * self._plant.clock_s
         return Point(
             p_M=p_M,
             covariance_M=covariance[0],
@@ -274,7 +286,7 @@ class SimulatedTracker:
             quality=warnings,
         )
 
-    def _lock(self, expected: Vector) -> _Seen:
+    def _lock(self, expected: Vector) -> _Smr:
         around = []
         for target in self._targets():
             distance = float(np.linalg.norm(target.p_M - expected))
@@ -287,24 +299,24 @@ class SimulatedTracker:
             raise TargetLost(f"tracker: no SMR within {SEARCH_RADIUS_M * 1e3:.0f} mm of ({place}) m{causes}")
         return min(visible, key=lambda pair: pair[0])[1]
 
-    def _targets(self) -> list[_Seen]:
-        """Every SMR in the room."""
+    def _targets(self) -> list[_Smr]:
+        """Return all SMRs of arms and nests."""
         found = []
         for target in self._plant.targets():
             why = "something covers it" if target.arm in self.covered else target.hidden
-            why = why or self._in_the_beam(target.p_M, target.arm)
-            found.append(_Seen(f"arm {target.arm}", target.arm, target.p_M, why, target.moving))
+            why = why or self._beam_obstacle(target.p_M, target.arm)
+            found.append(_Smr(f"arm {target.arm}", target.arm, target.p_M, why, target.moving))
         for name, p_M in self._nests.items():
             facing = -p_M / np.linalg.norm(p_M)
             why = "something covers it" if name in self.covered else ""
-            why = why or why_hidden(self._plant.config.tracker, p_M, facing, math.pi) or self._in_the_beam(p_M, None)
-            found.append(_Seen(f"nest {name}", None, p_M, why))
+            why = why or why_hidden(self._plant.config.tracker, p_M, facing, math.pi) or self._beam_obstacle(p_M, None)
+            found.append(_Smr(f"nest {name}", None, p_M, why))
         return found
 
-    def _in_the_beam(self, p_M: Vector, owner: str | None) -> str:
-        """Whose body stands between the tracker and ``p_M``, in words; "" where none does.
+    def _beam_obstacle(self, p_M: Vector, owner: str | None) -> str:
+        """Return in words whose body is between the tracker and ``p_M``; "" if none is.
 
-        What is fixed to the owner's flange holds the SMR: it always stands where the beam ends.
+        Bodies fixed to the owner's flange are not checked: they hold the SMR, where the beam ends.
         """
         for name, mechanism in self._bodies.items():
             capsules = mechanism.capsules
@@ -324,18 +336,18 @@ class SimulatedTracker:
         return any(self._plant.moving(name) for name in self._plant.names)
 
     def _wait(self, duration_s: float) -> None:
-        """Let time pass in steps no longer than ``watch_s``. Raises ``Halted``."""
+        """Let time pass in steps of at most ``watch_s``. Raises ``Halted``."""
         end_s = self._plant.clock_s + duration_s
         left = duration_s
         while left > 0.0:
             self._pass_time(min(left, self._watch_s))
             if self._halt.is_set():
-                self._link()  # a restart is no halt
+                self._link()  # a restart is a lost link, not a halt
                 raise Halted("tracker: it was told to halt; there is no measurement")
             left = 0.0 if left <= self._watch_s else end_s - self._plant.clock_s
 
-    def _average(self, locked: _Seen, averaging_s: float) -> None:
-        """Let the averaging pass and watch the target while anything moves."""
+    def _average(self, locked: _Smr, averaging_s: float) -> None:
+        """Wait for the end of the averaging, and check the target while anything moves."""
         began_s = self._plant.clock_s
         left = averaging_s
         while left > 0.0:
@@ -344,10 +356,10 @@ class SimulatedTracker:
             self._wait(step)
             moved = moved or any(self._plant.moving(n) or self._plant.rest_s(n) > began_s for n in self._plant.names)
             if moved:
-                self._still_there(locked, began_s)
+                self._check_target(locked, began_s)
             left = 0.0 if left <= step else began_s + averaging_s - self._plant.clock_s
 
-    def _still_there(self, locked: _Seen, began_s: float) -> None:
+    def _check_target(self, locked: _Smr, began_s: float) -> None:
         now = next(target for target in self._targets() if target.owner == locked.owner)
         if now.hidden:
             raise TargetLost(f"tracker: the beam to the SMR of {locked.owner} broke in mid-measurement: {now.hidden}")
@@ -356,71 +368,71 @@ class SimulatedTracker:
             self._unstable(locked)
 
     @staticmethod
-    def _unstable(locked: _Seen) -> NoReturn:
+    def _unstable(locked: _Smr) -> NoReturn:
         raise Unstable(f"tracker: the SMR of {locked.owner} moved while it was measured")
 
     # -- what it reads -------------------------------------------------------------------------------------------------
 
     def _applied(self, air: tuple[float, float, float]) -> tuple[tuple[float, float, float], tuple[str, ...]]:
-        """Temperature, pressure and humidity that the refraction is corrected with, and warnings about them."""
+        """Return temperature, pressure and humidity used for the refraction correction, and warnings about them."""
         given = (self._settings.temperature_c, self._settings.pressure_hpa, self._settings.humidity_percent)
-        source = air if self._wrong.weather_station else _STANDARD_AIR
-        missing = not self._wrong.weather_station and None in given
+        source = air if self._errors.weather_station else _STANDARD_AIR
+        missing = not self._errors.weather_station and None in given
         warnings = ("no weather station: refraction was corrected for standard air",) if missing else ()
         temperature, pressure, humidity = (s if g is None else g for g, s in zip(given, source, strict=True))
         return (temperature, pressure, humidity), warnings
 
-    def _as_it_reads(
+    def _with_errors(
         self, p_M: Vector, face: Face, air: tuple[float, float, float], applied: tuple[float, float, float]
     ) -> Vector:
-        """The point (3,) with the tracker's own errors on it; exactly ``p_M`` where it has none."""
-        wrong = self._wrong
+        """Return the point (3,) with the tracker's own errors; exactly ``p_M`` if there are none."""
+        errors = self._errors
         since_s = self._plant.clock_s - self._switched_on_s
-        cold = math.exp(-since_s / wrong.warm_up_s)
-        if any(wrong.warm_up_rad) and cold > 0.0:
-            p_M = carry(rigid(np.array([0.0, 0.0, 0.0, *wrong.warm_up_rad]) * cold), p_M)
-        if wrong.collimation_rad or wrong.index_rad:
+        cold = math.exp(-since_s / errors.warm_up_s)
+        if any(errors.warm_up_rad) and cold > 0.0:
+            p_M = carry(rigid(np.array([0.0, 0.0, 0.0, *errors.warm_up_rad]) * cold), p_M)
+        if errors.collimation_rad or errors.index_rad:
             sign = 1.0 if face == 1 else -1.0
             flat = math.hypot(p_M[0], p_M[1])
             distance = math.hypot(flat, p_M[2])
-            azimuth = math.atan2(p_M[1], p_M[0]) + sign * wrong.collimation_rad * distance / flat
-            elevation = math.atan2(p_M[2], flat) + sign * wrong.index_rad
+            azimuth = math.atan2(p_M[1], p_M[0]) + sign * errors.collimation_rad * distance / flat
+            elevation = math.atan2(p_M[2], flat) + sign * errors.index_rad
             level = distance * math.cos(elevation)
             up = distance * math.sin(elevation)
             p_M = np.array([level * math.cos(azimuth), level * math.sin(azimuth), up])
-        if applied != air:  # it divides the optical path by the index it believes in
+        if applied != air:  # it divides the optical path by the index of the assumed air
             p_M = p_M * ((1.0 + refractivity(*air)) / (1.0 + refractivity(*applied)))
-        if wrong.warm_up_m and cold > 0.0:
+        if errors.warm_up_m and cold > 0.0:
             distance = float(np.linalg.norm(p_M))
-            p_M = p_M * ((distance + wrong.warm_up_m * cold) / distance)
+            p_M = p_M * ((distance + errors.warm_up_m * cold) / distance)
         return p_M
 
     def inclination(self) -> Inclination:
-        """The level: how far it leans, and how far it was bumped since."""
+        """Return the tilt, and its drift since monitoring began."""
         self._link()
-        return Inclination(self._wrong.tilt_rad, self._tilt_drift_rad, INCLINATION_THRESHOLD_RAD)
+        return Inclination(self._errors.tilt_rad, self._tilt_drift_rad, INCLINATION_THRESHOLD_RAD)
 
     def halt(self) -> None:
-        """End what is under way, where time passes outside this tracker; harmless when nothing is."""
+        """End a running command, if another thread advances the plant; harmless when none runs."""
         self._halt.set()
 
     def disconnect(self) -> None:
         """Close the link; harmless when closed."""
         self._connected = False
 
-    # -- faults, for those who test what happens then ------------------------------------------------------------------
+    # -- faults, for tests --------------------------------------------------------------------------------------------
 
     def cut_link(self) -> None:
-        """Let no call through until ``release`` and ``connect``."""
+        """Block all calls until ``release`` and ``connect``."""
         self._link_cut = True
         self._connected = False
 
     def release(self) -> None:
-        """Mend the link."""
+        """Restore the link."""
         self._link_cut = False
 
     def reboot(self, down_s: float = 0.0) -> None:
-        """Start anew: the link is down for a while of the plant's time; then it must be connected and prepared."""
+        """Restart: the link is down for ``down_s`` [s] of the plant's time; then connect and prepare again."""
         self._connected = False
         self._initialised = False
         self._settings = Preparation()
@@ -428,5 +440,5 @@ class SimulatedTracker:
         self._halt.set()
 
     def bump(self, angle_rad: float) -> None:
-        """Knock against the stand: the level shows it."""
+        """Tilt the stand by an impact; the level reports it."""
         self._tilt_drift_rad += angle_rad

@@ -428,7 +428,7 @@ BAD = [
     (None, "import twin.yaml nowhere.csv --run new", ["nowhere.csv: file not found"]),
     (None, "export done --csv nowhere/out.csv", ["nowhere/out.csv cannot be written"]),
     (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: folder not found"]),
-    (None, "emulate ur10-ur5.yaml", ["nothing to stand in for"]),
+    (None, "emulate ur10-ur5.yaml", ["no controller to emulate"]),
 ]
 
 

@@ -22,7 +22,7 @@ from cellapp.safety.cell_bodies import home_positions
 from drivers.arms.protocol import ArmState
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.simulated import SimulatedTracker
-from tests.twin import small_twin
+from tests.twin import plant_of, small_twin
 
 STOPS = 12
 Hook = Callable[[Any, str, int], None]
@@ -78,10 +78,8 @@ class Watched:
                 self.cell = cell
                 yield cell
 
-        arms = {"simulated": lambda name, arm, plant: Arm(plant, name)}
-        trackers = {"simulated": lambda profile, plant: Tracker(plant)}
-        monkeypatch.setattr("cellapp.collection.cell.ARM_DRIVERS", arms)
-        monkeypatch.setattr("cellapp.collection.cell.TRACKER_DRIVERS", trackers)
+        monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Arm)
+        monkeypatch.setattr("drivers.trackers.simulated.SimulatedTracker", Tracker)
         monkeypatch.setattr(collecting, "open_cell", opened)
 
     def note(self, who: str, what: str) -> None:
@@ -99,7 +97,7 @@ class Watched:
     @property
     def plant(self) -> Any:
         assert self.cell is not None
-        return self.cell.plant
+        return plant_of(self.cell)
 
 
 @pytest.fixture
@@ -174,7 +172,7 @@ def test_cancelled_between_stops_the_arms_rest_and_the_run_goes_on(
     assert run.stops_done() == set(range(5)), "the stop that was under way is finished"
     assert not moved_since(watched)
     last = max(run.readings(name).time_s.max() for name in plan)
-    with pytest.raises(InputError, match="5 stops are stored already; go on with --resume"):
+    with pytest.raises(InputError, match="5 stops are stored already; continue with --resume"):
         collect_run(run)
     collect_run(run, resume=True)
     for name, q in plan.items():
@@ -346,7 +344,7 @@ def test_the_other_arms_smr_is_not_taken_for_this_ones(
 def test_a_resumed_run_may_begin_where_the_straight_way_is_not_free(
     run: RunFile, plan: dict[str, np.ndarray], watched: Watched
 ) -> None:
-    """Stops that were missed are made up for out of order; the arms go by way of home where they must."""
+    """Missed stops are collected later, out of order; the arms go via home where they must."""
 
     def cover(cell: Any, what: str, k: int) -> None:
         if what == "measure":

@@ -10,16 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.collection.cell import ARM_DRIVERS, Cell, open_cell, ur_expectation
+from cellapp.collection.cell import Cell, arm_context, open_cell
 from cellapp.collection.collect import collect_run
-from cellapp.collection.controllers import CONTROLLERS_RESULT, check_controllers
+from cellapp.collection.controllers import CONTROLLERS_RESULT, ControllerIdentity, check_controllers
 from cellapp.errors import HardwareError, InputError
 from cellapp.planning.plan import plan_stops
-from cellapp.profile import Profile, UrArmDriver, load_profile
+from cellapp.profile import Profile, load_profile
 from cellapp.run import RunFile
 from drivers.arms.protocol import ArmIdentity, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from drivers.arms.ur import UrArm
+from drivers.arms.ur_settings import UrSettings
 from tests.twin import small_twin
 
 PROFILES = Path(__file__).parents[2] / "profiles"
@@ -49,8 +50,7 @@ def run(tmp_path: Path) -> Iterator[RunFile]:
 
 @pytest.fixture
 def cell(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cell]:
-    drivers = {"simulated": lambda name, arm, plant: Known(plant, name)}
-    monkeypatch.setattr("cellapp.collection.cell.ARM_DRIVERS", drivers)
+    monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Known)
     with open_cell(run.profile) as opened:
         yield opened
 
@@ -62,13 +62,15 @@ def left(cell: Cell) -> Known:
 
 
 def test_the_controllers_are_recorded_once(run: RunFile, cell: Cell) -> None:
-    assert check_controllers(run, cell) == ()
+    found = check_controllers(run, cell)
+    assert found.notes == ()
+    assert found.identities["left"] == ControllerIdentity("UR10", "20153012345", "3.15.8", "0000000a")
     recorded = json.loads(run.read_result(CONTROLLERS_RESULT) or "")
     assert recorded["left"] == {
         "model": "UR10", "serial": "20153012345", "software": "3.15.8", "dh_checksum": "0000000a"
     }  # fmt: skip
     left(cell).says = replace(Known.says, software="3.15.9")
-    assert check_controllers(run, cell) == ()
+    assert check_controllers(run, cell).notes == ()
     assert json.loads(run.read_result(CONTROLLERS_RESULT) or "") == recorded
 
 
@@ -76,7 +78,7 @@ def test_a_changed_checksum_warns_each_time_and_is_logged(run: RunFile, cell: Ce
     check_controllers(run, cell)
     left(cell).says = replace(Known.says, dh_checksum="0000000b")
     for _ in range(2):
-        (note,) = check_controllers(run, cell)
+        (note,) = check_controllers(run, cell).notes
         assert note.startswith("arm left: ")
         for words in ("0000000a", "0000000b", "stale"):
             assert words in note
@@ -86,13 +88,13 @@ def test_a_changed_checksum_warns_each_time_and_is_logged(run: RunFile, cell: Ce
 def test_another_controller_is_refused(run: RunFile, cell: Cell) -> None:
     check_controllers(run, cell)
     left(cell).says = replace(Known.says, serial="20150000000")
-    with pytest.raises(HardwareError, match=r"arm left: .*begun with controller 20153012345, this one is 20150000000"):
+    with pytest.raises(HardwareError, match=r"arm left: .*began with controller 20153012345, this one is 20150000000"):
         check_controllers(run, cell)
 
 
 def test_what_an_arm_warns_of_is_told(run: RunFile, cell: Cell) -> None:
     left(cell).notes = ("arm left: the speed slider stands at 40%",)
-    assert check_controllers(run, cell) == left(cell).notes
+    assert check_controllers(run, cell).notes == left(cell).notes
 
 
 def test_a_silent_controller_is_a_fault_of_the_hardware(run: RunFile, cell: Cell) -> None:
@@ -118,11 +120,11 @@ def real() -> Profile:
 
 def test_a_profiles_ur_arm_is_opened_with_what_the_profile_says(real: Profile) -> None:
     arm = real.arms["left"]
-    assert isinstance(arm.driver, UrArmDriver)
-    opened = ARM_DRIVERS["ur"]("left", arm, None)
+    assert isinstance(arm.driver, UrSettings)
+    opened = arm.driver.open(arm_context("left", arm))
     assert isinstance(opened, UrArm)
     assert opened.name == "left"
-    expected = ur_expectation("left", arm, arm.driver)
+    expected = arm.driver.expectation(arm_context("left", arm))
     assert (expected.model, expected.serial, expected.payload_kg) == ("UR10", None, pytest.approx(0.35))
     np.testing.assert_allclose(expected.limits.position[1], np.radians([-170.0, -10.0]))
     np.testing.assert_allclose(expected.limits.speed[:2], np.radians([30.0, 30.0]))
@@ -135,8 +137,15 @@ def test_an_arm_of_seven_joints_is_no_ur(real: Profile) -> None:
     seven = arm.model_copy(
         update={"type": arm.type.model_copy(update={"joints": (*arm.type.joints, arm.type.joints[0])})}
     )
-    with pytest.raises(InputError, match="has 7 joints, a UR arm has 6"):
-        ARM_DRIVERS["ur"]("left", seven, None)
+    profile = real.model_copy(update={"arms": {"left": seven}})
+    with pytest.raises(InputError, match=r"arms\.left\.type: UR10 has 7 joints, a UR arm has 6"), open_cell(profile):
+        pass
+
+
+def test_a_damaged_record_is_named(run: RunFile, cell: Cell) -> None:
+    run.write_result(CONTROLLERS_RESULT, '{"left": {"model": 1}}')
+    with pytest.raises(InputError, match="the record of its controllers is damaged"):
+        check_controllers(run, cell)
 
 
 def test_a_cell_whose_controllers_are_not_there_is_a_fault_of_the_hardware(real: Profile) -> None:

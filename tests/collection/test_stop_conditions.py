@@ -17,6 +17,7 @@ from cellapp.progress import Cancelled, CancelToken
 from cellapp.run import RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from drivers.arms.simulated import SimulatedArm
+from drivers.clock import RealClock
 from tests.twin import small_twin
 
 
@@ -37,8 +38,7 @@ class Moves:
                 moves.goals.append((self.name, np.array(q)))
                 super().start_move(q, *rest)
 
-        drivers = {"simulated": lambda name, arm, plant: Arm(plant, name)}
-        monkeypatch.setattr("cellapp.collection.cell.ARM_DRIVERS", drivers)
+        monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Arm)
 
     def went(self, name: str, q: np.ndarray) -> bool:
         return any(arm == name and np.allclose(goal, q) for arm, goal in self.goals)
@@ -101,7 +101,7 @@ def test_via_and_dwell_of_one_arm_are_honoured(
 def test_the_rest_of_a_real_arm_ends_on_cancellation() -> None:
     profile = small_twin(2)
     with open_cell(profile) as cell:
-        real = Cell(cell.arms, cell.tracker, None)
+        real = Cell(cell.arms, cell.tracker, RealClock())
         mover, token = Mover(profile, real, cell_bodies(profile)), CancelToken()
         mover.rest("left", 0.0, token)
         token.cancel()

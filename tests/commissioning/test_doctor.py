@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from cellapp.collection.cell import build_plant
-from cellapp.commissioning.doctor import LONGEST_PROBE_S, Finding, examine
+from cellapp.commissioning.doctor import LONGEST_PROBE_S, examine
 from cellapp.commissioning.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Profile, load_profile
@@ -23,6 +23,7 @@ from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import UrSample
 from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrControllerServer, personality
+from drivers.findings import Finding
 from drivers.plant import Plant
 
 PROFILES = Path(__file__).parents[2] / "profiles"
@@ -69,7 +70,9 @@ def with_driver(profile: Profile, arm: str, **changes: object) -> Profile:
 
 
 def findings(profile: Profile, said: Callable[[str, float], UrProbe] = probe_ur) -> dict[str, Finding]:
-    found = examine(profile, said)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("drivers.arms.ur_probe.probe_ur", said)
+        found = examine(profile)
     assert len({finding.subject for finding in found}) == len(found)
     return {finding.subject: finding for finding in found}
 
@@ -135,9 +138,7 @@ def test_a_ready_controller_fails_in_nothing(real: Profile) -> None:
     found = findings(real, one_ready)
     failed = {subject for subject, finding in found.items() if finding.status == "failed"}
     assert failed == {"tracker"}
-    assert found["arm left: motion"] == Finding(
-        "arm left: motion", "ok", "nothing stands against it; nothing was tried"
-    )
+    assert found["arm left: motion"] == Finding("arm left: motion", "ok", "no check failed; no motion was tried")
     assert "LMF needs Windows" in found["tracker"].text
     assert found["arm left: serial"].status == "ok"
     assert found["arm right: serial"].status == "warning"  # the profile does not give it
@@ -193,7 +194,7 @@ def tight(high: float = 6.2832, speed: float = 3.15) -> UrProbe:
         (state(speed_fraction=0.4), "state", "warning", ["slider stands at 40%"]),
         (state(payload_kg=0.2), "payload", "failed", ["0.200 kg", "0.350 kg", "pendant"]),
         (state(payload_center_m=(0.015, 0.0, 0.05)), "payload", "failed", ["50.0] mm", "30.0] mm"]),
-        (state(payload_kg=None), "payload", "warning", ["does not tell", "0.350 kg"]),
+        (state(payload_kg=None), "payload", "warning", ["does not report", "0.350 kg"]),
         (READY, "TCP", "ok", ["60.0] mm", "not stated in the profile"]),
         (replace(READY, limits=None), "joint limits", "warning", ["pendant"]),
         (tight(high=2.0), "joint limits", "failed", ["joint 3", "114.6", "150.0", "speed_scale"]),
@@ -215,7 +216,7 @@ def test_all_that_would_be_refused_is_summed_up(real: Profile) -> None:
     both = replace(READY, safety_mode="PROTECTIVE_STOP", serial="20150000000")
     found = findings(real, lambda host, _: both if host == "192.168.0.10" else one_ready(host, 0.0))
     assert found["arm left: motion"].status == "failed"
-    assert "because of serial, safety; nothing was tried" in found["arm left: motion"].text
+    assert "because of serial, safety; no motion was tried" in found["arm left: motion"].text
     assert found["arm right: motion"].status == "ok"
 
 
@@ -265,11 +266,11 @@ def test_two_arms_at_one_address_are_refused(real: Profile) -> None:
     assert "arm right" in found["arm left: address"].text
 
 
-def test_looking_does_not_load_torch_or_the_robot_library() -> None:
+def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
     code = (
         "import sys; from pathlib import Path; from cellapp.commissioning.doctor import examine;"
         f" from cellapp.profile import load_profile; examine(load_profile(Path({str(PROFILES / 'twin.yaml')!r})));"
-        " sys.exit(','.join({'torch', 'rtde_control'} & set(sys.modules)) or None)"
+        " sys.exit(','.join({'torch', 'rtde_control', 'serial', 'clr'} & set(sys.modules)) or None)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
@@ -295,7 +296,7 @@ def test_simulated_arms_are_stood_in_for_on_addresses_of_their_own(twin: Profile
 
 
 def test_ur_arms_are_stood_in_for_on_loopback_hosts_only(real: Profile) -> None:
-    with pytest.raises(InputError, match="nothing to stand in for"):
+    with pytest.raises(InputError, match="no controller to emulate"):
         emulated_arms(real)
     arms = emulated_arms(with_driver(real, "left", host="127.0.0.5"))
     assert [(arm.arm, arm.host, arm.controller.serial) for arm in arms] == [("left", "127.0.0.5", "20153012345")]

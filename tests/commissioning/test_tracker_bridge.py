@@ -13,16 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.collection.cell import TRACKER_DRIVERS
-from cellapp.collection.token import read_token
+from cellapp.collection.cell import tracker_driver
 from cellapp.commissioning.doctor import examine
 from cellapp.commissioning.emulate import EmulatedTracker, emulate, emulated_arms, emulated_tracker
 from cellapp.commissioning.tracker_bridge import ServedTracker, serve_tracker
 from cellapp.errors import HardwareError, InputError
-from cellapp.profile import BridgeTrackerDriver, Profile, load_profile, profile_from_json, profile_to_json
+from cellapp.profile import Profile, load_profile, profile_from_json, profile_to_json
 from cellapp.progress import Cancelled, CancelToken
 from cellapp.trials.bridge import ALL_FAULTS, bridge_trial
+from drivers.settings import SettingError
 from drivers.trackers.bridge import BridgeTracker
+from drivers.trackers.bridge_settings import BridgeSettings
+from drivers.trackers.bridge_token import read_token
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerRefused
 from tests.twin import PROFILES, small_twin, write_profile
 
@@ -32,7 +34,7 @@ TOKEN = "correct horse battery staple"
 
 def behind(profile: Profile, url: str, **settings) -> Profile:
     """The profile with its tracker behind a bridge."""
-    driver = BridgeTrackerDriver(kind="bridge", url=url, timeout=2.0, **settings)
+    driver = BridgeSettings(url=url, timeout=2.0, **settings)
     return profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"driver": driver})})
 
 
@@ -70,13 +72,13 @@ def test_a_profiles_tracker_is_served_until_cancelled(token_file: Path) -> None:
         assert str(where) == f"tracker (simulated) at 127.0.0.1 port {where.port}, with a token"
         url = f"socket://127.0.0.1:{where.port}"
         profile = behind(small_twin(), url, token_file=str(token_file))
-        tracker = TRACKER_DRIVERS["bridge"](profile, None)
+        tracker = tracker_driver(profile, None)
         tracker.connect()
         assert tracker.identify().serial == "SIM-tracker"
         with pytest.raises(TargetLost):
             tracker.measure(np.array([1.0, 0.5, 0.2]), 1.0)
         tracker.disconnect()
-        stranger = TRACKER_DRIVERS["bridge"](behind(small_twin(), url), None)
+        stranger = tracker_driver(behind(small_twin(), url), None)
         with pytest.raises(TrackerRefused, match="asks for a token"):
             stranger.connect()
     assert threading.active_count() == before
@@ -113,18 +115,18 @@ def test_the_token_comes_from_where_it_is_said_to_be(token_file: Path, monkeypat
     assert read_token(str(token_file), None) == TOKEN
     assert read_token(None, "CELLAPP_TEST_TOKEN") == TOKEN
     monkeypatch.setenv("CELLAPP_TEST_TOKEN", "short secret")
-    with pytest.raises(InputError, match="at least 16 printable ASCII characters") as caught:
+    with pytest.raises(SettingError, match="at least 16 printable ASCII characters") as caught:
         read_token(None, "CELLAPP_TEST_TOKEN")
     assert "short secret" not in str(caught.value)
     token_file.write_bytes(b"\xff\xfe\x00" * 20)
-    with pytest.raises(InputError, match="some binary file"):
+    with pytest.raises(SettingError, match="a binary file, not a token"):
         read_token(str(token_file), None)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files have no such permissions there")
 def test_a_token_that_others_may_read_is_none(token_file: Path) -> None:
     token_file.chmod(0o640)
-    with pytest.raises(InputError, match=f"others may read the bridge's token; run: chmod 600 {token_file}"):
+    with pytest.raises(SettingError, match=f"other users may read the bridge's token; run: chmod 600 {token_file}"):
         read_token(str(token_file), None)
     assert os.stat(token_file).st_mode & 0o777 == 0o640
 
@@ -149,7 +151,7 @@ def written(folder: Path, driver: str) -> Path:
         ('{kind: bridge, url: "http://host:80"}', "pyserial has no http; write socket://host:port"),
         ("{kind: bridge, url: COM3, token: abc}", "unknown key; did you mean 'token_env'"),
         ("{kind: bridge, url: COM3, token_file: secret.txt}", "an absolute path, or one that begins with ~"),
-        ("{kind: bridge, url: COM3, token_file: /a, token_env: B}", "the token comes from token_file already"),
+        ("{kind: bridge, url: COM3, token_file: /a, token_env: B}", "token_file gives the token already"),
         ("{kind: bridge, url: COM3, timeout: 0.1}", "expected at least 2"),
         ("{kind: bridge, url: COM3, accuracy: best}", "expected 'fast', 'standard' or 'precise'"),
     ],
@@ -168,7 +170,7 @@ def test_settings_as_they_should_be_are_kept(tmp_path: Path, url: str) -> None:
     profile = load_profile(written(tmp_path, text))
     assert profile_from_json(profile_to_json(profile)) == profile
     driver = profile.tracker.driver
-    assert isinstance(driver, BridgeTrackerDriver)
+    assert isinstance(driver, BridgeSettings)
     assert (driver.url, driver.token_file, driver.accuracy, driver.timeout) == (url, "~/token", "precise", 10.0)
 
 

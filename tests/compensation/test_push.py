@@ -23,7 +23,7 @@ from cellapp.results import ArmVerification, ErrorSummary, MeasuredTarget, Verif
 from cellapp.run import RunFile
 from cellapp.run.stages import read_results
 from cellapp.safety.cell_bodies import home_positions
-from tests.twin import PROFILES, small_twin
+from tests.twin import PROFILES, plant_of, small_twin
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:6], *ALL[20:26], *ALL[6:8])
@@ -67,10 +67,10 @@ def test_compensated_targets_are_met_to_the_trackers_noise(
     left_mm = [target.compensated_mm for target in found.targets if target.arm == "left"]
     assert found.arms["left"].compensated_mm.mean == pytest.approx(np.mean([mm for mm in left_mm if mm is not None]))
     (cell,) = cells
-    assert cell.plant.clearance.arms_m > 0.0
-    assert cell.plant.clearance.floor_m > 0.0
+    assert plant_of(cell).clearance.arms_m > 0.0
+    assert plant_of(cell).clearance.floor_m > 0.0
     for name, home in home_positions(run.profile).items():
-        np.testing.assert_array_equal(cell.plant.q(name), home)
+        np.testing.assert_array_equal(plant_of(cell).q(name), home)
     assert (heard[0].done, heard[-1].done, heard[-1].total) == (0, len(TARGETS), len(TARGETS))
 
 
@@ -104,7 +104,7 @@ def test_a_way_that_the_gate_refuses_is_noted_and_nothing_moves(
     assert "refused to move: arm left: comes nearer to the floor" in found.targets[0].note
     assert found.targets[0].compensated_mm is None
     assert found.targets[1].compensated_mm is not None
-    assert cells[0].plant.clearance.floor_m > 0.0
+    assert plant_of(cells[0]).clearance.floor_m > 0.0
 
 
 def test_without_verification_nothing_is_measured_and_an_earlier_one_is_kept(run: RunFile) -> None:
@@ -126,7 +126,7 @@ def test_cancelled_between_targets(
         push(
             run.profile, model, commands, lambda event: token.cancel() if event.done == 1 else None, token, verify=True
         )
-    plant = cells[0].plant
+    plant = plant_of(cells[0])
     before = {name: plant.q(name) for name in plant.names}
     plant.advance(60.0)
     for name, q in before.items():
@@ -153,7 +153,7 @@ def test_a_fault_on_the_way_stops_everything(
             lambda event: opened[0].arms["left"].protective_stop() if event.done == 2 else None,
             verify=True,
         )
-    assert not any(opened[0].plant.moving(name) for name in ("left", "right"))
+    assert not any(plant_of(opened[0]).moving(name) for name in ("left", "right"))
 
 
 def arm(nominal_mm: float, compensated_mm: float) -> ArmVerification:

@@ -24,11 +24,12 @@ from cellapp.discovery.record import proposal_result
 from cellapp.pipeline import append_proposed_stops, propose_after
 from cellapp.planning.plan import plan_stops
 from cellapp.planning.stop_conditions import STOP_CONDITIONS_RESULT, StopConditions, read_stop_conditions
-from cellapp.profile import NoDriver, Profile
+from cellapp.profile import Profile
 from cellapp.reporting.proposal import proposal_lines
 from cellapp.run import Readings, RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import refuse_motion
+from drivers.no_driver import NoDriver
 from tests.discovery.searched import calibrated_and_searched, proposed
 from tests.twin import small_twin, with_arms
 
@@ -196,7 +197,7 @@ def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path)
         for name, arm in readings.items():
             copy.add_readings(name, replace(arm, split=None))
 
-    drivers = with_arms(run.profile, driver=NoDriver(kind="none"))
+    drivers = with_arms(run.profile, driver=NoDriver())
     placeless = with_arms(drivers, base=None)
     for number, (profile, says) in enumerate(
         [(run.profile, "no plan"), (drivers, "driver of arms.left is 'none'"), (placeless, "were measured")]

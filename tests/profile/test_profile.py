@@ -114,7 +114,7 @@ WRONG = [
     ("  stops: 400", "  stops:", "plan.stops", "expected a whole number, got nothing"),
     ("  stops: 400", "  stops: .inf", "plan.stops", "expected a finite number, got .inf"),
     ("  stops: 400", "  stops: 1" + "0" * 400, "plan.stops", "too large a number"),
-    ("  stops: 400", "  stops: !!int x", "plan.stops", "'x' is no int"),
+    ("  stops: 400", "  stops: !!int x", "plan.stops", "'x' is not of type int"),
     ("  stops: 400", "  stops: !!python/name:os.system x", "plan.stops", "is not used in profiles"),
     ("  noise: true", "  noise: perhaps", "plant.noise", "expected true or false, got 'perhaps'"),
     ('"50 mm"', '"50 deg"', "plan.clearance", "'deg' is not a unit of length; use one of m, cm, mm"),
@@ -157,7 +157,12 @@ WRONG = [
     ("  driver: {kind: simulated}\n  # 3.8", "  # 3.8", "tracker.driver", "missing; it must be given"),
     ("parameter_set: auto", "parameter_set: papr", "calibration.parameter_set", "did you mean 'paper'?"),
     ("validate: 100 ", "validate: some ", "splits.validate", "expected a whole number or 'rest', got 'some'"),
-    ("version: 1", "version: 2", "version", "of version 2, this cellapp knows up to 1; install a newer cellapp"),
+    (
+        "version: 1",
+        "version: 2",
+        "version",
+        "of version 2, this cellapp reads versions up to 1; install a newer",
+    ),
     ("version: 1", "version: one", "version", "expected 1, got 'one'"),
     ("schema: cellapp-profile", "schema: other", "schema", "expected 'cellapp-profile', got 'other'"),
     ("schema: cellapp-profile\n", "", "schema", "missing; it must be given"),
@@ -165,19 +170,19 @@ WRONG = [
         "    right:\n      backlash",
         "    middle:\n      backlash",
         "plant.effects.middle",
-        "there is no such arm; arms are left, right",
+        "unknown arm; arms are left, right",
     ),
     ("  stops: 400", "  stops: 400\n  ranges: [[-1, 1]]", "plan.ranges", "1 ranges for the 6 joints of arm left"),
     ("    speed_scale: 0.5 ", "    limits: [[-1, 1]]\n    #", "arms.left.limits", "1 ranges for the 6 joints of UR10"),
-    ("  stops: 400", "  stops: 400\n  stops: 500", "plan.stops", "the key is there twice (first in line"),
-    ("  stops: 400", "  5: 400", "'5' is no key", "a key is a word"),
-    ("type: arms/ur10.yaml", "type: arms/ur11.yaml", "arms.left.type", "there is no file"),
-    ("type: arms/ur10.yaml", "type: " + 5000 * "x", "arms.left.type", "there is no file"),
-    ("type: arms/ur10.yaml", 'type: "a\\0b"', "arms.left.type", "there is no file"),
+    ("  stops: 400", "  stops: 400\n  stops: 500", "plan.stops", "duplicate key (first in line"),
+    ("  stops: 400", "  5: 400", "'5' is not a key", "a key is a word"),
+    ("type: arms/ur10.yaml", "type: arms/ur11.yaml", "arms.left.type", "file not found"),
+    ("type: arms/ur10.yaml", "type: " + 5000 * "x", "arms.left.type", "file not found"),
+    ("type: arms/ur10.yaml", 'type: "a\\0b"', "arms.left.type", "file not found"),
     ("name: twin", 'name: "\\ud800"', "name", "half a character"),
     ("averaging: 1.0", "averaging:", "tracker.averaging", "expected a time in s, got nothing"),
     ("type: arms/ur10.yaml", "type: 7", "arms.left.type", "expected keys with values, got 7"),
-    ("    home: ", "    # ", "arms.left.home", "missing; arm left has a driver, and to plan and to point needs it"),
+    ("    home: ", "    # ", "arms.left.home", "missing; arm left has a driver: planning and pointing need it"),
     ("    base: ", "    # ", "arms.left.base", "missing; arm left has a driver"),
     ("  pose: ", "  # ", "tracker.pose", "missing; arm left has a driver"),
     ('"-90 deg", 0.0, 0.0]', '"-90 deg", 0.0]', "arms.left.home", "5 positions for 6 joints"),
@@ -216,7 +221,7 @@ def test_an_error_in_an_arm_type_names_that_file(twin: Path) -> None:
         ("{frame: 6,", "{frame: 7,", "capsules[6].frame: 7 is beyond the last, 6"),
         ('["-360 deg", "360 deg"]', '["360 deg", "-360 deg"]', "joints[0].limit: the lower one"),
         ("mass: 7.1", "mass: 7.1 m", "joints[0].mass: 'm' is not a unit of mass; use one of kg, g"),
-        ("mass: 7.1", "mass: 7.1, mass: 7.2", "joints[0].mass: the key is there twice"),
+        ("mass: 7.1", "mass: 7.1, mass: 7.2", "joints[0].mass: duplicate key"),
         ("joints:", "joints: [", "not YAML"),
     ],
 )
@@ -297,7 +302,7 @@ def test_a_file_that_is_no_profile(tmp_path: Path, content: bytes, line: int | N
 
 
 def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
-    assert "there is no such file" in refusal(tmp_path / "none.yaml")
+    assert "file not found" in refusal(tmp_path / "none.yaml")
     assert "cannot be read" in refusal(tmp_path)
 
 

@@ -198,7 +198,7 @@ def test_an_old_run_is_read_and_says_that_its_basis_is_not_recorded(old_run: Pat
         assert set(stages.out_of_date.values()) == {NOT_RECORDED}
         shown = read_results(run)
         assert shown.calibrate is not None
-        assert shown.calibrate.arms["left"].best_stage == "effects"
+        assert shown.calibrate.arms["left"].best_stage == "geometry", "its effects belong to the discovery"
         assert shown.discover is not None
         assert shown.discover.arms["left"].accepted[0].effect == "joint_compliance"
         assert all(stage.rests_on == ("not recorded",) for stage in run_overview(run).stages)

@@ -1,4 +1,4 @@
-"""Faults of a UR arm before, during and after a motion, with the real client: told once, at rest, and well again."""
+"""Faults of a UR arm before, during and after a motion, with the real client: one error, arm at rest, recovery."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ import numpy as np
 import pytest
 
 from drivers.arms.protocol import ArmError, ArmTimeout, EmergencyStop, LinkLost, ProtectiveStop
-from drivers.arms.ur import UrArm, UrSettings
+from drivers.arms.ur import UrArm
+from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess
-from tests.drivers.ur_cell import (
+from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
     FAR,
     HOME,
+    HOSTS,
     PATIENT_S,
     SPEED,
     assert_stays_at_rest,
@@ -51,24 +53,39 @@ def emulator() -> Iterator[EmulatorProcess]:
 
 ARMS = ("left", "right")
 DURING = [(ARMS[number % 2], fault) for number, fault in enumerate(FAULTS)]
-# a silent link takes seconds to be told from a slow one: one kind of silence before a motion, the other after one
+# detecting a silent link takes seconds: one kind of silence before a motion, the other after one
 BEFORE = [(ARMS[(number + 1) % 2], fault) for number, fault in enumerate(FAULTS) if fault != "all silent"]
 AFTER = [(name, fault) for name, fault in DURING if fault != "silence"]
 BOTH = pytest.mark.parametrize("arm", ARMS, indirect=True)
 E_SERIES = pytest.mark.parametrize("arm", ["right"], indirect=True)
 
 
+@pytest.fixture(scope="module")
+def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
+    with driven("left") as left, driven("right") as right:
+        yield {"left": left, "right": right}
+
+
 @pytest.fixture
-def arm(request: pytest.FixtureRequest, emulator: EmulatorProcess) -> Iterator[UrArm]:
+def arm(request: pytest.FixtureRequest, emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
+    """An arm without fault at HOME; the driver is the same for all tests, which leave it connected if they can."""
     mend(emulator, request.param)
-    with driven(request.param) as driver:
-        driver.connect()
-        go(driver, HOME)
-        yield driver
-        mend(emulator, request.param)
+    driver = drivers[request.param]
+    driver.connect()
+    go(driver, HOME)
+    return driver
 
 
-def strike(emulator: EmulatorProcess, name: str, fault: str) -> type[ArmError]:
+@pytest.fixture
+def unconnected(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> EmulatorProcess:
+    """The controllers without clients, for tests that connect themselves."""
+    for name, driver in drivers.items():
+        driver.disconnect()
+        mend(emulator, name)
+    return emulator
+
+
+def inject(emulator: EmulatorProcess, name: str, fault: str) -> type[ArmError]:
     command, error = FAULTS[fault]
     emulator.control(name, *command)
     return error
@@ -82,7 +99,7 @@ def go(arm: UrArm, q: np.ndarray) -> None:
 
 
 def go_again(emulator: EmulatorProcess, arm: UrArm) -> None:
-    """After a person mended it, the next connect works, and so does a motion."""
+    """After a person has repaired it, the next connect and a motion succeed."""
     mend(emulator, arm.name)
     assert_stays_at_rest(emulator, arm.name)
     moves = emulator.control(arm.name, "status")["moves"]
@@ -95,7 +112,7 @@ def go_again(emulator: EmulatorProcess, arm: UrArm) -> None:
 def test_a_fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     arm.start_move(FAR, SPEED, ACCELERATION)
     until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
-    error = strike(emulator, arm.name, fault)
+    error = inject(emulator, arm.name, fault)
     began = time.monotonic()
     with pytest.raises(error, match=f"arm {arm.name}: "):
         arm.wait_settled(PATIENT_S)
@@ -111,9 +128,9 @@ def test_a_fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: s
 @pytest.mark.parametrize(("arm", "fault"), BEFORE, indirect=["arm"])
 def test_a_fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     moves = emulator.control(arm.name, "status")["moves"]
-    error = strike(emulator, arm.name, fault)
+    error = inject(emulator, arm.name, fault)
     with pytest.raises(error, match=f"arm {arm.name}: "):
-        go(arm, AWAY)  # a link may break so late that only the waiting can tell
+        go(arm, AWAY)  # a link may break so late that only waiting detects it
     assert emulator.control(arm.name, "status")["moves"] == moves
     assert_stays_at_rest(emulator, arm.name)
     go_again(emulator, arm)
@@ -122,14 +139,14 @@ def test_a_fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: s
 @pytest.mark.parametrize(("arm", "fault"), AFTER, indirect=["arm"])
 def test_a_fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     go(arm, AWAY)
-    error = strike(emulator, arm.name, fault)
+    error = inject(emulator, arm.name, fault)
     if error is LinkLost:
         with pytest.raises(LinkLost):
             arm.state()
     else:
         until(lambda: not arm.state().ready, "the fault is seen")
         assert "stop: " in arm.state().reason
-        # a person takes it back before anybody asks: it is remembered all the same
+        # a person clears it before the application asks: it is recorded all the same
         mend(emulator, arm.name)
         assert not arm.state().ready
         with pytest.raises(error):
@@ -148,8 +165,8 @@ def test_a_protective_stop_is_never_released_by_the_program(emulator: EmulatorPr
         with pytest.raises(ProtectiveStop, match="PROTECTIVE_STOP"):
             arm.connect()
         assert emulator.control(arm.name, "status")["safety_mode"] == "PROTECTIVE_STOP"
-    said = emulator.control(arm.name, "received")
-    assert not [line for line in said if line.startswith(("unlock", "play", "power", "brake", "close", "restart"))]
+    received = emulator.control(arm.name, "received")
+    assert not [line for line in received if line.startswith(("unlock", "play", "power", "brake", "close", "restart"))]
     go_again(emulator, arm)
 
 
@@ -163,15 +180,14 @@ def test_a_stop_on_the_pendant_ends_the_motion_and_the_job(emulator: EmulatorPro
     go_again(emulator, arm)
 
 
-def test_the_other_arm_goes_on_when_one_link_breaks(emulator: EmulatorProcess) -> None:
-    mend(emulator, "left")
-    mend(emulator, "right")
+def test_the_other_arm_goes_on_when_one_link_breaks(unconnected: EmulatorProcess) -> None:
+    emulator = unconnected
     with driven("left") as left, driven("right") as right:
         left.connect()
         right.connect()
         for driver in (left, right):
             driver.start_move(AWAY, SPEED, ACCELERATION)
-        strike(emulator, "left", "rst")
+        inject(emulator, "left", "rst")
         np.testing.assert_allclose(right.wait_settled(PATIENT_S).q, AWAY, atol=1e-6)
         with pytest.raises(LinkLost):
             left.wait_settled(PATIENT_S)
@@ -182,13 +198,13 @@ def test_the_other_arm_goes_on_when_one_link_breaks(emulator: EmulatorProcess) -
 
 @E_SERIES
 def test_a_worker_that_crashes_or_hangs_stops_the_arm(emulator: EmulatorProcess, arm: UrArm) -> None:
-    """What the client does when its link breaks at the wrong moment: the signals stand in for it."""
-    for blow, patience in ((signal.SIGSEGV, 5.0), (signal.SIGSTOP, 5.0)):
+    """The client may crash or hang when its link breaks at the wrong moment: signals simulate that."""
+    for signal_number, patience in ((signal.SIGSEGV, 5.0), (signal.SIGSTOP, 5.0)):
         arm.start_move(FAR, SPEED, ACCELERATION)
         until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
         assert arm.worker_pid is not None
-        os.kill(arm.worker_pid, blow)
-        # nobody has looked yet, and the controller stops it by itself
+        os.kill(arm.worker_pid, signal_number)
+        # the application has not looked yet: the controller stops the arm by itself
         until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm", patience)
         assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
         with pytest.raises(LinkLost, match="seen at rest"):
@@ -198,7 +214,7 @@ def test_a_worker_that_crashes_or_hangs_stops_the_arm(emulator: EmulatorProcess,
 
 APPLICATION = """
 import sys, threading
-from tests.drivers.ur_cell import ACCELERATION, FAR, SPEED, driven
+from tests.drivers.arms.emulated_ur_cell import ACCELERATION, FAR, SPEED, driven
 
 with driven(sys.argv[1]) as arm:
     arm.connect()
@@ -211,8 +227,10 @@ with driven(sys.argv[1]) as arm:
 @pytest.mark.parametrize(
     ("name", "both"), [("left", False), ("right", True)], ids=["application", "application and worker"]
 )
-def test_when_the_application_is_killed_the_arm_comes_to_rest(emulator: EmulatorProcess, name: str, both: bool) -> None:
-    mend(emulator, name)
+def test_when_the_application_is_killed_the_arm_comes_to_rest(
+    unconnected: EmulatorProcess, name: str, both: bool
+) -> None:
+    emulator = unconnected
     with driven(name) as arm:
         arm.connect()
         go(arm, HOME)
@@ -261,14 +279,14 @@ def test_stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None
     go(arm, HOME)
 
 
-def test_a_slow_program_start_is_waited_for_and_a_slower_one_is_told(emulator: EmulatorProcess) -> None:
-    mend(emulator, "right")
+def test_a_slow_program_start_is_waited_for_and_a_slower_one_is_reported(unconnected: EmulatorProcess) -> None:
+    emulator = unconnected
     with driven("right") as arm:
         emulator.control("right", "start-delay", 1.0)
         arm.connect()
         go(arm, AWAY)
         arm.stop()
-        go(arm, HOME)  # the program is sent anew
+        go(arm, HOME)  # the program is uploaded again
         arm.disconnect()
         emulator.control("right", "start-delay", 30.0)
         with pytest.raises(ArmTimeout, match="did not start within 5 s"):
@@ -291,11 +309,11 @@ def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, 
 
 @E_SERIES
 def test_a_dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess, arm: UrArm) -> None:
-    """Then only the watchdog is left."""
+    """Only the watchdog is left to stop the arm."""
     arm.start_move(FAR, SPEED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     emulator.control(arm.name, "fault", "dashboard", "refuse")
-    strike(emulator, arm.name, "rst")
+    inject(emulator, arm.name, "rst")
     with pytest.raises(LinkLost):
         arm.wait_settled(PATIENT_S)
     until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm", 1.0)
@@ -305,12 +323,13 @@ def test_a_dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess
     go_again(emulator, arm)
 
 
-def test_the_watchdogs_rate_is_the_settings(emulator: EmulatorProcess) -> None:
-    """At one hertz a stopped worker leaves the arm moving for longer than at twenty."""
+def test_the_watchdogs_rate_is_the_settings(unconnected: EmulatorProcess) -> None:
+    """At 1 Hz the arm moves on for longer after the worker was killed than at 20 Hz."""
+    emulator = unconnected
     ways = []
     for hertz in (20.0, 1.0):
         mend(emulator, "right")
-        with driven("right", UrSettings(watchdog_hz=hertz)) as arm:
+        with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=hertz)) as arm:
             arm.connect()
             go(arm, HOME)
             arm.start_move(FAR, SPEED * 0.5, ACCELERATION)

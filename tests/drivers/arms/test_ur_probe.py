@@ -1,4 +1,4 @@
-"""Asking a UR controller: what it says is read rightly, nothing but questions is sent, and no host can hold us up."""
+"""Probing a UR controller: answers are parsed, only questions are sent, every host is given up in bounded time."""
 
 from __future__ import annotations
 
@@ -137,18 +137,18 @@ def lost(dashboard_port: int, timeout_s: float = PATIENT_S, host: str = "127.0.0
 )
 def test_a_controller_tells_who_and_how_it_is(controller: Personality, software: str, full_model: str) -> None:
     with emulated(controller) as emulator:
-        said = ask(emulator)
-    assert (said.software, said.series, said.full_model) == (software, controller.series, full_model)
-    assert (said.model, said.serial) == (controller.model, controller.serial)
-    assert (said.robot_mode, said.safety_mode, said.program_running) == ("RUNNING", "NORMAL", False)
+        probe = ask(emulator)
+    assert (probe.software, probe.series, probe.full_model) == (software, controller.series, full_model)
+    assert (probe.model, probe.serial) == (controller.model, controller.serial)
+    assert (probe.robot_mode, probe.safety_mode, probe.program_running) == ("RUNNING", "NORMAL", False)
     e_series = controller.series == "e-Series"
-    assert said.remote_control is (True if e_series else None)
-    assert said.safety_status == ("NORMAL" if e_series else None)
-    assert list(said.ports.values()) == [True, True, False]
-    assert said.greeting == "Connected: Universal Robots Dashboard Server"
-    assert said.kinematics is not None
-    assert said.kinematics.rows.tolist() == [list(row) for row in controller.rows]
-    assert said.kinematics_note == ""
+    assert probe.remote_control is (True if e_series else None)
+    assert probe.safety_status == ("NORMAL" if e_series else None)
+    assert list(probe.ports.values()) == [True, True, False]
+    assert probe.greeting == "Connected: Universal Robots Dashboard Server"
+    assert probe.kinematics is not None
+    assert probe.kinematics.rows.tolist() == [list(row) for row in controller.rows]
+    assert probe.kinematics_note == ""
 
 
 def test_only_questions_are_sent() -> None:
@@ -163,12 +163,12 @@ def test_only_questions_are_sent() -> None:
 def test_states_other_than_ready_are_told_as_they_are() -> None:
     with emulated(E_SERIES, remote_control=False) as emulator:
         emulator.control("arm", "protective", "now")
-        said = ask(emulator)
-        assert (said.robot_mode, said.safety_mode) == ("RUNNING", "PROTECTIVE_STOP")
-        assert said.remote_control is False
+        probe = ask(emulator)
+        assert (probe.robot_mode, probe.safety_mode) == ("RUNNING", "PROTECTIVE_STOP")
+        assert probe.remote_control is False
         emulator.control("arm", "estop")
-        said = ask(emulator)
-        assert (said.robot_mode, said.safety_mode) == ("POWER_OFF", "ROBOT_EMERGENCY_STOP")
+        probe = ask(emulator)
+        assert (probe.robot_mode, probe.safety_mode) == ("POWER_OFF", "ROBOT_EMERGENCY_STOP")
 
 
 def test_calibrated_kinematics_come_with_their_checksums() -> None:
@@ -187,7 +187,7 @@ def test_calibrated_kinematics_come_with_their_checksums() -> None:
         ("silent", "its greeting did not come in time"),
         ("trickle", "its greeting did not come in time"),
         ("refuse", "no connection to the UR dashboard"),
-        ("garbage", "what answers is no UR dashboard"),
+        ("garbage", "the peer is not a UR dashboard"),
         ("flood", "longer than 4096 bytes"),
     ],
 )
@@ -208,21 +208,21 @@ def test_a_faulty_dashboard_is_named_in_bounded_time(fault: Fault, expected: str
     ("fault", "expected"),
     [
         ("silent", "no kinematics came in time"),
-        ("trickle", "no UR packages"),  # five zero bytes are a package of no size
+        ("trickle", "not UR packages"),  # five zero bytes are a package of no size
         ("refuse", "no connection"),
-        ("garbage", "no UR packages"),
-        ("flood", "no UR packages"),
+        ("garbage", "not UR packages"),
+        ("flood", "not UR packages"),
     ],
 )
 def test_a_faulty_primary_port_costs_only_the_kinematics(fault: Fault, expected: str) -> None:
     with emulated(CB3) as emulator:
         emulator.fail(fault, "primary")
-        said = ask(emulator, 1.0)
+        probe = ask(emulator, 1.0)
         primary = emulator.primary_port
-    assert said.model == "UR10"
-    assert said.ports[primary] is (fault != "refuse")
-    assert said.kinematics is None
-    assert expected in said.kinematics_note
+    assert probe.model == "UR10"
+    assert probe.ports[primary] is (fault != "refuse")
+    assert probe.kinematics is None
+    assert expected in probe.kinematics_note
 
 
 def test_other_open_ports_are_named_when_the_dashboard_is_closed() -> None:
@@ -259,10 +259,10 @@ def test_old_software_that_does_not_know_the_questions_is_still_probed() -> None
         closed_port() as b,
         closed_port() as c,
     ):
-        said = probe_ur("127.0.0.1", PATIENT_S, dashboard_port=port, primary_port=a, script_port=b, rtde_port=c)
-    assert (said.software, said.series) == ("3.0.15547", "CB3")
-    assert (said.model, said.serial, said.safety_status, said.full_model) == (None, None, None, None)
-    assert (said.robot_mode, said.program_running) == ("IDLE", True)
+        probe = probe_ur("127.0.0.1", PATIENT_S, dashboard_port=port, primary_port=a, script_port=b, rtde_port=c)
+    assert (probe.software, probe.series) == ("3.0.15547", "CB3")
+    assert (probe.model, probe.serial, probe.safety_status, probe.full_model) == (None, None, None, None)
+    assert (probe.robot_mode, probe.program_running) == ("IDLE", True)
 
 
 def test_a_host_that_does_not_exist_is_named() -> None:

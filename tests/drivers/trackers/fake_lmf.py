@@ -1,9 +1,9 @@
-"""A stand-in for LMF: its members' names, and its rules as far as its documents tell them.
+"""A stand-in for LMF with its names, and with its rules as far as its documents state them.
 
-Value objects in place of numbers, units that are really applied, enumerations that are no integers, settings that are
-forgotten at a connect, events that come one by one on a thread of LMF's own while the command that caused them waits,
-``Selected`` that is null as soon as the beam breaks, exceptions with four fields, the names of its simulators. Whoever
-breaks a rule is written down in ``Room.broken_rules``.
+Value objects instead of numbers, units that are applied, enumerations that are not integers, settings that a connect
+resets, events delivered one by one on a thread of LMF's own while the command that caused them waits, ``Selected`` that
+is null as soon as the beam breaks, exceptions with four fields, the names of its simulators. ``Scene.violations`` lists
+every broken rule.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class NetException(Exception):
 
 
 class ArgumentOutOfRangeException(NetException):
-    """What value objects with a range throw."""
+    """Raised by value objects with a range."""
 
 
 class LmfException(NetException):
@@ -45,7 +45,7 @@ class LmfException(NetException):
 
 
 class NetEnum:
-    """A .NET enumeration as pythonnet 3 shows it: its members are attributes of the class, and no integers."""
+    """A .NET enumeration as pythonnet 3 shows it: its members are attributes of the class, and not integers."""
 
     names: ClassVar[tuple[str, ...]]
 
@@ -93,16 +93,16 @@ _RADIANS = (1.0, 1e-3, math.pi / 180.0, math.pi / 200.0, math.pi / 2e6)
 _RADIAN_NAMES = ("rad", "mrad", "°", "gon", "cc")
 
 
-# -- the room, and LMF's thread for events -----------------------------------------------------------------------------
+# -- the scene, and LMF's thread for events ----------------------------------------------------------------------------
 
 
 @dataclass
-class Room:
-    """What stands in front of the tracker, and what it will do next. The test writes here; LMF's tree reads.
+class Scene:
+    """The tracker's surroundings and its next actions. The test writes; LMF's object tree reads.
 
-    ``targets``: SMRs by name -> (3,) [m] in M. ``hangs``: names of methods that wait for ``let_go``. ``throws``: name
-    of a method -> what its next call throws. ``deaf_to``: settings that keep what they have. ``kept``: what LMF keeps
-    from one connect to the next.
+    ``targets``: SMRs by name -> (3,) [m] in M. ``hanging``: methods that wait for ``release``. ``throws``: method ->
+    exception of its next call. ``ignored_settings``: settings that keep their value when written. ``persistent``: what
+    LMF keeps from one connect to the next.
     """
 
     targets: dict[str, np.ndarray] = field(default_factory=dict)
@@ -116,58 +116,58 @@ class Room:
     level: bool = True
     hidden: set[str] = field(default_factory=set)
     hidden_in_face2: set[str] = field(default_factory=set)
-    hangs: set[str] = field(default_factory=set)
+    hanging: set[str] = field(default_factory=set)
     throws: dict[str, NetException] = field(default_factory=dict)
-    breaks_in_mid_measurement: bool = False
+    beam_breaks: bool = False
     precision_m: float = 4e-6
     face2_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     temperature_c: float = 21.5
     number_accuracy: bool = False
     bool_selectable: bool = True
-    deaf_to: set[str] = field(default_factory=set)
+    ignored_settings: set[str] = field(default_factory=set)
     search_m: float = 0.1
     tilt_rad: tuple[float, float] = (0.0, 0.0)
     flags: str = "AllOk"
-    in_the_network: tuple[tuple[str, str, str], ...] = ()
-    let_go: threading.Event = field(default_factory=threading.Event)
+    network: tuple[tuple[str, str, str], ...] = ()
+    release: threading.Event = field(default_factory=threading.Event)
     entered: threading.Event = field(default_factory=threading.Event)
     calls: list[str] = field(default_factory=list)
     threads: list[threading.Thread] = field(default_factory=list)
-    broken_rules: list[str] = field(default_factory=list)
+    violations: list[str] = field(default_factory=list)
     connected: list[str] = field(default_factory=list)
-    kept: dict[str, Any] = field(default_factory=dict)
+    persistent: dict[str, Any] = field(default_factory=dict)
     measured: int = 0
 
     def lmf(self) -> Lmf:
-        """LMF as the driver loads it."""
+        """Return LMF as the driver loads it."""
         return Lmf(
             Connection=lambda: Connection(self),
             TrackerFinder=lambda: TrackerFinder(self),
             enumeration=ENUMERATIONS.get,
-            thrown=(NetException,),
+            exceptions=(NetException,),
         )
 
     def command(self, name: str) -> None:
-        """Every method call of LMF passes here."""
+        """Record a method call of LMF and apply the faults set for it."""
         self.calls.append(name)
         if name in ("Connect", "Refresh"):
             self.threads.append(threading.current_thread())
         elif threading.current_thread() not in self.threads:
-            self.broken_rules.append(f"{name} came from another thread than the connection")
+            self.violations.append(f"{name} came from another thread than the connection")
         if threading.current_thread().name == "LMF events":
-            self.broken_rules.append(f"{name} was called from an event handler")
-        if name in self.hangs:
+            self.violations.append(f"{name} was called from an event handler")
+        if name in self.hanging:
             self.entered.set()
-            self.let_go.wait(30.0)
+            self.release.wait(30.0)
         if name in self.throws:
             raise self.throws.pop(name)
 
 
 class Event:
-    """A .NET event: handlers come and go with += and -=, and are called one by one on LMF's own thread."""
+    """A .NET event: handlers are added and removed with += and -=, and called one by one on LMF's own thread."""
 
-    def __init__(self, name: str, room: Room, events: queue.SimpleQueue[Any]) -> None:
-        self.name, self._room, self._events, self.handlers = name, room, events, []
+    def __init__(self, name: str, scene: Scene, events: queue.SimpleQueue[Any]) -> None:
+        self.name, self._room, self._events, self.handlers = name, scene, events, []
 
     def __iadd__(self, handler: Callable[..., None]) -> Event:
         self.handlers.append(handler)
@@ -180,12 +180,12 @@ class Event:
     def fire(self, *arguments: Any, by_property: bool = False) -> None:
         """Call the handlers and wait for them, as LMF's commands do."""
         if by_property and self.handlers:
-            self._room.broken_rules.append(f"{self.name}: a property was set while somebody listens: deadlock")
+            self._room.violations.append(f"{self.name}: a property was set while a handler is subscribed: deadlock")
             return
         done = threading.Event()
         self._events.put((list(self.handlers), arguments, done))
         if not done.wait(HANDLER_S):
-            self._room.broken_rules.append(f"{self.name}: a handler did not return at once")
+            self._room.violations.append(f"{self.name}: a handler did not return at once")
 
 
 def deliver(events: queue.SimpleQueue[Any]) -> None:
@@ -200,7 +200,7 @@ def deliver(events: queue.SimpleQueue[Any]) -> None:
 
 
 class Net:
-    """An object of a .NET class: no attribute can be set that it does not have."""
+    """An object of a .NET class: attributes that it does not have cannot be set."""
 
     def __setattr__(self, name: str, value: object) -> None:
         if not name.startswith("_") and "_sealed" in self.__dict__ and not hasattr(self, name):
@@ -212,7 +212,7 @@ class Net:
 
 
 class ReadOnlyValue(Net):
-    """A value object that only LMF changes; ``read`` gives the value in the unit of the moment."""
+    """A value object that only LMF changes; ``read`` returns the value in the current unit."""
 
     def __init__(self, read: Callable[[], Any], unit: Callable[[], str] = lambda: "") -> None:
         self._read, self._unit = read, unit
@@ -244,20 +244,20 @@ class StatisticValue(ReadOnlyValue):
 
 
 class Value(Net):
-    """A writable value object, of one type, perhaps with a range; ``deaf`` ones keep what they have."""
+    """A writable value object of one type, optionally with a range."""
 
     def __init__(
         self,
         value: Any,
         *,
-        room: Room | None = None,
+        scene: Scene | None = None,
         name: str = "",
         span: tuple[float, float] | None = None,
         unit: Callable[[], str] = lambda: "",
         changed: Callable[[], None] = lambda: None,
         number: bool = False,
     ) -> None:
-        self._value, self._room, self._name, self._span, self._unit = value, room, name, span, unit
+        self._value, self._room, self._name, self._span, self._unit = value, scene, name, span, unit
         self._changed, self._number = changed, number
         self.seal()
 
@@ -272,7 +272,7 @@ class Value(Net):
             raise TypeError(f"'{type(value).__name__}' value cannot be converted to {type(self._value).__name__}")
         if self._span is not None and not self._span[0] <= value <= self._span[1]:
             raise ArgumentOutOfRangeException(f"{self._name}: {value} is not in {self._span}")
-        if self._room is not None and self._name in self._room.deaf_to:
+        if self._room is not None and self._name in self._room.ignored_settings:
             return
         self._value = type(self._value)(value) if self._number else value
         self._changed()
@@ -326,7 +326,7 @@ class Profile(Net):
         self._tracker, self.Name = tracker, name
 
     def Select(self) -> None:
-        self._tracker.room.command("Select profile")
+        self._tracker.scene.command("Select profile")
         if self._tracker.Measurement.MeasurementInProgress.Value:
             raise LmfException(200001, "Measurement in progress")
         self._tracker.Measurement.Profiles.Selected = self
@@ -335,8 +335,8 @@ class Profile(Net):
 class StationaryMeasurementProfile(Profile):
     def __init__(self, tracker: Tracker) -> None:
         super().__init__(tracker, "Stationary")
-        self.Accuracy = Value(E["EAccuracy"].Fast, number=tracker.room.number_accuracy)
-        self.TwoFace = Value(True, room=tracker.room, name="TwoFace")
+        self.Accuracy = Value(E["EAccuracy"].Fast, number=tracker.scene.number_accuracy)
+        self.TwoFace = Value(True, scene=tracker.scene, name="TwoFace")
         self.seal()
 
 
@@ -370,12 +370,12 @@ class Collection(Net):
 class Target(Net):
     def __init__(self, tracker: Tracker, name: str, product: str, selectable: bool = True) -> None:
         self._tracker, self.Name, self.ProductName = tracker, name, product
-        self.IsSelectable = selectable if tracker.room.bool_selectable else ReadOnlyValue(lambda: selectable)
+        self.IsSelectable = selectable if tracker.scene.bool_selectable else ReadOnlyValue(lambda: selectable)
         self.seal()
 
     def Select(self) -> None:
-        self._tracker.room.command("Select target")
-        if "reflector" not in self._tracker.room.deaf_to:
+        self._tracker.scene.command("Select target")
+        if "reflector" not in self._tracker.scene.ignored_settings:
             self._tracker.Targets.PreSelected = self
 
 
@@ -401,14 +401,14 @@ class Measurement(Net):
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
-        self.MeasurementInProgress = Value(tracker.room.kept.get("busy", False))
+        self.MeasurementInProgress = Value(tracker.scene.persistent.get("busy", False))
         self.Profiles = Collection([])
         self.seal()
 
     @property
     def Status(self) -> Any:
         missing = []
-        if not self._tracker.room.initialised:
+        if not self._tracker.scene.initialised:
             missing.append(Precondition(300, "Tracker not initialized", "Initialize it."))
         if self._tracker.Targets.Selected is None:
             missing.append(Precondition(301, "No target locked", "Point at a reflector."))
@@ -418,28 +418,28 @@ class Measurement(Net):
         return status
 
     def StopMeasurement(self) -> None:
-        self._tracker.room.command("StopMeasurement")
+        self._tracker.scene.command("StopMeasurement")
         self.MeasurementInProgress.Value = False
 
     def MeasureStationary(self) -> Any:
-        tracker, room = self._tracker, self._tracker.room
-        room.command("MeasureStationary")
+        tracker, scene = self._tracker, self._tracker.scene
+        scene.command("MeasureStationary")
         if self.Status.Preconditions:
             raise LmfException(301, "Not ready", "Preconditions are not met.")
-        if room.breaks_in_mid_measurement:
-            tracker.lose()
+        if scene.beam_breaks:
+            tracker.lose_target()
             raise LmfException(301, "Measurement aborted")
-        room.measured += 1
+        scene.measured += 1
         return StationaryMeasurement3D(tracker)
 
 
 class StationaryMeasurement3D(Net):
     def __init__(self, tracker: Tracker) -> None:
-        room = tracker.room
+        scene = tracker.scene
         units = tracker.Settings.Units
-        p_M = room.targets[tracker.locked].copy()
+        p_M = scene.targets[tracker.locked].copy()
         if tracker.face2:
-            p_M += room.face2_shift_m
+            p_M += scene.face2_shift_m
         cartesian = tracker.Settings.CoordinateType == E["ECoordinateType"].Cartesian
         scale, name = _METRES[int(units.LengthUnit)], _METRE_NAMES[int(units.LengthUnit)]
         distance = float(np.linalg.norm(p_M))
@@ -448,7 +448,7 @@ class StationaryMeasurement3D(Net):
             angles = np.array([math.atan2(p_M[0], p_M[1]), math.acos(p_M[2] / distance)])
             numbers = np.array([*(angles / _RADIANS[int(units.AngleUnit)]), distance / scale])
         position = Net()
-        sigma = room.precision_m / math.sqrt(3.0) / scale
+        sigma = scene.precision_m / math.sqrt(3.0) / scale
         for axis, number in enumerate(numbers, start=1):
             value = StatisticValue(lambda n=float(number): n, lambda: name, lambda: sigma)
             setattr(position, f"Coordinate{axis}", value)
@@ -460,7 +460,7 @@ class StationaryMeasurement3D(Net):
         meteo = tracker.MeteoStation
         live = meteo.Source.Value == E["EMeteoSource"].LiveMeteo
         t, p, h = (
-            (room.temperature_c, 1009.0, 41.0)
+            (scene.temperature_c, 1009.0, 41.0)
             if live
             else (meteo.ManualTemperature.Value, meteo.ManualPressure.Value, meteo.ManualHumidity.Value)
         )
@@ -468,9 +468,9 @@ class StationaryMeasurement3D(Net):
         self.Pressure = ReadOnlyValue(lambda: p if hpa else p / 33.8638866667)
         self.Humidity = ReadOnlyValue(lambda: h)
         self.Info = Net()
-        self.Info.FlagsWithWarnings = getattr(E["EFlags"], room.flags)
+        self.Info.FlagsWithWarnings = getattr(E["EFlags"], scene.flags)
         self.TimeStamp = Net()
-        self.TimeStamp.Ticks = 621_355_968_000_000_000 + room.measured * 10_000_000
+        self.TimeStamp.Ticks = 621_355_968_000_000_000 + scene.measured * 10_000_000
 
 
 class Face(Net):
@@ -482,22 +482,22 @@ class Face(Net):
         return ReadOnlyValue(lambda: not self._tracker.face2)
 
     def Change(self) -> None:
-        self._tracker.room.command("Face.Change")
+        self._tracker.scene.command("Face.Change")
         self._tracker.face2 = not self._tracker.face2
-        if self._tracker.face2 and self._tracker.locked in self._tracker.room.hidden_in_face2:
-            self._tracker.lose()
+        if self._tracker.face2 and self._tracker.locked in self._tracker.scene.hidden_in_face2:
+            self._tracker.lose_target()
 
 
 class Monitoring(Net):
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
         self.Active = Value(False)
-        self._initial = tracker.room.tilt_rad
+        self._initial = tracker.scene.tilt_rad
         self.seal()
 
     def Reset(self) -> None:
-        self._tracker.room.command("Monitoring.Reset")
-        self._initial = self._tracker.room.tilt_rad
+        self._tracker.scene.command("Monitoring.Reset")
+        self._initial = self._tracker.scene.tilt_rad
 
     @property
     def Initial(self) -> Any:
@@ -505,7 +505,7 @@ class Monitoring(Net):
 
     @property
     def Current(self) -> Any:
-        return self._tilt(self._tracker.room.tilt_rad)
+        return self._tilt(self._tracker.scene.tilt_rad)
 
     @property
     def Threshold(self) -> ReadOnlyValue:
@@ -520,49 +520,49 @@ class Monitoring(Net):
 class InclinationSensor(Net):
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
-        kept = tracker.room.kept
+        persistent = tracker.scene.persistent
 
         def keep() -> None:
-            kept["gravity"] = self.InclinedToGravity.Value
+            persistent["gravity"] = self.InclinedToGravity.Value
 
-        self.InclinedToGravity = Value(kept.get("gravity", False), changed=keep)
+        self.InclinedToGravity = Value(persistent.get("gravity", False), changed=keep)
         self.Monitoring = Monitoring(tracker)
         self.CurrentInclinationToGravity = None
         self.seal()
 
     def GetInclinationToGravity(self) -> None:
-        self._tracker.room.command("GetInclinationToGravity")
+        self._tracker.scene.command("GetInclinationToGravity")
         tilt = Net()
-        x, y = self._tracker.room.tilt_rad
+        x, y = self._tracker.scene.tilt_rad
         tilt.InclinationRotX, tilt.InclinationRotY = self._tracker.angle(x), self._tracker.angle(y)
         self.CurrentInclinationToGravity = tilt
 
 
 class MeteoStation(Net):
     def __init__(self, tracker: Tracker) -> None:
-        room = tracker.room
-        self.Source = Value(room.kept.get("meteo", E["EMeteoSource"].ManualMeteo))
-        self.ManualTemperature = Value(20.0, room=room, name="ManualTemperature", span=(-20.0, 60.0))
-        self.ManualPressure = Value(1013.25, room=room, name="ManualPressure", span=(500.0, 1200.0))
-        self.ManualHumidity = Value(50.0, room=room, name="ManualHumidity", span=(0.0, 100.0))
-        self.IsAirSensorConnected = ReadOnlyValue(lambda: room.air_sensor)
+        scene = tracker.scene
+        self.Source = Value(scene.persistent.get("meteo", E["EMeteoSource"].ManualMeteo))
+        self.ManualTemperature = Value(20.0, scene=scene, name="ManualTemperature", span=(-20.0, 60.0))
+        self.ManualPressure = Value(1013.25, scene=scene, name="ManualPressure", span=(500.0, 1200.0))
+        self.ManualHumidity = Value(50.0, scene=scene, name="ManualHumidity", span=(0.0, 100.0))
+        self.IsAirSensorConnected = ReadOnlyValue(lambda: scene.air_sensor)
         self.seal()
 
 
 class Tracker(Net):
-    """``LMF.Tracker.AT960Tracker`` or so, as it is right after a connect: nearly all settings are LMF's defaults."""
+    """Like ``LMF.Tracker.AT960Tracker`` right after a connect: nearly all settings are LMF's defaults."""
 
-    def __init__(self, room: Room, address: str) -> None:
-        self.room, self.address = room, address
+    def __init__(self, scene: Scene, address: str) -> None:
+        self.scene, self.address = scene, address
         self.locked, self.face2 = "", False
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         threading.Thread(target=deliver, args=(self._events,), name="LMF events", daemon=True).start()
-        self.Name, self.ProductName, self.SerialNumber = "cell tracker", "AT960-LR", room.serial
+        self.Name, self.ProductName, self.SerialNumber = "cell tracker", "AT960-LR", scene.serial
         self.InstalledFirmware, self.ExpectedFirmware = "2.3.0.1", "2.3"
-        self.IsCompatibleWithInstalledFirmware = ReadOnlyValue(lambda: room.compatible)
-        self.Disconnected = Event("Disconnected", room, self._events)
-        self.ErrorArrived = Event("ErrorArrived", room, self._events)
-        self.WarningArrived = Event("WarningArrived", room, self._events)
+        self.IsCompatibleWithInstalledFirmware = ReadOnlyValue(lambda: scene.compatible)
+        self.Disconnected = Event("Disconnected", scene, self._events)
+        self.ErrorArrived = Event("ErrorArrived", scene, self._events)
+        self.WarningArrived = Event("WarningArrived", scene, self._events)
         self.Settings = Settings()
         self.Targets = Collection(
             [
@@ -587,12 +587,12 @@ class Tracker(Net):
         self.TargetSearch.Radius = Value(5.0, unit=lambda: _METRE_NAMES[int(self.Settings.Units.LengthUnit)])
         self.Face = Face(self)
         self.Laser = Net()
-        self.Laser.IsOn = ReadOnlyValue(lambda: room.laser_on)
-        self.Laser.IsLaserWarmedUp = ReadOnlyValue(lambda: room.warmed_up)
-        self.QuickRelease = ReadOnlyValue(lambda: room.quick_release)
+        self.Laser.IsOn = ReadOnlyValue(lambda: scene.laser_on)
+        self.Laser.IsLaserWarmedUp = ReadOnlyValue(lambda: scene.warmed_up)
+        self.QuickRelease = ReadOnlyValue(lambda: scene.quick_release)
         self.Compensations = Net()
         self.Compensations.Selected = Net()
-        self.InclinationSensor = InclinationSensor(self) if room.level else None
+        self.InclinationSensor = InclinationSensor(self) if scene.level else None
         self.MeteoStation = MeteoStation(self)
         self.seal()
 
@@ -603,83 +603,83 @@ class Tracker(Net):
         return ReadOnlyValue(lambda: radians / _RADIANS[unit()], lambda: _RADIAN_NAMES[unit()])
 
     def warn_of_property(self) -> None:
-        """Setting this property makes LMF tell something, and the setter waits until it is told."""
+        """Send an event because a property was set; the setter waits until it is delivered."""
         self.WarningArrived.fire(self, LmfException(7, "Setting changed"), by_property=True)
 
     def warn(self, title: str) -> None:
         self.WarningArrived.fire(self, LmfException(4711, title, "Something is not well.", "Look at it."))
 
-    def lose(self) -> None:
+    def lose_target(self) -> None:
         self.locked = ""
         self.Targets.Selected = None
 
     def Initialize(self) -> None:
-        self.room.command("Initialize")
-        self.room.initialised = True
+        self.scene.command("Initialize")
+        self.scene.initialised = True
 
     def PositionTo(self, search: bool, relative: bool, p1: float, p2: float, p3: float) -> Any:
-        self.room.command("PositionTo")
+        self.scene.command("PositionTo")
         if relative:
             raise LmfException(5, "Relative moves need spherical coordinates")
         if self.Settings.CoordinateType != E["ECoordinateType"].Cartesian:
             raise LmfException(6, "This stand-in only points in Cartesian coordinates")
-        self.lose()
+        self.lose_target()
         self.WarningArrived.fire(self, LmfException(8, "Head moved"))
         wanted = np.array([p1, p2, p3]) * _METRES[int(self.Settings.Units.LengthUnit)]
         if not search:
             return None
-        seen = {name: p for name, p in self.room.targets.items() if name not in self.room.hidden}
+        seen = {name: p for name, p in self.scene.targets.items() if name not in self.scene.hidden}
         near = min(seen, key=lambda name: float(np.linalg.norm(seen[name] - wanted)), default="")
-        if not near or np.linalg.norm(seen[near] - wanted) > self.room.search_m:
+        if not near or np.linalg.norm(seen[near] - wanted) > self.scene.search_m:
             raise LmfException(9, "No target found")
         self.locked = near
         self.Targets.Selected = self.Targets[2] if near.startswith("T-Mac") else self.Targets.PreSelected
         return self.Targets.Selected
 
     def Disconnect(self) -> None:
-        self.room.command("Disconnect")
-        if self.address in self.room.connected:
-            self.room.connected.remove(self.address)
+        self.scene.command("Disconnect")
+        if self.address in self.scene.connected:
+            self.scene.connected.remove(self.address)
         self._events.put(None)
 
     def drop(self) -> None:
-        """The network fails: LMF tells it."""
+        """Simulate a network failure, which LMF reports."""
         self.Disconnected.fire(self, LmfException(1, "Connection lost"))
 
 
 class Connection:
     """``LMF.Tracker.Connection``."""
 
-    def __init__(self, room: Room) -> None:
-        self._room = room
+    def __init__(self, scene: Scene) -> None:
+        self._room = scene
 
     def Connect(self, address: str) -> Tracker:
-        room = self._room
-        room.command("Connect")
+        scene = self._room
+        scene.command("Connect")
         simulated = "simulator" in address.casefold()
         if simulated and _SIMULATOR.fullmatch(address.casefold()) is None:
             raise LmfException(2, "Unknown simulator", address)
         if not simulated and address != "192.168.0.1":
             raise LmfException(3, "Not reachable", f"No tracker at {address}.", "Check the cable.")
-        if address.casefold() in room.connected:
+        if address.casefold() in scene.connected:
             raise LmfException(10011, "Controller Already In Use")
-        tracker = Tracker(room, address.casefold())
-        room.connected.append(tracker.address)
-        room.kept["tracker"] = tracker
+        tracker = Tracker(scene, address.casefold())
+        scene.connected.append(tracker.address)
+        scene.persistent["tracker"] = tracker
         return tracker
 
 
 class TrackerFinder:
     """``LMF.Tracker.TrackerFinder``."""
 
-    def __init__(self, room: Room) -> None:
-        self._room = room
+    def __init__(self, scene: Scene) -> None:
+        self._room = scene
         self._found = Collection([])
 
     def Refresh(self) -> None:
         self._room.command("Refresh")
         found = []
-        for address, model, serial in self._room.in_the_network:
+        for address, model, serial in self._room.network:
             info = Net()
             info.IPAddress, info.Type, info.SerialNumber = address, model, serial
             found.append(info)

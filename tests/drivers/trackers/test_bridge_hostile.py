@@ -258,7 +258,7 @@ def test_a_huge_line_is_refused_and_forgotten(bridge):
         assert "longer than 2048 bytes" in line.fields["text"]
         raw.send(b"\n")
         assert measures(raw, "measurement-1").word == "ok"
-        assert all(len(link.held) <= wire.LONGEST_LINE for link in bridge._links)
+        assert all(len(link.received) <= wire.LONGEST_LINE for link in bridge._links.links)
 
 
 def test_a_slow_sender_is_cut_off_and_disturbs_nobody(bridge):
@@ -288,7 +288,7 @@ def test_two_hundred_connections_do_not_get_in_the_way(bridge):
                 continue  # it has been thrown out already
         for _ in range(5):
             assert tracker.measure(NEST, 1.0).averaging_s == 1.0
-        assert len(bridge._links) < 80
+        assert len(bridge._links.links) < 80
         bridge.fault("drop")  # and who lost its link finds its way back through the crowd
         assert tracker.measure(NEST, 1.0).averaging_s == 1.0
         assert all(raw.hung_up() for raw in crowd)
@@ -405,5 +405,5 @@ def test_results_are_kept_for_a_while_not_for_ever(bridge):
         assert bridge.tracker.measured == 64
         for number in range(64, 80):
             measures(raw, f"measurement-{number}")
-        assert len(bridge._kept) == 64
+        assert len(bridge._results) == 64
         assert measures(raw, "measurement-0").fields["time"] != first.fields["time"]

@@ -13,7 +13,8 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_server import TrackerService
-from drivers.trackers.lmf import LmfSettings, LmfTracker
+from drivers.trackers.lmf import LmfTracker
+from drivers.trackers.lmf_settings import LmfSettings
 from drivers.trackers.protocol import (
     Halted,
     Inclination,
@@ -31,7 +32,7 @@ from drivers.trackers.protocol import (
 )
 from drivers.trackers.simulated import Imperfections, SimulatedTracker
 from tests.drivers.ptys import serial_cable
-from tests.drivers.trackers.fake_lmf import Room
+from tests.drivers.trackers.fake_lmf import Scene
 
 TOKEN = "correct horse battery staple"
 QUICK_S = 0.3
@@ -112,7 +113,7 @@ def test_several_faults_one_after_the_other(make_plant):
             bridge.fault(fault)
         assert len({tracker.measure(NEST, 1.0).time_s for _ in range(4)}) == 4
         assert bridge.tracker.measured == 4
-        with pytest.raises(ValueError, match="there is no fault 'earthquake'; there are beam, slow"):
+        with pytest.raises(ValueError, match="unknown fault 'earthquake'; known are beam, slow"):
             bridge.fault("earthquake")
 
 
@@ -372,10 +373,10 @@ def test_a_client_that_comes_back_gets_the_measurement_that_was_under_way():
         dropped = threading.Event()
 
         def drop():
-            bridge._drop(bridge._holder, "a test cuts the link", forever=True)
+            bridge._links.drop(bridge._holder, "a test cuts the link", at_once=True)
             dropped.set()
 
-        bridge.soon(drop)
+        bridge.call_soon(drop)
         assert dropped.wait(5.0)
         threading.Timer(1.0, slow.may_end.set).start()
         assert outcome().p_M == pytest.approx(NEST)
@@ -391,7 +392,6 @@ def test_a_tracker_that_never_ends_is_halted_and_the_client_told():
         assert tracker.identify().model == "slow"
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_mistake_in_a_driver_is_not_the_end_of_the_bridge():
     class Broken(SlowTracker):
         def measure(self, expected_M, averaging_s):
@@ -416,8 +416,8 @@ def test_a_tracker_that_cannot_be_reached_is_said():
 
 
 def test_a_tracker_of_leicas_is_served_alike():
-    room = Room(targets={"left": NEST, "right": NEST + 1.0}, initialised=False)
-    lmf = LmfTracker(LmfSettings("192.168.0.1"), load=lambda library: room.lmf())
+    scene = Scene(targets={"left": NEST, "right": NEST + 1.0}, initialised=False)
+    lmf = LmfTracker(LmfSettings(address="192.168.0.1"), load=lambda library: scene.lmf())
     with TrackerService(lmf) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
         assert tracker.identify().model.startswith("AT960")
         assert tracker.unmet() == []  # it was initialised when the client connected
@@ -426,8 +426,8 @@ def test_a_tracker_of_leicas_is_served_alike():
             tracker.measure(NEST - 1.0, 1.0)
         pair = tracker.measure_two_face(NEST, 1.0)
         assert (pair.first.face, pair.second.face) == (1, 2)
-    room.let_go.set()
-    assert room.broken_rules == []
+    scene.release.set()
+    assert scene.violations == []
 
 
 # -- a plant that others move ------------------------------------------------------------------------------------------

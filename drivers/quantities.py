@@ -1,7 +1,7 @@
-"""Physical quantities as people write them: a plain number is SI, a text carries its unit ("0.3 mm", "90 deg").
+"""Physical quantities in settings: a plain number is SI, a text carries its unit ("0.3 mm", "90 deg").
 
-A number with the wrong kind of unit is refused with the units that would do; a plain number far outside what a robot
-cell can mean is refused by the range of the field that holds it.
+A unit of another quantity is refused, and the message lists the units that fit. The bounded types at the end also
+refuse values that no robot cell has: usually a plain number in millimetres or degrees.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 import re
 from typing import Annotated
 
-from pydantic import BeforeValidator
+from pydantic import AfterValidator, BeforeValidator
 
 _UNITS: dict[str, dict[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6},
@@ -29,16 +29,16 @@ _UNITS: dict[str, dict[str, float]] = {
     "relative length": {"m/m": 1.0, "mm/m": 1e-3, "um/m": 1e-6, "ppm": 1e-6},
     "temperature": {"degC": 1.0},
 }
-_WRITTEN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S+)\s*")
+_NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S+)\s*")
 
 
 def parse_quantity(kind: str, value: object) -> float:
-    """A quantity of one kind in SI from a number or from a text with a unit.
+    """Convert a number, or a text with a unit, to SI. ``kind`` is a key of the table of units, such as "length".
 
     Raises
     ------
     ValueError
-        If the text is no number with a unit of this kind, or the number is not finite.
+        If the text is not a number with a unit of this kind, or the number is not finite.
     """
     units = _UNITS[kind]
     si_unit = next(iter(units))
@@ -47,13 +47,13 @@ def parse_quantity(kind: str, value: object) -> float:
     if isinstance(value, int | float):
         number = float(value)
     elif isinstance(value, str):
-        written = _WRITTEN.fullmatch(value)
-        if written is None:
+        match = _NUMBER_AND_UNIT.fullmatch(value)
+        if match is None:
             raise ValueError(f"expected a {kind}: a number in {si_unit} or text such as '1.5 {si_unit}', got '{value}'")
-        factor = units.get(written.group(2))
+        factor = units.get(match.group(2))
         if factor is None:
-            raise ValueError(f"'{written.group(2)}' is not a unit of {kind}; use one of {', '.join(units)}")
-        number = float(written.group(1)) * factor
+            raise ValueError(f"'{match.group(2)}' is not a unit of {kind}; use one of {', '.join(units)}")
+        number = float(match.group(1)) * factor
     else:
         raise ValueError(f"expected a {kind} in {si_unit}, got {type(value).__name__}")
     if not math.isfinite(number):
@@ -73,3 +73,32 @@ AngularSpeed = Annotated[float, _quantity("angular speed")]
 AngularAcceleration = Annotated[float, _quantity("angular acceleration")]
 RelativeLength = Annotated[float, _quantity("relative length")]
 Temperature = Annotated[float, _quantity("temperature")]
+
+_ARM_SCALE_M = 10.0
+"""No link or tool of an industrial arm is longer."""
+_CELL_SCALE_M = 100.0
+"""Beyond the range of a laser tracker (80 m)."""
+
+
+def _at_most(limit_m: float) -> AfterValidator:
+    def check(value: float) -> float:
+        if abs(value) > limit_m:
+            raise ValueError(
+                f"{value:g} m is beyond {limit_m:g} m; a plain number is metres, write '{value:g} mm' for mm"
+            )
+        return value
+
+    return AfterValidator(check)
+
+
+def _within_two_turns(value: float) -> float:
+    if abs(value) > 4.0 * math.pi:
+        raise ValueError(
+            f"{value:g} rad is more than two turns; a plain number is radians, write '{value:g} deg' for degrees"
+        )
+    return value
+
+
+ArmLength = Annotated[Length, _at_most(_ARM_SCALE_M)]
+CellLength = Annotated[Length, _at_most(_CELL_SCALE_M)]
+Turn = Annotated[Angle, AfterValidator(_within_two_turns)]

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from drivers.arms.protocol import JointLimits
-from drivers.arms.ur import UrArm, UrSettings
+from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
+from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, personality, start_in_process
 
 PATIENT_S = 20.0
@@ -29,19 +30,21 @@ FAR = HOME + np.array([2.4, 0.3, -0.5, 1.0, 1.5, -2.0])
 
 def expectation(name: str, **changes: Any) -> UrExpectation:
     limits = JointLimits(np.tile([-2.0 * np.pi, 2.0 * np.pi], (6, 1)), np.full(6, 3.0), np.full(6, 8.0))
-    said = UrExpectation(MODELS[name], SERIALS[name], limits, payload_kg=0.35, payload_center_m=np.array([0, 0, 0.03]))
-    return replace(said, **changes)
+    expected = UrExpectation(
+        MODELS[name], SERIALS[name], limits, payload_kg=0.35, payload_center_m=np.array([0, 0, 0.03])
+    )
+    return replace(expected, **changes)
 
 
 def configs(**changes: Any) -> list[ControllerConfig]:
     """The controllers: a CB3 and an e-Series one."""
-    who = {
+    personalities = {
         "left": personality("CB3", "UR10", SERIALS["left"]),
         "right": personality("e-Series", "UR5", SERIALS["right"]),
     }
     load: dict[str, Any] = {"payload_mass": 0.35, "payload_center": (0.0, 0.0, 0.03)}
     quick: dict[str, Any] = {"boot_s": 0.2, "brake_release_s": 0.1, "unlock_after_s": 0.2}
-    return [ControllerConfig(name, HOSTS[name], who[name], **(load | quick | changes)) for name in HOSTS]
+    return [ControllerConfig(name, HOSTS[name], personalities[name], **(load | quick | changes)) for name in HOSTS]
 
 
 @contextmanager
@@ -52,8 +55,8 @@ def emulated_cell() -> Iterator[EmulatorProcess]:
 
 @contextmanager
 def driven(name: str, settings: UrSettings | None = None, **changes: Any) -> Iterator[UrArm]:
-    """A driver, not connected yet; disconnected at the end."""
-    arm = UrArm(name, HOSTS[name], expectation(name, **changes), settings or UrSettings(rest_s=1.0))
+    """A driver that is not connected yet; disconnected at the end."""
+    arm = UrArm(name, settings or UrSettings(host=HOSTS[name]), expectation(name, **changes), rest_s=1.0)
     try:
         yield arm
     finally:
@@ -61,10 +64,10 @@ def driven(name: str, settings: UrSettings | None = None, **changes: Any) -> Ite
 
 
 def until(condition: Callable[[], bool], what: str, within_s: float = PATIENT_S) -> None:
-    """Wait until something holds."""
+    """Wait until a condition holds."""
     deadline = time.monotonic() + within_s
     while not condition():
-        assert time.monotonic() < deadline, f"waited in vain until {what}"
+        assert time.monotonic() < deadline, f"not within {within_s:g} s: {what}"
         pause(0.005)
 
 
@@ -73,7 +76,7 @@ def pause(seconds: float) -> None:
 
 
 def mend(emulator: EmulatorProcess, name: str) -> None:
-    """What a person would do: release, power on, plug in."""
+    """Repair an arm as a person would: release stops, power on, end all faults."""
     control = emulator.control
     control(name, "fault", "*", "none")
     control(name, "protective", "off")
@@ -89,8 +92,8 @@ def ready(status: dict[str, Any]) -> bool:
     return status["robot_mode"] == "RUNNING" and status["safety_mode"] == "NORMAL" and not status["moving"]
 
 
-def assert_stays_at_rest(emulator: EmulatorProcess, name: str, for_s: float = 0.3) -> None:
-    """The arm rests, and goes on resting."""
+def assert_stays_at_rest(emulator: EmulatorProcess, name: str, for_s: float = 0.15) -> None:
+    """Assert that the arm comes to rest and stays at rest; 0.15 s are 19 states of a CB3 controller."""
     until(lambda: not emulator.control(name, "status")["moving"], "the arm has braked", 1.0)
     before = emulator.control(name, "status")
     pause(for_s)

@@ -1,0 +1,95 @@
+"""What every kind of arm brings: its settings, how it is opened and probed, and what generic code may ask about it."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from drivers.arms.protocol import Arm, JointLimits
+from drivers.findings import Finding
+from drivers.settings import Section
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from drivers.plant import Plant
+
+
+@dataclass(frozen=True, eq=False)
+class ArmContext:
+    """What a cell specifies for one arm, whatever its kind.
+
+    Attributes
+    ----------
+    name : str
+        Name of the arm in the profile.
+    model : str
+        Model name as sold: "UR10", "UR5e".
+    joints : int
+        Number of joints N of that model.
+    limits : JointLimits
+        Position ranges of this cell, and the highest speeds and accelerations that will be commanded.
+    payload_kg, payload_center_m : float, array of shape (3,)
+        Load on the flange, centre of mass in the flange frame [m].
+    plant : Plant or None
+        The simulated cell; None if no device of the cell is simulated.
+    """
+
+    name: str
+    model: str
+    joints: int
+    limits: JointLimits
+    payload_kg: float
+    payload_center_m: NDArray[np.float64]
+    plant: Plant | None = None
+
+
+@dataclass(frozen=True)
+class Package:
+    """A Python package that a kind needs: its name for pip, its modules, and the devices that need it, in words."""
+
+    name: str
+    modules: tuple[str, ...]
+    needed_by: str
+
+
+@dataclass(frozen=True)
+class EmulatedController:
+    """How an emulated UR controller may replace an arm's own.
+
+    ``host`` is its loopback address, None for any free one; ``serial`` is the serial number it reports, None for any.
+    """
+
+    host: str | None = None
+    serial: str | None = None
+
+
+class ArmSettings(Section):
+    """Base of the settings of every kind of arm. Defaults are those of a real arm that needs no extra package."""
+
+    kind: str
+    needs_plant: ClassVar[bool] = False
+    """Whether the arm belongs to the simulated cell."""
+    has_device: ClassVar[bool] = True
+    """Whether there is an arm to move; otherwise the readings come from a file."""
+    packages: ClassVar[tuple[Package, ...]] = ()
+
+    @property
+    def controller_address(self) -> str:
+        """Network address of the controller, which no other arm may have; empty if there is none."""
+        return ""
+
+    def emulated_controller(self) -> EmulatedController | None:
+        """Return how ``cellapp emulate`` can replace the controller; None if it must not."""
+        return None
+
+    @abstractmethod
+    def open(self, arm: ArmContext) -> Arm:
+        """Return the driver, not connected yet. Raises ``SettingError``."""
+
+    @abstractmethod
+    def probe(self, arm: ArmContext, patience_s: float) -> Sequence[Finding]:
+        """Check the arm without moving it; a controller that is silent for ``patience_s`` [s] counts as dead."""

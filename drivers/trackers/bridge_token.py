@@ -1,0 +1,51 @@
+"""The secret token shared by the clients and the server of a tracker bridge."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from drivers.settings import SettingError
+from drivers.trackers.bridge_server import usable_token
+
+_MOST_BYTES = 4096
+"""Far more than a token has; bounds the read if the path names a large file."""
+
+
+def read_token(token_file: str | None, token_env: str | None) -> str | None:
+    """Read the token from a file or an environment variable; None if neither is named.
+
+    Raises
+    ------
+    SettingError
+        If it is missing or too short, or other users may read the file. The message never contains the token.
+    """
+    if token_file is not None:
+        return _checked(_read_file(Path(token_file).expanduser()), str(token_file))
+    if token_env is not None:
+        text = os.environ.get(token_env)
+        if text is None:
+            raise SettingError(f"the environment variable {token_env} is not set; it should hold the bridge's token")
+        return _checked(text, f"the environment variable {token_env}")
+    return None
+
+
+def _read_file(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            mode = os.fstat(file.fileno()).st_mode
+            if os.name == "posix" and mode & (stat.S_IRWXG | stat.S_IRWXO):
+                raise SettingError(f"{path}: other users may read the bridge's token; run: chmod 600 {path}")
+            return file.read(_MOST_BYTES).decode("utf-8")
+    except OSError as error:
+        raise SettingError(f"{path}: the bridge's token cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise SettingError(f"{path}: a binary file, not a token") from error
+
+
+def _checked(text: str, source: str) -> str:
+    try:
+        return usable_token(text)
+    except ValueError as error:
+        raise SettingError(f"{source}: {error}") from error

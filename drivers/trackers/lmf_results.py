@@ -1,0 +1,72 @@
+"""Reading a stationary measurement of LMF, and its accuracy, which LMF does not report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.trackers.lmf_objects import Lmf, precision_m, to_si, unwrap
+from drivers.trackers.protocol import Face, TrackerError
+
+_AIR_RANGES = {"Temperature": (-40.0, 85.0), "Pressure": (500.0, 1200.0), "Humidity": (0.0, 100.0)}
+"""Plausible air [degC, hPa, %], in the units that ``lmf_setup`` selects."""
+_TICKS_1970 = 621_355_968_000_000_000
+""".NET's time stamp of the first second of 1970, in ticks of 100 ns since the year 1."""
+
+
+@dataclass(frozen=True)
+class ErrorLaw:
+    """Maximum permissible errors ``constant + proportional * distance`` [m, m/m], across the beam and along it.
+
+    Half of a maximum permissible error is taken as one standard deviation: the maker calls half of it typical.
+    """
+
+    transverse: tuple[float, float] = (15e-6, 6e-6)
+    range: tuple[float, float] = (10e-6, 0.3e-6)
+
+    def covariance(self, p_M: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the covariance (3, 3) [m^2] of a point (3,) [m] in the axes of M."""
+        distance = float(np.linalg.norm(p_M))
+        across = 0.5 * (self.transverse[0] + self.transverse[1] * distance)
+        along = 0.5 * (self.range[0] + self.range[1] * distance)
+        beam = np.outer(p_M, p_M) / distance**2
+        return across**2 * (np.eye(3) - beam) + along**2 * beam
+
+
+def read_position(lmf: Lmf, position: Any, face: Face) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the point (3,) and the precision of each coordinate (3,) [m]. Raises ``TrackerError`` if not valid."""
+    kind = unwrap(position.CoordinateType)
+    if str(kind) != "Cartesian" and int(kind) != int(lmf.enumeration("ECoordinateType").Cartesian):
+        raise TrackerError(f"tracker: the point comes in {kind} coordinates; another program changed that")
+    coordinates = (position.Coordinate1, position.Coordinate2, position.Coordinate3)
+    p_M = np.array([to_si(coordinate, "length") for coordinate in coordinates])
+    precision_M = np.array([precision_m(coordinate) for coordinate in coordinates])
+    if not (np.isfinite(p_M).all() and np.isfinite(precision_M).all() and np.linalg.norm(p_M) > 0.0):
+        raise TrackerError("tracker: it reports a point that is not valid")
+    if bool(unwrap(position.IsFace2)) != (face == 2):
+        raise TrackerError(f"tracker: it measured in another face than {face}")
+    return p_M, precision_M
+
+
+def read_air(result: Any) -> tuple[dict[str, float | None], list[str]]:
+    """Return the air that the refraction was corrected with, and warnings about implausible values and LMF's flags."""
+    air: dict[str, float | None] = {}
+    warnings = []
+    for name, (low, high) in _AIR_RANGES.items():
+        value = float(unwrap(getattr(result, name)))
+        air[name] = value if low <= value <= high else None
+        if air[name] is None:
+            warnings.append(f"{name.lower()} applied to the point reads {value:g}, which is not plausible")
+    flags = str(unwrap(result.Info.FlagsWithWarnings))
+    if flags != "AllOk":
+        warnings.append(flags)
+    return air, warnings
+
+
+def tracker_time_s(result: Any) -> float | None:
+    """Return the tracker's own time of a result since 1970 [s]; None if it has none."""
+    ticks = int(result.TimeStamp.Ticks)
+    return (ticks - _TICKS_1970) * 1e-7 if ticks else None
