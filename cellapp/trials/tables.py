@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.reporting.table import Cell, Column, Table, number_column
+from cellapp.reporting.table import Cell, Column, Number, Table, number_column
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.links import LinksResult, Times
 from cellapp.trials.paper import PaperResult
@@ -59,7 +59,9 @@ def paper_tables(result: PaperResult) -> list[Table]:
         (method, entry.median, entry.worst, entry.paper) for method, entry in result.cooperative_mm.items()
     ]
     gain = (result.gain.median, result.gain.worst, result.gain.paper)
-    rows.append(("proposed below method_1", *(None if share is None else f"{100 * share:.1f} %" for share in gain)))
+    rows.append(
+        ("proposed below method_1", *(None if share is None else Number(100 * share, 1, "%") for share in gain))
+    )
     columns = (Column("method"), *(number_column(title, _MM) for title in ("median", "worst", "paper")))
     title = f"Mean cooperative error [mm], {len(result.trials)} simulated cells"
     positions = [trial.position_mm for trial in result.trials]
@@ -185,7 +187,7 @@ def _target_table(targets: Sequence[TargetScore]) -> Table:
             wanted += f" of {target.trials_wanted}"
         met = {True: "yes", False: "no", None: "too few"}[target.met] if wanted else ""
         reached = f"{target.reached} of {target.n}"
-        rows.append((target.kind, target.target, wanted, reached, f"{100 * target.share:.1f} %", met))
+        rows.append((target.kind, target.target, wanted, reached, Number(100 * target.share, 1, "%"), met))
     return Table("Sealed trials: targets", columns, tuple(rows))
 
 

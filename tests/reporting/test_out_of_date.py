@@ -14,7 +14,7 @@ from cellapp.pipeline import calibrate_run
 from cellapp.reporting.tables import all_tables, out_of_date_sentences
 from cellapp.results import CALIBRATE, DISCOVER, VERIFY, DiscoverResult
 from cellapp.run import RunFile
-from cellapp.run.stages import CALIBRATION_FILE, read_results
+from cellapp.run.stages import CALIBRATION_FILE, NOT_RECORDED, read_results
 from tests.reporting.cases import discovery, unknown_effect
 from tests.reporting.parsed_page import Page, page_of
 from tests.reporting.runs import LEFT, RIGHT, fill, store_discovery
@@ -102,7 +102,7 @@ def test_effects_that_an_older_version_wrote_into_the_calibration_are_not_shown(
     assert "geometry, position" in page.texts
     assert "effects, position" not in page.texts
     assert "Arm only (out of date)" in page.texts
-    assert "Calibration: an older version of cellapp stored it" in page.text
+    assert f"Calibration: {NOT_RECORDED}" in page.text
 
 
 def test_terminal_tables_leave_out_what_does_not_hold(changing: RunFile) -> None:

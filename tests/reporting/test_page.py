@@ -190,9 +190,9 @@ def test_figures_show_what_the_tables_say(whole: RunFile, monkeypatch: pytest.Mo
     for errors, arm in zip(arms, calibrate.arms.values()):
         assert list(errors) == list(arm.validate_)
         assert {"nominal", "geometry", "effects"} <= set(errors)
-        for stage, values in errors.items():
-            assert len(values) == 20
-            assert values.mean() == pytest.approx(arm.validate_[stage].position_mm.mean, rel=1e-9)
+        for stage, stored in arm.validate_.items():
+            assert len(errors[stage]) == 20
+            assert errors[stage].mean() == pytest.approx(stored.position_mm.mean, rel=1e-9)
     assert any("network" in errors for errors in arms)
     methods = [method for method in calibrate.pair if method != "nominal"]
     assert {"method_1", "effects"} <= set(methods)
@@ -394,7 +394,12 @@ def test_effects_of_time_are_drawn_as_they_were_evaluated(double: RunFile, monke
     after = held_out.time_s > 30.5
     assert 0 < after.sum() < len(after)
     drawn: list[Any] = []
-    monkeypatch.setattr(figures, "error_figure", lambda key, configurations, errors, *more: drawn.append(errors) or "")
+
+    def recording(key: str, configurations: Any, errors_mm: Any, *more: Any) -> str:
+        drawn.append(errors_mm)
+        return ""
+
+    monkeypatch.setattr(figures, "error_figure", recording)
     page_text(double, NOON)
     (shown,) = (errors["effects"] for errors in drawn if "effects" in errors)
     plain = np.linalg.norm(held_out.p_M - geometry, axis=1) * 1e3

@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from cellapp.reporting.table import Column, Interval, Number, Table, format_cell, number_column
+from cellapp.reporting.table import Cell, Column, Interval, Number, Table, format_cell, number_column
 from cellapp.reporting.terminal import rich_table
 
 TABLE = Table(
@@ -32,24 +32,24 @@ TABLE = Table(
         (Number(42.91, 1), "", "42.9"),
     ],
 )
-def test_cells_are_formatted_by_their_column(cell, number_format, text):
+def test_cells_are_formatted_by_their_column(cell: Cell, number_format: str, text: str) -> None:
     assert format_cell(cell, number_format) == text
 
 
-def test_headings_have_units_and_rows_are_text():
+def test_headings_have_units_and_rows_are_text() -> None:
     assert TABLE.headings == ("stage", "mean [mm]", "n", "note")
     assert TABLE.text_rows() == (("nominal", "0.1235", "17", "[bold]"), ("effects", "0.1000 to 0.2500", "", ""))
 
 
-def test_a_row_needs_a_cell_for_each_column():
+def test_a_row_needs_a_cell_for_each_column() -> None:
     with pytest.raises(ValueError, match="1 cells in a row of 2 columns"):
         Table("t", (Column("a"), Column("b")), (("only",),))
 
 
-def test_a_terminal_shows_brackets_as_text_and_aligns_numbers_right():
-    console = Console(file=io.StringIO(), width=80)
-    console.print(rich_table(TABLE))
-    text = console.file.getvalue()
+def test_a_terminal_shows_brackets_as_text_and_aligns_numbers_right() -> None:
+    output = io.StringIO()
+    Console(file=output, width=80).print(rich_table(TABLE))
+    text = output.getvalue()
     assert "Errors [mm]" in text
     assert "[bold]" in text
     first, second = (line for line in text.splitlines() if line.strip().startswith(("nominal", "effects")))
