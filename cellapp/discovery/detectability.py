@@ -24,6 +24,7 @@ _MOST_SIZES = 40
 """Parameters of one effect whose smallest sizes are reported: all joints and axes, but not hundreds of lines."""
 
 Entry = Mapping[str, Any]
+"""An effect with its visibility, as it goes into JSON."""
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,8 @@ def discover_arm(
     known = known or circumstances(readings)
     held_out = HeldOut.of(readings, known)
     found, fitted = _searched(profile, model, readings, known, cancel)
-    after_mm, floor_mm = held_out.rms_mm(found.fit.model), held_out.noise_floor_mm()
+    before_mm, after_mm = held_out.rms_mm(found.geometry_only.model), held_out.rms_mm(found.fit.model)
+    floor_mm = held_out.noise_floor_mm()
     accepted = _accepted_effects(found, held_out, after_mm)
     left = scatter(found.data, found.fit)
     word, sentence = verdict(accepted, floor_mm, after_mm, len(held_out), left)
@@ -116,9 +117,9 @@ def discover_arm(
     return Discovery(
         accepted=accepted,
         noise_floor_mm=floor_mm,
-        before_mm=held_out.rms_mm(found.geometry_only.model),
+        before_mm=before_mm,
         after_mm=after_mm,
-        steps=_gap_steps(found, held_out, after_mm, fitted),
+        steps=_gap_steps(found, held_out, before_mm, after_mm, fitted),
         threshold=found.threshold,
         omnibus_p=math.nan if left is None else left.p_value,
         scatter=math.nan if left is None else left.ratio,
@@ -149,9 +150,11 @@ def _searched(
     return refit_to_all(found, ArmData.of(profile, model, readings.take(rows), known.take(rows))), len(rows)
 
 
-def _gap_steps(found: SearchResult, held_out: HeldOut, after_mm: float, fitted: int | None) -> tuple[GapStep, ...]:
+def _gap_steps(
+    found: SearchResult, held_out: HeldOut, before_mm: float, after_mm: float, fitted: int | None
+) -> tuple[GapStep, ...]:
     """The held-out error after each step of the search, and after the review."""
-    steps = [GapStep("geometry alone", "", held_out.rms_mm(found.geometry_only.model))]
+    steps = [GapStep("geometry alone", "", before_mm)]
     steps += [
         GapStep(step.what, step.slug, held_out.rms_mm(step.model)) for step in found.steps if step.model is not None
     ]

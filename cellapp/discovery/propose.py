@@ -22,6 +22,7 @@ from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings
 
 DEFAULT_EFFORT = Effort()
+"""Effort of a proposal from the command line: 10 stops for the two arms of the twin take some 5 s."""
 _PROPOSAL_SEED = 0x9409
 """Beside the profile's seed and the number of readings: a later proposal draws other candidates."""
 

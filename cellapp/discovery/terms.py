@@ -72,6 +72,7 @@ class ModelTerm:
 
 
 ModelTerms = tuple[ModelTerm, ...]
+"""Terms in the order of their parameters."""
 
 
 def without_term(terms: ModelTerms, term: int) -> ModelTerms:

@@ -18,7 +18,8 @@ from cellapp.discovery.terms import ModelTerms, with_term
 from cellapp.effects import Law
 
 _SHRINKAGE = (1.0, 1.0, 0.5, 0.5, 0.25, 0.12)
-"""Factors on the distances of each round: from 35 % to 4 % of a constant, finer than data determine a time constant."""
+"""Factors on the distance of each round, 0.3 in the logarithm of a constant: down to 4 %, finer than data determine a
+time constant."""
 _LEAST_IMPROVEMENT = 1e-9
 """Relative gain below which two values of a constant count as equal; above rounding."""
 
@@ -58,7 +59,7 @@ def _tuned_law(data: ArmData, fit: JointFit, number: int) -> Law:
 
 
 def nearby_laws(law: Law, data: ArmData, shrink: float) -> list[Law]:
-    """Laws with one constant changed: an onset in a neighbouring pause, a time or size up to 35 % away."""
+    """Laws with one constant changed: an onset in a neighbouring pause, a time or size some 30 % away at most."""
     found = []
     for key, value in law.constants.items():
         if key == "onset_s":
