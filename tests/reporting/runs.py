@@ -7,10 +7,11 @@ import numpy as np
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model.nominal import nominal_arm
-from cellapp.profile import Discovery, NoDriver, Profile, Splits, load_profile
+from cellapp.profile import Discovery, Profile, Splits, load_profile
 from cellapp.results import CALIBRATE, DISCOVER, CalibrateResult, DiscoverResult
 from cellapp.run import Readings, RunFile
 from cellapp.run.stages import append_stage, basis_of, read_stages
+from drivers.no_driver import NoDriver
 from tests.arms import STATION, true_geometry
 from tests.twin import PROFILES
 
@@ -48,7 +49,7 @@ def twin_of(left: str, right: str, name: str) -> Profile:
 def without_devices(*arms: str) -> Profile:
     """Some arms of the twin under other names, without devices and without a network."""
     twin = load_profile(PROFILES / "twin.yaml")
-    none = NoDriver(kind="none")
+    none = NoDriver()
     settings = [arm.model_copy(update={"driver": none}) for arm in twin.arms.values()]
     return twin.model_copy(
         update={
