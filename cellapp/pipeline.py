@@ -1,53 +1,73 @@
-"""The whole spine in one call, from profile to report. CLI and TUI call this."""
+"""The verbs, one after the other: each reads from the run, calls the pure functions, appends what they made.
+
+The command line and the terminal application call these functions. Nothing else changes stages of a run.
+"""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
-from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT, calibrate_run
+import numpy as np
+
+from cellapp.calibration.calibrate import calibrate_readings, missing_splits, provenance_of
+from cellapp.calibration.record import calibrate_result
 from cellapp.collection.cell import Cell
 from cellapp.collection.collect import collect_run
 from cellapp.collection.controllers import check_controllers
-from cellapp.compensation.compensate import as_dict as compensate_dict
-from cellapp.compensation.compensate import compensate
+from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
-from cellapp.discovery.discover import DISCOVER_RESULT, discover_run
+from cellapp.discovery.discover import discover_cell
+from cellapp.discovery.outcome import CellDiscovery
+from cellapp.discovery.proposal.candidate_poses import Effort
+from cellapp.discovery.propose import ProposedStop, propose_stops
+from cellapp.discovery.record import discover_result, proposal_result
+from cellapp.errors import InputError
+from cellapp.exports.geometry import geometry_export
 from cellapp.model import CellModel
 from cellapp.planning.plan import plan_run
+from cellapp.planning.stop_conditions import read_stop_conditions, write_stop_conditions
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.reporting.page import write_page
-from cellapp.run import RunFile
+from cellapp.results import (
+    CALIBRATE,
+    COMPENSATE,
+    DISCOVER,
+    PUSH,
+    VERIFY,
+    CalibrateResult,
+    CollectResult,
+    CompensateResult,
+    DiscoverResult,
+    ExportResult,
+    ImportResult,
+    PlanResult,
+    Proposal,
+    ReportResult,
+    RunResults,
+    StageName,
+    VerifyResult,
+    WholeRunResult,
+)
+from cellapp.run import Readings, RunFile, import_csv, write_readings_csv
+from cellapp.run.stages import (
+    CALIBRATION_FILE,
+    Basis,
+    RunStages,
+    StoredStage,
+    append_stage,
+    basis_of,
+    basis_on_model,
+    read_results,
+    read_stages,
+)
 
-VERIFY_RESULT = "verify"
-COMPENSATE_RESULT = "compensate"
-PUSH_RESULT = "push"
-"""What was pushed without a verification; it does not replace one."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a whole run ended with.
-
-    Attributes
-    ----------
-    folder : Path
-        Of the run.
-    results : mapping
-        Step -> the object that its ``--json`` writes.
-    notes : tuple of str
-        What a person should know beside the numbers.
-    """
-
-    folder: Path
-    results: Mapping[str, Mapping[str, Any]]
-    notes: tuple[str, ...]
+R = TypeVar("R", bound=RunResults)
 
 
 def default_folder(profile_name: str) -> Path:
@@ -57,13 +77,13 @@ def default_folder(profile_name: str) -> Path:
 
 def run_whole(
     profile_path: Path, folder: Path | None, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> Outcome:
-    """Everything, unattended.
+) -> WholeRunResult:
+    """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report.
 
     Raises
     ------
     CellappError
-        Bad input, a device that refused, in words.
+        Bad input, or a device that refused.
     Cancelled
         On request; the run file keeps all that was committed and can be resumed.
     """
@@ -72,23 +92,24 @@ def run_whole(
     targets: tuple[Target, ...] = ()
     if profile.targets is not None:  # read now: a misspelt list should not show after hours of measuring
         targets = load_targets(profile_path.parent / profile.targets, profile)
-    folder = folder or default_folder(profile.name)
     notes: list[str] = []
-    with new_planned_run(profile, folder, listener, cancel) as run:
+    with new_planned_run(profile, folder or default_folder(profile.name), listener, cancel) as run:
         notes += collect_run(run, listener, cancel)
-        calibration = calibrate_run(run, listener, cancel)
-        notes += calibration.notes
+        notes += calibrate_run(run, listener, cancel).notes
         discover_run(run, listener, cancel)
         if targets:
-            notes += push_run(run, targets, listener, cancel, verify=True)
+            notes += push_run(run, targets, listener, cancel, verify=True).notes
         write_page(run)
-        return Outcome(folder, stored_results(run), tuple(notes))
+        return _shown(WholeRunResult, read_results(run), notes=tuple(notes))
+
+
+# -- plan, collect, import, export ------------------------------------------------------------------------------------
 
 
 def new_planned_run(
     profile: Profile, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
 ) -> RunFile:
-    """A new run with its plan. Where there is no plan to be had, or on request, nothing is left behind.
+    """A new run with its plan. Nothing is left behind where there is no plan, or on request.
 
     Raises
     ------
@@ -103,45 +124,323 @@ def new_planned_run(
     return RunFile.create(folder, profile, fill)
 
 
-def compensate_run(run: RunFile, targets: tuple[Target, ...]) -> dict[str, Any]:
-    """Compute and store commands for targets. Returns the object that ``compensate --json`` writes."""
-    model = CellModel.load(run.folder / CALIBRATION_FILE)
-    result = dict(compensate_dict(compensate(run.profile, model, targets)))
-    run.write_result(COMPENSATE_RESULT, json.dumps(result))
-    return result
+def plan_new_run(
+    profile: Profile, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> PlanResult:
+    """Make a new run with its plan. Raises as ``new_planned_run`` does."""
+    with new_planned_run(profile, folder, listener, cancel) as run:
+        return PlanResult(run=str(folder), stops={name: len(q) for name, q in run.read_plan().items()})
+
+
+def collect_stops(
+    run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None, *, resume: bool = False
+) -> CollectResult:
+    """Measure the planned stops. Raises as ``collect_run`` does."""
+    notes = collect_run(run, listener, cancel, resume=resume)
+    return CollectResult(stops=len(run.stops_done()), notes=tuple(notes))
+
+
+def import_new_run(profile: Profile, csv: Path, folder: Path) -> ImportResult:
+    """Make a new run from readings in a CSV file. Raises as ``import_csv`` does."""
+    with import_csv(profile, csv, folder) as run:
+        return ImportResult(
+            run=str(folder),
+            readings=_counts(run),
+            notes=tuple(event.text for event in run.events() if event.level == "note"),
+        )
+
+
+def export_run(run: RunFile, csv: Path | None, geometry: Path | None) -> ExportResult:
+    """Write the readings as CSV, the identified arms for other programs, or both.
+
+    Raises
+    ------
+    InputError
+        If neither is given, there is nothing to write, or a file cannot be written.
+    """
+    if csv is None and geometry is None:
+        raise InputError("export: say what to write: --csv FILE for the readings, --geometry FILE for the arms")
+    if csv is not None:
+        write_readings_csv(run, csv)
+    lost = None
+    if geometry is not None:
+        content = geometry_export(_model(run, _required_model(run, read_stages(run))))
+        try:
+            geometry.write_text(content.to_json(indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{geometry} cannot be written ({error.strerror}); choose another place") from None
+        lost = {name: arm.ur_deltas.lost.position_mm.rms for name, arm in content.arms.items()}
+    return ExportResult(
+        csv=None if csv is None else str(csv),
+        readings=None if csv is None else _counts(run),
+        geometry=None if geometry is None else str(geometry),
+        ur_lost_rms_mm=lost,
+    )
+
+
+# -- calibrate, discover, propose -------------------------------------------------------------------------------------
+
+
+def calibrate_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> CalibrateResult:
+    """Calibrate a run: draw missing splits, identify, evaluate, append the stage, export the model in force.
+
+    The notes also say whether an earlier discovery and verification still hold.
+
+    Raises
+    ------
+    InputError
+        If an arm has no readings or too few of them.
+    Cancelled
+        On request; nothing is stored then.
+    """
+    notes = draw_missing_splits(run)
+    calibration = calibrate_readings(run.profile, _readings(run), listener, cancel)
+    result = calibrate_result(replace(calibration, notes=(*notes, *calibration.notes)))
+    _append_with_model(run, CALIBRATE, result, calibration.model, basis_of(run))
+    stages = read_stages(run)
+    _export_model(run, stages)
+    return result.model_copy(update={"notes": (*result.notes, *_later_stages(run, stages))})
+
+
+def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> DiscoverResult:
+    """Search every arm of a calibrated run for missing effects, append the stage, export the model with them.
+
+    Raises
+    ------
+    InputError
+        If the run is not calibrated yet, or by a version that did not store the calibration for itself.
+    Cancelled
+        On request; nothing is stored then.
+    """
+    return _discover(run, listener, cancel)[0]
+
+
+def propose_run(
+    run: RunFile,
+    count: int,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    effort: Effort | None = None,
+) -> DiscoverResult:
+    """Discover, then propose ``count`` further stops of all arms and write them into the plan.
+
+    They replace earlier proposals that were not measured. A run that this program does not drive (no plan, or a driver
+    ``none``) only gets the list.
+
+    Raises
+    ------
+    InputError
+        As ``discover_run``; or if there is nothing to propose. The discovery is stored in the second case.
+    Cancelled
+        On request; no proposal is written then.
+    """
+    result, found = _discover(run, listener, cancel)
+    try:
+        proposal = propose_after(run, found, count, listener, cancel, effort)
+    except InputError as error:
+        raise InputError(f"{error}. The discovery is stored: 'cellapp show {run.folder} discovery'") from None
+    return result.model_copy(update={"proposal": proposal})
+
+
+def propose_after(
+    run: RunFile,
+    found: CellDiscovery,
+    count: int,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    effort: Effort | None = None,
+) -> Proposal:
+    """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose_stops``."""
+    readings = _readings(run)
+    proposed = propose_stops(run.profile, found.model, readings, found.arms, count, listener, cancel, effort)
+    if why := _not_driven(run):
+        note = f"{why}: the stops are listed only; measure them, then import them with the earlier readings"
+        return proposal_result(proposed, None, (*proposed.notes, note))
+    return proposal_result(proposed, append_proposed_stops(run, proposed.stops), proposed.notes)
+
+
+def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
+    """Draw and store splits, the same for all arms at a stop, where no reading has one yet. Returns notes."""
+    readings = _readings(run)
+    for name, arm in readings.items():
+        if len(arm) == 0:
+            raise InputError(
+                f"{run.path}: arm '{name}' has no readings; collect or import them, or take the arm out of the profile"
+            )
+    drawn, notes = missing_splits(run.profile, readings)
+    for name, words in drawn.items():
+        run.assign_splits(name, words)
+    return notes
+
+
+def append_proposed_stops(run: RunFile, stops: Sequence[ProposedStop]) -> int:
+    """Append stops to the plan in place of earlier proposals that were not measured. Returns the first one's number."""
+    plan, done, conditions = run.read_plan(), run.stops_done(), read_stop_conditions(run)
+    first = len(next(iter(plan.values())))
+    while first - 1 in conditions and first - 1 not in done:
+        first -= 1
+    run.write_plan(
+        {name: np.concatenate([rows[:first], [stop.q[name] for stop in stops]]) for name, rows in plan.items()}
+    )
+    kept = {stop: arms for stop, arms in conditions.items() if stop < first}
+    write_stop_conditions(run, {**kept, **{first + k: stop.conditions for k, stop in enumerate(stops)}})
+    return first
+
+
+# -- compensate, push, report -----------------------------------------------------------------------------------------
+
+
+def compensate_run(run: RunFile, targets: Sequence[Target]) -> CompensateResult:
+    """Compute and store commands for targets with the model in force; a note says where that is out of date."""
+    return _compensate(run, read_stages(run), targets)[1]
 
 
 def push_run(
     run: RunFile,
-    targets: tuple[Target, ...],
+    targets: Sequence[Target],
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
     *,
     verify: bool,
-) -> tuple[str, ...]:
-    """Compensate and push targets, store what was measured. Returns notes on targets that were left out.
+    out_of_date: bool = False,
+) -> VerifyResult:
+    """Compensate and push targets; with ``verify`` measure them before and after compensation.
 
-    Whether a verification held is told by ``unverified`` from the stored result.
+    ``out_of_date`` uses the model in force even where it, or a discovery, is out of date; result and log say so.
+
+    Raises
+    ------
+    InputError
+        If the model is out of date and the operator does not insist, or no target can be commanded. Nothing has moved.
+    HardwareError
+        If a device refused or failed.
+    Cancelled
     """
-    model = CellModel.load(run.folder / CALIBRATION_FILE)
-    commands = compensate(run.profile, model, targets)
-    run.write_result(COMPENSATE_RESULT, json.dumps(compensate_dict(commands)))
-    notes: list[str] = []
+    stages = read_stages(run)
+    stale = stages.stale_model()
+    if stale and not out_of_date:
+        raise InputError(
+            f"push: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
+            " --out-of-date"
+        )
+    commands, compensated = _compensate(run, stages, targets)
+    used = _required_model(run, stages)
+    notes = list(compensated.notes)
 
     def opened(cell: Cell) -> None:
         notes.extend(check_controllers(run, cell).notes)
 
-    verification = push(run.profile, model, commands, listener, cancel, verify=verify, opened=opened)
-    run.write_result(VERIFY_RESULT if verify else PUSH_RESULT, json.dumps(verification.as_dict()))
-    notes += [f"target {target.name}: {target.note}" for target in verification.targets if target.note]
-    return tuple(notes)
+    pushed = push(run.profile, _model(run, used), commands, listener, cancel, verify=verify, opened=opened)
+    notes += [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
+    result = pushed.model_copy(update={"notes": tuple(notes)})
+    append_stage(run, VERIFY if verify else PUSH, result, basis_on_model(run, used, _targets_json(targets)))
+    return result
 
 
-def stored_results(run: RunFile) -> dict[str, dict[str, Any]]:
-    """The results that a run holds, by step."""
-    results = {}
-    for step in (RESULT, DISCOVER_RESULT, COMPENSATE_RESULT, PUSH_RESULT, VERIFY_RESULT):
-        text = run.read_result(step)
-        if text is not None:
-            results[step] = json.loads(text)
-    return results
+def report_run(run: RunFile) -> ReportResult:
+    """Write ``report.html`` into the run's folder. Raises ``InputError`` if the run is not calibrated yet."""
+    page = write_page(run)
+    return _shown(ReportResult, read_results(run), page=str(page))
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _readings(run: RunFile) -> dict[str, Readings]:
+    return {name: run.readings(name) for name in run.profile.arms}
+
+
+def _counts(run: RunFile) -> dict[str, int]:
+    return {name: len(run.readings(name)) for name in run.arms()}
+
+
+def _shown(kind: type[R], stored: RunResults, **more: object) -> R:
+    """The stored results as the result of a verb that shows them."""
+    return kind.model_validate({**{name: getattr(stored, name) for name in stored.model_fields_set}, **more})
+
+
+def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> tuple[DiscoverResult, CellDiscovery]:
+    calibrated = read_stages(run).current.get(CALIBRATE)
+    if calibrated is None:
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+    if calibrated.basis is None:
+        raise InputError(
+            f"{run.path}: an older version of cellapp calibrated this run and may have changed that calibration since;"
+            " run 'cellapp calibrate' again"
+        )
+    found = discover_cell(run.profile, _model(run, calibrated), _readings(run), listener, cancel)
+    result = discover_result(found)
+    model = replace(found.model, provenance=provenance_of(run.profile).model_dump())
+    _append_with_model(run, DISCOVER, result, model, basis_of(run, {CALIBRATE: calibrated.digest}))
+    _export_model(run, read_stages(run))
+    return result, found
+
+
+def _append_with_model(
+    run: RunFile, name: StageName, result: CalibrateResult | DiscoverResult, model: CellModel, basis: Basis
+) -> StoredStage:
+    """Append a stage; the model's provenance says which stage it belongs to and what that rests on."""
+    provenance = {**model.provenance, "stage": name, "basis": basis.model_dump()}
+    return append_stage(run, name, result, basis, replace(model, provenance=provenance).to_json())
+
+
+def _export_model(run: RunFile, stages: RunStages) -> None:
+    """Write the model in force for other programs."""
+    _model(run, _required_model(run, stages)).save(run.folder / CALIBRATION_FILE)
+
+
+def _required_model(run: RunFile, stages: RunStages) -> StoredStage:
+    if stages.in_force is None:
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+    return stages.in_force
+
+
+def _model(run: RunFile, stage: StoredStage) -> CellModel:
+    if stage.model is None:
+        raise InputError(f"{run.folder / CALIBRATION_FILE} is missing or damaged; run 'cellapp calibrate' again")
+    return CellModel.from_json(stage.model, f"{run.path}: {stage.name}")
+
+
+def _later_stages(run: RunFile, stages: RunStages) -> list[str]:
+    """Notes on what an earlier discovery and verification are worth after a new calibration; logged too."""
+    notes = []
+    discovered, reason = stages.current.get(DISCOVER), stages.out_of_date.get(DISCOVER)
+    if discovered is not None and reason is None:
+        notes.append(f"the discovery still holds; {CALIBRATION_FILE} keeps the effects that were found")
+    elif discovered is not None:
+        kept = "keeps its effects" if stages.in_force is discovered else "holds the new calibration without effects"
+        notes.append(
+            f"the discovery is out of date ({reason}): {CALIBRATION_FILE} {kept}; run 'cellapp discover {run.folder}'"
+        )
+    if VERIFY in stages.out_of_date:
+        notes.append(f"the verification is out of date ({stages.out_of_date[VERIFY]})")
+    for note in notes:
+        run.log("note", note)
+    return notes
+
+
+def _compensate(
+    run: RunFile, stages: RunStages, targets: Sequence[Target]
+) -> tuple[tuple[Command, ...], CompensateResult]:
+    used = _required_model(run, stages)
+    commands = compensate(run.profile, _model(run, used), targets)
+    stale = stages.stale_model()
+    notes = [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
+    result = compensate_result(commands, notes)
+    append_stage(run, COMPENSATE, result, basis_on_model(run, used, _targets_json(targets)))
+    for note in notes:
+        run.log("warning", note)
+    return commands, result
+
+
+def _targets_json(targets: Sequence[Target]) -> str:
+    return "\n".join(target.model_dump_json() for target in targets)
+
+
+def _not_driven(run: RunFile) -> str:
+    """Why this program cannot drive further stops of a run; empty if it can."""
+    missing = [f"arms.{name}" for name, arm in run.profile.arms.items() if not arm.driver.has_device]
+    missing += [] if run.profile.tracker.driver.has_device else ["tracker"]
+    if missing:
+        return f"the driver of {missing[0]} is 'none'"
+    return "" if run.read_plan() else "the run has no plan (it was imported)"

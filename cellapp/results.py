@@ -27,11 +27,27 @@ METHODS: tuple[Method, ...] = ("nominal", "method_1", "method_2", "proposed", "e
 
 Verdict = Literal["explained", "nothing missing", "unknown effect", "ambiguous"]
 
+StageName = Literal["calibrate", "discover", "compensate", "push", "verify"]
+CALIBRATE: StageName = "calibrate"
+DISCOVER: StageName = "discover"
+COMPENSATE: StageName = "compensate"
+PUSH: StageName = "push"
+"""Targets that were pushed without measuring them; it does not replace a verification."""
+VERIFY: StageName = "verify"
+STAGE_NAMES: tuple[StageName, ...] = (CALIBRATE, DISCOVER, COMPENSATE, PUSH, VERIFY)
+"""What verbs store in a run, in the order of the work."""
+
 
 class Record(BaseModel):
     """A part of a result: immutable, rejects unknown keys. NaN and infinity become null in JSON."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="null", populate_by_name=True)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        ser_json_inf_nan="null",
+        populate_by_name=True,
+        alias_generator=lambda name: name.removesuffix("_"),  # schema_ and validate_ would hide names of pydantic
+    )
 
     omitted_when_none: ClassVar[frozenset[str]] = frozenset()
     """Keys that are left out of the JSON object where their value is None."""
@@ -45,7 +61,7 @@ class Record(BaseModel):
 class Result(Record):
     """The result of one verb. Subclasses set ``schema_`` and ``version`` to literals."""
 
-    schema_: str = Field(alias="schema")
+    schema_: str
     version: int
 
     def as_object(self) -> dict[str, Any]:
@@ -128,7 +144,7 @@ class Provenance(Record):
 class PlanResult(Result):
     """``plan``: number of planned stops of each arm."""
 
-    schema_: Literal["cellapp-plan"] = Field("cellapp-plan", alias="schema")
+    schema_: Literal["cellapp-plan"] = "cellapp-plan"
     version: Literal[1] = 1
     run: str
     stops: Mapping[str, int]
@@ -137,7 +153,7 @@ class PlanResult(Result):
 class CollectResult(Result):
     """``collect``: number of stored stops, and notes for the operator."""
 
-    schema_: Literal["cellapp-collect"] = Field("cellapp-collect", alias="schema")
+    schema_: Literal["cellapp-collect"] = "cellapp-collect"
     version: Literal[1] = 1
     stops: int
     notes: tuple[str, ...]
@@ -146,7 +162,7 @@ class CollectResult(Result):
 class ImportResult(Result):
     """``import``: number of readings of each arm."""
 
-    schema_: Literal["cellapp-import"] = Field("cellapp-import", alias="schema")
+    schema_: Literal["cellapp-import"] = "cellapp-import"
     version: Literal[1] = 1
     run: str
     readings: Mapping[str, int]
@@ -154,14 +170,18 @@ class ImportResult(Result):
 
 
 class ExportResult(Result):
-    """``export``: the files that were written."""
+    """``export``: the files that were written.
 
-    schema_: Literal["cellapp-export"] = Field("cellapp-export", alias="schema")
+    ``ur_lost_rms_mm`` maps each arm to the rms position error of UR's D-H deltas, which lack the Hayati angles.
+    """
+
+    schema_: Literal["cellapp-export"] = "cellapp-export"
     version: Literal[1] = 1
     csv: str | None = None
     readings: Mapping[str, int] | None = None
     geometry: str | None = None
-    omitted_when_none = frozenset({"csv", "readings", "geometry"})
+    ur_lost_rms_mm: Mapping[str, float] | None = None
+    omitted_when_none = frozenset({"csv", "readings", "geometry", "ur_lost_rms_mm"})
 
 
 class Finding(Record):
@@ -175,7 +195,7 @@ class Finding(Record):
 class DoctorResult(Result):
     """``doctor``: what was checked."""
 
-    schema_: Literal["cellapp-doctor"] = Field("cellapp-doctor", alias="schema")
+    schema_: Literal["cellapp-doctor"] = "cellapp-doctor"
     version: Literal[1] = 1
     findings: tuple[Finding, ...]
 
@@ -243,7 +263,7 @@ class ArmCalibrationResult(Record):
     tracker_mm: float | None = None
     repeatability_mm: Repeatability | None = None
     network: NetworkResult | None = None
-    validate_: Mapping[Stage, StageErrors] = Field(alias="validate")
+    validate_: Mapping[Stage, StageErrors]
 
     @property
     def best_stage(self) -> Stage:
@@ -281,7 +301,7 @@ class PairMethodResult(Record):
 class CalibrateResult(Result):
     """``calibrate``: every arm, the pair by method, notes."""
 
-    schema_: Literal["cellapp-calibrate"] = Field("cellapp-calibrate", alias="schema")
+    schema_: Literal["cellapp-calibrate"] = "cellapp-calibrate"
     version: Literal[1] = 1
     arms: Mapping[str, ArmCalibrationResult]
     pair: Mapping[Method, PairMethodResult]
@@ -297,6 +317,15 @@ class CalibrateResult(Result):
             for name, arm in self.arms.items()
         }
         return self.model_copy(update={"arms": arms, "pair": {**self.pair, **found.pair}})
+
+    def without_effects(self) -> CalibrateResult:
+        """This result without the stage ``effects``, which older versions wrote into it."""
+        arms = {
+            name: arm.model_copy(update={"validate_": {k: v for k, v in arm.validate_.items() if k != "effects"}})
+            for name, arm in self.arms.items()
+        }
+        pair = {method: entry for method, entry in self.pair.items() if method != "effects"}
+        return self.model_copy(update={"arms": arms, "pair": pair})
 
 
 # -- discover ---------------------------------------------------------------------------------------------------------
@@ -360,8 +389,8 @@ class Correlation(Record):
 class CycleBand(Record):
     """Middle 80 % of the power of a periodic error in cycles a turn, its strongest line, and its rms."""
 
-    first: int = Field(alias="from")
-    last: int = Field(alias="to")
+    first: int = Field(validation_alias="from", serialization_alias="from")
+    last: int = Field(validation_alias="to", serialization_alias="to")
     peak: int
     rms_urad: float
 
@@ -493,7 +522,7 @@ class ArmDiscoveryResult(Record):
     network_mm: BeforeAfter | None = None
     uncertainty_mm: PredictedUncertainty | None = None
     pictures: tuple[Picture, ...] = ()
-    validate_: Mapping[Stage, StageErrors] = Field({}, alias="validate")
+    validate_: Mapping[Stage, StageErrors] = {}
     verdict: Verdict
     sentence: str
 
@@ -541,7 +570,7 @@ class Proposal(Record):
 class DiscoverResult(Result):
     """``discover``: every arm; ``pair`` are the cooperative errors with the effects that were found."""
 
-    schema_: Literal["cellapp-discover"] = Field("cellapp-discover", alias="schema")
+    schema_: Literal["cellapp-discover"] = "cellapp-discover"
     version: Literal[1] = 1
     arms: Mapping[str, ArmDiscoveryResult]
     pair: Mapping[Method, PairMethodResult] = {}
@@ -565,7 +594,7 @@ class TargetCommand(Record):
 class CompensateResult(Result):
     """``compensate``: a command for each target; ``notes`` say where the model that was used is out of date."""
 
-    schema_: Literal["cellapp-compensate"] = Field("cellapp-compensate", alias="schema")
+    schema_: Literal["cellapp-compensate"] = "cellapp-compensate"
     version: Literal[1] = 1
     targets: tuple[TargetCommand, ...]
     notes: tuple[str, ...] = ()
@@ -589,12 +618,16 @@ class ArmVerification(Record):
 
 
 class VerifyResult(Result):
-    """``push``: every target, and with ``--verify`` the errors of each arm before and after compensation."""
+    """``push``: every target, and with ``--verify`` the errors of each arm before and after compensation.
 
-    schema_: Literal["cellapp-verify"] = Field("cellapp-verify", alias="schema")
+    ``notes`` also say where the model that was used was out of date.
+    """
+
+    schema_: Literal["cellapp-verify"] = "cellapp-verify"
     version: Literal[1] = 1
     arms: Mapping[str, ArmVerification]
     targets: tuple[MeasuredTarget, ...]
+    notes: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
         """Why the verification did not hold, arm by arm; empty if it did."""
@@ -615,35 +648,182 @@ class VerifyResult(Result):
 
 
 class RunResults(Result):
-    """The current results of a run, each None where that step has not run.
+    """The current results of a run, each None where that verb has not run.
 
-    ``calibrate`` also shows the stage ``effects`` of a discovery that still holds. ``out_of_date`` maps the name of a
-    result that no longer holds to the reason.
+    ``calibrate`` has the stage ``effects`` of the discovery as long as that holds. ``out_of_date`` maps the name of a
+    result that no longer holds to the reason. Such a result is still there, so that it can be shown with its mark; it
+    is None where this version cannot read what is stored.
     """
 
+    schema_: str = "cellapp-results"
+    version: int = 1
     run: str
     calibrate: CalibrateResult | None = None
     discover: DiscoverResult | None = None
     compensate: CompensateResult | None = None
     push: VerifyResult | None = None
     verify: VerifyResult | None = None
-    out_of_date: Mapping[str, str] = {}
+    out_of_date: Mapping[StageName, str] = {}
     omitted_when_none = frozenset({"calibrate", "discover", "compensate", "push", "verify"})
 
 
 class WholeRunResult(RunResults):
-    """``run``: the folder and the results of every step."""
+    """``run``: the folder, the results of every step, and notes for the operator."""
 
-    schema_: Literal["cellapp-run"] = Field("cellapp-run", alias="schema")
+    schema_: Literal["cellapp-run"] = "cellapp-run"
     version: Literal[1] = 1
+    notes: tuple[str, ...] = ()
 
 
 class ReportResult(RunResults):
     """``report``: the page and the results that it shows."""
 
-    schema_: Literal["cellapp-report"] = Field("cellapp-report", alias="schema")
+    schema_: Literal["cellapp-report"] = "cellapp-report"
     version: Literal[1] = 1
     page: str
+
+
+# -- emulate, tracker-bridge ------------------------------------------------------------------------------------------
+
+
+class EmulatedController(Record):
+    """The UR controller that is emulated; ``rows`` are its D-H rows theta, d, a, alpha [rad, m, m, rad]."""
+
+    series: str
+    model: str
+    serial: str
+    rows: tuple[tuple[float, float, float, float], ...]
+    checksums: tuple[int, ...]
+    calibration_status: int
+
+
+class EmulatedArm(Record):
+    """An emulated arm: its controller and where that listens; ``control_port`` on 127.0.0.1 takes faults on command."""
+
+    arm: str
+    controller: EmulatedController
+    host: str
+    dashboard_port: int
+    primary_port: int
+    script_port: int
+    rtde_port: int
+    control_port: int
+
+
+class EmulatedTracker(Record):
+    """Where the tracker of the simulated cell is served over the bridge protocol."""
+
+    host: str
+    port: int
+
+
+class EmulateResult(Result):
+    """``emulate``: what is served; ``pace`` is simulated seconds per real second."""
+
+    schema_: Literal["cellapp-emulate"] = "cellapp-emulate"
+    version: Literal[1] = 1
+    pace: float
+    arms: tuple[EmulatedArm, ...]
+    tracker: EmulatedTracker | None
+
+
+class TrackerBridgeResult(Result):
+    """``tracker-bridge``: which kind of tracker is served, where, and whether a token guards it."""
+
+    schema_: Literal["cellapp-tracker-bridge"] = "cellapp-tracker-bridge"
+    version: Literal[1] = 1
+    kind: str
+    host: str
+    port: int | None
+    serial: str | None
+    guarded: bool
+
+
+# -- show -------------------------------------------------------------------------------------------------------------
+
+
+class ArmState(Record):
+    """How much of one arm's plan is measured, and in which splits."""
+
+    type: str
+    planned: int
+    measured: int
+    splits: Mapping[str, int]
+
+
+class StageState(Record):
+    """One stored stage: when and by which version it was stored, what it rests on, and whether that still holds.
+
+    ``number`` is 0 for results of versions that did not record a basis; ``out_of_date`` is the reason, None where the
+    stage holds; ``superseded`` says that a later stage of the same name exists.
+    """
+
+    number: int
+    name: StageName
+    written: str
+    program: str
+    digest: str
+    rests_on: tuple[str, ...]
+    superseded: bool = False
+    out_of_date: str | None = None
+
+
+class OverviewResult(Result):
+    """``show``: the state of a run and the command that comes next (empty if none)."""
+
+    schema_: Literal["cellapp-overview"] = "cellapp-overview"
+    version: Literal[1] = 1
+    run: str
+    profile: str
+    arms: Mapping[str, ArmState]
+    stages: tuple[StageState, ...]
+    in_force: StageName | None
+    next_step: str
+
+
+class HistoryResult(Result):
+    """``show DIR history``: every stage that was ever stored, oldest first."""
+
+    schema_: Literal["cellapp-history"] = "cellapp-history"
+    version: Literal[1] = 1
+    run: str
+    stages: tuple[StageState, ...]
+
+
+class LogLine(Record):
+    """One line of a run's log; ``written`` is UTC, ``time_s`` seconds since the run began where it was measured."""
+
+    number: int
+    written: str
+    time_s: float | None
+    level: str
+    text: str
+
+
+class LogResult(Result):
+    """``show DIR log``: lines of the run's log, oldest first."""
+
+    schema_: Literal["cellapp-log"] = "cellapp-log"
+    version: Literal[1] = 1
+    run: str
+    lines: tuple[LogLine, ...]
+
+
+class PlannedStop(Record):
+    """One planned stop: joint positions of every arm [rad], whether it was measured."""
+
+    configuration: int
+    measured: bool
+    q: Mapping[str, tuple[float, ...]]
+
+
+class StopsResult(Result):
+    """``show DIR plan``: every planned stop."""
+
+    schema_: Literal["cellapp-stops"] = "cellapp-stops"
+    version: Literal[1] = 1
+    run: str
+    stops: tuple[PlannedStop, ...]
 
 
 VERB_RESULTS: tuple[type[Result], ...] = (
@@ -658,10 +838,34 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     VerifyResult,
     ReportResult,
     WholeRunResult,
+    EmulateResult,
+    TrackerBridgeResult,
+    OverviewResult,
+    HistoryResult,
+    LogResult,
+    StopsResult,
 )
 """Every result of a verb, for the exported JSON schemas."""
 
 
-def json_schema(result: type[Result]) -> dict[str, Any]:
-    """JSON Schema (2020-12) of one result."""
-    return result.model_json_schema(by_alias=True)
+def json_schemas(results: tuple[type[Result], ...] = VERB_RESULTS) -> dict[str, dict[str, Any]]:
+    """JSON Schema (2020-12) of each result, by the name that its JSON objects carry under ``schema``.
+
+    As ``--json`` writes NaN and infinity as null, every number may be null.
+    """
+    return {_schema_name(result): _nullable_numbers(result.model_json_schema()) for result in results}
+
+
+def _schema_name(result: type[Result]) -> str:
+    return str(result.model_fields["schema_"].default)
+
+
+def _nullable_numbers(schema: Any) -> Any:
+    if isinstance(schema, list):
+        return [_nullable_numbers(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    changed = {key: _nullable_numbers(part) for key, part in schema.items()}
+    if changed.get("type") == "number":
+        changed["type"] = ["number", "null"]
+    return changed

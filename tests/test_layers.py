@@ -100,9 +100,27 @@ def test_mathematics_knows_neither_devices_nor_those_who_use_them(package: str) 
             assert imports_of(path, f"cellapp.{module}") == [], name(path)
 
 
+@pytest.mark.parametrize("package", [*PURE, "discovery", "design"])
+def test_mathematics_reads_and_writes_no_run(package: str) -> None:
+    for path in (ROOT / "cellapp" / package).rglob("*.py"):
+        for module in ("cellapp.run.file", "cellapp.run.stages", "cellapp.run.RunFile", "cellapp.run.csv_io"):
+            assert module not in imported(path), name(path)
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("cellapp/")], ids=name)
+def test_json_goes_through_the_typed_results(path: Path) -> None:
+    """Only the model and its network have a JSON form of their own."""
+    if name(path).startswith("cellapp/model/"):
+        return
+    functions = [
+        node.name for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.FunctionDef)
+    ]
+    assert "as_dict" not in functions
+
+
 def test_doors_are_used_by_nobody_inside() -> None:
     for path in MODULES:
-        if name(path) not in ("cellapp/__main__.py", "cellapp/cli/__init__.py", "cellapp/cli/app.py"):
+        if name(path) != "cellapp/__main__.py" and not name(path).startswith("cellapp/cli/"):
             assert imports_of(path, "cellapp.cli") == [], name(path)
             if not name(path).startswith("cellapp/tui/"):
                 assert imports_of(path, "cellapp.tui") == [], name(path)

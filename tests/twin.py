@@ -43,6 +43,22 @@ def small_twin(stops: int = 30, *, plan: dict[str, Any] | None = None, plant: di
     )
 
 
+HIDDEN = {
+    "left": {"joint_compliance": {"stiffness": [9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]}},
+    "right": {"backlash": {"play": [2.0e-4, 2.0e-4, 1.0e-4, 0.0, 0.0, 0.0]}},
+}
+"""Effects of the simulated cell that discovery finds from 120 stops."""
+
+
+def finished_twin(stops: int = 120) -> Profile:
+    """The twin with two hidden effects and enough stops to find them."""
+    profile = small_twin(stops, plant={"effects": HIDDEN})
+    share = stops / 120
+    sizes = {"identify": 80, "train": 1, "validate_": 39, "pair_identify": 50, "pair_validate": 30}
+    splits = profile.splits.model_copy(update={key: max(1, int(size * share)) for key, size in sizes.items()})
+    return profile.model_copy(update={"splits": splits})
+
+
 def plant_of(cell: Cell) -> Plant:
     """The plant behind an open simulated cell."""
     assert isinstance(cell.clock, SimulatedClock)

@@ -1,15 +1,13 @@
-"""The verb: from the readings of a run to a calibrated cell and the numbers that say how good it is."""
+"""Calibration: identified arms, residual networks and inter-base transform from readings, with held-out errors."""
 
 from __future__ import annotations
 
-import json
 import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +24,7 @@ from cellapp.calibration.residual import SHAPES, Shape, Training, train_network
 from cellapp.calibration.splits import draw_splits
 from cellapp.calibration.station import station_change
 from cellapp.errors import InputError
-from cellapp.kinematics.chain import smr_positions
+from cellapp.kinematics.chain import Geometry, smr_positions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.model.nominal import (
@@ -37,27 +35,39 @@ from cellapp.model.nominal import (
 )
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.run import Readings, RunFile, stated_uncertainty
-
-CALIBRATION_FILE = "calibration.json"
-RESULT = "calibrate"
+from cellapp.results import Provenance, Repeatability, Stage, StageErrors
+from cellapp.run import SPLITS, Readings, stated_uncertainty
 
 
 @dataclass(frozen=True)
 class ArmCalibration:
-    """One arm's calibration: the model, how it was identified, and its errors on held-out stops by stage.
+    """One calibrated arm.
 
-    ``excess_m`` is the standard deviation of a coordinate [m] beyond what the readings state of themselves;
-    ``training`` tells how the residual network came about, ``tracker_trained`` is the paper's counter-example: the same
-    network trained in the tracker frame.
+    Attributes
+    ----------
+    model : ArmModel
+    identification : Identification
+    excess_m : float
+        Standard deviation of a coordinate beyond the stated uncertainty [m].
+    validate : mapping
+        Held-out errors by model stage.
+    counts : mapping
+        Number of readings in each split.
+    repeatability : Repeatability or None
+    tracker_mm : float or None
+        Rms length of the stated noise [mm].
+    training : Training or None
+        How the residual network was trained.
+    tracker_trained : ResidualNetwork or None
+        The same network trained in the tracker frame, the counter-example of Bai et al. (2023).
     """
 
     model: ArmModel
     identification: Identification
     excess_m: float
-    validate: Mapping[str, Mapping[str, Any]]
+    validate: Mapping[Stage, StageErrors]
     counts: Mapping[str, int]
-    repeatability: Mapping[str, float | int] | None
+    repeatability: Repeatability | None
     tracker_mm: float | None
     training: Training | None = None
     tracker_trained: ResidualNetwork | None = None
@@ -65,43 +75,13 @@ class ArmCalibration:
 
 @dataclass(frozen=True)
 class Calibration:
-    """The calibrated cell with everything that is reported of it."""
+    """The calibrated cell: its model, every arm, the pair, and notes for the operator."""
 
     model: CellModel
     arms: Mapping[str, ArmCalibration]
     pair: PairCalibration | None
     notes: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """The object that ``--json`` writes."""
-        return {
-            "schema": "cellapp-calibrate",
-            "version": 1,
-            "arms": {name: _arm_dict(arm) for name, arm in self.arms.items()},
-            "pair": {} if self.pair is None else self.pair.as_dict(),
-            "notes": list(self.notes),
-            "provenance": dict(self.model.provenance),
-        }
-
-
-def calibrate_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> Calibration:
-    """Calibrate a run: draw missing splits, identify, evaluate, and write ``calibration.json`` and the result.
-
-    Raises
-    ------
-    InputError
-        If an arm has no readings or too few of them.
-    Cancelled
-        If the token says so; nothing is written then.
-    """
-    cancel = cancel or CancelToken()
-    profile = run.profile
-    notes = list(ensure_splits(run))
-    readings = {name: run.readings(name) for name in profile.arms}
-    calibration = calibrate_readings(profile, readings, listener, cancel)
-    calibration = replace(calibration, notes=(*notes, *calibration.notes))
-    store(run, calibration)
-    return calibration
+    provenance: Provenance
 
 
 def calibrate_readings(
@@ -110,7 +90,15 @@ def calibrate_readings(
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> Calibration:
-    """Calibrate from readings whose splits are drawn: geometry, networks, pair. Raises as ``calibrate_run``."""
+    """Calibrate from readings whose splits are drawn: geometry, networks, pair.
+
+    Raises
+    ------
+    InputError
+        If an arm has too few readings.
+    Cancelled
+        If the token says so.
+    """
     cancel = cancel or CancelToken()
     notes: list[str] = []
     total = 2 * len(readings) + 1
@@ -132,56 +120,43 @@ def calibrate_readings(
     pair, pair_notes = calibrate_pair(profile, readings, arms)
     notes += pair_notes
     names = tuple(profile.arms)
+    provenance = provenance_of(profile)
     model = CellModel(
         arms={name: arm.model for name, arm in arms.items()},
         T_R_L=None if pair is None else pair.T_R_L,
         pair=None if pair is None else (names[0], names[1]),
-        provenance={
-            "profile": profile.name,
-            "seed": profile.seed,
-            "program": f"cellapp {cellapp.__version__}",
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "torch": version("torch"),
-            "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        },
+        provenance=provenance.model_dump(),
     )
     listener(Progress("calibrate", total, total, "done"))
-    return Calibration(model, arms, pair, tuple(notes))
+    return Calibration(model, arms, pair, tuple(notes), provenance)
 
 
-def store(run: RunFile, calibration: Calibration) -> None:
-    """Write the model beside the run file and the numbers into it."""
-    calibration.model.save(run.folder / CALIBRATION_FILE)
-    run.write_result(RESULT, json.dumps(calibration.as_dict()))
+def provenance_of(profile: Profile) -> Provenance:
+    """The provenance of a model that is made now."""
+    return Provenance(
+        profile=profile.name,
+        seed=profile.seed,
+        program=f"cellapp {cellapp.__version__}",
+        python=platform.python_version(),
+        numpy=np.__version__,
+        torch=version("torch"),
+        written=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
 
 
-def ensure_splits(run: RunFile) -> tuple[str, ...]:
-    """Draw the splits of stops that have none, the same for both arms, and store them. Returns notes."""
-    profile = run.profile
-    readings = {name: run.readings(name) for name in profile.arms}
-    for name, arm in readings.items():
-        if len(arm) == 0:
-            raise InputError(
-                f"{run.path}: arm '{name}' has no readings; collect or import them, or take the arm out of the profile"
-            )
-    known: dict[int, str | None] = {}
-    for arm in readings.values():
-        for number, word in zip(arm.configuration.tolist(), arm.split or [None] * len(arm), strict=True):
-            if word is not None:
-                known[number] = word
-    if known:
-        return ()
-    drawn, notes = profile_splits(profile, readings)
-    for name, words in drawn.items():
-        run.assign_splits(name, words)
-    return notes
+def missing_splits(
+    profile: Profile, readings: Mapping[str, Readings]
+) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
+    """Splits of readings of which none has one yet, and notes; empty where some have."""
+    if any(word is not None for arm in readings.values() for word in arm.split or ()):
+        return {}, ()
+    return profile_splits(profile, readings)
 
 
 def profile_splits(
     profile: Profile, readings: Mapping[str, Readings]
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
-    """A split for each reading of each arm as the profile asks for and its seed draws it, and notes."""
+    """A split for each reading of each arm, the same for all arms at a stop, drawn by the profile's seed; and notes."""
     splits = profile.splits
     numbers = np.concatenate([arm.configuration for arm in readings.values()])
     validate = None if splits.validate_ == "rest" else splits.validate_
@@ -191,7 +166,7 @@ def profile_splits(
 
 
 def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmCalibration, list[str]]:
-    """Identify one arm on its identify split and evaluate it on its validate split. Returns notes beside it."""
+    """Identify one arm on its identify split, evaluate it on its validate split; and notes."""
     arm = profile.arms[name]
     identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
     if len(identify_rows) < 4 or len(validate_rows) < 1:
@@ -199,26 +174,9 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
             f"arm '{name}': {len(readings)} readings leave {len(identify_rows)} to identify and {len(validate_rows)} to"
             f" validate; at least 4 and 1 are needed to begin with: measure more configurations"
         )
-    here, held_out = readings.take(identify_rows), readings.take(validate_rows)
-    nominal = start_from_nominal(nominal_arm(arm), here.q, here.p_M, tool_unknown=arm.smr.offset == "unknown")
-    settings = profile.calibration
-    priors = prior_sigmas(nominal, settings.priors)
-    try:
-        identification, excess = identify_with_excess(
-            nominal,
-            here.q,
-            here.p_M,
-            sigma=stated_uncertainty(here),
-            parameter_set=settings.parameter_set,
-            prior_sigma=priors,
-            robust=settings.robust,
-            tolerance=settings.tolerance,
-            max_iterations=settings.max_iterations,
-        )
-    except TooFewReadings as error:
-        raise InputError(f"arm '{name}': {error}") from None
-    except ValueError as error:
-        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
+    learn, held_out = readings.take(identify_rows), readings.take(validate_rows)
+    nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
+    identification, excess = _identify(profile, name, nominal, learn)
     model = ArmModel(
         geometry=identification.geometry,
         nominal=nominal,
@@ -228,11 +186,10 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         identified=identification.names,
         covariance=identification.covariance,
     )
-    stages = {
+    stages: dict[Stage, StageErrors] = {
         "nominal": evaluate(held_out.p_M, smr_positions(nominal, held_out.q)),
         "geometry": evaluate(held_out.p_M, smr_positions(identification.geometry, held_out.q)),
     }
-    counts = {word: len(readings.in_split(word)) for word in ("identify", "train", "validate")}
     notes = [] if identification.converged else [f"arm '{name}': {identification.message}; do not use this calibration"]
     moved = station_change(smr_positions(nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
     if moved is not None:
@@ -246,11 +203,32 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         identification=identification,
         excess_m=excess,
         validate=stages,
-        counts=counts,
+        counts={word: len(readings.in_split(word)) for word in SPLITS},
         repeatability=repeatability(readings.q, readings.p_M),
         tracker_mm=None if stated is None else rms_length_mm(stated),
     )
     return calibration, notes
+
+
+def _identify(profile: Profile, name: str, nominal: Geometry, learn: Readings) -> tuple[Identification, float]:
+    """Identify one arm as the profile says; also its excess scatter [m]."""
+    settings = profile.calibration
+    try:
+        return identify_with_excess(
+            nominal,
+            learn.q,
+            learn.p_M,
+            sigma=stated_uncertainty(learn),
+            parameter_set=settings.parameter_set,
+            prior_sigma=prior_sigmas(nominal, settings.priors),
+            robust=settings.robust,
+            tolerance=settings.tolerance,
+            max_iterations=settings.max_iterations,
+        )
+    except TooFewReadings as error:
+        raise InputError(f"arm '{name}': {error}") from None
+    except ValueError as error:
+        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
 
 
 def train_arm(
@@ -258,7 +236,7 @@ def train_arm(
 ) -> ArmCalibration:
     """Train the residual network of an arm in its base frame, and the same in the tracker frame for comparison.
 
-    It learns from the train split, or from the identify split where there is no train split.
+    The training data are the train split, or the identify split where there is no train split.
     """
     rows = readings.in_split("train")
     learn = readings.take(rows if len(rows) else readings.in_split("identify"))
@@ -282,11 +260,11 @@ def train_arm(
     training = train(left_M @ rotation, SHAPES)
     if training.network is None:
         return replace(arm, training=training)
-    # the same layers; nothing there turns with joint 1, as the tracker knows nothing of that axis
+    # the same layers, in a frame that does not rotate with joint 1: the tracker frame has no relation to that axis
     in_tracker = train(left_M, (replace(training.shape, turning=False),)).network
     model = replace(arm.model, network=training.network)
     computed = model.predict(held_out.q, held_out.approach, held_out.payload_kg)
-    stages = {**arm.validate, "network": evaluate(held_out.p_M, computed)}
+    stages: dict[Stage, StageErrors] = {**arm.validate, "network": evaluate(held_out.p_M, computed)}
     return replace(arm, model=model, validate=stages, training=training, tracker_trained=in_tracker)
 
 
@@ -294,54 +272,3 @@ def rms_length_mm(sigma: Array) -> float:
     """Root mean square length of the stated noise, from sigmas (n,) [m] or covariances (n, 3, 3) [m^2]."""
     squares = 3.0 * sigma**2 if sigma.ndim == 1 else np.trace(sigma, axis1=1, axis2=2)
     return float(np.sqrt(squares.mean())) * 1e3
-
-
-def _arm_dict(arm: ArmCalibration) -> dict[str, Any]:
-    result = arm.identification
-    return {
-        "identified": {
-            name: {"value": value, "standard_error": error, "unit": unit}
-            for name, value, error, unit in zip(
-                result.names, result.values.tolist(), result.standard_errors.tolist(), result.units, strict=True
-            )
-        },
-        "rank": len(result.parameter_set.columns),
-        "parameter_set": result.parameter_set.name,
-        "merged": result.parameter_set.merged,
-        "iterations": result.iterations,
-        "converged": result.converged,
-        "message": result.message,
-        "condition": result.condition if np.isfinite(result.condition) else None,
-        "observability": result.observability,
-        "scatter": {
-            "value": result.scale,
-            "meaning": "root of chi-square per degree of freedom against the stated uncertainty, or metres without one",
-        },
-        "excess_mm": arm.excess_m * 1e3,
-        "degrees_of_freedom": result.degrees_of_freedom,
-        "splits": dict(arm.counts),
-        "tracker_mm": arm.tracker_mm,
-        "repeatability_mm": None if arm.repeatability is None else dict(arm.repeatability),
-        "network": None if arm.training is None else _training_dict(arm.training),
-        "validate": {stage: dict(errors) for stage, errors in arm.validate.items()},
-    }
-
-
-def _training_dict(training: Training) -> dict[str, Any]:
-    return {
-        "used": training.network is not None,
-        "inputs": training.shape.inputs,
-        "hidden": list(training.shape.hidden),
-        "turning": training.shape.turning,
-        "left_out_rms_mm": training.left_out_rms * 1e3,
-        "without_rms_mm": training.without_rms * 1e3,
-        "tried": [
-            {
-                "inputs": shape.inputs,
-                "hidden": list(shape.hidden),
-                "turning": shape.turning,
-                "left_out_rms_mm": error * 1e3,
-            }
-            for shape, error in training.tried
-        ],
-    }

@@ -1,4 +1,4 @@
-"""Cooperative accuracy: the pair by every method, all on the same held-out stops.
+"""Cooperative accuracy of two arms by every method, on the same held-out stops.
 
     nominal    published chains; bases registered to the tracker
     method_1   identified geometry alone
@@ -12,30 +12,33 @@ tracker frame as well (both bases registered to the tracker on the same stops), 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.calibration.circumstances import circumstances
-from cellapp.calibration.evaluation import Summary, position_errors, summarise
-from cellapp.calibration.pair import PAIR_NAMES, PairIdentification, distances, identify_pair
+from cellapp.calibration.evaluation import position_errors, summarise
+from cellapp.calibration.pair import PairIdentification, distances, identify_pair
 from cellapp.effects import Circumstances
 from cellapp.kinematics.chain import smr_positions
-from cellapp.kinematics.transforms import Array, apply, invert, register, zyx_angles
+from cellapp.kinematics.transforms import Array, apply, invert, register
 from cellapp.model import ArmModel, ResidualNetwork
 from cellapp.profile import Profile
+from cellapp.results import ErrorSummary, Method
 from cellapp.run import Readings
+
+_BEST_FIRST: tuple[Method, ...] = ("effects", "proposed", "method_1")
 
 
 class CalibratedArm(Protocol):
-    """What the pair needs to know of an arm."""
+    """One arm as the pair uses it."""
 
     @property
     def model(self) -> ArmModel:
-        """With its network, if it has one."""
+        """The calibrated model, with its residual network if it has one."""
 
     @property
     def tracker_trained(self) -> ResidualNetwork | None:
@@ -44,15 +47,14 @@ class CalibratedArm(Protocol):
 
 @dataclass(frozen=True)
 class PairMethod:
-    """One method on the held-out stops, with either transform.
+    """One method on the held-out stops, with both inter-base transforms.
 
-    ``errors`` are those of each held-out stop (n,) [m] by transform, signed, measured less computed;
-    ``position_errors`` (n,) [m] by arm are the absolute ones of the same stops, with the bases where the arms'
-    calibration put them.
+    ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed; ``position_errors``
+    maps each arm to the absolute errors (n,) [m] at the same stops, with the bases as the arms' calibration found them.
     """
 
-    by_distances: Summary
-    by_tracker: Summary
+    by_distances: ErrorSummary
+    by_tracker: ErrorSummary
     identification: PairIdentification
     T_R_L_tracker: Array
     errors: Mapping[str, Array]
@@ -61,26 +63,23 @@ class PairMethod:
 
 @dataclass(frozen=True)
 class PairCalibration:
-    """The pair by method; ``chosen`` is the transform that the profile asked for: ``distances`` or ``tracker``.
+    """The pair by method.
 
-    ``stops`` are the numbers of the held-out configurations, in the order of each method's errors.
+    ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``; ``stops`` (n,) are the numbers
+    of the held-out configurations in the order of each method's errors.
     """
 
-    methods: Mapping[str, PairMethod]
+    methods: Mapping[Method, PairMethod]
     chosen: str
     counts: Mapping[str, int]
     stops: NDArray[np.int64]
 
     @property
     def T_R_L(self) -> Array:
-        """The chosen transform of the best method at hand, shape (4, 4)."""
-        best = next(name for name in ("effects", "proposed", "method_1") if name in self.methods)
+        """The selected transform of the best available method, shape (4, 4)."""
+        best = next(name for name in _BEST_FIRST if name in self.methods)
         method = self.methods[best]
         return method.identification.T_R_L if self.chosen == "distances" else method.T_R_L_tracker
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON: ``METHOD.cooperative_mm`` is by the chosen transform."""
-        return {name: _method_dict(method, self) for name, method in self.methods.items()}
 
 
 def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
@@ -92,7 +91,7 @@ def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]
 def pair_stops(profile: Profile, left: Readings) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the common stops that identify and that validate the pair, drawn by the profile's seed.
 
-    Those that validate come from the arms' own validate split, so that nothing leaks.
+    The validating rows come from the arms' validate split, so that no reading is used for both.
     """
     held_out = left.in_split("validate")
     learn = np.setdiff1d(np.arange(len(left)), held_out)
@@ -104,7 +103,7 @@ def pair_stops(profile: Profile, left: Readings) -> tuple[np.ndarray, np.ndarray
 def calibrate_pair(
     profile: Profile, readings: Mapping[str, Readings], arms: Mapping[str, CalibratedArm]
 ) -> tuple[PairCalibration | None, list[str]]:
-    """All methods that the arms allow, or None and the reason."""
+    """The pair by every method that the arms' models allow, and notes; None with the reason where it is skipped."""
     if len(readings) != 2:
         return None, [f"pair: skipped, the profile has {len(readings)} arm(s)"]
     left, right = common_stops(*readings.values())
@@ -121,7 +120,7 @@ def calibrate_pair(
     measured = np.linalg.norm(left.p_M - right.p_M, axis=1)
     models = [arm.model for arm in arms.values()]
     start = np.asarray(invert(models[1].geometry.T_M_B()) @ models[0].geometry.T_M_B())
-    methods = {}
+    methods: dict[Method, PairMethod] = {}
     for name, positions in _positions(both, list(arms.values())).items():
         found = identify_pair(start, positions[0][learn], positions[1][learn], measured[learn])
         T_M = [register(r.p_M[learn], p[learn]) for r, p in zip(both, positions, strict=True)]
@@ -149,8 +148,8 @@ def calibrate_pair(
     return PairCalibration(methods, profile.pair.transform, counts, left.configuration[held_out]), notes
 
 
-def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[str, tuple[Array, Array]]:
-    """SMR positions (n, 3) of both arms in their own base frames, by method."""
+def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[Array, Array]]:
+    """SMR positions p_B (n, 3) [m] of both arms in their own base frames, by method."""
     left, right = both
     known = (circumstances(left, (arms[1].model, right)), circumstances(right, (arms[0].model, left)))
 
@@ -169,41 +168,14 @@ def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> di
         p_B = geometry_only(arm, r, known)
         return p_B if network is None else np.asarray(p_B + network.correct(r.q))
 
-    ways = {"nominal": nominal}
+    predictors: dict[Method, Callable[[CalibratedArm, Readings, Circumstances], Array]] = {"nominal": nominal}
     if any(arm.model.effects for arm in arms):
-        ways["effects"] = full
+        predictors["effects"] = full
     else:
-        ways["method_1"] = geometry_only
+        predictors["method_1"] = geometry_only
         if any(arm.model.network is not None for arm in arms):
-            ways |= {"method_2": wrong_frame, "proposed": full}
-    return {name: (way(arms[0], left, known[0]), way(arms[1], right, known[1])) for name, way in ways.items()}
-
-
-def _method_dict(method: PairMethod, pair: PairCalibration) -> dict[str, Any]:
-    found = method.identification
-    values, errors = found.values.tolist(), found.standard_errors.tolist()
-    tracker = method.T_R_L_tracker
-    by_tracker = [*tracker[:3, 3].tolist(), *zyx_angles(tracker[:3, :3])]
-    summaries = {"distances": method.by_distances, "tracker": method.by_tracker}
+            predictors |= {"method_2": wrong_frame, "proposed": full}
     return {
-        "cooperative_mm": summaries[pair.chosen].as_dict(),
-        "transform": pair.chosen,
-        "by_transform_mm": {name: summary.as_dict() for name, summary in summaries.items()},
-        "identified": {
-            name: {
-                "value": value,
-                "standard_error": error,
-                "unit": "m" if name in "xyz" else "rad",
-                "by_tracker": other,
-            }
-            for name, value, error, other in zip(PAIR_NAMES, values, errors, by_tracker, strict=True)
-        },
-        "iterations": found.iterations,
-        "converged": found.converged,
-        "splits": dict(pair.counts),
-        "held_out": {
-            "configuration": pair.stops.tolist(),
-            "cooperative_mm": (np.abs(method.errors[pair.chosen]) * 1e3).tolist(),
-            "position_mm": {arm: (errors * 1e3).tolist() for arm, errors in method.position_errors.items()},
-        },
+        name: (predict(arms[0], left, known[0]), predict(arms[1], right, known[1]))
+        for name, predict in predictors.items()
     }

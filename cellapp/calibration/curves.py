@@ -109,13 +109,20 @@ def fit_curve_prior(
     evaluations : int
         Limit on evaluations of the evidence.
     """
-    n, count = len(q), len(joints)
     design = _curve_design(q, by_joint, white, joints, cycles)
     explained = basis.T @ design
     gram = design.T @ design - explained.T @ explained
     problem = _Evidence(gram, design.T @ residual, float(residual @ residual), len(residual) - basis.shape[1])
-    variance = problem.square / problem.freedom
-    typical = math.sqrt(max(variance, 1.0) / max(float(np.mean(np.diag(gram))) / n * 2.0, 1e-300))
+    per_reading = max(float(np.mean(np.diag(gram))) / len(q) * 2.0, 1e-300)
+    typical = math.sqrt(max(problem.square / problem.freedom, 1.0) / per_reading)
+    return _most_evident_prior(problem, joints, typical, cycles, evaluations)
+
+
+def _most_evident_prior(
+    problem: _Evidence, joints: tuple[int, ...], typical: float, cycles: int, evaluations: int
+) -> CurvePrior:
+    """Maximise the evidence by L-BFGS over log amplitudes (about ``typical`` [rad]), log length scales, log noise."""
+    count, variance = len(joints), problem.square / problem.freedom
 
     def unpack(free: Array) -> tuple[Array, Array, float]:
         return np.exp(free[:count]) * typical, np.exp(free[count : 2 * count]), float(np.exp(free[-1])) * variance

@@ -1,12 +1,12 @@
-"""The verb: joint positions that bring the real arm to its targets, by inverting the full calibrated model.
+"""Compensation: joint positions that bring the real arms to Cartesian targets, by inverting the calibrated model.
 
-For every target two commands are computed: the one an uncalibrated program would use (published geometry) and the
-compensated one. Of the ways to reach a target the first is taken that the tracker sees and that is safe to stand at.
+Every target gets two commands: one from the published geometry, as an uncalibrated program would send it, and the
+compensated one. Of all inverse solutions the nearest to home is taken that the tracker sees and that is safe.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,19 +17,25 @@ from cellapp.kinematics.inverse import solve_pose
 from cellapp.kinematics.transforms import Array, rotation_zyx
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
+from cellapp.results import CompensateResult, TargetCommand
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.safety.gate import refuse_stop, visible
+from cellapp.safety.gate import CellBodies, refuse_stop, visible
 
 _STARTS = 48
+"""Random starts of the inverse for each target: a six-joint arm has at most 16 solutions, and each is met often."""
 _EFFECT_ROUNDS = 8
+"""Fixed-point rounds for the effects' joint offsets; they contract by the offsets' slope, about 1e-3 a round."""
 _SAME_RAD = 1e-12
+"""Joint change at which that iteration ends: far below any controller's resolution."""
 _AIMING_ROUNDS = 5
+"""Rounds of correcting the target for what the residual network adds; its slope makes each gain two decades."""
 _SAME_M = 3e-10
+"""Position error at which that iteration ends: far below the tracker's noise."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """What to send for one target.
+    """The joint positions to send for one target.
 
     Attributes
     ----------
@@ -37,9 +43,9 @@ class Command:
     q_nominal, q_compensated : array, shape (N,), or None
         Joint positions [rad] by the published and by the calibrated model; None where the target was refused.
     expected_M, nominal_M : array, shape (3,), or None
-        Where the SMR should be measured [m]: the target seen from the calibrated and from the nominal base.
+        Where the SMR should be measured [m]: the target relative to the calibrated and to the nominal base.
     refusal : str
-        Why it is not commanded; empty if it is.
+        Why the target is not commanded; empty if it is.
     """
 
     target: Target
@@ -60,7 +66,7 @@ def compensate(profile: Profile, model: CellModel, targets: Sequence[Target]) ->
     """
     if set(model.arms) != set(profile.arms):
         known, asked = ", ".join(model.arms), ", ".join(profile.arms)
-        raise InputError(f"the calibration is of arms {known}, the profile of arms {asked}; calibrate this run anew")
+        raise InputError(f"the calibration is of arms {known}, the profile of arms {asked}; calibrate this run again")
     for name, arm in profile.arms.items():
         if arm.home is None:
             raise InputError(f"profile {profile.name}: arms.{name}.home is needed: an arm waits there for the others")
@@ -74,11 +80,11 @@ def compensate(profile: Profile, model: CellModel, targets: Sequence[Target]) ->
 
 
 def invert_model(arm: ArmModel, position_M: Array, rotation_M: Array, start: Array) -> tuple[Array, np.ndarray]:
-    """Controller readings (n, N) [rad] at which the calibrated model puts the SMR at its targets, and which it reached.
+    """Controller readings (n, N) [rad] at which the model puts the SMR at its targets, and which of them it reached.
 
-    Positions (n, 3) [m] and flange rotations (n, 3, 3) are in the tracker frame. Effects move the joints away from what
-    the controller reads (``without_effects``); what the model adds to the chain's position, a residual network, is
-    aimed off for. The side from which joints will arrive is not known here; backlash is taken in the middle.
+    Positions (n, 3) [m] and flange rotations (n, 3, 3) are in the tracker frame. The joint offsets of effects are
+    removed by ``without_effects``. What the model adds to the chain's position (a residual network) is compensated by
+    shifting the target. The approach direction is not known here; backlash is taken at its middle.
     """
     aim, here = position_M, start
     for _ in range(_AIMING_ROUNDS):
@@ -92,9 +98,9 @@ def invert_model(arm: ArmModel, position_M: Array, rotation_M: Array, start: Arr
 
 
 def without_effects(arm: ArmModel, true: Array, approach: Array) -> Array:
-    """Controller readings (n, N) [rad] at which the joints really stand at ``true`` (n, N), arriving from ``approach``.
+    """Controller readings (n, N) [rad] that put the real joints at ``true`` (n, N), approached from ``approach``.
 
-    The effects' offset is subtracted and, as it depends on the posture, found again until it rests.
+    Fixed-point iteration, as the effects' offset depends on the configuration itself.
     """
     q = true
     for _ in range(_EFFECT_ROUNDS):
@@ -104,10 +110,30 @@ def without_effects(arm: ArmModel, true: Array, approach: Array) -> Array:
     return q
 
 
-def arriving(arm: ArmModel, command: Array, here: Array) -> Array:
-    """A compensated command (N,) made good for the side from which each joint will arrive from ``here`` (N,)."""
+def with_approach(arm: ArmModel, command: Array, here: Array) -> Array:
+    """A compensated command (N,) corrected for the direction in which each joint approaches it from ``here`` (N,)."""
     true = arm.true_joints(command[None])
-    return without_effects(arm, true, np.sign(command - here)[None])[0]
+    return np.asarray(without_effects(arm, true, np.sign(command - here)[None])[0])
+
+
+def compensate_result(commands: Sequence[Command], notes: Sequence[str] = ()) -> CompensateResult:
+    """The object that ``compensate --json`` writes and that the run file keeps."""
+    return CompensateResult(
+        targets=tuple(
+            TargetCommand(
+                name=command.target.name,
+                arm=command.target.arm,
+                refusal=command.refusal,
+                q_nominal=None if command.q_nominal is None else tuple(command.q_nominal.tolist()),
+                q_compensated=None if command.q_compensated is None else tuple(command.q_compensated.tolist()),
+            )
+            for command in commands
+        ),
+        notes=tuple(notes),
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
 
 
 def _compensate_arm(profile: Profile, model: CellModel, name: str, targets: Sequence[Target]) -> list[Command]:
@@ -117,64 +143,65 @@ def _compensate_arm(profile: Profile, model: CellModel, name: str, targets: Sequ
     T_nominal, T_calibrated = arm.nominal.T_M_B(), arm.geometry.T_M_B()
     nominal_M = position_B @ T_nominal[:3, :3].T + T_nominal[:3, 3]
     expected_M = position_B @ T_calibrated[:3, :3].T + T_calibrated[:3, 3]
-
     cell = cell_bodies(profile, model)
-    limits = cell.arms[name].limits
-    rng = np.random.default_rng([profile.seed, 0x7A6])
-    middle = np.clip(0.0, limits[:, 0] + np.pi, limits[:, 1] - np.pi)  # one turn of each joint, or what it has of it
-    low, high = np.maximum(limits[:, 0], middle - np.pi), np.minimum(limits[:, 1], middle + np.pi)
-    starts = rng.uniform(low, high, size=(_STARTS, len(low)))
-    n = len(targets)
-    every = np.repeat(np.arange(n), _STARTS)
-    solved = solve_pose(arm.nominal, nominal_M[every], (T_nominal[:3, :3] @ rotation_B)[every], np.tile(starts, (n, 1)))
-    q_all = _into_limits(solved.q, limits)
     homes = home_positions(profile)
-    others = {other: q for other, q in homes.items() if other != name}
+    solutions = _nominal_solutions(profile, arm, cell.arms[name].limits, nominal_M, T_nominal[:3, :3] @ rotation_B)
     commands = []
     for k, target in enumerate(targets):
-        ways = q_all[(every == k) & solved.reached]
-        ways = ways[np.all((ways >= limits[:, 0]) & (ways <= limits[:, 1]), axis=1)]
+        nearest_first = np.argsort(np.abs(solutions[k] - homes[name]).max(axis=1), kind="stable")
         command = Command(target, None, None, None, None, "out of reach")
-        for q in ways[np.argsort(np.abs(ways - homes[name]).max(axis=1), kind="stable")]:
-            seen = visible(cell, name, q[None], {other: value[None] for other, value in others.items()})[0]
-            refusal = "the tracker does not see it" if not seen else refuse_stop(cell, {**others, name: q})
+        for q in solutions[k][nearest_first]:
+            q_compensated, refusal = _compensated(
+                cell, homes, name, arm, expected_M[k], T_calibrated[:3, :3] @ rotation_B[k], q
+            )
             if not refusal:
-                q_compensated, reached = invert_model(
-                    arm, expected_M[k : k + 1], T_calibrated[None, :3, :3] @ rotation_B[k : k + 1], q[None]
-                )
-                if reached[0]:
-                    refusal = refuse_stop(cell, {**others, name: q_compensated[0]})
-                else:
-                    refusal = "the calibrated model does not reach it"
-                if not refusal:
-                    command = Command(target, q, q_compensated[0], expected_M[k], nominal_M[k], "")
-                    break
+                command = Command(target, q, q_compensated, expected_M[k], nominal_M[k], "")
+                break
             command = Command(target, None, None, None, None, refusal)
         commands.append(command)
     return commands
 
 
+def _nominal_solutions(
+    profile: Profile, arm: ArmModel, limits: Array, position_M: Array, rotation_M: Array
+) -> list[Array]:
+    """Inverse solutions (k, N) [rad] of the published geometry within the joint limits, for each of n targets."""
+    rng = np.random.default_rng([profile.seed, 0x7A6])
+    middle = np.clip(0.0, limits[:, 0] + np.pi, limits[:, 1] - np.pi)  # one turn of each joint, or what it has of it
+    low, high = np.maximum(limits[:, 0], middle - np.pi), np.minimum(limits[:, 1], middle + np.pi)
+    starts = rng.uniform(low, high, size=(_STARTS, len(low)))
+    n = len(position_M)
+    target = np.repeat(np.arange(n), _STARTS)
+    solved = solve_pose(arm.nominal, position_M[target], rotation_M[target], np.tile(starts, (n, 1)))
+    q = _into_limits(solved.q, limits)
+    good = solved.reached & np.all((q >= limits[:, 0]) & (q <= limits[:, 1]), axis=1)
+    return [q[(target == k) & good] for k in range(n)]
+
+
+def _compensated(
+    cell: CellBodies,
+    homes: dict[str, Array],
+    name: str,
+    arm: ArmModel,
+    position_M: Array,
+    rotation_M: Array,
+    q: Array,
+) -> tuple[Array, str]:
+    """The compensated command (N,) near the nominal solution ``q`` (N,), and why it is refused (empty if it is not)."""
+    others = {other: home for other, home in homes.items() if other != name}
+    if not visible(cell, name, q[None], {other: home[None] for other, home in others.items()})[0]:
+        return q, "the tracker does not see it"
+    if refusal := refuse_stop(cell, {**others, name: q}):
+        return q, refusal
+    q_compensated, reached = invert_model(arm, position_M[None], rotation_M[None], q[None])
+    if not reached[0]:
+        return q, "the calibrated model does not reach it"
+    return q_compensated[0], refuse_stop(cell, {**others, name: q_compensated[0]})
+
+
 def _into_limits(q: Array, limits: Array) -> Array:
-    """The same postures with every joint turned by whole turns into its limits where that is possible."""
+    """The same configurations (n, N) with every joint moved by whole turns into its limits where that is possible."""
     turns = np.ceil((limits[:, 0] - q) / (2.0 * np.pi))
     low = q + 2.0 * np.pi * turns
-    near = q - 2.0 * np.pi * np.round(q / (2.0 * np.pi))
-    return np.where((near >= limits[:, 0]) & (near <= limits[:, 1]), near, low)
-
-
-def as_dict(commands: Sequence[Command]) -> Mapping[str, object]:
-    """The object that ``--json`` writes."""
-    return {
-        "schema": "cellapp-compensate",
-        "version": 1,
-        "targets": [
-            {
-                "name": command.target.name,
-                "arm": command.target.arm,
-                "refusal": command.refusal,
-                "q_nominal": None if command.q_nominal is None else command.q_nominal.tolist(),
-                "q_compensated": None if command.q_compensated is None else command.q_compensated.tolist(),
-            }
-            for command in commands
-        ],
-    }
+    near = np.asarray(q - 2.0 * np.pi * np.round(q / (2.0 * np.pi)), dtype=np.float64)
+    return np.asarray(np.where((near >= limits[:, 0]) & (near <= limits[:, 1]), near, low))

@@ -1,4 +1,4 @@
-"""Target lists: where the SMR shall be and how the flange shall be turned. The one door for them."""
+"""Target lists (YAML): desired SMR positions and flange rotations, read and checked."""
 
 from __future__ import annotations
 
@@ -55,6 +55,6 @@ def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
             arms = ", ".join(profile.arms)
             raise InputError(f"{path}: target '{target.name}': no arm '{target.arm}'; arms are {arms}")
         if target.name in names:
-            raise InputError(f"{path}: target '{target.name}' stands there twice; give every target its own name")
+            raise InputError(f"{path}: target '{target.name}' is listed twice; give every target its own name")
         names.add(target.name)
     return listed.targets

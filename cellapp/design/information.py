@@ -75,7 +75,7 @@ def visible_root(gram: Array, norms: Array) -> tuple[Array, NDArray[np.intp]]:
     scale = 1.0 / np.maximum(norms, SMALLEST)
     values, vectors = np.linalg.eigh(gram * scale[..., :, None] * scale[..., None, :])
     visible = values > VISIBLE**2
-    inverse = np.where(visible, 1.0 / np.sqrt(np.maximum(values, SMALLEST)), 0.0)
+    inverse = visible / np.sqrt(np.maximum(values, VISIBLE**2))
     return scale[..., :, None] * vectors * inverse[..., None, :], np.asarray(visible.sum(axis=-1))
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -53,18 +52,6 @@ class Description:
     gain: float | None
     curve: tuple[tuple[float, float], ...]
     sentence: str
-
-    def as_dict(self) -> Mapping[str, Any]:
-        """For JSON."""
-        return {
-            "channel": self.channel,
-            "variables": list(self.variables),
-            "size_um": self.size_um,
-            "formula": self.formula,
-            "gain_over_curve": self.gain,
-            "curve": [list(point) for point in self.curve],
-            "sentence": self.sentence,
-        }
 
 
 def describe(data: ArmData, fit: JointFit, number: int) -> Description:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from cellapp.discovery.search.state import SearchResult
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import EFFECTS
 from cellapp.kinematics.transforms import Array
+from cellapp.results import AbsentEffect, SmallestSize
 
 _BARELY_VISIBLE = 0.03
 """Visible share below which an effect is reported as invisible under this plan: it would need to be 30 times as large
@@ -23,19 +23,19 @@ as one that geometry cannot follow."""
 _MOST_SIZES = 40
 """Parameters of one effect whose smallest sizes are reported: all joints and axes, but not hundreds of lines."""
 
-Entry = Mapping[str, Any]
-
 
 @dataclass(frozen=True)
 class _Detectable:
     """An effect's largest visible share, smallest size of each parameter, and the least rms displacement (whitened)."""
 
     visible_share: float
-    sizes: dict[str, dict[str, Any]]
+    sizes: dict[str, SmallestSize]
     least_rms: float
 
 
-def detectability(found: SearchResult, accepted: Iterable[str]) -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
+def detectability(
+    found: SearchResult, accepted: Iterable[str]
+) -> tuple[tuple[AbsentEffect, ...], tuple[AbsentEffect, ...]]:
     """Effects that the data cannot show, and those that they could have shown and did not, with their smallest sizes.
 
     Those that were ``accepted`` are left out.
@@ -46,31 +46,34 @@ def detectability(found: SearchResult, accepted: Iterable[str]) -> tuple[tuple[E
         scan = LawScan.of(found.fit.candidates(found.data, others), found.fit.projector)
         white = found.fit.white
     noise_mm = 1e3 * _noise_m(white)
-    invisible: list[Entry] = []
-    not_found: list[Entry] = []
+    invisible: list[AbsentEffect] = []
+    not_found: list[AbsentEffect] = []
     for slug in others:
         if lacking := EFFECTS[slug].untestable(found.data.context):
-            invisible.append({"effect": slug, "reason": f"not testable: {lacking}", "smallest_seen": None})
+            invisible.append(AbsentEffect(effect=slug, reason=f"not testable: {lacking}"))
             continue
         one = _detectable(scan, slug, found.threshold)
-        entry = {
-            "effect": slug,
-            "visible_share": one.visible_share,
-            "smallest_seen": one.sizes or None,
-            "smallest_seen_rms_mm": one.least_rms * noise_mm * math.sqrt(3.0) if math.isfinite(one.least_rms) else None,
-        }
-        if one.visible_share <= _BARELY_VISIBLE:
-            how_much = "all" if one.visible_share <= VISIBLE else "nearly all"
-            reason = f"invisible: geometry can follow {how_much} of it under this plan"
-            invisible.append({**entry, "reason": reason})
-        else:
-            not_found.append({**entry, "reason": "not found; it could have been seen from these sizes on"})
+        hidden = one.visible_share <= _BARELY_VISIBLE
+        how_much = "all" if one.visible_share <= VISIBLE else "nearly all"
+        (invisible if hidden else not_found).append(
+            AbsentEffect(
+                effect=slug,
+                reason=f"invisible: geometry can follow {how_much} of it under this plan"
+                if hidden
+                else "not found; it could have been seen from these sizes on",
+                visible_share=one.visible_share,
+                smallest_seen=one.sizes or None,
+                smallest_seen_rms_mm=one.least_rms * noise_mm * math.sqrt(3.0)
+                if math.isfinite(one.least_rms)
+                else None,
+            )
+        )
     return tuple(invisible), tuple(not_found)
 
 
 def _detectable(scan: LawScan, slug: str, threshold: float) -> _Detectable:
     """Visible share and smallest sizes of one effect, over all its laws."""
-    sizes: dict[str, dict[str, Any]] = {}
+    sizes: dict[str, SmallestSize] = {}
     share, least_rms = 0.0, math.inf
     for number, candidate in enumerate(scan.candidates):
         if candidate.slug != slug:
@@ -85,8 +88,8 @@ def _detectable(scan: LawScan, slug: str, threshold: float) -> _Detectable:
                 continue
             least_rms = min(least_rms, size * displaced)
             known = sizes.get(column.name)
-            if (known is None or size < known["value"]) and len(sizes) < _MOST_SIZES:
-                sizes[column.name] = {"value": size, "unit": column.unit}
+            if (known is None or size < known.value) and len(sizes) < _MOST_SIZES:
+                sizes[column.name] = SmallestSize(value=size, unit=column.unit)
     return _Detectable(share, sizes, least_rms)
 
 

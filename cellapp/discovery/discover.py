@@ -1,19 +1,15 @@
-"""Discovery for a calibrated cell: search every arm, judge on held-out readings, extend the model by what was found.
-
-``discover_readings`` is the pure computation; ``discover_run`` reads its input from a run and stores the outcome there.
-"""
+"""Discovery for a calibrated cell: search every arm, judge on held-out readings, extend the model by what was found."""
 
 from __future__ import annotations
 
-import json
 import math
+import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.calibration.calibrate import CALIBRATION_FILE, RESULT, calibrate_arm
 from cellapp.calibration.circumstances import circumstances, circumstances_of_arms
 from cellapp.calibration.cooperative import calibrate_pair
 from cellapp.discovery.data import ArmData
@@ -21,7 +17,7 @@ from cellapp.discovery.describe import describe
 from cellapp.discovery.detectability import detectability
 from cellapp.discovery.held_out import HeldOut
 from cellapp.discovery.joint_fit import JointFit, fit_terms
-from cellapp.discovery.outcome import AcceptedEffect, Discovery, GapStep, as_dict
+from cellapp.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
 from cellapp.discovery.pictures.cycles import dominant_cycles
 from cellapp.discovery.pictures.of_terms import pictures
 from cellapp.discovery.remaining_network import with_network
@@ -31,58 +27,16 @@ from cellapp.discovery.search.stepwise import refit_to_all, search
 from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, without_term
 from cellapp.discovery.verdict import verdict
 from cellapp.effects import EFFECTS, Circumstances
-from cellapp.errors import InputError
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.run import Readings, RunFile
+from cellapp.run import Readings
 
-DISCOVER_RESULT = "discover"
 _MOST_SEARCHED = 600
 """Readings that are searched at most: the cost of a search grows with them, while effects of the noise's size show in
 some hundred. What is found is then fitted to all readings."""
 _SUBSET_SEED = 0x5EA
 """Beside the profile's seed: the draw of these readings is then independent of all other draws."""
-
-
-def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> dict[str, Discovery]:
-    """Look for missing effects in every arm of a calibrated run, and add what is found to ``calibration.json``.
-
-    Raises
-    ------
-    InputError
-        If the run is not calibrated yet.
-    """
-    calibrated = run.read_result(RESULT)
-    if calibrated is None:
-        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
-    model = CellModel.load(run.folder / CALIBRATION_FILE)
-    readings = {name: run.readings(name) for name in model.arms}
-    arms = {name: _as_calibrated(run.profile, name, arm, readings[name]) for name, arm in model.arms.items()}
-    model = replace(model, arms=arms)
-    found = discover_readings(run.profile, model, readings, listener, cancel)
-    result = json.loads(calibrated)
-    for name, discovery in found.items():
-        result["arms"][name]["validate"].pop("effects", None)
-        if discovery.accepted:
-            result["arms"][name]["validate"]["effects"] = discovery.stage
-    result["pair"].pop("effects", None)
-    if any(discovery.accepted for discovery in found.values()):
-        pair, _ = calibrate_pair(run.profile, readings, {name: _PairArm(d.model) for name, d in found.items()})
-        if pair is not None:
-            result["pair"]["effects"] = pair.as_dict()["effects"]
-            model = replace(model, T_R_L=pair.T_R_L)
-    arms = {name: discovery.model for name, discovery in found.items()}
-    replace(model, arms=arms).save(run.folder / CALIBRATION_FILE)
-    run.write_result(RESULT, json.dumps(result))
-    run.write_result(DISCOVER_RESULT, json.dumps(as_dict(found)))
-    listener(Progress("discover", len(model.arms), len(model.arms), "done"))
-    return found
-
-
-def _as_calibrated(profile: Profile, name: str, arm: ArmModel, readings: Readings) -> ArmModel:
-    """The arm as 'calibrate' left it: without the effects of an earlier discovery."""
-    return calibrate_arm(profile, name, readings)[0].model if arm.effects else arm
 
 
 @dataclass(frozen=True)
@@ -93,21 +47,33 @@ class _PairArm:
     tracker_trained: None = None
 
 
-def discover_readings(
+def discover_cell(
     profile: Profile,
     model: CellModel,
     readings: Mapping[str, Readings],
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-) -> dict[str, Discovery]:
-    """Look for missing effects in the readings of every arm of a calibrated cell.
+) -> CellDiscovery:
+    """Search the readings of every arm of a calibrated cell for missing effects, and add them to the model.
 
     Raises
     ------
     Cancelled
         On request.
     """
-    cancel = cancel or CancelToken()
+    arms = _discover_arms(profile, model, readings, listener, cancel or CancelToken())
+    pair = None
+    if any(discovery.accepted for discovery in arms.values()):
+        pair, _ = calibrate_pair(profile, readings, {name: _PairArm(found.model) for name, found in arms.items()})
+    T_R_L = model.T_R_L if pair is None else pair.T_R_L
+    model = replace(model, arms={name: found.model for name, found in arms.items()}, T_R_L=T_R_L)
+    listener(Progress("discover", len(arms), len(arms), "done"))
+    return CellDiscovery(arms, model, pair)
+
+
+def _discover_arms(
+    profile: Profile, model: CellModel, readings: Mapping[str, Readings], listener: Listener, cancel: CancelToken
+) -> dict[str, Discovery]:
     known = circumstances_of_arms(model.arms, readings)
     found: dict[str, Discovery] = {}
     for done, (name, arm) in enumerate(model.arms.items()):
@@ -138,23 +104,26 @@ def discover_arm(
 
     ``known`` are the circumstances of the stops; without, those that the arm's own readings state.
     """
+    started = time.perf_counter()
     cancel = cancel or CancelToken()
     known = known or circumstances(readings)
     held_out = HeldOut.of(readings, known)
     found, fitted = _searched(profile, model, readings, known, cancel)
-    after_mm, floor_mm = held_out.rms_mm(found.fit.model), held_out.noise_floor_mm()
-    accepted = _accepted_effects(found, held_out, after_mm)
+    before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(found.fit.model)
+    floor_mm = held_out.noise_floor_mm()
+    accepted = _accepted_effects(found, held_out, after.rms)
     left = scatter(found.data, found.fit)
-    word, sentence = verdict(accepted, floor_mm, after_mm, len(held_out), left)
+    word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left)
     # with the descriptions of data-driven terms; where nothing was found the model stays as it was calibrated
     final = replace(found.fit.model, effects=tuple(effect.term for effect in accepted)) if accepted else model
     invisible, not_found = detectability(found, [effect.term.slug for effect in accepted])
     return Discovery(
         accepted=accepted,
         noise_floor_mm=floor_mm,
-        before_mm=held_out.rms_mm(found.geometry_only.model),
-        after_mm=after_mm,
-        steps=_gap_steps(found, held_out, after_mm, fitted),
+        before=before,
+        after=after,
+        seconds=time.perf_counter() - started,
+        steps=_gap_steps(found, held_out, before.rms, after.rms, fitted),
         threshold=found.threshold,
         omnibus_p=math.nan if left is None else left.p_value,
         scatter=math.nan if left is None else left.ratio,
@@ -185,9 +154,11 @@ def _searched(
     return refit_to_all(found, ArmData.of(profile, model, readings.take(rows), known.take(rows))), len(rows)
 
 
-def _gap_steps(found: SearchResult, held_out: HeldOut, after_mm: float, fitted: int | None) -> tuple[GapStep, ...]:
+def _gap_steps(
+    found: SearchResult, held_out: HeldOut, before_mm: float, after_mm: float, fitted: int | None
+) -> tuple[GapStep, ...]:
     """The held-out error after each step of the search, and after the review."""
-    steps = [GapStep("geometry alone", "", held_out.rms_mm(found.geometry_only.model))]
+    steps = [GapStep("geometry alone", "", before_mm)]
     steps += [
         GapStep(step.what, step.slug, held_out.rms_mm(step.model)) for step in found.steps if step.model is not None
     ]

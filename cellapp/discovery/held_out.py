@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +11,7 @@ from cellapp.calibration.calibrate import rms_length_mm
 from cellapp.calibration.evaluation import evaluate, position_errors
 from cellapp.effects import Circumstances
 from cellapp.model import ArmModel
+from cellapp.results import HeldOutPosition, PredictedUncertainty, StageErrors
 from cellapp.run import Readings, stated_uncertainty
 
 
@@ -34,11 +33,21 @@ class HeldOut:
 
     def rms_mm(self, model: ArmModel) -> float:
         """Rms position error of a model."""
-        computed = model.predict(self.readings.q, known=self.known)
-        return float(np.sqrt(np.mean((position_errors(self.readings.p_M, computed) * 1e3) ** 2)))
+        return self.position_mm(model).rms
 
-    def evaluate(self, model: ArmModel) -> dict[str, dict[str, Any]]:
-        """Position and distance errors of a model, for JSON."""
+    def position_mm(self, model: ArmModel) -> HeldOutPosition:
+        """Statistics of the position error of a model."""
+        computed = model.predict(self.readings.q, known=self.known)
+        errors = position_errors(self.readings.p_M, computed) * 1e3
+        return HeldOutPosition(
+            mean=float(errors.mean()),
+            rms=float(np.sqrt(np.mean(errors**2))),
+            median=float(np.median(errors)),
+            max=float(errors.max()),
+        )
+
+    def evaluate(self, model: ArmModel) -> StageErrors:
+        """Position and distance errors of a model."""
         return evaluate(self.readings.p_M, model.predict(self.readings.q, known=self.known))
 
     def noise_floor_mm(self) -> float:
@@ -46,9 +55,9 @@ class HeldOut:
         sigma = stated_uncertainty(self.readings)
         return math.nan if sigma is None else rms_length_mm(sigma)
 
-    def predicted_uncertainty_mm(self, model: ArmModel) -> Mapping[str, float] | None:
+    def predicted_uncertainty_mm(self, model: ArmModel) -> PredictedUncertainty | None:
         """Median and largest uncertainty that a model predicts of itself here; None where it predicts none."""
         predicted = model.uncertainty(self.readings.q)
         if not predicted.any():
             return None
-        return {"median": float(np.median(predicted)) * 1e3, "largest": float(predicted.max()) * 1e3}
+        return PredictedUncertainty(median=float(np.median(predicted)) * 1e3, largest=float(predicted.max()) * 1e3)

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
+from cellapp.calibration.cooperative import PairCalibration
 from cellapp.discovery.describe import Description
 from cellapp.discovery.pictures.picture import Picture
 from cellapp.discovery.search.state import Rival
-from cellapp.effects import EFFECTS, EffectTerm, term_to_json
-from cellapp.model import ArmModel
+from cellapp.effects import EffectTerm
+from cellapp.model import ArmModel, CellModel
+from cellapp.results import (
+    AbsentEffect,
+    BeforeAfter,
+    CycleBand,
+    HeldOutPosition,
+    PredictedUncertainty,
+    StageErrors,
+    Verdict,
+)
 
 
 @dataclass(frozen=True)
@@ -47,7 +55,7 @@ class AcceptedEffect:
     heldout_after_mm: float
     rivals: tuple[Rival, ...]
     correlated: tuple[str, float] | None
-    cycles: Mapping[str, Mapping[str, float]] | None = None
+    cycles: Mapping[str, CycleBand] | None = None
     description: Description | None = None
 
     @property
@@ -74,103 +82,57 @@ class Discovery:
     accepted : tuple of AcceptedEffect
     noise_floor_mm : float
         Rms length of the stated noise; NaN where none is stated.
-    before_mm, after_mm : float
-        Held-out rms error before and after.
+    before, after : HeldOutPosition
+        Held-out position error with the geometry alone and with the accepted effects.
+    seconds : float
+        Wall time of the search [s].
     steps : tuple of GapStep
     threshold : float
         Score that an effect had to pass.
     omnibus_p, scatter : float
         p-value and root of chi-square per degree of freedom of what is left; NaN where no noise is stated.
-    invisible, not_found : tuple of mapping
+    invisible, not_found : tuple of AbsentEffect
         Effects that this plan cannot show, and those that it could have shown, with the smallest size.
     verdict, sentence : str
     model : ArmModel
         With the accepted effects.
-    stage : mapping
+    stage : StageErrors
         Held-out errors of that model.
     pictures : tuple of Picture
-    network_mm : mapping, optional
+    network_mm : BeforeAfter, optional
         Rms correction of a residual network before and after.
-    uncertainty_mm : mapping, optional
+    uncertainty_mm : PredictedUncertainty, optional
         Predicted uncertainty at the held-out stops.
     """
 
     accepted: tuple[AcceptedEffect, ...]
     noise_floor_mm: float
-    before_mm: float
-    after_mm: float
+    before: HeldOutPosition
+    after: HeldOutPosition
+    seconds: float
     steps: tuple[GapStep, ...]
     threshold: float
     omnibus_p: float
     scatter: float
-    invisible: tuple[Mapping[str, Any], ...]
-    not_found: tuple[Mapping[str, Any], ...]
-    verdict: str
+    invisible: tuple[AbsentEffect, ...]
+    not_found: tuple[AbsentEffect, ...]
+    verdict: Verdict
     sentence: str
     model: ArmModel
-    stage: Mapping[str, Mapping[str, float | int]]
+    stage: StageErrors
     pictures: tuple[Picture, ...] = ()
-    network_mm: Mapping[str, float] | None = None
-    uncertainty_mm: Mapping[str, float] | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "noise_floor_mm": _number(self.noise_floor_mm),
-            "heldout_mm": {"before": self.before_mm, "after": self.after_mm},
-            "steps": [{"what": step.what, "effect": step.effect, "heldout_mm": step.heldout_mm} for step in self.steps],
-            "threshold": self.threshold,
-            "omnibus_p": _number(self.omnibus_p),
-            "scatter": _number(self.scatter),
-            "accepted": [_accepted_dict(effect) for effect in self.accepted],
-            "invisible": [dict(entry) for entry in self.invisible],
-            "not_found": [dict(entry) for entry in self.not_found],
-            "network_mm": None if self.network_mm is None else dict(self.network_mm),
-            "uncertainty_mm": None if self.uncertainty_mm is None else dict(self.uncertainty_mm),
-            "pictures": [picture.as_dict() for picture in self.pictures],
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-        }
+    network_mm: BeforeAfter | None = None
+    uncertainty_mm: PredictedUncertainty | None = None
 
 
-def as_dict(found: Mapping[str, Discovery]) -> dict[str, Any]:
-    """The object that ``--json`` writes."""
-    return {
-        "schema": "cellapp-discover",
-        "version": 1,
-        "arms": {name: discovery.as_dict() for name, discovery in found.items()},
-    }
+@dataclass(frozen=True)
+class CellDiscovery:
+    """Outcome of discovery in the data of every arm.
 
+    ``model`` is the cell with the accepted effects; ``pair`` the cooperative errors with them, None where no effect was
+    accepted or there is no pair.
+    """
 
-def _number(value: float) -> float | None:
-    return None if math.isnan(value) else value
-
-
-def _accepted_dict(effect: AcceptedEffect) -> dict[str, Any]:
-    term, shared = effect.term, term_to_json(effect.term)
-    entry: dict[str, Any] = {
-        "effect": shared["effect"],
-        "title": EFFECTS[term.slug].title,
-        "law": {"name": shared["law"], "constants": shared["constants"]},
-        "where": {"joints": list(effect.joints), "acts_on": list(effect.acts_on)},
-        "parameters": shared["parameters"],
-        "evidence": {
-            "statistic": effect.score,
-            "corrected_p": effect.p_value,
-            "heldout_mm": {"before": effect.heldout_before_mm, "after": effect.heldout_after_mm},
-        },
-        "answer_set": list(effect.answer_set),
-        "runners_up": [
-            {"effect": rival.slug, "statistic": rival.score, "told_apart": rival.distinguishable}
-            for rival in effect.rivals
-        ],
-        "correlated_with": None
-        if effect.correlated is None
-        else {"parameter": effect.correlated[0], "correlation": effect.correlated[1]},
-    }
-    if effect.cycles is not None:
-        entry["cycles"] = effect.cycles
-    if effect.description is not None:
-        entry["description"] = effect.description.as_dict()
-        entry["where"] |= {"channel": effect.description.channel, "variables": list(effect.description.variables)}
-    return entry
+    arms: Mapping[str, Discovery]
+    model: CellModel
+    pair: PairCalibration | None

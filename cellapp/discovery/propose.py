@@ -1,17 +1,12 @@
-"""Proposal of further stops, and how to approach them, that best decide what discovery left open.
-
-``propose_stops`` is the pure computation; ``propose_run`` reads its input from a run and writes the stops to its plan.
-"""
+"""Proposal of further stops, and how to approach them, that best decide what discovery left open."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.calibration.calibrate import CALIBRATION_FILE
 from cellapp.calibration.circumstances import circumstances_of_arms
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.proposal.arm_candidates import ArmCandidates, ArmHypotheses
@@ -22,12 +17,13 @@ from cellapp.effects import DriverVariable
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
-from cellapp.planning.stop_conditions import StopConditions, as_dict, read_stop_conditions, write_stop_conditions
+from cellapp.planning.stop_conditions import StopConditions
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.run import Readings, RunFile
+from cellapp.run import Readings
 
 DEFAULT_EFFORT = Effort()
+"""Effort of a proposal from the command line: 10 stops for the two arms of the twin take some 5 s."""
 _PROPOSAL_SEED = 0x9409
 """Beside the profile's seed and the number of readings: a later proposal draws other candidates."""
 
@@ -48,85 +44,13 @@ class Proposal:
     ----------
     stops : tuple of ProposedStop
     predictions : tuple of PredictedDiscrimination
-    first : int, optional
-        Number of the first of them in the run's plan; None where they were not written into it.
     notes, advice : tuple of str
     """
 
     stops: tuple[ProposedStop, ...]
     predictions: tuple[PredictedDiscrimination, ...]
-    first: int | None
     notes: tuple[str, ...]
     advice: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON; ``stops`` has one flat row for each arm and stop, as a table would."""
-        rows = []
-        for number, stop in enumerate(self.stops):
-            for name, q in stop.q.items():
-                asked = as_dict(stop.conditions.get(name, StopConditions()))
-                rows.append(
-                    {
-                        "configuration": (self.first or 0) + number,
-                        "arm": name,
-                        "q": q.tolist(),
-                        "via": asked.get("via"),
-                        "dwell_s": asked.get("dwell_s"),
-                    }
-                )
-        arms: dict[str, list[dict[str, Any]]] = {}
-        for prediction in self.predictions:
-            arms.setdefault(prediction.arm, []).append(
-                {
-                    "effect": prediction.effect,
-                    "against": prediction.against or None,
-                    "needed": prediction.needed,
-                    "discrimination": {
-                        "now": prediction.now,
-                        "proposed": prediction.proposed,
-                        "random": prediction.random,
-                    },
-                    "gain_over_random": prediction.gain_over_random,
-                }
-            )
-        return {
-            "count": len(self.stops),
-            "written": self.first is not None,
-            "first_configuration": self.first,
-            "arms": arms,
-            "stops": rows,
-            "notes": list(self.notes),
-            "advice": list(self.advice),
-        }
-
-
-def propose_run(
-    run: RunFile,
-    found: Mapping[str, Discovery],
-    count: int,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-    effort: Effort | None = None,
-) -> Proposal:
-    """Propose ``count`` further stops of all arms after ``found`` was discovered, and write them into the run.
-
-    They replace earlier proposals that were not measured. A run that this program does not drive (no plan, or a driver
-    ``none``) gets the list only.
-
-    Raises
-    ------
-    InputError
-        If the run is not calibrated, nothing is open, or no candidate stops can be made.
-    Cancelled
-        Nothing is written then.
-    """
-    model = CellModel.load(run.folder / CALIBRATION_FILE)
-    readings = {name: run.readings(name) for name in model.arms}
-    proposal = propose_stops(run.profile, model, readings, found, count, listener, cancel, effort)
-    if why := _not_driven(run):
-        note = f"{why}: the stops are listed only; measure them, then import them with the earlier readings"
-        return replace(proposal, notes=(*proposal.notes, note))
-    return replace(proposal, first=append_to_plan(run, proposal.stops))
 
 
 def propose_stops(
@@ -178,27 +102,4 @@ def propose_stops(
         advice += advice_of_arm
     stops = tuple(ProposedStop(selection.target(one), selection.conditions(one)) for one in chosen)
     listener(Progress("propose", count, count, "done"))
-    return Proposal(stops, tuple(predictions), None, tuple(notes), tuple(dict.fromkeys(advice)))
-
-
-def _not_driven(run: RunFile) -> str:
-    """Why this program cannot drive further stops of a run; empty if it can."""
-    missing = [f"arms.{name}" for name, arm in run.profile.arms.items() if not arm.driver.has_device]
-    missing += [] if run.profile.tracker.driver.has_device else ["tracker"]
-    if missing:
-        return f"the driver of {missing[0]} is 'none'"
-    return "" if run.read_plan() else "the run has no plan (it was imported)"
-
-
-def append_to_plan(run: RunFile, stops: Sequence[ProposedStop]) -> int:
-    """Append stops to the plan in place of earlier proposals that were not measured. Returns the first number."""
-    plan, done, conditions = run.read_plan(), run.stops_done(), read_stop_conditions(run)
-    first = len(next(iter(plan.values())))
-    while first - 1 in conditions and first - 1 not in done:
-        first -= 1
-    run.write_plan(
-        {name: np.concatenate([rows[:first], [stop.q[name] for stop in stops]]) for name, rows in plan.items()}
-    )
-    kept = {stop: arms for stop, arms in conditions.items() if stop < first}
-    write_stop_conditions(run, {**kept, **{first + k: stop.conditions for k, stop in enumerate(stops)}})
-    return first
+    return Proposal(stops, tuple(predictions), tuple(notes), tuple(dict.fromkeys(advice)))

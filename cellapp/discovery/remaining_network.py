@@ -14,6 +14,7 @@ from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, ResidualNetwork
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
+from cellapp.results import BeforeAfter
 from cellapp.run import Readings
 
 _READINGS_A_FOLD = 2
@@ -38,19 +39,19 @@ def with_network(
         rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
         network = _train(profile, discovery.model, readings.take(rows), known.take(rows), cancel)
     q = held_out.readings.q
-    corrections = {"before": _correction_mm(calibrated.network, q), "after": _correction_mm(network, q)}
+    corrections = BeforeAfter(before=_correction_mm(calibrated.network, q), after=_correction_mm(network, q))
     discovery = replace(discovery, network_mm=corrections)
     if not discovery.accepted or discovery.verdict != "unknown effect" or network is None:
         return discovery
     model = replace(discovery.model, network=network)
-    after_mm = held_out.rms_mm(model)
-    if after_mm >= discovery.after_mm:
+    after = held_out.position_mm(model)
+    if after.rms >= discovery.after.rms:
         return discovery
     return replace(
         discovery,
         model=model,
-        after_mm=after_mm,
-        steps=(*discovery.steps, GapStep("a network for the rest", "", after_mm)),
+        after=after,
+        steps=(*discovery.steps, GapStep("a network for the rest", "", after.rms)),
         stage=held_out.evaluate(model),
     )
 

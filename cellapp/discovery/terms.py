@@ -73,6 +73,7 @@ class ModelTerm:
 
 
 ModelTerms = tuple[ModelTerm, ...]
+"""Terms in the order of their parameters."""
 
 
 def without_term(terms: ModelTerms, term: int) -> ModelTerms:

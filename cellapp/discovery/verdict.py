@@ -9,6 +9,7 @@ from cellapp.discovery.outcome import AcceptedEffect
 from cellapp.discovery.search.comparison import FLOOR_CHANCE, Scatter
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import EFFECTS
+from cellapp.results import Verdict
 
 _FLOOR = 1.05
 """Held-out rms error over the noise floor up to which the gap counts as closed: the twin's plan of a hundred held-out
@@ -21,7 +22,7 @@ _SAMPLING_ERRORS = 2.5
 
 def verdict(
     accepted: Sequence[AcceptedEffect], floor_mm: float, after_mm: float, held_out: int, scatter: Scatter | None
-) -> tuple[str, str]:
+) -> tuple[Verdict, str]:
     """Verdict and sentence; ``held_out`` is the number of held-out readings, ``scatter`` that of what is left."""
     driven = [effect.description for effect in accepted if effect.description is not None]
     named = [effect for effect in accepted if effect.term.slug != UNKNOWN]

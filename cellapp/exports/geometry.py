@@ -1,39 +1,96 @@
-"""An identified geometry in other programs' words: URDF joint origins, and UR's own D-H deltas with what they lose."""
+"""The identified geometry for other programs: URDF joint origins, and UR's D-H deltas with the error they leave."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Literal
 
 import numpy as np
 
 from cellapp.kinematics.chain import Geometry, smr_positions
 from cellapp.kinematics.transforms import Array, rotation_x, rotation_y, rotation_z, transform, zyx_angles
 from cellapp.model.model import CellModel
+from cellapp.results import Record, Result
+
+_CONFIGURATIONS = 2000
+"""Random configurations on which the error of UR's deltas is stated: its rms is known to 2 % from these."""
 
 
-def geometry_export(model: CellModel) -> dict[str, Any]:
-    """The object that ``export --geometry`` writes: every arm as URDF values and as UR deltas."""
-    return {
-        "schema": "cellapp-geometry",
-        "version": 1,
-        "arms": {
-            name: {
-                "urdf": urdf_joints(arm.geometry),
-                "ur_deltas": ur_deltas(arm.nominal, arm.geometry),
-                "smr_in_flange_m": arm.geometry.tool.tolist(),
-                "not_exported": [term.slug for term in arm.effects]
-                + (["residual network"] if arm.network is not None else []),
-            }
+class UrdfJoint(Record):
+    """Origin of one URDF joint: position [m], roll, pitch, yaw [rad], rotation axis."""
+
+    name: str
+    type: Literal["revolute", "fixed"]
+    xyz_m: tuple[float, float, float]
+    rpy_rad: tuple[float, float, float]
+    axis: tuple[int, int, int] = (0, 0, 1)
+
+
+class LostError(Record):
+    """Position error [mm] of the SMR over random configurations."""
+
+    rms: float
+    max: float
+
+
+class LostParameters(Record):
+    """Parameters that UR's table cannot hold, and the position error without them."""
+
+    beta_rad: Mapping[str, float]
+    position_mm: LostError
+    reason: str = "a plain D-H table has no rotation about y; between parallel axes it cannot say this"
+
+
+class UrDeltas(Record):
+    """D-H deltas as in UR's calibration file, and what they lose."""
+
+    delta_theta_rad: tuple[float, ...]
+    delta_a_m: tuple[float, ...]
+    delta_d_m: tuple[float, ...]
+    delta_alpha_rad: tuple[float, ...]
+    lost: LostParameters
+
+
+class ArmGeometry(Record):
+    """One arm as URDF values and as UR deltas; ``not_exported`` are model parts that neither can hold."""
+
+    urdf: tuple[UrdfJoint, ...]
+    ur_deltas: UrDeltas
+    smr_in_flange_m: tuple[float, float, float]
+    not_exported: tuple[str, ...]
+
+
+class GeometryExport(Result):
+    """The file of ``export --geometry``."""
+
+    schema_: Literal["cellapp-geometry"] = "cellapp-geometry"
+    version: Literal[1] = 1
+    arms: Mapping[str, ArmGeometry]
+
+
+def geometry_export(model: CellModel) -> GeometryExport:
+    """Every arm of a calibrated cell as URDF values and as UR deltas."""
+    return GeometryExport(
+        arms={
+            name: ArmGeometry(
+                urdf=urdf_joints(arm.geometry),
+                ur_deltas=ur_deltas(arm.nominal, arm.geometry),
+                smr_in_flange_m=_triple(arm.geometry.tool),
+                not_exported=(
+                    *(term.slug for term in arm.effects),
+                    *(["residual network"] if arm.network is not None else []),
+                ),
+            )
             for name, arm in model.arms.items()
-        },
-    }
+        }
+    )
 
 
-def urdf_joints(geometry: Geometry) -> list[dict[str, Any]]:
-    """Origins of URDF joints, each turning about its own z, and of the fixed flange behind the last.
+def urdf_joints(geometry: Geometry) -> tuple[UrdfJoint, ...]:
+    """Origins of URDF joints, each rotating about its own z, and of the fixed flange behind the last.
 
-    A URDF joint is ``trans(xyz) rot_z(yaw) rot_y(pitch) rot_x(roll) rot_z(q)``; a row's part behind its joint, with the
-    next joint's theta, is the next joint's origin. Exact for any row, beta included.
+    A URDF joint is ``trans(xyz) rot_z(yaw) rot_y(pitch) rot_x(roll) rot_z(q)``. The part of a D-H row behind its joint,
+    with the next joint's theta, is the next joint's origin: exact for any row, beta included.
     """
     behind = np.eye(4)
     joints = []
@@ -41,34 +98,39 @@ def urdf_joints(geometry: Geometry) -> list[dict[str, Any]]:
         joints.append(_origin(f"joint_{number}", "revolute", behind @ transform(rotation_z(theta), np.zeros(3))))
         behind = transform(rotation_x(alpha) @ rotation_y(beta), [a, 0.0, d])
     joints.append(_origin("flange", "fixed", behind))
-    return joints
+    return tuple(joints)
 
 
-def _origin(name: str, kind: str, T: Array) -> dict[str, Any]:
+def _origin(name: str, kind: Literal["revolute", "fixed"], T: Array) -> UrdfJoint:
     yaw, pitch, roll = zyx_angles(T[:3, :3])
-    return {"name": name, "type": kind, "xyz_m": T[:3, 3].tolist(), "rpy_rad": [roll, pitch, yaw], "axis": [0, 0, 1]}
+    return UrdfJoint(name=name, type=kind, xyz_m=_triple(T[:3, 3]), rpy_rad=(roll, pitch, yaw))
 
 
-def ur_deltas(nominal: Geometry, identified: Geometry) -> dict[str, Any]:
+def _triple(vector: Array) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()
+    return x, y, z
+
+
+def ur_deltas(nominal: Geometry, identified: Geometry) -> UrDeltas:
     """``delta_theta``, ``delta_a``, ``delta_d``, ``delta_alpha`` as in UR's calibration file, and what they lose.
 
-    Those tables have no beta. ``lost`` names each beta and how far the SMR goes astray without it: root mean square and
-    maximum over 2000 random configurations of one turn a joint [mm].
+    UR's tables have no Hayati angle beta. ``lost`` states each beta and the position error without them, over random
+    configurations of one turn a joint.
     """
     delta = identified.rows - nominal.rows
     vector = identified.vector()
     vector[6:-3].reshape(-1, 5)[:, 4] = 0.0
     without = identified.with_vector(vector)
-    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (2000, identified.joints))
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (_CONFIGURATIONS, identified.joints))
     off = np.linalg.norm(smr_positions(without, q) - smr_positions(identified, q), axis=1) * 1e3
-    return {
-        "delta_theta_rad": delta[:, 0].tolist(),
-        "delta_a_m": delta[:, 2].tolist(),
-        "delta_d_m": delta[:, 1].tolist(),
-        "delta_alpha_rad": delta[:, 3].tolist(),
-        "lost": {
-            "beta_rad": {f"beta{i + 1}": beta for i, beta in enumerate(identified.rows[:, 4].tolist()) if beta != 0.0},
-            "position_mm": {"rms": float(np.sqrt(np.mean(off**2))), "max": float(off.max())},
-            "reason": "a plain D-H table has no rotation about y; between parallel axes it cannot say this",
-        },
-    }
+    betas = {f"beta{i + 1}": beta for i, beta in enumerate(identified.rows[:, 4].tolist()) if beta != 0.0}
+    return UrDeltas(
+        delta_theta_rad=tuple(delta[:, 0].tolist()),
+        delta_a_m=tuple(delta[:, 2].tolist()),
+        delta_d_m=tuple(delta[:, 1].tolist()),
+        delta_alpha_rad=tuple(delta[:, 3].tolist()),
+        lost=LostParameters(
+            beta_rad=betas,
+            position_mm=LostError(rms=float(np.sqrt(np.mean(off**2))), max=float(off.max())),
+        ),
+    )

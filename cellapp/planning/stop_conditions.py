@@ -6,16 +6,16 @@ a stop that is listed was proposed by discovery; both keys are optional.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
+from cellapp.results import Record
 from cellapp.run import RunFile
 
 STOP_CONDITIONS_RESULT = "factors"
@@ -53,40 +53,48 @@ def read_stop_conditions(run: RunFile) -> dict[int, dict[str, StopConditions]]:
     if text is None:
         return {}
     try:
-        content = json.loads(text)
-        return {
-            int(stop): {arm: _from_json(run, arm, entry) for arm, entry in arms.items()}
-            for stop, arms in content.items()
-        }
-    except (ValueError, TypeError, AttributeError, KeyError) as error:
+        stored = _DOCUMENT.validate_json(text)
+        return {stop: {arm: _checked(run, arm, one) for arm, one in arms.items()} for stop, arms in stored.items()}
+    except (ValueError, KeyError) as error:
         raise InputError(
-            f"{run.path}: the factors of its proposed stops are damaged ({error}); propose them again with"
+            f"{run.path}: the factors of its proposed stops are damaged ({_reason(error)}); propose them again with"
             " 'cellapp discover DIR --propose N'"
         ) from None
 
 
 def write_stop_conditions(run: RunFile, conditions: Mapping[int, Mapping[str, StopConditions]]) -> None:
     """Store the conditions of all proposed stops in place of those stored before."""
-    content = {str(stop): {arm: as_dict(one) for arm, one in arms.items()} for stop, arms in conditions.items()}
-    run.write_result(STOP_CONDITIONS_RESULT, json.dumps(content))
+    stored = {stop: {arm: _stored(one) for arm, one in arms.items()} for stop, arms in conditions.items()}
+    run.write_result(STOP_CONDITIONS_RESULT, _DOCUMENT.dump_json(stored, exclude_defaults=True).decode())
 
 
-def as_dict(conditions: StopConditions) -> dict[str, Any]:
-    """The JSON object: only conditions that differ from the default."""
-    entry: dict[str, Any] = {}
-    if conditions.via is not None:
-        entry["via"] = conditions.via.tolist()
-    if conditions.dwell_s > 0.0:
-        entry["dwell_s"] = conditions.dwell_s
-    return entry
+class _Stored(Record):
+    """Conditions of one arm at one stop as they are stored."""
+
+    via: tuple[float, ...] | None = None
+    dwell_s: float = 0.0
 
 
-def _from_json(run: RunFile, arm: str, entry: Mapping[str, Any]) -> StopConditions:
+_DOCUMENT = TypeAdapter(dict[int, dict[str, _Stored]])
+
+
+def _stored(conditions: StopConditions) -> _Stored:
+    via = None if conditions.via is None else tuple(conditions.via.tolist())
+    return _Stored(via=via, dwell_s=conditions.dwell_s)
+
+
+def _checked(run: RunFile, arm: str, stored: _Stored) -> StopConditions:
     joints = len(run.profile.arms[arm].type.joints)
-    via = None if "via" not in entry else np.array(entry["via"], dtype=np.float64)
+    via = None if stored.via is None else np.array(stored.via, dtype=np.float64)
     if via is not None and (via.shape != (joints,) or not np.isfinite(via).all()):
         raise ValueError(f"arm {arm}: 'via' must be {joints} finite joint positions")
-    dwell_s = float(entry.get("dwell_s", 0.0))
-    if not (math.isfinite(dwell_s) and 0.0 <= dwell_s <= LONGEST_DWELL_S):
+    if not (math.isfinite(stored.dwell_s) and 0.0 <= stored.dwell_s <= LONGEST_DWELL_S):
         raise ValueError(f"arm {arm}: 'dwell_s' must lie between 0 and {LONGEST_DWELL_S:g} s")
-    return StopConditions(via, dwell_s)
+    return StopConditions(via, stored.dwell_s)
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    return str(error)

@@ -4,31 +4,33 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping
-from typing import Any
+
+from cellapp.results import Proposal, ProposalQuestion
 
 _WIDTH = 80
 _COLUMNS = (("now", 7), ("proposed", 9), ("random", 8), ("gain", 6), ("needed", 7))
+_HIDDEN = 0.01
+"""Below this share of the proposed discrimination, the present one shows nothing of an effect."""
 
 
-def proposal_lines(proposal: Mapping[str, Any]) -> list[str]:
-    """What the stops shall tell and what they are worth, in lines of a terminal; from ``proposal`` of the JSON.
+def proposal_lines(proposal: Proposal) -> list[str]:
+    """Questions with their discriminations, advice and next steps, in lines for a terminal.
 
-    The numbers are discriminations (lambda): now, with the proposed stops, with as many random ones of the same
-    candidates; the gain of the former over the latter; and from where on the answer is clear.
+    Each number is a discrimination (non-centrality lambda): now, with the proposed stops, with as many random stops
+    of the same candidates; then the gain of proposed over random stops, and the value that a clear answer needs.
     """
     heads = "".join(f"{head:>{width}}" for head, width in _COLUMNS)
-    title = f"{proposal['count']} proposed stops, discrimination"
+    title = f"{proposal.count} proposed stops, discrimination"
     lines = [f"{title:{_WIDTH - len(heads)}}{heads}"]
-    for name, questions in proposal["arms"].items():
+    for name, questions in proposal.arms.items():
         lines.append(f"Arm {name}")
         for question in questions:
             lines += [*_row(question), f"    {_outcome(question)}"]
-    words = [*proposal["advice"], *proposal["notes"]]
-    if proposal["written"]:
-        first = proposal["first_configuration"] + 1
+    words = [*proposal.advice, *proposal.notes]
+    if proposal.written and proposal.first_configuration is not None:
+        first = proposal.first_configuration + 1
         words.append(
-            f"the plan now has stops {first} to {first + proposal['count'] - 1} too; measure them with"
+            f"the plan now has stops {first} to {first + proposal.count - 1} too; measure them with"
             " 'cellapp collect DIR --resume', then calibrate and discover again"
         )
     for sentence in words:
@@ -36,26 +38,27 @@ def proposal_lines(proposal: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _row(question: Mapping[str, Any]) -> list[str]:
-    told = question["discrimination"]
-    values = (told["now"], told["proposed"], told["random"], question["gain_over_random"], question["needed"])
+def _row(question: ProposalQuestion) -> list[str]:
+    lambdas = question.discrimination
+    values = (lambdas.now, lambdas.proposed, lambdas.random, question.gain_over_random, question.needed)
     numbers = "".join(f"{_number(value):>{width}}" for value, (_, width) in zip(values, _COLUMNS, strict=True))
-    label = f"  {question['effect']} / {question['against'] or 'nothing'}"
+    label = f"  {question.effect} / {question.against or 'nothing'}"
     if len(label) + len(numbers) > _WIDTH:
         return [label, f"{numbers:>{_WIDTH}}"]
     return [f"{label:{_WIDTH - len(numbers)}}{numbers}"]
 
 
-def _outcome(question: Mapping[str, Any]) -> str:
-    told, needed = question["discrimination"], question["needed"]
-    if question["against"] is None:
-        if told["now"] < 0.01 * told["proposed"]:
-            return "hidden until now; these stops would show it"
-        share = math.sqrt(told["now"] / max(told["proposed"], 1e-12))
-        return f"the smallest size that would be seen falls to {100.0 * share:.0f} %"
-    if told["now"] >= needed:
-        return "told apart already; these stops would make it surer"
-    return "these stops would tell" if told["proposed"] >= needed else "not even these stops would tell"
+def _outcome(question: ProposalQuestion) -> str:
+    now, proposed = question.discrimination.now, question.discrimination.proposed
+    if question.against is None:
+        if now < _HIDDEN * proposed:
+            return "not visible so far; these stops would show it"
+        # the size that is seen goes with the inverse square root of the non-centrality
+        share = math.sqrt(now / max(proposed, 1e-12))
+        return f"the smallest visible size falls to {100.0 * share:.0f} %"
+    if now >= question.needed:
+        return "already distinguished; these stops would make it more certain"
+    return "these stops would distinguish them" if proposed >= question.needed else "these stops would not suffice"
 
 
 def _number(value: float) -> str:

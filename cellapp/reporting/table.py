@@ -1,14 +1,102 @@
-"""A table as plain data."""
+"""Tables as typed data, and the one formatter that turns their cells into text.
+
+Terminal, TUI, HTML and Markdown draw the same ``Table``.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number with its own decimals and unit, for rows that differ in precision or unit from their column."""
+
+    value: float
+    decimals: int
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Limits of an interval; ``decimals`` replaces the number format of the column."""
+
+    low: float
+    high: float
+    decimals: int | None = None
+
+
+Cell = str | int | float | Number | Interval | None
+"""None is an empty cell."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column. Numbers are aligned right, text left; ``number_format`` is a format specification such as ``.4f``."""
+
+    title: str
+    kind: Literal["text", "number"] = "text"
+    number_format: str = ""
+    unit: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Title with the unit in brackets."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+    @property
+    def is_number(self) -> bool:
+        """Whether cells are aligned right."""
+        return self.kind == "number"
+
+
+def number_column(title: str, number_format: str, unit: str = "") -> Column:
+    """A column of numbers or intervals."""
+    return Column(title, "number", number_format, unit)
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of texts: title, column heads, rows; the first column names, the others are numbers for eyes."""
+    """A titled table; the cells of the first column name the rows.
+
+    Raises
+    ------
+    ValueError
+        If a row does not have one cell for each column.
+    """
 
     title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(f"{self.title}: {len(row)} cells in a row of {len(self.columns)} columns")
+
+    @property
+    def headings(self) -> tuple[str, ...]:
+        """Column headings with units."""
+        return tuple(column.heading for column in self.columns)
+
+    def text_rows(self) -> tuple[tuple[str, ...], ...]:
+        """All cells as text."""
+        return tuple(
+            tuple(format_cell(cell, column.number_format) for cell, column in zip(row, self.columns, strict=True))
+            for row in self.rows
+        )
+
+
+def format_cell(cell: Cell, number_format: str = "") -> str:
+    """A cell as text."""
+    if cell is None:
+        return ""
+    if isinstance(cell, str):
+        return cell
+    if isinstance(cell, Number):
+        return f"{cell.value:.{cell.decimals}f} {cell.unit}".rstrip()
+    if isinstance(cell, Interval):
+        limits = number_format if cell.decimals is None else f".{cell.decimals}f"
+        return f"{cell.low:{limits}} to {cell.high:{limits}}"
+    return format(cell, number_format)

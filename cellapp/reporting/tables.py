@@ -1,226 +1,196 @@
-"""The accuracy tables of a run as plain data: CLI, TUI and the HTML page only draw them."""
+"""Accuracy tables of calibration and verification, for terminal, TUI and page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
-from cellapp.reporting.findings import discovery_tables
-from cellapp.reporting.table import Table
+from cellapp.reporting.discovery_tables import discovery_tables
+from cellapp.reporting.table import Cell, Column, Interval, Table, number_column
+from cellapp.reporting.words import geometry_unit
+from cellapp.results import (
+    METHODS,
+    STAGES,
+    ArmCalibrationResult,
+    CalibrateResult,
+    ErrorSummary,
+    RunResults,
+    VerifyResult,
+)
 
-STAGES = ("nominal", "geometry", "network", "effects")
-METHODS = ("nominal", "method_1", "method_2", "proposed", "effects")
+MM = ".4f"
+"""Number format of errors in mm: a tenth of a micrometre, below the tracker's resolution."""
+
+_ERROR_COLUMNS = (
+    *(number_column(title, MM) for title in ("mean", "rms", "std", "max")),
+    number_column("n", "d"),
+)
+_DETAILED_COLUMNS = (
+    *(number_column(title, MM) for title in ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")),
+    number_column("n", "d"),
+)
+_TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
+_PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
-def calibration_tables(result: Mapping[str, Any]) -> list[Table]:
-    """Held-out errors by stage, one table an arm, and the pair's; from the object of ``calibrate --json``."""
-    tables = []
-    for name, arm in result["arms"].items():
-        rows = []
-        for stage in STAGES:
-            if stage in arm["validate"]:
-                for measure in ("position_mm", "distance_mm"):
-                    if measure in arm["validate"][stage]:
-                        rows.append((f"{stage}, {measure[:-3]}", *_numbers(arm["validate"][stage][measure])))
-        title = f"Arm {name}: held-out errors [mm] ({arm['rank']} parameters, {arm['iterations']} iterations)"
-        tables.append(Table(title, ("stage, measure", "mean", "rms", "std", "max", "n"), tuple(rows)))
-    if result["pair"]:
-        rows = [
-            (method, *_numbers(result["pair"][method]["cooperative_mm"]))
-            for method in METHODS
-            if method in result["pair"]
-        ]
-        title = "Pair: held-out cooperative errors [mm]"
-        tables.append(Table(title, ("method", "mean", "rms", "std", "max", "n"), tuple(rows)))
+def all_tables(results: RunResults) -> list[Table]:
+    """Tables of the calibration, and of a discovery and a verification that are not out of date."""
+    tables: list[Table] = []
+    if results.calibrate is not None:
+        tables += calibration_tables(results.calibrate)
+    if results.discover is not None and "discover" not in results.out_of_date:
+        tables += discovery_tables(results.discover)
+    if results.verify is not None and "verify" not in results.out_of_date:
+        tables += verification_tables(results.verify)
     return tables
 
 
-def detailed_tables(result: Mapping[str, Any]) -> list[Table]:
-    """``calibration_tables`` for where there is room: with percentiles, the 95 % interval of each mean and the tracker.
+def out_of_date_sentences(results: RunResults) -> list[str]:
+    """One sentence for each result that no longer holds, with the reason."""
+    return [f"out of date: {name}: {reason}" for name, reason in results.out_of_date.items()]
 
-    The last column is how many times the root mean square is what the tracker's stated uncertainty alone would leave.
+
+def calibration_tables(result: CalibrateResult) -> list[Table]:
+    """Held-out errors by stage, one table for each arm, and of the pair by method."""
+    tables = []
+    for name, arm in result.arms.items():
+        rows = [(label, *_error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
+        tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *_ERROR_COLUMNS), tuple(rows)))
+    if result.pair:
+        rows = [
+            (method, *_error_cells(result.pair[method].cooperative_mm)) for method in METHODS if method in result.pair
+        ]
+        tables.append(Table(_PAIR_TITLE, (Column("method"), *_ERROR_COLUMNS), tuple(rows)))
+    return tables
+
+
+def detailed_tables(result: CalibrateResult) -> list[Table]:
+    """``calibration_tables`` with percentiles, the 95 % interval of each mean, and the ratio to the tracker's noise.
+
+    The ratio is the rms error over the rms error that the stated uncertainty of the tracker alone would cause.
     """
-    columns = ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max", "n", "rms / tracker")
-    known = {name: arm.get("tracker_mm") for name, arm in result["arms"].items()}
+    columns = (*_DETAILED_COLUMNS, number_column("rms / tracker", ".1f"))
     tables = []
-    for table, (name, arm) in zip(calibration_tables(result), result["arms"].items(), strict=False):
-        rows = []
-        for stage in STAGES:
-            for measure, summary in arm["validate"].get(stage, {}).items():
-                # the distance between two points has noise along one direction from each
-                stated = known[name] or None
-                alone = stated if measure == "position_mm" else distance_mm(stated, stated)
-                rows.append((f"{stage}, {measure[:-3]}", *_details(summary, alone)))
-        tables.append(Table(table.title, ("stage, measure", *columns), tuple(rows)))
-    if result["pair"]:
-        alone = distance_mm(*known.values())
+    for name, arm in result.arms.items():
+        noise_mm = {"position": arm.tracker_mm or None, "distance": distance_mm(arm.tracker_mm, arm.tracker_mm)}
         rows = [
-            (method, *_details(result["pair"][method]["cooperative_mm"], alone))
-            for method in METHODS
-            if method in result["pair"]
+            (label, *_detailed_cells(summary), _ratio(summary, noise_mm[measure]))
+            for label, measure, summary in _stage_summaries(arm)
         ]
-        tables.append(Table(calibration_tables(result)[-1].title, ("method", *columns), tuple(rows)))
+        tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *columns), tuple(rows)))
+    if result.pair:
+        noise = cooperative_noise_mm(result)
+        summaries = {method: result.pair[method].cooperative_mm for method in METHODS if method in result.pair}
+        rows = [(method, *_detailed_cells(errors), _ratio(errors, noise)) for method, errors in summaries.items()]
+        tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
     return tables
 
 
-def transform_tables(result: Mapping[str, Any]) -> list[Table]:
-    """Either way to the inter-base transform on the same held-out stops; nothing where there is no pair."""
-    rows = []
-    for method in METHODS:
-        for way, summary in result["pair"].get(method, {}).get("by_transform_mm", {}).items():
-            numbers = (f"{summary[key]:.4f}" for key in ("rms", "std", "p50", "p95", "max"))
-            words = "distances alone" if way == "distances" else "the tracker frame"
-            mean = f"{summary['mean']:.4f}"
-            rows.append((f"{method}, by {words}", mean, _mean_interval(summary), *numbers, str(summary["n"])))
+def transform_tables(result: CalibrateResult) -> list[Table]:
+    """Cooperative errors with either inter-base transform on the same held-out stops; empty without a pair."""
+    rows = [
+        (f"{method}, by {_TRANSFORMS[transform]}", *_detailed_cells(summary))
+        for method in METHODS
+        if method in result.pair
+        for transform, summary in result.pair[method].by_transform_mm.items()
+    ]
     if not rows:
         return []
-    columns = ("method, transform", "mean", "95 % of mean", "rms", "std", "p50", "p95", "max", "n")
+    columns = (Column("method, transform"), *_DETAILED_COLUMNS)
     return [Table("Pair: cooperative errors by either transform [mm]", columns, tuple(rows))]
 
 
-def distance_mm(first: float | None, second: float | None) -> float | None:
-    """Root mean square error [mm] of a distance, from the root mean square lengths of its two points' noise [mm].
-
-    None where either is unknown.
-    """
-    return None if not first or not second else math.sqrt((first**2 + second**2) / 3.0)
-
-
-def _details(summary: Mapping[str, Any], alone_mm: float | None) -> tuple[str, ...]:
-    mean, rms, std, largest, n = _numbers(summary)
-    middle, high = (f"{summary[key]:.4f}" if key in summary else "" for key in ("p50", "p95"))
-    ratio = "" if alone_mm is None else f"{summary['rms'] / alone_mm:.1f}"
-    return mean, _mean_interval(summary), rms, std, middle, high, largest, n, ratio
-
-
-def _mean_interval(summary: Mapping[str, Any]) -> str:
-    if "mean_ci95" not in summary:
-        return ""
-    low, high = summary["mean_ci95"]
-    return f"{low:.4f} to {high:.4f}"
-
-
-def parameter_tables(result: Mapping[str, Any]) -> list[Table]:
-    """Identified parameters with standard errors, one table an arm; from the object of ``calibrate --json``."""
+def parameter_tables(result: CalibrateResult) -> list[Table]:
+    """Identified parameters with standard errors, one table for each arm."""
+    columns = (
+        Column("parameter"),
+        number_column("value", ".5f"),
+        number_column("standard error", ".5f"),
+        Column("unit"),
+    )
     tables = []
-    for name, arm in result["arms"].items():
-        rows = []
-        for parameter, entry in arm["identified"].items():
-            factor, unit = (1e3, "mm") if entry["unit"] == "m" else (180.0 / 3.141592653589793, "deg")
-            value, error = entry["value"] * factor, entry["standard_error"] * factor
-            rows.append((parameter, f"{value:.5f}", f"{error:.5f}", unit))
-        columns = ("parameter", "value", "standard error", "unit")
+    for name, arm in result.arms.items():
+        rows: list[tuple[Cell, ...]] = []
+        for parameter, estimate in arm.identified.items():
+            factor, unit = geometry_unit(estimate.unit)
+            error = estimate.standard_error
+            rows.append((parameter, estimate.value * factor, None if error is None else error * factor, unit))
         tables.append(Table(f"Arm {name}: identified parameters", columns, tuple(rows)))
     return tables
 
 
-def verification_tables(result: Mapping[str, Any]) -> list[Table]:
-    """Errors at new targets before and after compensation; from the object of ``push --json``."""
-    rows = []
-    for name, ways in result["arms"].items():
-        for way, label in (("nominal_mm", "uncompensated"), ("compensated_mm", "compensated")):
-            rows.append((f"{name}, {label}", *_numbers(ways[way])))
+def merged_words(shares: Mapping[str, float]) -> str:
+    """Parameters that take the place of a dropped one, with their shares."""
+    return ", ".join(f"{share:+.4g} {kept}" for kept, share in shares.items()) or "nothing (no effect)"
+
+
+def verification_tables(result: VerifyResult) -> list[Table]:
+    """Errors at new targets before and after compensation; empty if no target was measured with both commands."""
+    rows = [
+        (f"{name}, {label}", *_error_cells(summary))
+        for name, arm in result.arms.items()
+        for label, summary in (("uncompensated", arm.nominal_mm), ("compensated", arm.compensated_mm))
+    ]
     if not rows:
         return []
-    columns = ("arm, command", "mean", "rms", "std", "max", "n")
-    return [Table("Targets: measured distance from where they should be [mm]", columns, tuple(rows))]
+    title = "Targets: measured distance from where they should be [mm]"
+    return [Table(title, (Column("arm, command"), *_ERROR_COLUMNS), tuple(rows))]
 
 
-def all_tables(results: Mapping[str, Mapping[str, Any]]) -> list[Table]:
-    """The tables of whatever steps a run has results of: ``calibrate``, ``discover``, ``verify``."""
-    tables: list[Table] = []
-    for step, make in (
-        ("calibrate", calibration_tables),
-        ("discover", discovery_tables),
-        ("verify", verification_tables),
-    ):
-        if step in results:
-            tables += make(results[step])
-    return tables
-
-
-def _numbers(summary: Mapping[str, float | int]) -> tuple[str, ...]:
-    return (*(f"{summary[key]:.4f}" for key in ("mean", "rms", "std", "max")), str(summary["n"]))
-
-
-def parameter_set_table(arm: str, trials: Sequence[Mapping[str, Any]]) -> Table:
-    """Redundant against reduced model; from the rows of ``trials parameter-sets --json``."""
-    rows = tuple(
-        (
-            f"{trial['parameter_set']} ({trial['parameters']}), {trial['solver']}",
-            f"{trial['iterations']:g}",
-            f"{trial['converged']} of {trial['seeds']}",
-            f"{trial['mean_mm']:.4g}",
-            f"{trial['max_mm']:.4g}",
-        )
-        for trial in trials
-    )
-    columns = ("set (parameters), solver", "iterations", "converged", "mean [mm]", "max [mm]")
-    return Table(f"Arm {arm}: redundant and reduced models, medians over seeds", columns, rows)
-
-
-def paper_tables(result: Mapping[str, Any]) -> list[Table]:
-    """The paper's methods over seeds, beside the paper; from the object of ``trials paper --json``."""
-    rows: list[tuple[str, ...]] = []
-    for method, entry in result["cooperative_mm"].items():
-        paper = "" if entry["paper"] is None else f"{entry['paper']:.4f}"
-        rows.append((method, f"{entry['median']:.4f}", f"{entry['worst']:.4f}", paper))
-    gain = result["gain"]
-    rows.append(("proposed below method_1", *(f"{100 * gain[key]:.1f} %" for key in ("median", "worst", "paper"))))
-    seeds = len(result["trials"])
-    columns = ("method", "median", "worst", "paper")
-    tables = [Table(f"Mean cooperative error [mm], {seeds} simulated cells", columns, tuple(rows))]
-    for where, title in (("position_mm", "Mean position error [mm]"), ("moved_mm", "At another tracker station [mm]")):
-        shown: list[tuple[str, ...]] = []
-        for name in result["trials"][0][where]:
-            for stage in result["trials"][0][where][name]:
-                values = sorted(t[where][name][stage] for t in result["trials"] if stage in t[where][name])
-                shown.append((f"{name}, {stage}", f"{values[len(values) // 2]:.4f}", f"{values[-1]:.4f}"))
-        tables.append(Table(title, ("arm, model", "median", "worst"), tuple(shown)))
-    return tables
-
-
-def link_table(result: Mapping[str, Any]) -> Table:
-    """What was measured of emulated arms under the real client; from the object of ``trials links --json``."""
-    rows = [
-        (name, *_times(result[key]))
-        for name, key in (
-            ("connect", "connect_s"),
-            ("ask for the state", "state_s"),
-            ("motion, beyond its ideal time", "move_overhead_s"),
-        )
-    ]
-    for fault, times in result["by_fault"].items():
-        for name, key in (("reported", "reported_s"), ("at rest", "at_rest_s"), ("ready again", "recovered_s")):
-            rows.append((f"{fault}: {name}", *_times(times[key])))
-    return Table("Times [s]", ("what", "median", "95 %", "max", "n"), tuple(rows))
-
-
-def bridge_table(result: Mapping[str, Any]) -> Table:
-    """How long measurements took by what befell them; from the object of ``trials bridge --json``."""
-    undisturbed = ("none", str(result["asked"] - sum(result["faults"].values())), f"{result['undisturbed_s']:.3f}")
-    rows = [(fault, str(result["faults"][fault]), f"{longest:.3f}") for fault, longest in result["recovery_s"].items()]
-    return Table("Times of a measurement [s]", ("fault", "n", "longest; none: median"), (undisturbed, *rows))
-
-
-def _times(spread: Mapping[str, float | int] | None) -> tuple[str, ...]:
-    if spread is None:
-        return ("", "", "", "0")
-    return (*(f"{spread[key]:.3f}" for key in ("median", "p95", "max")), str(spread["n"]))
-
-
-def tracker_sentences(result: Mapping[str, Any]) -> list[str]:
-    """How near each arm comes to the tracker's own uncertainty; from the object of ``calibrate --json``."""
+def tracker_sentences(result: CalibrateResult) -> list[str]:
+    """Compare the error of each arm's last stage with the stated uncertainty of the tracker."""
     sentences = []
-    for name, arm in result["arms"].items():
-        if arm["tracker_mm"] is None:
+    for name, arm in result.arms.items():
+        if arm.tracker_mm is None:
             sentences.append(f"arm {name}: the readings state no uncertainty to compare with")
             continue
-        stage = next(stage for stage in reversed(STAGES) if stage in arm["validate"])
-        rms = arm["validate"][stage]["position_mm"]["rms"]
+        rms = arm.validate_[arm.best_stage].position_mm.rms
         sentences.append(
-            f"arm {name}: {stage} leaves {rms:.4f} mm rms, {rms / arm['tracker_mm']:.1f} times the tracker's own"
-            f" {arm['tracker_mm']:.4f} mm"
+            f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
+            f" {arm.tracker_mm:.4f} mm"
         )
     return sentences
+
+
+def distance_mm(first: float | None, second: float | None) -> float | None:
+    """Root mean square error [mm] of the distance of two points, from the rms lengths of their noise [mm].
+
+    A distance has the noise of each point along one direction of three: sqrt((a^2 + b^2) / 3). None if either length
+    is not known.
+    """
+    return None if not first or not second else math.sqrt((first**2 + second**2) / 3.0)
+
+
+def cooperative_noise_mm(result: CalibrateResult) -> float | None:
+    """Root mean square cooperative error [mm] that the stated uncertainty of the tracker alone would cause."""
+    lengths = [arm.tracker_mm for arm in result.arms.values()]
+    return distance_mm(lengths[0], lengths[1]) if len(lengths) == 2 else None
+
+
+def _arm_title(name: str, arm: ArmCalibrationResult) -> str:
+    return f"Arm {name}: held-out errors [mm] ({arm.rank} parameters, {arm.iterations} iterations)"
+
+
+def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSummary]]:
+    """Label, measure (position or distance) and errors of each stage."""
+    found = []
+    for stage in STAGES:
+        if stage in arm.validate_:
+            errors = arm.validate_[stage]
+            found.append((f"{stage}, position", "position", errors.position_mm))
+            if errors.distance_mm is not None:
+                found.append((f"{stage}, distance", "distance", errors.distance_mm))
+    return found
+
+
+def _error_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
+    return summary.mean, summary.rms, summary.std, summary.max, summary.n
+
+
+def _detailed_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
+    interval = None if summary.mean_ci95 is None else Interval(*summary.mean_ci95)
+    return summary.mean, interval, summary.rms, summary.std, summary.p50, summary.p95, summary.max, summary.n
+
+
+def _ratio(summary: ErrorSummary, noise_mm: float | None) -> float | None:
+    return None if noise_mm is None else summary.rms / noise_mm

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from cellapp.effects import EFFECTS
+from cellapp.reporting.table import Interval, Number
+from cellapp.results import Estimate, LawRecord, Method, Place
 
 _UNITS = {
     "rad": (1e6, "µrad"),
@@ -21,34 +22,31 @@ _UNITS = {
     "1/(N m^2)": (1e6, "1e-6/(N m²)"),
 }
 _MILLIMETRES = 1e-3
-"""Lengths from here on are in mm [m]."""
+"""Lengths from here on are shown in mm [m]."""
 _TWO_SIDED = 1.959964
-"""Half width of a 95 % interval, in standard errors."""
-_MOST_DIGITS = 9
-"""Decimals beyond which a standard error is rounding error."""
+"""Half width of a 95 % interval in standard errors: quantile 0.975 of the normal distribution."""
 
 
-def law_words(effect: str, law: Mapping[str, Any], joints: Sequence[int] = ()) -> str:
-    """The effect's own words for a law of a stored result; its name where this version does not know it.
+def law_words(effect: str, law: LawRecord, joints: Sequence[int] = ()) -> str:
+    """The effect's own words for a law of a stored result; the law's name where this version does not know it.
 
     ``joints`` (from 1) are those whose constants are included, such as knee torques.
     """
     try:
-        known = EFFECTS[effect].law(law["name"], law["constants"])
+        known = EFFECTS[effect].law(law.name, law.constants)
     except (KeyError, ValueError):
-        return str(law["name"]).replace("_", " ")
+        return law.name.replace("_", " ")
     return known.words([joint - 1 for joint in joints])
 
 
-def place_words(where: Mapping[str, Any]) -> str:
-    """What an effect acts on: ``joints 1-3, 6``, or a frame."""
-    places = where["acts_on"]
-    joints = where["joints"]
-    if not joints and all(place.startswith("joint ") for place in places):
-        joints = [int(place.removeprefix("joint ")) for place in places]
+def place_words(where: Place) -> str:
+    """Where an effect acts: ``joints 1-3, 6``, or the names of frames."""
+    joints = where.joints
+    if not joints and all(place.startswith("joint ") for place in where.acts_on):
+        joints = tuple(int(place.removeprefix("joint ")) for place in where.acts_on)
     if joints:
         return f"joint{'s' if len(joints) > 1 else ''} {ranges(joints)}"
-    return ", ".join(places)
+    return ", ".join(where.acts_on)
 
 
 def ranges(numbers: Sequence[int]) -> str:
@@ -64,22 +62,45 @@ def ranges(numbers: Sequence[int]) -> str:
     )
 
 
-def interval_95(entry: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Value, 95 % interval and unit of a parameter, with the digits that its standard error supports."""
-    value, error = entry["value"], entry["standard_error"]
-    factor, unit = _UNITS.get(entry["unit"], (1.0, entry["unit"]))
-    if entry["unit"] == "m" and abs(value) >= _MILLIMETRES:
+def interval_95(estimate: Estimate) -> tuple[Number, Interval | None, str]:
+    """Value, 95 % interval and display unit of a parameter, with two significant digits of its standard error.
+
+    The interval is None where there is no standard error.
+    """
+    factor, unit = _UNITS.get(estimate.unit, (1.0, estimate.unit))
+    if estimate.unit == "m" and abs(estimate.value) >= _MILLIMETRES:
         factor, unit = 1e3, "mm"
-    value, error = value * factor, error * factor
+    value = estimate.value * factor
+    if estimate.standard_error is None:
+        return Number(value, 3), None, unit
+    error = estimate.standard_error * factor
+    decimals = min(max(1 - math.floor(math.log10(error)), 0), 9) if 0.0 < error < math.inf else 3
     half = _TWO_SIDED * error
-    digits = 3
-    if error > 0.0 and math.isfinite(error):
-        digits = min(max(1 - math.floor(math.log10(error)), 0), _MOST_DIGITS)
-    return f"{value:.{digits}f}", f"{value - half:.{digits}f} to {value + half:.{digits}f}", unit
+    return Number(value, decimals), Interval(value - half, value + half, decimals), unit
+
+
+def geometry_unit(unit: str) -> tuple[float, str]:
+    """Factor and display unit of a geometric parameter stored in m or rad: mm and degrees."""
+    return (1e3, "mm") if unit == "m" else (math.degrees(1.0), "deg")
+
+
+STAGE_WORDS: Mapping[str, str] = {
+    "nominal": "nominal",
+    "geometry": "identified geometry",
+    "network": "geometry and network",
+    "effects": "geometry and effects",
+}
+METHOD_WORDS: Mapping[Method, str] = {
+    "nominal": "the nominal cell",
+    "method_1": "geometry alone",
+    "method_2": "geometry and a network in the tracker frame",
+    "proposed": "geometry and a network in the base frame",
+    "effects": "geometry and effects",
+}
 
 
 def short_reason(reason: str) -> str:
-    """Why an effect cannot be seen, without the words that the heading already states."""
+    """The reason why an effect cannot be seen, without the words of the table heading."""
     for prefix in ("not testable: ", "invisible: "):
         reason = reason.removeprefix(prefix)
     return reason.removesuffix(" under this plan")

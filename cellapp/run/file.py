@@ -31,7 +31,7 @@ from cellapp.run.readings_table import (
     select_readings,
     vectors_from_json,
 )
-from cellapp.run.schema import SCHEMA_VERSION, create_tables, upgrade
+from cellapp.run.schema import SCHEMA_VERSION, create_tables, schema_version, upgrade
 from cellapp.run.sqlite_file import (
     APPLICATION_ID,
     FILE_NAME,
@@ -54,6 +54,27 @@ class Event:
     written: str
     time_s: float | None
     level: str
+    text: str
+
+
+@dataclass(frozen=True)
+class StageRow:
+    """One row of the table ``stage`` as text; ``cellapp.run.stages`` gives it its meaning."""
+
+    number: int
+    name: str
+    written: str
+    program: str
+    basis: str | None
+    text: str
+    model: str | None
+
+
+@dataclass(frozen=True)
+class Document:
+    """One entry of the table ``result``: when it was written (UTC), and what."""
+
+    written: str
     text: str
 
 
@@ -294,7 +315,7 @@ class RunFile:
         with self._transaction() as connection:
             connection.execute("INSERT OR REPLACE INTO meta VALUES ('columns', ?)", (json.dumps(list(names)),))
 
-    # -- events and results ------------------------------------------------------------------------------------------
+    # -- events and documents ----------------------------------------------------------------------------------------
 
     def log(self, level: str, text: str, time_s: float | None = None) -> None:
         """Add a line to the run's log; ``level`` is info, warning, error or note."""
@@ -310,15 +331,40 @@ class RunFile:
             return [Event(*row) for row in rows]
 
     def write_result(self, name: str, json_text: str) -> None:
-        """Store a result under a name; the one that was there is replaced at once or not at all."""
+        """Store a document that is not a verb's result under a name; it replaces an earlier one of that name."""
         with self._transaction() as connection:
             connection.execute("INSERT OR REPLACE INTO result VALUES (?, ?, ?)", (name, _now(), json_text))
 
     def read_result(self, name: str) -> str | None:
-        """A stored result, or None."""
+        """The text of a stored document, or None."""
+        document = self.read_document(name)
+        return None if document is None else document.text
+
+    def read_document(self, name: str) -> Document | None:
+        """A stored document, or None."""
         with self._reading() as connection:
-            row = connection.execute("SELECT text FROM result WHERE name = ?", (name,)).fetchone()
-        return None if row is None else str(row[0])
+            row = connection.execute("SELECT written, text FROM result WHERE name = ?", (name,)).fetchone()
+        return None if row is None else Document(*row)
+
+    # -- stages ------------------------------------------------------------------------------------------------------
+
+    def append_stage(self, name: str, basis: str | None, text: str, model: str | None) -> None:
+        """Append what a verb made: its result, its model (JSON) if it made one, and what they rest on."""
+        with self._transaction() as connection:
+            connection.execute(
+                "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)",
+                (name, _now(), f"cellapp {__version__}", basis, text, model),
+            )
+
+    def stage_rows(self) -> list[StageRow]:
+        """All stages, oldest first; none in a file of schema 1 or 2."""
+        with self._reading() as connection:
+            if schema_version(connection) < 3:
+                return []
+            rows = connection.execute(
+                "SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number"
+            )
+            return [StageRow(*row) for row in rows]
 
     # -- inside ------------------------------------------------------------------------------------------------------
 

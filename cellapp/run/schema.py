@@ -6,12 +6,19 @@ import sqlite3
 
 from cellapp.run.columns import COLUMNS
 
-SCHEMA_VERSION = 2
-"""2: each joint's last step and the dwell time of a reading."""
+SCHEMA_VERSION = 3
+"""2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``."""
 
 _KEY = ("arm TEXT NOT NULL", "PRIMARY KEY (arm, configuration)")
 _EXTRAS = "extras TEXT"
 """Unknown columns of an imported file, as one JSON object per reading."""
+
+
+_STAGE_TABLE = (
+    "CREATE TABLE stage (number INTEGER PRIMARY KEY, name TEXT NOT NULL, written TEXT NOT NULL, program TEXT NOT NULL,"
+    " basis TEXT, text TEXT NOT NULL, model TEXT)"
+)
+"""Append-only. Files of schema 1 and 2 lack it; they have results of verbs in the table ``result``."""
 
 
 def create_tables(connection: sqlite3.Connection) -> None:
@@ -25,6 +32,7 @@ def create_tables(connection: sqlite3.Connection) -> None:
         "CREATE TABLE event"
         " (number INTEGER PRIMARY KEY, written TEXT NOT NULL, time_s, level TEXT NOT NULL, text TEXT NOT NULL)",
         "CREATE TABLE result (name TEXT PRIMARY KEY, written TEXT NOT NULL, text TEXT NOT NULL)",
+        _STAGE_TABLE,
     ):
         connection.execute(statement)
     connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
@@ -43,5 +51,6 @@ def upgrade(connection: sqlite3.Connection) -> None:
     for column in COLUMNS:
         if column.since > version:
             connection.execute(f"ALTER TABLE reading ADD COLUMN {column.sql_declaration}")
+    connection.execute(_STAGE_TABLE)
     connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))
     connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")

@@ -1,4 +1,4 @@
-"""Data of the simulated cell for blind trials: stops in a random order with the factors that tell effects apart."""
+"""Readings of the simulated cell for blind trials: random order, and varied factors that distinguish effects."""
 
 from __future__ import annotations
 
@@ -17,21 +17,30 @@ from cellapp.run import Readings
 from cellapp.safety.cell_bodies import home_positions
 
 DURATION_S = 18000.0
+"""Length of a run: five hours, as 400 stops of the real cell take."""
 _DWELLS_S = (1.0, 8.0)
+"""Range of the rest before a measurement, drawn log-uniformly."""
 _PAYLOAD_BLOCKS = 4
+"""The payload is changed by hand, so it changes seldom."""
 _HEAVY_SHARE = 0.8
+"""Heavy payload as a share of the rated one."""
 _RATED_KG = {"UR3": 3.0, "UR5": 5.0, "UR10": 10.0}
+"""Rated payloads, from the makers' data sheets."""
 _JOINT_RISE_K = (6.0, 16.0)
+"""Range of the joints' final temperature above the air."""
 _WARM_UP_S = 3000.0
+"""Time constant of a joint's warming."""
 _AIR_PERIODS_S = (4.0e3, 1.5e4, 4.0e4)
+"""Periods of the air temperature: ventilation, sun, day."""
 _AIR_AMPLITUDE_K = 1.5
 
 
 @dataclass(frozen=True)
 class Noise:
-    """How the readings scatter: ``gaussian``, or ``heavy`` tails (Student's t with 4 degrees of freedom, of the same
+    """Noise model of the readings.
 
-    standard deviation), and the repeatability of the joints [rad].
+    ``gaussian``, or ``heavy`` (Student's t with 4 degrees of freedom, scaled to the same standard deviation);
+    ``repeatability`` is the standard deviation of the joints [rad].
     """
 
     kind: str = "gaussian"
@@ -39,7 +48,7 @@ class Noise:
 
 
 def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str, Any]]], seed: int) -> Profile:
-    """The profile with other hidden effects (arm -> effect -> parameters) and another true cell."""
+    """The profile with other hidden effects (arm -> effect -> parameters) and another true cell, drawn by ``seed``."""
     assert profile.plant is not None
     plain = {arm: {slug: dict(values) for slug, values in each.items()} for arm, each in effects.items()}
     settings = profile.plant.model_copy(update={"effects": plain, "seed": seed})
@@ -51,8 +60,8 @@ def blind_readings(
 ) -> dict[str, Readings]:
     """Readings of all arms at the stops of ``plan`` (name -> (n, N) [rad]) in an order drawn by ``seed``.
 
-    Arms go straight from stop to stop; the pause before measuring varies from 1 to 8 s, the load changes in four blocks
-    between the profile's and 80 % of the rated one, joints warm up, and the run lasts five hours.
+    Arms go directly from stop to stop. The rest before a measurement varies from 1 to 8 s, the payload alternates in
+    four blocks between the profile's and 80 % of the rated one, joints warm up, and the run lasts five hours.
     """
     noise = noise or Noise()
     rng = np.random.default_rng([seed, 0xB11D])
@@ -60,51 +69,40 @@ def blind_readings(
     n = len(next(iter(plan.values())))
     order = rng.permutation(n)
     stops = {name: q[order] for name, q in plan.items()}
-    time_s = np.sort(rng.uniform(0.0, DURATION_S, n))
-    dwell_s = np.exp(rng.uniform(math.log(_DWELLS_S[0]), math.log(_DWELLS_S[1]), n))
-    heavy = (np.arange(n) * _PAYLOAD_BLOCKS // n) % 2 == 1
-    phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
-    waves = np.sin(2.0 * np.pi * time_s[:, None] / np.array(_AIR_PERIODS_S) + phases)
-    assert profile.plant is not None
-    air = profile.plant.temperature + _AIR_AMPLITUDE_K * waves.mean(axis=1)
-    homes = home_positions(profile)
+    time_s, dwell_s, air_c = _drawn_conditions(profile, n, rng)
+    homes, loads_kg = home_positions(profile), _loads_kg(profile, n)
     readings = {}
-    loads = {
-        name: np.where(heavy, _HEAVY_SHARE * _rated_kg(arm), arm.payload.mass) for name, arm in profile.arms.items()
-    }
     for place, (name, q) in enumerate(stops.items()):
         step = np.diff(np.vstack([homes[name], q]), axis=0)
         approach = np.sign(step).astype(np.int8)
         others = {other: rows for other, rows in stops.items() if other != name}
         rise = rng.uniform(*_JOINT_RISE_K, q.shape[1]) * -np.expm1(-time_s[:, None] / _WARM_UP_S)
-        joints_c = air[:, None] + rise
-        stood = q + noise.repeatability * rng.standard_normal(q.shape)
+        joints_c = air_c[:, None] + rise
         exact = plant.smr_positions(
             name,
-            stood,
+            q + noise.repeatability * rng.standard_normal(q.shape),
             approach=approach.astype(np.float64),
             others=others,
-            other_payloads={other: loads[other] for other in others},
+            other_payloads={other: loads_kg[other] for other in others},
             time_s=time_s,
             last_step=step,
             since_rest_s=dwell_s,
-            payload=loads[name],
+            payload=loads_kg[name],
             joints_c=joints_c,
-            air_c=air,
+            air_c=air_c,
         )
         draw = np.random.default_rng([seed, place, 0x401])
         points, covariance = plant.measure_positions(exact, draw)
         if noise.kind == "heavy":
-            t = draw.standard_t(4, exact.shape) / np.sqrt(2.0)
-            points = exact + np.einsum("nab,nb->na", np.linalg.cholesky(covariance), t)
+            points = _heavy_tailed(exact, covariance, draw)
         readings[name] = Readings(
             configuration=np.arange(n),
             time_s=time_s,
             q=q,
             approach=approach,
             p_M=points,
-            payload_kg=loads[name],
-            temperature_c=air + 0.05 * draw.standard_normal(n),
+            payload_kg=loads_kg[name],
+            temperature_c=air_c + 0.05 * draw.standard_normal(n),
             joint_temperature_c=np.round(joints_c + 0.1 * draw.standard_normal(q.shape), 2),
             step=step,
             dwell_s=dwell_s,
@@ -112,6 +110,30 @@ def blind_readings(
         )
     splits, _ = profile_splits(profile, readings)
     return {name: replace(arm, split=splits[name]) for name, arm in readings.items()}
+
+
+def _drawn_conditions(profile: Profile, n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Times [s], rests before the measurement [s] and air temperatures [degC] of n stops, each (n,)."""
+    time_s = np.sort(rng.uniform(0.0, DURATION_S, n))
+    dwell_s = np.exp(rng.uniform(math.log(_DWELLS_S[0]), math.log(_DWELLS_S[1]), n))
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
+    waves = np.sin(2.0 * np.pi * time_s[:, None] / np.array(_AIR_PERIODS_S) + phases)
+    assert profile.plant is not None
+    return time_s, dwell_s, profile.plant.temperature + _AIR_AMPLITUDE_K * waves.mean(axis=1)
+
+
+def _loads_kg(profile: Profile, n: int) -> dict[str, Array]:
+    """Payloads (n,) [kg] of every arm: blocks with the profile's and with the heavy one in turn."""
+    heavy = (np.arange(n) * _PAYLOAD_BLOCKS // n) % 2 == 1
+    return {
+        name: np.where(heavy, _HEAVY_SHARE * _rated_kg(arm), arm.payload.mass) for name, arm in profile.arms.items()
+    }
+
+
+def _heavy_tailed(exact: Array, covariance: Array, draw: np.random.Generator) -> Array:
+    """Points (n, 3) [m] with noise of the stated covariance (n, 3, 3) [m^2] drawn from Student's t."""
+    t = draw.standard_t(4, exact.shape) / np.sqrt(2.0)
+    return np.asarray(exact + np.einsum("nab,nb->na", np.linalg.cholesky(covariance), t))
 
 
 def _rated_kg(arm: Arm) -> float:

@@ -1,12 +1,12 @@
-"""Does the tracker bridge lose or double a measurement? Many of them over the real wire, with faults at random."""
+"""Measurements over the tracker bridge with random faults: none may be lost, delivered twice or mixed up."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from cellapp.collection.cell import build_plant
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import Result
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerError, TrackerRefused
@@ -22,51 +23,39 @@ SECOND_CLIENT = "second-client"
 ALL_FAULTS = (*FAULTS, SECOND_CLIENT)
 
 _SILENCE_S = 0.3
+"""Time without an answer after which the client reconnects: short, so that many faults fit into a trial."""
 _AVERAGING_S = 1.0
 _NEAR_M = 1e-3
+"""A point within this distance belongs to the nest: nests are decimetres apart, noise is below 0.1 mm."""
 
 
-@dataclass(frozen=True)
-class BridgeTrial:
-    """What became of the measurements.
+class BridgeResult(Result):
+    """``trials bridge``: what became of the measurements.
 
     Attributes
     ----------
     asked, delivered : int
-        Measurements asked for, and those that came.
+        Requested and delivered measurements.
     lost, doubled, strange : int
-        Those that never came; those that came twice, or that the tracker made without need; those of another nest.
-    outcomes : mapping
+        Measurements that were never delivered; that were delivered or made twice; that belong to another nest.
+    faults : mapping
         Fault -> how often it was caused.
     recovery_s : mapping
-        Fault -> the longest that a measurement with it took [s].
-    undisturbed_s : float
-        Median time of one without any fault [s].
+        Fault -> longest time of a measurement with it [s].
+    undisturbed_s : float or None
+        Median time of a measurement without a fault [s].
     """
 
+    schema_: Literal["cellapp-trials-bridge"] = "cellapp-trials-bridge"
+    version: Literal[1] = 1
     asked: int
     delivered: int
     lost: int
     doubled: int
     strange: int
-    outcomes: Mapping[str, int]
+    faults: Mapping[str, int]
     recovery_s: Mapping[str, float]
-    undisturbed_s: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """The object that ``--json`` writes."""
-        return {
-            "schema": "cellapp-trials-bridge",
-            "version": 1,
-            "asked": self.asked,
-            "delivered": self.delivered,
-            "lost": self.lost,
-            "doubled": self.doubled,
-            "strange": self.strange,
-            "faults": dict(self.outcomes),
-            "recovery_s": dict(self.recovery_s),
-            "undisturbed_s": self.undisturbed_s,
-        }
+    undisturbed_s: float | None
 
 
 def bridge_trial(
@@ -77,7 +66,7 @@ def bridge_trial(
     serial: tuple[str, str] | None = None,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-) -> BridgeTrial:
+) -> BridgeResult:
     """Measure nests through an emulated bridge over TCP, with a random fault in each group of ``every`` measurements.
 
     ``serial`` names the two ends of a serial cable, the bridge's and the client's, to go over that instead.
@@ -87,26 +76,18 @@ def bridge_trial(
     InputError
         If the profile has no simulated cell.
     HardwareError
-        If no connection comes about at all.
+        If the bridge cannot be connected at all.
     Cancelled
     """
     if measurements < every or every < 1:
         raise InputError("trials bridge: there must be at least one group of measurements, of at least one each")
     cancel = cancel or CancelToken()
-    rng = np.random.default_rng([seed, 0xB41D])
-    plant = build_plant(profile)
     nests = _nests(profile)
-    names = list(nests)
-    possible = np.array(ALL_FAULTS if serial is None else FAULTS)  # on one cable there is no second client
-    kinds = rng.permutation(np.resize(possible, measurements // every))  # each kind about equally often
-    faults = {group * every + int(rng.integers(every)): str(kind) for group, kind in enumerate(kinds)}
-    took: dict[str, list[float]] = {kind: [] for kind in ("", *ALL_FAULTS)}
-    times: list[float] = []
-    strange = lost = 0
+    fault_at = _drawn_faults(measurements, every, seed, ALL_FAULTS if serial is None else FAULTS)
     with ExitStack() as stack:
         emulator = stack.enter_context(
             TrackerBridgeEmulator(
-                plant,
+                build_plant(profile),
                 nests=nests,
                 reboot_s=0.3,
                 slow_s=1.6 * _SILENCE_S,
@@ -121,42 +102,73 @@ def bridge_trial(
             tracker.connect()
         except TrackerError as error:
             raise HardwareError(str(error)) from error
+        log = _Log()
         for number in range(measurements):
             cancel.check()
-            listener(Progress("bridge", number, measurements, faults.get(number, "")))
-            nest = names[number % len(names)]
-            kind = faults.get(number, "")
+            fault = fault_at.get(number, "")
+            listener(Progress("bridge", number, measurements, fault))
+            nest = list(nests)[number % len(nests)]
             began_s = time.monotonic()
-            if kind == SECOND_CLIENT:
+            if fault == SECOND_CLIENT:
                 _second_client(url)
-            elif kind:
-                emulator.fault(kind)
-            try:
-                point = tracker.measure(nests[nest], _AVERAGING_S)
-            except TargetLost:
-                if kind != "beam":
-                    lost += 1
-                    continue
-                point = tracker.measure(nests[nest], _AVERAGING_S)  # as collection does after a broken beam
-            except TrackerError:
-                lost += 1
-                continue
-            took[kind].append(time.monotonic() - began_s)
-            times.append(point.time_s)
-            strange += bool(np.linalg.norm(point.p_M - nests[nest]) > _NEAR_M)
-        forgotten = len(took["reboot"])  # made, and lost with the bridge's memory before anybody had seen it
-        doubled = len(times) - len(set(times)) + max(0, emulator.tracker.measured - forgotten - len(times))
+            elif fault:
+                emulator.fault(fault)
+            _measure(tracker, nests[nest], fault, began_s, log)
+        made = emulator.tracker.measured
     listener(Progress("bridge", measurements, measurements, "done"))
-    return BridgeTrial(
-        asked=measurements,
-        delivered=len(times),
-        lost=lost,
-        doubled=doubled,
-        strange=strange,
-        outcomes={kind: len(took[kind]) for kind in ALL_FAULTS},
-        recovery_s={kind: max(took[kind]) for kind in ALL_FAULTS if took[kind]},
-        undisturbed_s=float(np.median(took[""])) if took[""] else float("nan"),
-    )
+    return log.result(measurements, made)
+
+
+@dataclass
+class _Log:
+    """What is recorded during a trial: time of each measurement [s] by fault, and the time stamps of the points [s]."""
+
+    took_s: dict[str, list[float]] = field(default_factory=lambda: {fault: [] for fault in ("", *ALL_FAULTS)})
+    stamps_s: list[float] = field(default_factory=list)
+    strange: int = 0
+    lost: int = 0
+
+    def result(self, asked: int, made: int) -> BridgeResult:
+        """The summary; ``made`` is the number of measurements that the tracker made."""
+        delivered, took_s = len(self.stamps_s), self.took_s
+        forgotten = len(took_s["reboot"])  # made, and lost with the bridge's memory before delivery
+        return BridgeResult(
+            asked=asked,
+            delivered=delivered,
+            lost=self.lost,
+            doubled=delivered - len(set(self.stamps_s)) + max(0, made - forgotten - delivered),
+            strange=self.strange,
+            faults={fault: len(took_s[fault]) for fault in ALL_FAULTS},
+            recovery_s={fault: max(took_s[fault]) for fault in ALL_FAULTS if took_s[fault]},
+            undisturbed_s=float(np.median(took_s[""])) if took_s[""] else None,
+        )
+
+
+def _drawn_faults(measurements: int, every: int, seed: int, faults: Sequence[str]) -> dict[int, str]:
+    """One fault in each group of ``every`` measurements: number of the measurement -> fault, each about equally often.
+
+    Over a serial cable there is no second client, so ``faults`` lacks that one.
+    """
+    rng = np.random.default_rng([seed, 0xB41D])
+    drawn = rng.permutation(np.resize(np.array(faults), measurements // every))
+    return {group * every + int(rng.integers(every)): str(fault) for group, fault in enumerate(drawn)}
+
+
+def _measure(tracker: BridgeTracker, nest_M: np.ndarray, fault: str, began_s: float, log: _Log) -> None:
+    """Measure one nest (3,) [m] and record what became of it; its time counts from ``began_s``."""
+    try:
+        point = tracker.measure(nest_M, _AVERAGING_S)
+    except TargetLost:
+        if fault != "beam":
+            log.lost += 1
+            return
+        point = tracker.measure(nest_M, _AVERAGING_S)  # as collection does after a broken beam
+    except TrackerError:
+        log.lost += 1
+        return
+    log.took_s[fault].append(time.monotonic() - began_s)
+    log.stamps_s.append(point.time_s)
+    log.strange += bool(np.linalg.norm(point.p_M - nest_M) > _NEAR_M)
 
 
 def _second_client(url: str) -> None:

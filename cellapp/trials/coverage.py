@@ -1,10 +1,9 @@
-"""Do the stated intervals hold what they say? Many simulated arms, each with its own true geometry and noise."""
+"""Coverage of the stated 95 % intervals over many simulated arms, each with its own true geometry and noise."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from scipy.stats import t as student
@@ -15,45 +14,43 @@ from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import Result
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """How often the 95 % intervals held the truth.
+class ArmCoverage(Result):
+    """How often the 95 % intervals of one arm contained the truth.
 
     Attributes
     ----------
     runs, intervals : int
-        Simulated runs and intervals in all.
+        Simulated runs, and intervals in all.
     share : float
-        Of intervals that held the truth.
+        Share of intervals that contained the truth.
     by_parameter : mapping
         Parameter -> share of runs.
     scatter : float
-        Mean of the root of chi-square per degree of freedom: 1 when the tracker's law is the true one.
+        Mean of the root of chi-square per degree of freedom: 1 when the tracker's noise model is the true one.
     """
 
+    schema_: Literal["cellapp-trials-coverage"] = "cellapp-trials-coverage"
+    version: Literal[1] = 1
     runs: int
     intervals: int
     share: float
     by_parameter: Mapping[str, float]
     scatter: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """The object that ``--json`` writes."""
-        return {
-            "schema": "cellapp-trials-coverage",
-            "version": 1,
-            "runs": self.runs,
-            "intervals": self.intervals,
-            "share": self.share,
-            "by_parameter": dict(self.by_parameter),
-            "scatter": self.scatter,
-        }
+
+class CoverageResult(Result):
+    """``trials coverage``: every arm."""
+
+    schema_: Literal["cellapp-trials-coverage"] = "cellapp-trials-coverage"
+    version: Literal[1] = 1
+    arms: Mapping[str, ArmCoverage]
 
 
 def bare_profile(profile: Profile, stops: int, *, plant_seed: int | None = None) -> Profile:
-    """The profile with ``stops`` stops and no hidden effects; every true geometry is drawn anew by ``plant_seed``."""
+    """The profile with ``stops`` stops and no hidden effects; ``plant_seed`` draws another true geometry."""
     if profile.plant is None:
         raise ValueError("trials need a profile with a simulated cell")
     plant = profile.plant.model_copy(
@@ -63,6 +60,13 @@ def bare_profile(profile: Profile, stops: int, *, plant_seed: int | None = None)
     return profile.model_copy(update={"plant": plant, "plan": plan})
 
 
+def coverage_trials(
+    profile: Profile, runs: int, stops: int = 100, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> CoverageResult:
+    """Coverage of every arm of the profile."""
+    return CoverageResult(arms={arm: coverage(profile, arm, runs, stops, listener, cancel) for arm in profile.arms})
+
+
 def coverage(
     profile: Profile,
     arm: str,
@@ -70,11 +74,11 @@ def coverage(
     stops: int = 100,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-) -> Coverage:
-    """Identify ``runs`` simulated arms from the same ``stops`` and count how often 95 % intervals hold the truth.
+) -> ArmCoverage:
+    """Identify ``runs`` simulated arms from the same ``stops`` and count how often 95 % intervals contain the truth.
 
-    The truth of the identified parameters is what the noise-free positions of the same plant give: parameters that are
-    merged into others have no truth of their own.
+    The truth of the identified parameters is their estimate from noise-free positions of the same plant, as parameters
+    that are merged into others have no true value of their own.
     """
     cancel = cancel or CancelToken()
     nominal = nominal_arm(profile.arms[arm])
@@ -102,7 +106,7 @@ def coverage(
         names = estimate.names
     held = np.array(inside)
     listener(Progress("coverage", runs, runs, "done"))
-    return Coverage(
+    return ArmCoverage(
         runs=runs,
         intervals=held.size,
         share=float(held.mean()),

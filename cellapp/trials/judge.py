@@ -1,12 +1,12 @@
-"""Judging sealed trials: every run is calibrated and searched without its truth, which is opened when all are done.
+"""Judge blind trials: calibrate and search every run without its truth, then open the truth and score.
 
-What was found stays in each run's file, so that judging goes on where it was interrupted.
+What was found is stored in each run's file, so that judging continues where it was interrupted.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
+import math
 import multiprocessing
 import os
 import signal
@@ -15,37 +15,60 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any
+
+from pydantic import ValidationError
 
 import cellapp
 from cellapp import __version__
-from cellapp.calibration.calibrate import calibrate_run
 from cellapp.calibration.circumstances import circumstances_of_arms
 from cellapp.discovery.discover import discover_arm
+from cellapp.discovery.record import arm_result
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.errors import CellappError, CheckFailed, InputError
+from cellapp.model import CellModel
+from cellapp.pipeline import calibrate_run
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import CALIBRATE, ArmDiscoveryResult, BeforeAfter, Record
 from cellapp.run import RunFile
-from cellapp.trials.sealed import Truth, check_seal, digest_of, open_truth
-from cellapp.trials.verdicts import Found, Judged, judged_summary
+from cellapp.run.stages import read_stages
+from cellapp.trials.scoring import (
+    ArmFindings,
+    DescribedTerm,
+    JudgeResult,
+    NoiseLengths,
+    ScoredRun,
+    score_run,
+    scores,
+)
+from cellapp.trials.sealed import GroundTruth, check_seal, digest_of, open_truth
 
 TRIAL_RESULT = "sealed-trial"
+"""Name of the document in which a run keeps what was found in it."""
 _POLL_S = 0.2
+"""How often a cancel request is looked at."""
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _SEARCHING = ("calibration", "design", "discovery", "effects", "kinematics", "model")
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """The outcome: the object that ``--json`` writes, and the runs that could not be judged, with the reason."""
+class StoredFindings(Record):
+    """What was found in one arm, as its run keeps it."""
 
-    result: Mapping[str, Any]
-    failed: tuple[str, ...]
+    discovery: ArmDiscoveryResult
+    seconds: float
+    cpu_seconds: float
+
+
+class StoredTrial(Record):
+    """What was found in one run, by which state of the program (``source``)."""
+
+    written: str
+    program: str
+    source: str
+    arms: Mapping[str, StoredFindings]
 
 
 def judge_trials(
@@ -55,11 +78,11 @@ def judge_trials(
     again: bool = False,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-) -> Judgement:
+) -> JudgeResult:
     """Calibrate and search all runs of a folder that were not yet, then open the truth and compare.
 
     ``jobs`` processes work, each with one thread; ``again`` also repeats what was judged before. A run that fails is
-    told and keeps the others from nothing.
+    reported and does not stop the others.
 
     Raises
     ------
@@ -71,7 +94,7 @@ def judge_trials(
         On request; what was judged so far is kept.
     """
     cancel = cancel or CancelToken()
-    check_seal(folder)  # unread: a broken seal is told before hours of work
+    check_seal(folder)  # without parsing it: a broken seal is reported before hours of work
     runs = sorted(path for path in folder.glob("run-*") if path.is_dir())
     if not runs:
         raise InputError(f"{folder} holds no runs; give a folder that 'cellapp trials seal' made")
@@ -79,51 +102,51 @@ def judge_trials(
     pending = runs if again else [run for run in runs if _stored(run) is None]
     failures = _judge_all(pending, source, jobs, len(runs), listener, cancel)
     opened = open_truth(folder)
-    judged, failed = _compare(folder, opened.trials, failures)
-    earlier = sum(one.source != source for one in judged)
-    result = {
-        "schema": "cellapp-trials-judge",
-        "version": 1,
-        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
-        "program": f"cellapp {__version__}",
-        "source": source,
-        "judged_by_other_source": earlier,
-        "jobs": jobs,
-        "sealed": dict(opened.sealed),
-        "failed": list(failed),
-        **judged_summary(judged),
-    }
-    return Judgement(result, failed)
+    scored, sources, failed = _compare(folder, opened.trials, failures)
+    return JudgeResult(
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+        program=f"cellapp {__version__}",
+        source=source,
+        judged_by_other_source=sum(other != source for other in sources),
+        jobs=jobs,
+        sealed=opened.sealed,
+        failed=failed,
+        **dict(scores(scored)),
+    )
 
 
 def judge_run(folder: Path, source: str) -> None:
-    """Calibrate one run and search its arms; what was found and how long it took is stored in the run's file.
+    """Calibrate one run, search its arms, and store what was found and how long it took in the run's file.
 
-    ``source`` says which state of the program does it; see ``source_digest``.
+    ``source`` identifies the state of the program; see ``source_digest``.
     """
     with RunFile.open(folder, write=True) as run:
-        calibration = calibrate_run(run)
-        readings = {name: run.readings(name) for name in calibration.model.arms}
-        known = circumstances_of_arms(calibration.model.arms, readings)
+        calibrate_run(run)
+        calibrated = read_stages(run).current[CALIBRATE]
+        model = CellModel.from_json(calibrated.model or "", str(folder))
+        readings = {name: run.readings(name) for name in model.arms}
+        known = circumstances_of_arms(model.arms, readings)
         arms = {}
-        for name, model in calibration.model.arms.items():
+        for name, arm in model.arms.items():
             wall_s, cpu_s = time.perf_counter(), time.process_time()
-            found = discover_arm(run.profile, name, model, readings[name], known=known[name])
-            spent = {"seconds": time.perf_counter() - wall_s, "cpu_seconds": time.process_time() - cpu_s}
-            content = found.as_dict()
-            content.pop("pictures", None)  # large, and drawn anew by 'discover'
-            arms[name] = {**content, **spent}
-        stored = {
-            "written": datetime.now(UTC).isoformat(timespec="seconds"),
-            "program": f"cellapp {__version__}",
-            "source": source,
-            "arms": arms,
-        }
-        run.write_result(TRIAL_RESULT, json.dumps(stored))
+            found = discover_arm(run.profile, name, arm, readings[name], known=known[name])
+            arms[name] = StoredFindings(
+                seconds=time.perf_counter() - wall_s,
+                cpu_seconds=time.process_time() - cpu_s,
+                # pictures are large, and 'discover' draws them again
+                discovery=arm_result(found).model_copy(update={"pictures": ()}),
+            )
+        stored = StoredTrial(
+            written=datetime.now(UTC).isoformat(timespec="seconds"),
+            program=f"cellapp {__version__}",
+            source=source,
+            arms=arms,
+        )
+        run.write_result(TRIAL_RESULT, stored.model_dump_json(by_alias=True))
 
 
 def source_digest() -> str:
-    """Short SHA-256 of the modules that calibrate and search, so that results of different states are told apart."""
+    """Short SHA-256 of the modules that calibrate and search: it distinguishes results of different program states."""
     root = Path(cellapp.__file__).parent
     found = hashlib.sha256()
     for package in _SEARCHING:
@@ -136,12 +159,14 @@ def source_digest() -> str:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _stored(folder: Path) -> dict[str, Any] | None:
-    """What was found in a run, or None."""
+def _stored(folder: Path) -> StoredTrial | None:
+    """What was found in a run; None where nothing is stored, or by a version that this one cannot read."""
     with RunFile.open(folder) as run:
         text = run.read_result(TRIAL_RESULT)
-    found: dict[str, Any] | None = None if text is None else json.loads(text)
-    return found
+    try:
+        return None if text is None else StoredTrial.model_validate_json(text)
+    except ValidationError:
+        return None
 
 
 def _judge_all(
@@ -158,8 +183,8 @@ def _judge_all(
     # not forked: BLAS reads the number of its threads when it is loaded
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, context, initializer=_ignore_ctrl_c)
-    with _environment(_ONE_THREAD), pool, _ended_with_us():
-        with _deaf_to_ctrl_c():  # the first task starts all processes
+    with _environment(_ONE_THREAD), pool, _children_terminated_on_error():
+        with _ctrl_c_blocked():  # the first task starts all processes
             for run in islice(waiting, jobs):
                 under_way[pool.submit(judge_run, run, source)] = run
         while under_way:
@@ -170,7 +195,7 @@ def _judge_all(
                 if isinstance(error, BrokenProcessPool):
                     cancel.check()
                     raise CellappError(
-                        f"{run}: the process that judged it ended by itself, perhaps for lack of memory;"
+                        f"{run}: the process that judged it was ended from outside, perhaps for lack of memory;"
                         " what was judged is kept: judge again with fewer --jobs"
                     )
                 if error is not None:
@@ -185,8 +210,8 @@ def _judge_all(
 
 
 @contextmanager
-def _deaf_to_ctrl_c() -> Iterator[None]:
-    """Processes started in here leave Ctrl-C, which reaches the whole group, to this one; it hears it afterwards."""
+def _ctrl_c_blocked() -> Iterator[None]:
+    """Block Ctrl-C, which reaches the whole process group, for processes started inside; it is delivered afterwards."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows: see the pool's initializer
         yield
         return
@@ -203,8 +228,8 @@ def _ignore_ctrl_c() -> None:
 
 
 @contextmanager
-def _ended_with_us() -> Iterator[None]:
-    """Whatever ends this block early also ends the processes started in it; a run's file survives that."""
+def _children_terminated_on_error() -> Iterator[None]:
+    """Terminate the processes started inside if the block ends with an exception; a run's file survives that."""
     before = set(multiprocessing.active_children())
     try:
         yield
@@ -216,7 +241,7 @@ def _ended_with_us() -> Iterator[None]:
 
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Environment variables for processes that are started meanwhile."""
+    """Set environment variables for processes that are started inside."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:
@@ -230,10 +255,10 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 
 
 def _compare(
-    folder: Path, truths: Sequence[Truth], failures: Mapping[str, str]
-) -> tuple[list[Judged], tuple[str, ...]]:
-    """Truth and finding of every run that was judged, and a sentence for each that was not."""
-    judged, failed = [], []
+    folder: Path, truths: Sequence[GroundTruth], failures: Mapping[str, str]
+) -> tuple[list[ScoredRun], list[str], tuple[str, ...]]:
+    """Score every run that was judged; also the program's state for each, and a sentence for each other run."""
+    scored, sources, failed = [], [], []
     for truth in truths:
         path = folder / truth.run
         if not path.is_dir():
@@ -246,26 +271,26 @@ def _compare(
         if stored is None or truth.run in failures:
             failed.append(f"{truth.run}: {failures.get(truth.run, 'not judged')}")
             continue
-        arms = {name: _found(arm) for name, arm in stored["arms"].items()}
-        judged.append(Judged(truth, arms, stored["source"]))
-    return judged, tuple(failed)
+        arms = {name: _findings(arm, truth.held_out_um[name]) for name, arm in stored.arms.items()}
+        scored.append(score_run(truth, arms))
+        sources.append(stored.source)
+    return scored, sources, tuple(failed)
 
 
-def _found(arm: Mapping[str, Any]) -> Found:
-    """What was found in an arm, from what its run holds."""
-    said = [
-        (str(entry["where"].get("channel", "")), tuple(entry["where"].get("variables", ())))
-        for entry in arm["accepted"]
-        if entry["effect"] == UNKNOWN
-    ]
-    return Found(
-        accepted=tuple(entry["effect"] for entry in arm["accepted"]),
-        answer_sets=tuple(tuple(entry["answer_set"]) for entry in arm["accepted"]),
-        described=tuple(said),
-        verdict=arm["verdict"],
-        before_um=arm["heldout_mm"]["before"] * 1e3,
-        after_um=arm["heldout_mm"]["after"] * 1e3,
-        floor_um=arm["noise_floor_mm"] * 1e3,
-        seconds=arm["seconds"],
-        cpu_seconds=arm["cpu_seconds"],
+def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
+    """What was found in an arm, beside the rms length of the noise drawn at its held-out stops [um]."""
+    found = stored.discovery
+    return ArmFindings(
+        accepted=tuple(effect.effect for effect in found.accepted),
+        answer_sets=tuple(effect.answer_set for effect in found.accepted),
+        described=tuple(
+            DescribedTerm(channel=effect.where.channel or "", variables=effect.where.variables or ())
+            for effect in found.accepted
+            if effect.effect == UNKNOWN
+        ),
+        verdict=found.verdict,
+        heldout_um=BeforeAfter(before=found.heldout_mm.before * 1e3, after=found.heldout_mm.after * 1e3),
+        noise_um=NoiseLengths(stated=(found.noise_floor_mm or math.nan) * 1e3, drawn=drawn_um),
+        seconds=stored.seconds,
+        cpu_seconds=stored.cpu_seconds,
     )

@@ -1,6 +1,6 @@
-"""Links that fail: two emulated UR controllers, the real client, faults at random; what is reported, and how soon.
+"""Link failures: two emulated UR controllers, the real client, random faults; what is reported, and how soon.
 
-Nothing here needs hardware. The controllers run in a process of their own on two loopback addresses.
+This needs no hardware. The controllers run in their own process on two loopback addresses.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from cellapp.errors import HardwareError
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import Record, Result
 from drivers.arms.protocol import ArmError, EmergencyStop, JointLimits, LinkLost, ProtectiveStop
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
@@ -37,20 +38,26 @@ Moment = Literal["before", "during", "after"]
 MOMENTS: tuple[Moment, ...] = ("before", "during", "after")
 
 HOSTS = {"left": "127.0.0.2", "right": "127.0.0.3"}
-"""Loopback addresses of the two arms; the client knows the standard ports only."""
-_WHO: Mapping[str, tuple[Series, str, str]] = {
+"""Loopback addresses of the two arms: two, as the client uses the standard ports only."""
+_CONTROLLERS: Mapping[str, tuple[Series, str, str]] = {
     "left": ("CB3", "UR10", "20150000001"),
     "right": ("e-Series", "UR5", "20200000002"),
 }
 _HOME = np.array([0.0, -math.pi / 2.0, 0.0, -math.pi / 2.0, 0.0, 0.0])
 _REACH_RAD = 0.35
+"""Largest distance of a goal from home: motions of about a second."""
 _FAR_RAD = 1.6
+"""Length of a motion that a fault interrupts: it lasts longer than any fault needs to take effect."""
 _SPEED, _ACCELERATION = 2.0, 6.0
 _SETTLE_S = 0.1
 _MOVE_WITHIN_S = 15.0
+"""No motion of the trial takes longer, not even with a slow program start."""
 _STEP_WITHIN_S = 60.0
+"""No step takes longer, with fault, repair and connecting."""
 _UNDER_WAY_RAD = 0.15
+"""An arm that has moved this far is surely in motion."""
 _WATCHED_S = 0.25
+"""Time for which arms are watched after a fault: several cycles of every link."""
 _BRAKES_WITHIN_S = 1.0
 _POLL_S = 0.002
 _START_DELAY_S = 0.05
@@ -58,7 +65,7 @@ _START_DELAY_S = 0.05
 
 @dataclass(frozen=True)
 class _Fault:
-    """Commands to the emulated controller, and what the driver is to make of them."""
+    """Commands to the emulated controller, and the error that the driver must report."""
 
     commands: tuple[tuple[str, *tuple[object, ...]], ...]
     error: type[ArmError]
@@ -75,20 +82,20 @@ FAULTS: Mapping[str, _Fault] = {
     "protective stop": _Fault((("protective", "now"),), ProtectiveStop),
     "emergency stop": _Fault((("estop",),), EmergencyStop),
 }
-"""What strikes; the driver's process is killed for "client killed"."""
+"""Faults by name; for "client killed" the driver's worker process is killed."""
 
 
 @dataclass(frozen=True)
 class Struck:
-    """One fault and what came of it.
+    """One fault and its consequences.
 
     Attributes
     ----------
     reported_s, at_rest_s : float
-        From the fault to the driver's report, and to the arm's rest as its controller knows it [s]; the latter says
-        something for faults during a motion only.
+        From the fault to the driver's report, and to the arm at rest according to its controller [s]; the latter is
+        meaningful for faults during a motion only.
     recovered_s : float
-        From the call of ``connect``, after a person had mended all, to an arm that may move [s].
+        From the call of ``connect``, after the operator's repair, to an arm that may move [s].
     """
 
     fault: str
@@ -99,9 +106,50 @@ class Struck:
     recovered_s: float
 
 
+class Times(Record):
+    """Statistics of n times [s]."""
+
+    median: float
+    p95: float
+    max: float
+    n: int
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Times | None:
+        """Statistics of times; None of none."""
+        if not values:
+            return None
+        return cls(
+            median=float(np.median(values)), p95=float(np.quantile(values, 0.95)), max=max(values), n=len(values)
+        )
+
+
+class FaultTimes(Record):
+    """Times after one kind of fault [s]: to the report, to rest (faults during a motion only), to ready again."""
+
+    reported_s: Times | None
+    at_rest_s: Times | None
+    recovered_s: Times | None
+
+
+class LinksResult(Result):
+    """``trials links``: times, and what did not happen as specified (``complaints``, empty if nothing)."""
+
+    schema_: Literal["cellapp-trials-links"] = "cellapp-trials-links"
+    version: Literal[1] = 1
+    moves: int
+    faults: int
+    complaints: tuple[str, ...]
+    connect_s: Times | None
+    state_s: Times | None
+    move_overhead_s: Times | None
+    longest_step_s: float
+    by_fault: Mapping[str, FaultTimes]
+
+
 @dataclass
-class LinkTrial:
-    """What a trial saw. ``complaints`` is empty if all that was promised held."""
+class LinkLog:
+    """What is recorded during a trial; ``result`` summarises it."""
 
     moves: int = 0
     struck: list[Struck] = field(default_factory=list)
@@ -111,41 +159,27 @@ class LinkTrial:
     overhead_s: list[float] = field(default_factory=list)
     longest_step_s: float = 0.0
 
-    def as_dict(self) -> dict[str, Any]:
-        """The object that ``--json`` writes; times in s: median, 95 % quantile, largest, count."""
-        return {
-            "schema": "cellapp-trials-links",
-            "version": 1,
-            "moves": self.moves,
-            "faults": len(self.struck),
-            "complaints": self.complaints,
-            "connect_s": _spread(self.connect_s),
-            "state_s": _spread(self.state_s),
-            "move_overhead_s": _spread(self.overhead_s),
-            "longest_step_s": self.longest_step_s,
-            "by_fault": {
-                fault: {
-                    "reported_s": _spread([one.reported_s for one in self.struck if one.fault == fault]),
-                    "at_rest_s": _spread(
-                        [one.at_rest_s for one in self.struck if one.fault == fault and one.moment == "during"]
-                    ),
-                    "recovered_s": _spread([one.recovered_s for one in self.struck if one.fault == fault]),
-                }
-                for fault in FAULTS
-                if any(one.fault == fault for one in self.struck)
+    def result(self) -> LinksResult:
+        """The summary."""
+        by_fault = {fault: [one for one in self.struck if one.fault == fault] for fault in FAULTS}
+        return LinksResult(
+            moves=self.moves,
+            faults=len(self.struck),
+            complaints=tuple(self.complaints),
+            connect_s=Times.of(self.connect_s),
+            state_s=Times.of(self.state_s),
+            move_overhead_s=Times.of(self.overhead_s),
+            longest_step_s=self.longest_step_s,
+            by_fault={
+                fault: FaultTimes(
+                    reported_s=Times.of([one.reported_s for one in struck]),
+                    at_rest_s=Times.of([one.at_rest_s for one in struck if one.moment == "during"]),
+                    recovered_s=Times.of([one.recovered_s for one in struck]),
+                )
+                for fault, struck in by_fault.items()
+                if struck
             },
-        }
-
-
-def _spread(values: Sequence[float]) -> dict[str, float | int] | None:
-    if not values:
-        return None
-    return {
-        "median": float(np.median(values)),
-        "p95": float(np.quantile(values, 0.95)),
-        "max": max(values),
-        "n": len(values),
-    }
+        )
 
 
 def link_trials(
@@ -155,11 +189,11 @@ def link_trials(
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
     hosts: Mapping[str, str] = HOSTS,
-) -> LinkTrial:
+) -> LinksResult:
     """Move two arms at once, ``moves`` motions in all; one in ``every`` meets a random fault at a random moment.
 
-    ``hosts`` has an address for ``left`` and one for ``right``. After a fault both arms are told to stop and watched
-    for a while; then it is mended, as a person would, and the struck arm connected anew.
+    ``hosts`` has an address for ``left`` and one for ``right``. After a fault both arms are stopped and watched; then
+    the fault is repaired as an operator would, and the affected arm is connected again.
 
     Raises
     ------
@@ -169,7 +203,7 @@ def link_trials(
     """
     cancel = cancel or CancelToken()
     random = np.random.default_rng(seed)
-    trial = LinkTrial()
+    trial = LinkLog()
     steps = max(1, moves // len(hosts))
     between = max(1, every // len(hosts))
     faults = _shuffled(random)
@@ -180,7 +214,7 @@ def link_trials(
             raise HardwareError(f"the emulated controllers do not start: {error}") from error
         arms = {name: _driver(name, host) for name, host in hosts.items()}
         for arm in arms.values():
-            stack.callback(_let_go, arm)
+            stack.callback(_disconnect, arm)
             began = time.monotonic()
             arm.connect()
             trial.connect_s.append(time.monotonic() - began)
@@ -191,7 +225,7 @@ def link_trials(
             began = time.monotonic()
             if step % between == between - 1:
                 fault, moment = faults()
-                bench.meet(fault, moment, str(random.choice(list(hosts))))
+                bench.cause_fault(fault, moment, str(random.choice(list(hosts))))
             else:
                 bench.step()
             took = time.monotonic() - began
@@ -200,11 +234,11 @@ def link_trials(
                 trial.complaints.append(f"step {step + 1} took {took:.0f} s")
             trial.moves += len(hosts)
         listener(Progress("links", steps * len(hosts), steps * len(hosts), "done"))
-    return trial
+    return trial.result()
 
 
 def _shuffled(random: np.random.Generator) -> Callable[[], tuple[str, Moment]]:
-    """All pairs of fault and moment in random order, again and again."""
+    """Draws pairs of fault and moment: all in random order, then all again."""
     pairs = [(fault, moment) for fault in FAULTS for moment in MOMENTS]
     left: list[tuple[str, Moment]] = []
 
@@ -219,13 +253,13 @@ def _shuffled(random: np.random.Generator) -> Callable[[], tuple[str, Moment]]:
 def _controllers(hosts: Mapping[str, str]) -> list[ControllerConfig]:
     quick: dict[str, Any] = {"boot_s": 0.3, "brake_release_s": 0.2, "unlock_after_s": 0.5}
     return [
-        ControllerConfig(name, host, personality(*_WHO[name]), start_delay_s=_START_DELAY_S, **quick)
+        ControllerConfig(name, host, personality(*_CONTROLLERS[name]), start_delay_s=_START_DELAY_S, **quick)
         for name, host in hosts.items()
     ]
 
 
 def _driver(name: str, host: str) -> UrArm:
-    series, model, serial = _WHO[name]
+    series, model, serial = _CONTROLLERS[name]
     limits = JointLimits(np.tile([-2.0 * math.pi, 2.0 * math.pi], (6, 1)), np.full(6, 3.0), np.full(6, 8.0))
     expected = UrExpectation(
         model=model if series == "CB3" else f"{model}e",
@@ -237,28 +271,28 @@ def _driver(name: str, host: str) -> UrArm:
     return UrArm(name, UrSettings(host=host, settle_time=_SETTLE_S), expected)
 
 
-def _let_go(arm: UrArm) -> None:
+def _disconnect(arm: UrArm) -> None:
     with suppress(ArmError):
         arm.disconnect()
 
 
-def travel_s(way: float, speed: float, acceleration: float) -> float:
-    """Time of the fastest motion over ``way`` [rad] from rest to rest: a trapezium of speed, or a triangle."""
-    if way * acceleration < speed * speed:
-        return 2.0 * math.sqrt(way / acceleration)
-    return way / speed + speed / acceleration
+def travel_s(distance: float, speed: float, acceleration: float) -> float:
+    """Time of the fastest motion over ``distance`` [rad] from rest to rest: trapezoidal or triangular speed profile."""
+    if distance * acceleration < speed * speed:
+        return 2.0 * math.sqrt(distance / acceleration)
+    return distance / speed + speed / acceleration
 
 
 class _Bench:
-    """The two arms and what happens to them."""
+    """The two arms under test."""
 
     def __init__(
-        self, trial: LinkTrial, emulator: EmulatorProcess, arms: Mapping[str, UrArm], random: np.random.Generator
+        self, trial: LinkLog, emulator: EmulatorProcess, arms: Mapping[str, UrArm], random: np.random.Generator
     ) -> None:
         self._trial, self._emulator, self._arms, self._random = trial, emulator, arms, random
 
     def step(self) -> None:
-        """Both arms go somewhere near, together."""
+        """Move both arms together to nearby goals."""
         goals = {name: _HOME + self._random.uniform(-_REACH_RAD, _REACH_RAD, 6) for name in self._arms}
         try:
             ideal, began = 0.0, time.monotonic()
@@ -273,15 +307,15 @@ class _Bench:
             for name, arm in self._arms.items():
                 away = float(np.abs(arm.wait_settled(_MOVE_WITHIN_S).q - goals[name]).max())
                 if away > 1e-6:
-                    self._complain(f"arm {name} rests {away:.1e} rad from where it was sent, and nothing was said")
+                    self._complain(f"arm {name} rests {away:.1e} rad from its goal, and nothing was reported")
             self._trial.overhead_s.append(time.monotonic() - began - ideal - _SETTLE_S)
         except ArmError as error:
             self._complain(f"without a fault: {error}")
             self._stop_all()
             self._reconnect()
 
-    def meet(self, fault: str, moment: Moment, name: str) -> None:
-        """One motion of both arms that meets a fault."""
+    def cause_fault(self, fault: str, moment: Moment, name: str) -> None:
+        """Move both arms and cause a fault."""
         what = f"{fault} {moment} a motion of arm {name}"
         if moment != "before":
             for other in self._arms.values():
@@ -311,9 +345,9 @@ class _Bench:
             self._complain(f"{what}: the report does not name the arm: {error}")
         for other_name, other in self._arms.items():
             if other_name != name and not self._well(other):
-                self._complain(f"{what}: arm {other_name} suffered too")
-        self._mend(name)
-        self._stays(f"{what}, mended", self._arms)
+                self._complain(f"{what}: arm {other_name} is affected too")
+        self._repair(name)
+        self._stays(f"{what}, repaired", self._arms)
         recovered = self._reconnect()
         self._stays(f"{what}, connected", self._arms)
         self._emulator.control(name, "start-delay", _START_DELAY_S)
@@ -321,7 +355,7 @@ class _Bench:
         self._home()
 
     def _outcome(self, name: str, moment: Moment) -> tuple[ArmError | None, float]:
-        """What the driver says, and when: of the motion under way, else of the next one."""
+        """The driver's error and when it came: of the motion under way, else of the next one."""
         arm = self._arms[name]
         try:
             if moment == "during":
@@ -351,7 +385,7 @@ class _Bench:
         return time.monotonic()
 
     def _watch_rest(self, name: str, struck: float) -> float:
-        """How long the arm went on after the fault, as its controller knows; nobody has asked the driver yet."""
+        """Time from the fault to the arm at rest [s], from its controller; the driver is not called meanwhile."""
         deadline = struck + _MOVE_WITHIN_S
         while self._emulator.control(name, "status")["moving"]:
             if time.monotonic() > deadline:
@@ -375,7 +409,7 @@ class _Bench:
                 arm.stop()
 
     def _stays(self, when: str, names: Mapping[str, UrArm]) -> None:
-        """Nothing moves, and nothing begins to."""
+        """Check that nothing moves, and that nothing starts to."""
         deadline = time.monotonic() + _BRAKES_WITHIN_S
         while any(self._emulator.control(name, "status")["moving"] for name in names):
             if time.monotonic() > deadline:
@@ -387,10 +421,10 @@ class _Bench:
         for name in names:
             now = self._emulator.control(name, "status")
             if now["moving"] or now["q"] != before[name]["q"] or now["moves"] != before[name]["moves"]:
-                self._complain(f"{when}: arm {name} moved by itself")
+                self._complain(f"{when}: arm {name} moved without a command")
 
-    def _mend(self, name: str) -> None:
-        """What a person does at the pendant and at the plugs."""
+    def _repair(self, name: str) -> None:
+        """Repair a fault as an operator would at the pendant and the cables."""
         control = self._emulator.control
         control(name, "fault", "*", "none")
         control(name, "release")
@@ -402,7 +436,7 @@ class _Bench:
             if status["robot_mode"] == "RUNNING" and status["safety_mode"] == "NORMAL":
                 return
             if time.monotonic() > deadline:
-                self._complain(f"arm {name} could not be mended: {status['robot_mode']}, {status['safety_mode']}")
+                self._complain(f"arm {name} could not be repaired: {status['robot_mode']}, {status['safety_mode']}")
                 return
             time.sleep(_POLL_S)
 
@@ -412,7 +446,7 @@ class _Bench:
             try:
                 arm.connect()
             except ArmError as error:
-                self._complain(f"could not be connected anew: {error}")
+                self._complain(f"could not be connected again: {error}")
         return time.monotonic() - began
 
     def _home(self) -> None:

@@ -1,4 +1,4 @@
-"""Readings of a simulated cell in one go, for trials: what collecting the plan would give, without the moving."""
+"""Readings of a simulated cell for trials: as collecting the plan would give them, without simulated motion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cellapp.safety.cell_bodies import home_positions
 def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dict[str, Readings]:
     """Readings of all arms at ``plan`` (name -> (n, N) [rad]), noise drawn by ``seed``, splits by the profile's seed.
 
-    Joints arrive from the stop before; the first stop is reached from home.
+    Joints approach each stop from the one before, the first stop from home.
     """
     plant = build_plant(profile)
     homes = home_positions(profile)

@@ -1,17 +1,16 @@
-"""The paper's comparison of three methods, over many simulated cells instead of one real one.
+"""The comparison of three methods of Bai et al., ROBOT 45(3), 2023, over many simulated cells.
 
-Every seed is another cell: other true arms, bases, plan, noise and splits; the hidden physics is the profile's. Beside
-the three methods of Bai et al. (2023), each seed also carries the tracker round the cell and lays it on its side (as on
-a horizontal stand), so that its frame differs in every axis, and asks what the two networks do there: the one trained
-in the base frame must still help, the one trained in the tracker frame must not.
+Every seed is another cell: other true arms, bases, plan, noise and splits; the hidden physics is the profile's. Each
+seed also moves the tracker to another station, lying on its side, so that its frame differs in every axis, and
+evaluates both networks there: the one trained in the base frame must still help, the one trained in the tracker frame
+must not.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
@@ -21,39 +20,57 @@ from cellapp.kinematics.transforms import Array, apply, register
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Pose, Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import Method, Record, Result
 from cellapp.run import Readings
 from cellapp.trials.measured import measured_plan
 
 PAPER_COOPERATIVE_MM = {"method_1": 0.2319, "method_2": 0.4669, "proposed": 0.1676}
+"""Mean cooperative errors of Bai et al., ROBOT 45(3), 2023."""
+PAPER_GAIN = 0.277
+"""Share of method 1's error that their proposed method removes."""
+_METHODS: tuple[Method, ...] = ("nominal", "method_1", "method_2", "proposed")
 _STATIONS = (math.radians(70.0), math.radians(-70.0))
+"""Angles about the cell's z axis to the moved tracker stations: far to one side or the other."""
 
 
-@dataclass(frozen=True)
-class PaperTrial:
-    """One seed: mean cooperative errors by method [mm], arms' mean position errors by stage, and at the moved station.
+class PaperTrial(Record):
+    """One seed.
 
-    ``moved_mm`` is arm -> {geometry, base_frame, tracker_frame} -> mean position error [mm] at the moved station.
+    Attributes
+    ----------
+    gain : float
+        Share of method 1's cooperative error that the proposed method removes.
+    cooperative_mm : mapping
+        Method -> mean cooperative error [mm].
+    position_mm : mapping
+        Arm -> model stage -> mean position error [mm].
+    moved_mm : mapping
+        Arm -> geometry, base_frame or tracker_frame -> mean position error [mm] at the moved tracker station.
     """
 
     seed: int
+    gain: float
     cooperative_mm: Mapping[str, float]
     position_mm: Mapping[str, Mapping[str, float]]
     moved_mm: Mapping[str, Mapping[str, float]]
 
-    @property
-    def gain(self) -> float:
-        """How much of method 1's error the proposed method removes."""
-        return 1.0 - self.cooperative_mm["proposed"] / self.cooperative_mm["method_1"]
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "seed": self.seed,
-            "gain": self.gain,
-            "cooperative_mm": dict(self.cooperative_mm),
-            "position_mm": {name: dict(stages) for name, stages in self.position_mm.items()},
-            "moved_mm": {name: dict(ways) for name, ways in self.moved_mm.items()},
-        }
+class BesidePaper(Record):
+    """Median and worst over the seeds, and the paper's figure where it has one."""
+
+    median: float
+    worst: float
+    paper: float | None
+
+
+class PaperResult(Result):
+    """``trials paper``: cooperative errors by method, the gain of the proposed method, and every seed."""
+
+    schema_: Literal["cellapp-trials-paper"] = "cellapp-trials-paper"
+    version: Literal[1] = 1
+    cooperative_mm: Mapping[str, BesidePaper]
+    gain: BesidePaper
+    trials: tuple[PaperTrial, ...]
 
 
 def paper_trials(
@@ -82,25 +99,25 @@ def paper_trial(profile: Profile, seed: int, cancel: CancelToken | None = None) 
         raise ValueError("; ".join(calibration.notes))
     methods = calibration.pair.methods
     first = methods["method_1"].by_distances.mean
-    cooperative = {
-        name: methods[name].by_distances.mean if name in methods else first
-        for name in ("nominal", "method_1", "method_2", "proposed")
+    cooperative: dict[str, float] = {
+        name: methods[name].by_distances.mean if name in methods else first for name in _METHODS
     }
     elsewhere = _moved(profile, seed)
-    there = measured_plan(elsewhere, plan, seed + 1)
+    seen_elsewhere = measured_plan(elsewhere, plan, seed + 1)
     return PaperTrial(
         seed=seed,
+        gain=1.0 - cooperative["proposed"] / cooperative["method_1"],
         cooperative_mm=cooperative,
         position_mm={
-            name: {stage: errors["position_mm"]["mean"] for stage, errors in arm.validate.items()}
+            name: {stage: errors.position_mm.mean for stage, errors in arm.validate.items()}
             for name, arm in calibration.arms.items()
         },
-        moved_mm={name: _at_other_station(arm, there[name]) for name, arm in calibration.arms.items()},
+        moved_mm={name: _at_other_station(arm, seen_elsewhere[name]) for name, arm in calibration.arms.items()},
     )
 
 
 def _moved(profile: Profile, seed: int) -> Profile:
-    """The same cell with the tracker carried round it to one side and laid on its side."""
+    """The same cell with the tracker moved to one side of it and laid on its side."""
     pose = profile.tracker.pose
     if pose is None:
         raise ValueError("the profile does not say where the tracker stands")
@@ -114,7 +131,7 @@ def _moved(profile: Profile, seed: int) -> Profile:
 
 
 def _at_other_station(arm: ArmCalibration, readings: Readings) -> dict[str, float]:
-    """Mean errors on held-out stops seen from another station, the base found again there from geometry alone."""
+    """Mean errors [mm] on held-out stops from another station, the base registered there from geometry alone."""
     learn, held_out = readings.in_split("identify"), readings.in_split("validate")
     p_B = smr_positions(arm.model.geometry.with_T_M_B(np.eye(4)), readings.q)
     T_M_B = register(readings.p_M[learn], p_B[learn])
@@ -131,21 +148,17 @@ def _at_other_station(arm: ArmCalibration, readings: Readings) -> dict[str, floa
     return errors
 
 
-def summary(trials: Sequence[PaperTrial]) -> dict[str, Any]:
-    """The object that ``--json`` writes: median and worst over the seeds, and every seed."""
+def paper_result(trials: Sequence[PaperTrial]) -> PaperResult:
+    """Median and worst over the seeds beside the paper's figures."""
     gains = [trial.gain for trial in trials]
-    methods = {
-        name: {
-            "median": float(np.median([trial.cooperative_mm[name] for trial in trials])),
-            "worst": float(np.max([trial.cooperative_mm[name] for trial in trials])),
-            "paper": PAPER_COOPERATIVE_MM.get(name),
-        }
-        for name in ("nominal", "method_1", "method_2", "proposed")
-    }
-    return {
-        "schema": "cellapp-trials-paper",
-        "version": 1,
-        "cooperative_mm": methods,
-        "gain": {"median": float(np.median(gains)), "worst": float(np.min(gains)), "paper": 0.277},
-        "trials": [trial.as_dict() for trial in trials],
-    }
+    errors = {method: [trial.cooperative_mm[method] for trial in trials] for method in _METHODS}
+    return PaperResult(
+        cooperative_mm={
+            method: BesidePaper(
+                median=float(np.median(values)), worst=max(values), paper=PAPER_COOPERATIVE_MM.get(method)
+            )
+            for method, values in errors.items()
+        },
+        gain=BesidePaper(median=float(np.median(gains)), worst=min(gains), paper=PAPER_GAIN),
+        trials=tuple(trials),
+    )

@@ -1,15 +1,16 @@
-"""The paper's comparison of the redundant with the reduced model: iterations, mean and maximum error.
+"""Redundant against reduced parameter sets, as in Bai et al., ROBOT 45(3), 2023: iterations, mean and maximum error.
 
-Two solvers are shown. ``plain`` is the paper's: Gauss-Newton by unscaled least squares that trusts every direction,
-stopped at |dg| < 1e-5 or after 1000 iterations; on the redundant model its steps along what the data cannot tell never
-end. ``cellapp`` is this program's, which takes the shortest step where the normal matrix is singular.
+Two solvers are compared. ``plain`` is the paper's: unscaled Gauss-Newton least squares without regularisation, stopped
+at |dg| < 1e-5 or after 1000 iterations; on the redundant model its steps along unobservable directions do not end.
+``cellapp`` is this program's, which takes the minimum-norm step where the normal matrix is singular.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -23,15 +24,16 @@ from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import Record, Result
 from cellapp.trials.coverage import bare_profile
 
 PAPER_TOLERANCE = 1e-5
 PAPER_ITERATIONS = 1000
+"""The paper's stopping rule."""
 
 
-@dataclass(frozen=True)
-class SetTrial:
-    """One parameter set with one solver: median over seeds, and how often it converged."""
+class ParameterSetTrial(Record):
+    """One parameter set with one solver: medians over seeds, and how often it converged."""
 
     parameter_set: str
     solver: str
@@ -42,13 +44,17 @@ class SetTrial:
     mean_mm: float
     max_mm: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
+
+class ParameterSetsResult(Result):
+    """``trials parameter-sets``: every arm with every parameter set and solver."""
+
+    schema_: Literal["cellapp-trials-parameter-sets"] = "cellapp-trials-parameter-sets"
+    version: Literal[1] = 1
+    arms: Mapping[str, tuple[ParameterSetTrial, ...]]
 
 
 def plain_gauss_newton(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> tuple[Geometry, int, bool]:
-    """The paper's iteration, without any guard against dependent columns, until |dg| < 1e-5.
+    """The paper's iteration, without regularisation of dependent columns, until |dg| < 1e-5.
 
     Returns the last finite geometry, the iterations and whether it converged.
     """
@@ -68,6 +74,18 @@ def plain_gauss_newton(start: Geometry, q: Array, p_M: Array, chosen: ParameterS
     return geometry, PAPER_ITERATIONS, False
 
 
+def parameter_set_trials(
+    profile: Profile, seeds: Sequence[int], listener: Listener = ignore, cancel: CancelToken | None = None
+) -> ParameterSetsResult:
+    """Compare parameter sets for every arm of the profile."""
+    return ParameterSetsResult(
+        arms={
+            arm: tuple(compare_parameter_sets(profile, arm, seeds, listener=listener, cancel=cancel))
+            for arm in profile.arms
+        }
+    )
+
+
 def compare_parameter_sets(
     profile: Profile,
     arm: str,
@@ -76,52 +94,63 @@ def compare_parameter_sets(
     validate_stops: int = 100,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-) -> list[SetTrial]:
+) -> list[ParameterSetTrial]:
     """Both solvers on the full, the paper's and the automatic set, over simulated arms of several seeds."""
     cancel = cancel or CancelToken()
     nominal = nominal_arm(profile.arms[arm])
     stops = identify_stops + validate_stops
     q = plan_stops(bare_profile(profile, stops))[arm]
-    here, held_out = q[:identify_stops], q[identify_stops:]
-    results: dict[tuple[str, str], list[tuple[int, int, bool, float, float]]] = {}
+    learn, held_out = q[:identify_stops], q[identify_stops:]
+    solutions: dict[tuple[str, str], list[_Solution]] = {}
     for done, seed in enumerate(seeds):
         cancel.check()
         listener(Progress("parameter sets", done, len(seeds), f"seed {seed}"))
         plant = build_plant(bare_profile(profile, stops, plant_seed=seed))
         noisy, _ = plant.measure_positions(plant.smr_positions(arm, q), np.random.default_rng([profile.seed, seed]))
-        start = start_from_nominal(nominal, here, noisy[:identify_stops], tool_unknown=False)
-        sets = [full_set(start), auto_set(start, here)]
+        start = start_from_nominal(nominal, learn, noisy[:identify_stops], tool_unknown=False)
+        sets = [full_set(start), auto_set(start, learn)]
         if nominal.joints == 6:
             sets.insert(1, paper_set(start))
         for chosen in sets:
-            geometry, iterations, converged = plain_gauss_newton(start, here, noisy[:identify_stops], chosen)
-            ours = identify(
-                start,
-                here,
-                noisy[:identify_stops],
-                parameter_set=chosen,
-                tolerance=PAPER_TOLERANCE,
-                max_iterations=PAPER_ITERATIONS,
-            )
-            for solver, found, steps, ended in (
-                ("plain", geometry, iterations, converged),
-                ("cellapp", ours.geometry, ours.iterations, ours.converged),
-            ):
-                error = summarise(position_errors(noisy[identify_stops:], smr_positions(found, held_out)))
-                results.setdefault((chosen.name, solver), []).append(
-                    (len(chosen.columns), steps, ended, error.mean, error.max)
-                )
+            for found in _both_solvers(start, learn, noisy[:identify_stops], chosen):
+                error = summarise(position_errors(noisy[identify_stops:], smr_positions(found.geometry, held_out)))
+                found = replace(found, mean_mm=error.mean, max_mm=error.max)
+                solutions.setdefault((chosen.name, found.solver), []).append(found)
     listener(Progress("parameter sets", len(seeds), len(seeds), "done"))
-    return [
-        SetTrial(
-            parameter_set=name,
-            solver=solver,
-            parameters=rows[0][0],
-            iterations=float(np.median([row[1] for row in rows])),
-            converged=sum(row[2] for row in rows),
-            seeds=len(rows),
-            mean_mm=float(np.median([row[3] for row in rows])),
-            max_mm=float(np.median([row[4] for row in rows])),
-        )
-        for (name, solver), rows in results.items()
-    ]
+    return [_medians(name, solver, found) for (name, solver), found in solutions.items()]
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """One identification, and its held-out errors [mm]."""
+
+    solver: str
+    parameters: int
+    geometry: Geometry
+    iterations: int
+    converged: bool
+    mean_mm: float = math.nan
+    max_mm: float = math.nan
+
+
+def _both_solvers(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> tuple[_Solution, _Solution]:
+    geometry, iterations, converged = plain_gauss_newton(start, q, p_M, chosen)
+    ours = identify(start, q, p_M, parameter_set=chosen, tolerance=PAPER_TOLERANCE, max_iterations=PAPER_ITERATIONS)
+    size = len(chosen.columns)
+    return (
+        _Solution("plain", size, geometry, iterations, converged),
+        _Solution("cellapp", size, ours.geometry, ours.iterations, ours.converged),
+    )
+
+
+def _medians(name: str, solver: str, found: Sequence[_Solution]) -> ParameterSetTrial:
+    return ParameterSetTrial(
+        parameter_set=name,
+        solver=solver,
+        parameters=found[0].parameters,
+        iterations=float(np.median([one.iterations for one in found])),
+        converged=sum(one.converged for one in found),
+        seeds=len(found),
+        mean_mm=float(np.median([one.mean_mm for one in found])),
+        max_mm=float(np.median([one.max_mm for one in found])),
+    )

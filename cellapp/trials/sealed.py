@@ -1,8 +1,8 @@
-"""Sealed trials: runs of simulated cells with hidden effects, and their truth in a file that is opened afterwards.
+"""Blind trials: runs of simulated cells with hidden effects, their ground truth in a sealed file that is opened last.
 
-A folder of trials holds ``run-0001``, ``run-0002`` ..., each a run like one that was imported, ``truth.json``, and
-``seal.txt`` with the SHA-256 of it in the form that ``sha256sum -c`` takes. A run has no section ``plant`` and no seed
-that its truth was drawn from, and trials stand in a drawn order: only ``truth.json`` tells what is hidden in which arm.
+A folder of trials holds ``run-0001``, ``run-0002`` ..., each like an imported run, ``truth.json``, and ``seal.txt``
+with the SHA-256 of it in the form that ``sha256sum -c`` takes. A run has no section ``plant`` and no seed that its
+truth was drawn from, and the runs are in random order: only ``truth.json`` states what is hidden in which arm.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ import math
 import secrets
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import JsonValue
 
 from cellapp import __version__
 from cellapp.calibration.calibrate import rms_length_mm
@@ -32,6 +33,7 @@ from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Arm, Profile, Sensors
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import Record, Result
 from cellapp.run import Readings, RunFile, stated_uncertainty
 from cellapp.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
 from drivers.no_driver import NoDriver
@@ -39,14 +41,13 @@ from drivers.plant import OUTSIDE, REALISTIC, suggest
 
 TRUTH_FILE = "truth.json"
 SEAL_FILE = "seal.txt"
-SCHEMA, VERSION = "cellapp-trials-truth", 1
 
 NOISES: Mapping[str, Noise] = {
     "gaussian": Noise(),
     "heavy": Noise("heavy"),
     "repeatability": Noise("gaussian", 8e-6),
 }
-"""How readings scatter: as stated, with heavy tails, or with 8 urad of each joint that nobody states."""
+"""How readings scatter: as stated, with heavy tails, or with 8 urad unstated repeatability of each joint."""
 
 PAIRS: tuple[tuple[str, str], ...] = (
     ("joint_compliance", "backlash"),
@@ -62,7 +63,7 @@ PAIRS: tuple[tuple[str, str], ...] = (
     ("link_bending", "backlash"),
     ("encoder_eccentricity", "joint_drift"),
 )
-"""Ordinary pairs: each effect acts in its own way."""
+"""Ordinary pairs: neither effect imitates the other."""
 LOOK_ALIKES: tuple[tuple[str, str], ...] = (
     ("joint_compliance", "link_bending"),
     ("backlash", "unsettled_measurement"),
@@ -72,7 +73,7 @@ LOOK_ALIKES: tuple[tuple[str, str], ...] = (
     ("base_drift", "thermal_growth"),
     ("encoder_eccentricity", "transmission_error"),
 )
-"""Pairs of which either imitates a part of the other."""
+"""Pairs of which each imitates a part of the other."""
 
 EXPECTED: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "dress_pack": ("joint 1", ("q1", "q2")),
@@ -82,45 +83,52 @@ EXPECTED: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "wrist_cable": ("joint 6", ("q4",)),
     "draught": ("tracker azimuth", ("time",)),
 }
-"""What a description of each law outside the library must say: channel and variables."""
+"""Channel and variables that a description of each law outside the library must state."""
 
 _IN_THE_LIBRARY = {"tracker_drift": "base_drift"}
-"""What one arm's data cannot tell from another effect goes by the other's name."""
+"""Laws of the plant that one arm's data cannot distinguish from an effect of the library, and that effect."""
 _ONE, _NONE, _OUTSIDE, _PAIR = KINDS = ("one", "none", "outside", "pair")
 MIXED = "mixed"
 _MIXTURE = (_ONE, _ONE, _NONE, _ONE, _OUTSIDE, _ONE, _ONE, _PAIR, _ONE, _NONE)
 _TRIALS_A_PLAN = 25
+"""Runs that share a plan: planning takes longer than measuring a simulated run."""
 _MASS_SHARE = 0.05
+"""Standard deviation of true link masses about the nominal ones: they are never known better."""
 
 
-@dataclass(frozen=True)
-class Hidden:
-    """One hidden effect: its name in the library, as the plant calls it, and how far it moves the SMR.
+class HiddenLaw(Record):
+    """One hidden effect: its name in the library and in the plant, its parameters, and how far it moves the SMR.
 
-    ``raw_um`` is the rms displacement over the run's stops [um], ``visible_um`` what is left of it after the part that
+    ``raw_um`` is the rms displacement over the run's stops [um], ``visible_um`` what remains of it after the part that
     the geometric parameters can follow.
     """
 
     effect: str
     plant: str
-    parameters: Mapping[str, Any]
+    parameters: Mapping[str, JsonValue]
     raw_um: float
     visible_um: float
 
 
-@dataclass(frozen=True)
-class Truth:
+class ExpectedTerm(Record):
+    """Channel and variables that a description of a law outside the library must state."""
+
+    channel: str
+    variables: tuple[str, ...]
+
+
+class GroundTruth(Record):
     """What is true of one sealed run.
 
     Attributes
     ----------
     arm : str
-        Which arm has the effects; empty where nothing is hidden.
+        The arm with the effects; empty where nothing is hidden.
     noise_um, held_out_um : mapping
-        Arm -> rms length [um] of the noise that the readings state, and of the error that was really drawn at the
-        stops of its validate split.
-    expected : mapping or None
-        Channel and variables of a law that the library lacks.
+        Arm -> rms length [um] of the stated noise, and of the error that was really drawn at the stops of its validate
+        split.
+    expected : ExpectedTerm or None
+        For a law that the library lacks.
     readings : str
         SHA-256 of what was measured.
     """
@@ -129,34 +137,49 @@ class Truth:
     kind: str
     look_alikes: bool
     arm: str
-    effects: tuple[Hidden, ...]
-    expected: Mapping[str, Any] | None
+    effects: tuple[HiddenLaw, ...]
+    expected: ExpectedTerm | None
     noise_um: Mapping[str, float]
     held_out_um: Mapping[str, float]
     seeds: Mapping[str, int]
     readings: str
 
 
-@dataclass(frozen=True)
-class Sealed:
-    """A folder of sealed trials: how many runs it holds, and the SHA-256 of the truth."""
+class SealHeader(Record):
+    """How and when the trials were sealed."""
 
-    folder: Path
+    written: str
+    program: str
+    profile: str
+    seed: int
+    kind: str
+    noise: str
     runs: int
-    digest: str
+    stops: int
+
+
+class TruthFile(Result):
+    """The content of ``truth.json``."""
+
+    schema_: Literal["cellapp-trials-truth"] = "cellapp-trials-truth"
+    version: Literal[1] = 1
+    sealed: SealHeader
+    trials: tuple[GroundTruth, ...]
+
+
+class SealResult(Result):
+    """``trials seal``: number of runs, their folder, and the SHA-256 of the truth."""
+
+    schema_: Literal["cellapp-trials-seal"] = "cellapp-trials-seal"
+    version: Literal[1] = 1
+    runs: int
+    folder: str
+    sha256: str
 
 
 @dataclass(frozen=True)
-class Opened:
-    """What ``truth.json`` holds: how the trials were sealed, and each run's truth."""
-
-    sealed: Mapping[str, Any]
-    trials: tuple[Truth, ...]
-
-
-@dataclass(frozen=True)
-class _Case:
-    """What one trial is to hide."""
+class _Design:
+    """What one run shall hide."""
 
     kind: str
     slugs: tuple[str, ...] = ()
@@ -174,8 +197,8 @@ def seal_trials(
     noise: str = "gaussian",
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-) -> Sealed:
-    """Write ``n`` sealed runs into a new folder. Without ``seed`` one is drawn that only ``truth.json`` tells.
+) -> SealResult:
+    """Write ``n`` sealed runs into a new folder. Without ``seed`` one is drawn that only ``truth.json`` states.
 
     ``kind`` is ``one`` (each realistic effect in turn), ``none``, ``outside`` (laws that the library lacks), ``pair``
     or ``mixed``; ``noise`` is one of ``NOISES``.
@@ -183,7 +206,7 @@ def seal_trials(
     Raises
     ------
     InputError
-        If the profile has no simulated cell of two arms, a word is not known, or the folder is not empty.
+        If the profile has no simulated cell of two arms, a word is unknown, or the folder is not empty.
     Cancelled
         On request; nothing is left behind then.
     """
@@ -195,33 +218,28 @@ def seal_trials(
     hidden_masses = profile.plant.geometry.model_copy(update={"mass": _MASS_SHARE})
     plant = profile.plant.model_copy(update={"geometry": hidden_masses, "effects": {}})
     profile = profile.model_copy(update={"plant": plant})
-    build_plant(profile)  # what is wrong with the cell is told before there is a folder
+    build_plant(profile)  # an error in the cell is reported before a folder is made
     made = _new_folder(folder)
     try:
         truths = _write_runs(profile, folder, _cases(tuple(profile.arms), kind, n, seed), seed, noise, listener, cancel)
-        content = {
-            "schema": SCHEMA,
-            "version": VERSION,
-            "sealed": {
-                "written": datetime.now(UTC).isoformat(timespec="seconds"),
-                "program": f"cellapp {__version__}",
-                "profile": profile.name,
-                "seed": seed,
-                "kind": kind,
-                "noise": noise,
-                "runs": n,
-                "stops": profile.plan.stops,
-            },
-            "trials": [asdict(truth) for truth in truths],
-        }
-        data = (json.dumps(content, indent=1) + "\n").encode()
+        header = SealHeader(
+            written=datetime.now(UTC).isoformat(timespec="seconds"),
+            program=f"cellapp {__version__}",
+            profile=profile.name,
+            seed=seed,
+            kind=kind,
+            noise=noise,
+            runs=n,
+            stops=profile.plan.stops,
+        )
+        data = (TruthFile(sealed=header, trials=tuple(truths)).to_json(indent=1) + "\n").encode()
         digest = hashlib.sha256(data).hexdigest()
         (folder / TRUTH_FILE).write_bytes(data)
         (folder / SEAL_FILE).write_text(f"{digest}  {TRUTH_FILE}\n", encoding="utf-8")
-    except BaseException:  # also a Ctrl-C: half a set of trials has no truth and is of no use
+    except BaseException:  # also on Ctrl-C: an incomplete set of trials has no truth
         _take_back(folder, made)
         raise
-    return Sealed(folder, n, digest)
+    return SealResult(runs=n, folder=str(folder), sha256=digest)
 
 
 def check_seal(folder: Path) -> bytes:
@@ -235,7 +253,7 @@ def check_seal(folder: Path) -> bytes:
         If truth and seal do not belong together.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: there is no such folder; 'cellapp trials seal' makes one")
+        raise InputError(f"{folder}: folder not found; 'cellapp trials seal' makes one")
     for name in (TRUTH_FILE, SEAL_FILE):
         if not (folder / name).is_file():
             raise InputError(
@@ -256,20 +274,9 @@ def check_seal(folder: Path) -> bytes:
     return data
 
 
-def open_truth(folder: Path) -> Opened:
+def open_truth(folder: Path) -> TruthFile:
     """Check the seal and open the truth. Raises as ``check_seal``, and ``InputError`` for another version's file."""
-    try:
-        content = json.loads(check_seal(folder))
-        header = (content["schema"], content["version"])
-        if header != (SCHEMA, VERSION):
-            raise InputError(f"{folder / TRUTH_FILE}: expected {SCHEMA} version {VERSION}, got {header[0]} {header[1]}")
-        trials = tuple(
-            Truth(**{**entry, "effects": tuple(Hidden(**one) for one in entry["effects"])})
-            for entry in content["trials"]
-        )
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{folder / TRUTH_FILE}: sealed, but not by this program ({error!r})") from None
-    return Opened(content["sealed"], trials)
+    return TruthFile.from_json(check_seal(folder).decode("utf-8", "replace"), str(folder / TRUTH_FILE))
 
 
 def digest_of(readings: Mapping[str, Readings]) -> str:
@@ -283,7 +290,7 @@ def digest_of(readings: Mapping[str, Readings]) -> str:
 
 
 def without_truth(profile: Profile, number: int) -> Profile:
-    """The profile that a sealed run holds: no section ``plant``, no device, no seed but the run's number."""
+    """The profile of a sealed run: no section ``plant``, no device, the run's number as its seed."""
     arms = {name: arm.model_copy(update={"driver": NoDriver()}) for name, arm in profile.arms.items()}
     return profile.model_copy(
         update={
@@ -308,8 +315,8 @@ def _check_words(kind: str, noise: str) -> None:
             raise InputError(f"--{name}: '{word}' is not known; {name}s are {', '.join(known)}")
 
 
-def _cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[_Case]:
-    """What each run hides: every law of a kind in turn, in the arms by turns, the runs then in a drawn order."""
+def _cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[_Design]:
+    """What each run hides: every law of a kind in turn, in alternating arms; the runs in random order."""
     menus: dict[str, list[tuple[tuple[str, ...], bool]]] = {
         _ONE: [((slug,), False) for slug in REALISTIC],
         _NONE: [((), False)],
@@ -323,9 +330,9 @@ def _cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[_Case]:
         menu, turn = menus[here], counts[here]
         counts[here] += 1
         slugs, look_alikes = menu[turn % len(menu)]
-        # with an even number of laws each would meet the same arm again in every round
+        # with an even number of laws, each would always be hidden in the same arm
         shifted = turn + (turn // len(menu) if len(menu) % 2 == 0 else 0)
-        cases.append(_Case(here, slugs, look_alikes, arms[shifted % len(arms)] if slugs else ""))
+        cases.append(_Design(here, slugs, look_alikes, arms[shifted % len(arms)] if slugs else ""))
     order = np.random.default_rng([seed, 0x0DE2]).permutation(n)
     return [cases[place] for place in order]
 
@@ -333,14 +340,14 @@ def _cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[_Case]:
 def _write_runs(
     profile: Profile,
     folder: Path,
-    cases: Sequence[_Case],
+    cases: Sequence[_Design],
     seed: int,
     noise: str,
     listener: Listener,
     cancel: CancelToken,
-) -> list[Truth]:
+) -> list[GroundTruth]:
     """Write the runs and return their truth."""
-    truths: list[Truth] = []
+    truths: list[GroundTruth] = []
     plan: Mapping[str, Array] = {}
     plan_seed = 0
     for place, case in enumerate(cases):
@@ -359,13 +366,13 @@ def _write_run(
     profile: Profile,
     folder: Path,
     number: int,
-    case: _Case,
+    case: _Design,
     plan: Mapping[str, Array],
     plan_seed: int,
     seed: int,
     noise: str,
-) -> Truth:
-    """One run and what is true of it."""
+) -> GroundTruth:
+    """Write one run and return its ground truth."""
     rng = np.random.default_rng([seed, 0x5EA1, number])
     plant_seed, noise_seed = (int(value) for value in rng.integers(2**31, size=2))
     parameters: dict[str, dict[str, Any]] = {}
@@ -389,9 +396,7 @@ def _write_run(
     for slug in case.slugs:
         without = exact({other: values for other, values in parameters.items() if other != slug})[case.arm]
         moved = with_all[case.arm].p_M - without.p_M
-        seen = beyond_geometry(profile.arms[case.arm], without.q, without.p_M, moved)
-        name = _IN_THE_LIBRARY.get(slug, slug)
-        effects.append(Hidden(name, slug, parameters[slug], _rms_um(moved), _rms_um(seen)))
+        effects.append(_hidden_law(profile.arms[case.arm], slug, parameters[slug], without, moved))
 
     def fill(run: RunFile) -> None:
         for name, arm in readings.items():
@@ -400,13 +405,13 @@ def _write_run(
     RunFile.create(folder, public, fill).close()
     held_out = {name: arm.in_split("validate") for name, arm in readings.items()}
     expected = EXPECTED.get(case.slugs[0]) if case.kind == _OUTSIDE else None
-    return Truth(
+    return GroundTruth(
         run=folder.name,
         kind=case.kind,
         look_alikes=case.look_alikes,
         arm=case.arm,
         effects=tuple(effects),
-        expected=None if expected is None else {"channel": expected[0], "variables": list(expected[1])},
+        expected=None if expected is None else ExpectedTerm(channel=expected[0], variables=expected[1]),
         noise_um={name: _stated_um(arm) for name, arm in readings.items()},
         held_out_um={name: _rms_um((arm.p_M - with_all[name].p_M)[held_out[name]]) for name, arm in readings.items()},
         seeds={"plan": plan_seed, "plant": plant_seed, "noise": noise_seed},
@@ -414,11 +419,22 @@ def _write_run(
     )
 
 
-def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
-    """What is left of displacements ``moved`` (n, 3) [m] after the part that the identifiable geometry can follow.
+def _hidden_law(arm: Arm, slug: str, parameters: Mapping[str, Any], without: Readings, moved: Array) -> HiddenLaw:
+    """One hidden effect; ``without`` are exact readings without it, ``moved`` (n, 3) [m] the displacement by it."""
+    return HiddenLaw(
+        effect=_IN_THE_LIBRARY.get(slug, slug),
+        plant=slug,
+        parameters=_plain(parameters),
+        raw_um=_rms_um(moved),
+        visible_um=_rms_um(beyond_geometry(arm, without.q, without.p_M, moved)),
+    )
 
-    ``q`` (n, N) [rad] are the stops, ``p_M`` (n, 3) [m] where the SMR is at them without that effect. Linear, about the
-    nominal arm set to where it stands: of the displacement the part orthogonal to the Jacobian's columns.
+
+def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
+    """The part of displacements ``moved`` (n, 3) [m] that the identifiable geometry cannot follow.
+
+    ``q`` (n, N) [rad] are the stops, ``p_M`` (n, 3) [m] the SMR positions without the effect. Linear, about the nominal
+    arm registered to the tracker: the part of the displacement orthogonal to the columns of its Jacobian.
     """
     nominal = start_from_nominal(nominal_arm(arm), q, p_M, tool_unknown=arm.smr.offset == "unknown")
     columns = auto_set(nominal, q).columns
@@ -426,6 +442,12 @@ def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
     basis, _ = np.linalg.qr(J.transpose(0, 2, 1).reshape(-1, len(columns)))
     y = moved.T.ravel()
     return np.asarray((y - basis @ (basis.T @ y)).reshape(3, -1).T)
+
+
+def _plain(parameters: Mapping[str, Any]) -> dict[str, JsonValue]:
+    """Parameters of a hidden law as plain JSON values."""
+    plain: dict[str, JsonValue] = json.loads(json.dumps(parameters))
+    return plain
 
 
 def _rms_um(vectors: Array) -> float:
@@ -440,7 +462,7 @@ def _stated_um(readings: Readings) -> float:
 
 
 def _new_folder(folder: Path) -> bool:
-    """Make the folder; whether it was missing. Raises ``InputError`` if something is in the way."""
+    """Make the folder and return whether it was missing. Raises ``InputError`` if it cannot be used."""
     try:
         if folder.is_dir():
             if any(folder.iterdir()):
@@ -453,7 +475,7 @@ def _new_folder(folder: Path) -> bool:
 
 
 def _take_back(folder: Path, made: bool) -> None:
-    """Remove what a sealing that did not end has written."""
+    """Remove what an interrupted sealing has written."""
     for path in folder.iterdir():
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The screen: ``cellapp`` without arguments. Importing this package is cheap; Textual is loaded when it opens."""
+"""The terminal application: ``cellapp`` without arguments. Importing this package does not load Textual."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from pathlib import Path
 
 
 def run_app(folder: Path = Path("profiles")) -> int:
-    """Open the screen on the profiles of a folder and stay until the person leaves. Returns the exit code.
+    """Run the application on the profiles of a folder until the user quits. Returns the exit code of the last run.
 
-    The code is that of the last run: 0 done (or none was started), 2 bad input, 3 hardware or an unexpected error,
-    4 stopped and resumable.
+    0 done (or no run was started), 2 bad input, 3 hardware or unexpected error, 4 stopped and resumable.
     """
     from cellapp.tui.app import CellApp
 

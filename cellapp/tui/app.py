@@ -1,4 +1,4 @@
-"""One screen for one run: choose a profile, start, watch, stop, read the tables. It only calls, listens and draws."""
+"""The screen of one run: choose a profile, start, watch, stop, read the tables. All work is done by ``run_whole``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
-from typing import ClassVar, TypeVar
+from typing import ClassVar, Literal, TypeVar
 
 from rich.text import Text
 from textual import on
@@ -35,94 +35,98 @@ from textual.widgets import (
     TabPane,
 )
 
-from cellapp.discovery.discover import DISCOVER_RESULT
 from cellapp.errors import CellappError, HardwareError
-from cellapp.pipeline import Outcome, default_folder, run_whole
+from cellapp.pipeline import default_folder, run_whole
 from cellapp.progress import Cancelled, CancelToken, Listener, Progress
-from cellapp.reporting.tables import Table, all_tables
+from cellapp.reporting.page import PAGE_FILE
+from cellapp.reporting.table import Table
+from cellapp.reporting.tables import all_tables, out_of_date_sentences
+from cellapp.results import DISCOVER, WholeRunResult
 
 W = TypeVar("W", bound=Widget)
-Run = Callable[[Path, Path | None, Listener, CancelToken | None], Outcome]
+Run = Callable[[Path, Path | None, Listener, CancelToken | None], WholeRunResult]
 
 JOBS = ("plan", "collect", "calibrate", "discover", "push")
 ERROR_LOG = "error.log"
 STOPPED = 4
 UNEXPECTED = 3
+"""Exit codes: stopped and resumable; an unexpected error, after which somebody must look at the cell."""
 
-_GO_ON = {
+_RESUME_COMMANDS = {
     "collect": "cellapp collect {} --resume",
     "calibrate": "cellapp calibrate {}",
     "discover": "cellapp discover {}",
     "push": "cellapp push {} TARGETS --verify",
 }
 _TABLE_WIDTH = 66
-_NO_TABLES = "The tables appear here when a run is done."
+"""Narrowest column of tables [characters]: an accuracy table fits, and a wide screen shows two side by side."""
+_NO_TABLES = "Tables appear here when a run has ended."
 _HELP = {
-    "profiles": "Profiles found: up and down choose, Enter goes to Run.",
-    "profile": "The profile to run: chosen above, or type the path of another one.",
-    "folder": "Where the run is stored: a new or empty folder. Left empty: one below logs.",
+    "profiles": "Profiles: up and down select one, Enter goes to Run.",
+    "profile": "Profile to run: select one above, or type the path of another.",
+    "folder": "Folder of the run: new or empty. If left blank: a new folder in logs.",
     "run": "Start: plan, collect, calibrate, discover, push. THE ARMS WILL MOVE. (F5, r)",
-    "stop": "Stop at the next step; what was measured is kept. (Escape, s)",
-    "progress": "How far each step is: done of all, and what it is doing now.",
-    "status": "What is happening now, or how it ended.",
-    "results": "Left, right, or l and t: log or tables. f: the whole screen for them.",
-    "log": "What happened, newest last: up, down, Page Up and Page Down scroll.",
+    "stop": "Stop at the next step; measured data are kept. (Escape, s)",
+    "progress": "Progress of each step: done of total, and the current action.",
+    "status": "Current action, or how the run ended.",
+    "results": "Left, right, or l and t: log or tables. f: full screen.",
+    "log": "Events, newest last: up, down, Page Up and Page Down scroll.",
     "tables": "Errors at held-out stops and at targets: up, down, Page Up, Page Down scroll.",
-    "stay": "The run goes on. (n, Escape)",
-    "leave": "Stop the run at its next step, wait until it has ended, then quit. (y)",
+    "stay": "Continue the run. (n, Escape)",
+    "leave": "Stop the run at its next step, wait for its end, then quit. (y)",
 }
 
 
-class Stepped(Message):
-    """The run made a step."""
+class RunProgressed(Message):
+    """The run reported progress."""
 
     def __init__(self, event: Progress) -> None:
         super().__init__()
         self.event = event
 
 
-class Ended(Message):
-    """The run's thread is through: with an outcome, or with what ended it."""
+class RunEnded(Message):
+    """The thread of the run ended, with a result or an exception."""
 
-    def __init__(self, ending: Outcome | BaseException) -> None:
+    def __init__(self, ending: WholeRunResult | BaseException) -> None:
         super().__init__()
         self.ending = ending
 
 
 class LeaveScreen(ModalScreen[bool]):
-    """Asks whether to stop a run in order to quit."""
+    """Ask whether to stop a run in order to quit."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("y", "dismiss(True)", "Stop and quit"),
-        Binding("n,escape", "dismiss(False)", "Go on"),
+        Binding("n,escape", "dismiss(False)", "Continue"),
         Binding("left,right", "app.focus_next", show=False),
     ]
 
     def compose(self) -> ComposeResult:
         with Vertical(id="question"):
-            yield Static("A run is under way. Stop it at its next step and quit?", markup=False)
+            yield Static("A run is in progress. Stop it at its next step and quit?", markup=False)
             with Horizontal(id="answers"):
-                yield _helped(Button("Go on (n)", id="stay", compact=True))
+                yield _helped(Button("Continue (n)", id="stay", compact=True))
                 yield _helped(Button("Stop and quit (y)", id="leave", variant="error", compact=True))
 
     @on(Button.Pressed)
     def answer(self, event: Button.Pressed) -> None:
-        """Hand the answer back."""
+        """Close the question with the answer."""
         event.stop()
         self.dismiss(event.button.id == "leave")
 
 
 class CellApp(App[None]):
-    """The screen.
+    """The application with its one screen.
 
     Parameters
     ----------
     profiles : Path
-        Folder whose ``*.yaml`` are offered.
+        Folder whose ``*.yaml`` are listed.
     run : callable
-        What is called in a thread of its own, as ``run_whole``.
+        Runs everything, in a thread of its own; same signature as ``run_whole``.
     patience_s : float
-        How long quitting waits for a run to stop before the program leaves it behind.
+        How long quitting waits for a run to stop before the program ends without it.
     """
 
     TITLE = "cellapp"
@@ -191,38 +195,38 @@ class CellApp(App[None]):
         yield Footer()
 
     def on_mount(self) -> None:
-        """Begin at the list of profiles, or at the path where there are none."""
+        """Focus the list of profiles, or the path field if the list is empty."""
         if self._found:
-            self._say("Choose a profile, then Run (F5). Tab goes from field to field.")
+            self._say("Select a profile, then Run (F5). Tab moves from field to field.")
             self.query_one("#profiles").focus()
         else:
-            self._say(f"There is no *.yaml in {self._profiles}; type the path of a profile.")
+            self._say(f"No *.yaml found in {self._profiles}; type the path of a profile.")
             self.query_one("#profile").focus()
 
     def on_unmount(self) -> None:
-        """However the screen goes, no run goes on unseen."""
+        """Stop the run however the screen closes: no run continues unseen."""
         self._cancel.cancel()
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
-        """Show the help of what has the keyboard; tooltips are for the mouse."""
+        """Show the help of the focused widget; tooltips need a mouse."""
         texts = [_HELP[node.id] for node in event.widget.ancestors_with_self if node.id in _HELP]
         self.query_one("#hint", Static).update(texts[0] if texts else "")
 
     @on(OptionList.OptionHighlighted, "#profiles")
     def choose(self, event: OptionList.OptionHighlighted) -> None:
-        """Put the chosen profile's path where it can be seen and changed."""
+        """Put the path of the selected profile into the field."""
         self.query_one("#profile", Input).value = str(self._found[event.option_index])
 
     @on(OptionList.OptionSelected, "#profiles")
     @on(Input.Submitted)
-    def to_button(self) -> None:
-        """Enter leads on to the button; arms move only when that is pressed."""
+    def focus_run_button(self) -> None:
+        """Enter focuses the Run button; the arms move only when that is pressed."""
         self.query_one("#run").focus()
 
     # -- keys and buttons ------------------------------------------------------------------------------------------
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Grey out what cannot be done now, and leave only its own keys to a question."""
+        """Disable actions that are not possible now; an open question takes only its own keys."""
         if action in ("run", "stop", "show", "toggle_full", "quit") and len(self.screen_stack) > 1:
             return False
         if action == "run" and self.running:
@@ -238,7 +242,7 @@ class CellApp(App[None]):
         if self.running:
             return
         if not text:
-            self._say("Which profile? Choose one in the list or type its path.", "failed")
+            self._say("No profile selected: select one in the list or type its path.", "failed")
             self.query_one("#profile").focus()
             return
         profile = Path(text).expanduser()
@@ -251,7 +255,7 @@ class CellApp(App[None]):
         self._show_tables(Static(_NO_TABLES, markup=False))
         self.action_show("log-pane")
         self._say(f"Running {profile} into {self._folder}.", "running")
-        # A daemon: a device that never answers cannot keep the program from ending.
+        # A daemon thread: a device that never answers cannot keep the program from ending.
         self._worker = threading.Thread(
             target=self._work, args=(profile, self._folder, self._cancel), name="run", daemon=True
         )
@@ -261,24 +265,24 @@ class CellApp(App[None]):
 
     @on(Button.Pressed, "#stop")
     def action_stop(self) -> None:
-        """Ask the run to stop."""
+        """Request the run to stop."""
         if self.running and not self._cancel.cancelled:
             self._cancel.cancel()
             self._switch_buttons()
             self._say("Stopping at the next step.", "running")
 
     def action_show(self, pane: str) -> None:
-        """Turn to the log or the tables."""
+        """Show the log or the tables."""
         self.query_one("#results", TabbedContent).active = pane
         self.query_one("#log" if pane == "log-pane" else "#tables").focus()
 
     def action_toggle_full(self) -> None:
-        """All of the screen for log and tables, and back."""
+        """Toggle full screen for log and tables."""
         self.query_one("#top").toggle_class("hidden")
         self.action_show(self.query_one("#results", TabbedContent).active)
 
     async def action_quit(self) -> None:
-        """Quit; with a run under way, ask, stop it and wait for its end first."""
+        """Quit; with a run in progress, ask first, stop it and wait for its end."""
         if not self.running:
             self.exit(return_code=self._code)
         elif not self._leaving:
@@ -294,15 +298,15 @@ class CellApp(App[None]):
         self._leaving = True
         self.action_stop()
         self._say(f"Stopping at the next step, then quitting (waiting at most {self._patience_s:.0f} s).", "running")
-        self.set_timer(self._patience_s, self._lose_patience)
+        self.set_timer(self._patience_s, self._quit_without_run)
 
-    def _lose_patience(self) -> None:
+    def _quit_without_run(self) -> None:
         if self.running:
             self.exit(
                 return_code=UNEXPECTED,
                 message=Text(
-                    f"The run did not stop within {self._patience_s:.0f} s and was left behind. Look at the cell"
-                    f" before you start again; {self._folder} keeps what was measured."
+                    f"The run did not stop within {self._patience_s:.0f} s; cellapp ended without it. Check the cell"
+                    f" before you start again; {self._folder} keeps the measured data."
                 ),
             )
 
@@ -310,68 +314,68 @@ class CellApp(App[None]):
 
     def _work(self, profile: Path, folder: Path, cancel: CancelToken) -> None:
         with contextlib.ExitStack() as stack:
-            stack.push(self._report_failure)  # whatever ends a run, the screen must learn of it
-            outcome = self._run(profile, folder, self._listen, cancel)
-            self.post_message(Ended(outcome))
+            stack.push(self._report_failure)  # whatever ends the run is reported to the screen
+            self.post_message(RunEnded(self._run(profile, folder, self._listen, cancel)))
 
     def _listen(self, event: Progress) -> None:
-        self.post_message(Stepped(event))
+        self.post_message(RunProgressed(event))
 
     def _report_failure(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
         if error is not None:
-            self.post_message(Ended(error))
+            self.post_message(RunEnded(error))
         return True
 
-    # -- what the run tells, in the screen's thread --------------------------------------------------------------------
+    # -- messages of the run, in the thread of the screen ------------------------------------------------------------
 
-    @on(Stepped)
-    def show_step(self, message: Stepped) -> None:
-        """Draw a step."""
+    @on(RunProgressed)
+    def show_progress(self, message: RunProgressed) -> None:
+        """Draw the progress of a step."""
         event = self._last = message.event
         if event.job in JOBS:
             self._draw(event, count=f"{event.done}/{event.total}")
         self._note(f"{event.job} {event.done}/{event.total} {event.note}".rstrip())
 
-    @on(Ended)
-    def show_end(self, message: Ended) -> None:
-        """Draw the outcome, or say in words why there is none."""
+    @on(RunEnded)
+    def show_end(self, message: RunEnded) -> None:
+        """Draw the results, or state in words why there are none."""
         self._worker = None
         ending = message.ending
-        if isinstance(ending, Outcome):
+        if isinstance(ending, WholeRunResult):
             self._code = 0
-            self._show_outcome(ending)
+            self._show_results(ending)
         elif isinstance(ending, Cancelled):
             self._code = STOPPED
-            way = self._way_on()
-            self._say(f"Stopped; {way}." if way else "Stopped before there was a plan; start again.", "stopped")
+            resume = self._how_to_resume()
+            self._say(f"Stopped; {resume}." if resume else "Stopped before the plan was made; start again.", "stopped")
         elif isinstance(ending, CellappError):
             self._code = ending.exit_code
-            way = self._way_on() if isinstance(ending, HardwareError) else ""
-            self._say(f"{ending}; then {way}." if way else str(ending), "failed")
+            resume = self._how_to_resume() if isinstance(ending, HardwareError) else ""
+            self._say(f"{ending}; then {resume}." if resume else str(ending), "failed")
         else:
             self._code = UNEXPECTED
-            self._say(_write_down(ending, self._folder), "failed")
+            self._say(_write_error_log(ending, self._folder), "failed")
         self._switch_buttons()
         if self._leaving:  # the shell keeps what the screen can no longer show
             self.exit(return_code=self._code, message=Text(str(self.query_one("#status", Static).content)))
-        elif not isinstance(ending, Outcome) and not isinstance(self.screen, LeaveScreen):
+        elif not isinstance(ending, WholeRunResult) and not isinstance(self.screen, LeaveScreen):
             self.query_one("#run").focus()
 
-    def _show_outcome(self, outcome: Outcome) -> None:
-        arms = outcome.results.get(DISCOVER_RESULT, {"arms": {}})["arms"]
-        sentences = [arm["sentence"] for arm in arms.values()]
-        for line in (*sentences, *outcome.notes):
+    def _show_results(self, results: WholeRunResult) -> None:
+        found = None if DISCOVER in results.out_of_date else results.discover
+        sentences = [] if found is None else [arm.sentence for arm in found.arms.values()]
+        outdated = out_of_date_sentences(results)
+        for line in (*sentences, *outdated, *results.notes):
             self._note(line)
-        page = outcome.folder / "report.html"
-        self._say(
-            f"Done; the run is in {outcome.folder}" + (f", its report in {page}." if page.exists() else "."), "done"
-        )
-        notes = [Static(f"Note: {note}", markup=False, classes="note") for note in outcome.notes]
+        folder = Path(results.run)
+        page = folder / PAGE_FILE
+        self._say(f"Done; the run is in {folder}" + (f", its report in {page}." if page.exists() else "."), "done")
+        marks = [Static(sentence, markup=False, classes="outdated") for sentence in outdated]
         verdicts = [Static(sentence, markup=False, classes="verdict") for sentence in sentences]
-        drawn = [_drawn(table) for table in all_tables(outcome.results)]
-        self._show_tables(*verdicts, ItemGrid(*drawn, min_column_width=_TABLE_WIDTH), *notes)
+        notes = [Static(f"Note: {note}", markup=False, classes="note") for note in results.notes]
+        drawn = [_draw_table(table) for table in all_tables(results)]
+        self._show_tables(*marks, *verdicts, ItemGrid(*drawn, min_column_width=_TABLE_WIDTH), *notes)
         self.query_one("#results", TabbedContent).active = "tables-pane"
         if not isinstance(self.screen, LeaveScreen):
             self.query_one("#tables").focus()
@@ -382,12 +386,12 @@ class CellApp(App[None]):
         tables.mount(*widgets)
         tables.scroll_home(animate=False)
 
-    def _way_on(self) -> str:
-        """How a person goes on with a run that ended early: by hand from the step that it was in."""
+    def _how_to_resume(self) -> str:
+        """The command that resumes a run which ended early; empty if there is nothing to resume."""
         if self._last is None or (self._last.job == "plan" and self._last.done < self._last.total):
             return ""
-        command = _GO_ON.get(self._last.job, _GO_ON["collect"])
-        return "go on with: " + command.format(shlex.quote(str(self._folder)))
+        command = _RESUME_COMMANDS.get(self._last.job, _RESUME_COMMANDS["collect"])
+        return "continue with: " + command.format(shlex.quote(str(self._folder)))
 
     def _draw(self, event: Progress, count: str) -> None:
         self.query_one(f"#{event.job}-bar", ProgressBar).update(total=event.total, progress=event.done)
@@ -416,26 +420,25 @@ def _helped(widget: W) -> W:
     return widget
 
 
-def _drawn(table: Table) -> Vertical:
-    """A table with its title; texts go in as they are, for a unit in brackets would be read as markup."""
-    first, *others = table.columns
+def _draw_table(table: Table) -> Vertical:
+    """A table with its title. Cells are plain text: Textual would read a unit in brackets as markup."""
     grid: DataTable[Text] = DataTable(cursor_type="none", zebra_stripes=True)
-    grid.can_focus = False  # the pane scrolls, all tables together
-    grid.add_column(Text(first))
-    for column in others:
-        grid.add_column(Text(column, justify="right"))
-    for name, *numbers in table.rows:
-        grid.add_row(Text(name), *(Text(number, justify="right") for number in numbers))
+    grid.can_focus = False  # the pane scrolls all tables together
+    sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in table.columns]
+    for heading, side in zip(table.headings, sides, strict=True):
+        grid.add_column(Text(heading, justify=side))
+    for row in table.text_rows():
+        grid.add_row(*(Text(cell, justify=side) for cell, side in zip(row, sides, strict=True)))
     return Vertical(Static(table.title, markup=False, classes="title"), grid, classes="table")
 
 
-def _write_down(error: BaseException, folder: Path) -> str:
-    """Write an error that nobody foresaw where it can be read in full, and say so in a sentence."""
-    what = f"The program itself failed ({type(error).__name__})"
+def _write_error_log(error: BaseException, folder: Path) -> str:
+    """Write the traceback of an unexpected error into the run's folder and return one sentence about it."""
+    what = f"Unexpected {type(error).__name__} in the program"
     path = folder / ERROR_LOG
     try:
         folder.mkdir(parents=True, exist_ok=True)
         path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")
     except OSError as failure:
-        return f"{what}: {error}. Its full text could not be written to {path}: {failure.strerror}."
-    return f"{what}; its full text is in {path}. What was measured is kept."
+        return f"{what}: {error}. Its traceback could not be written to {path}: {failure.strerror}."
+    return f"{what}; its traceback is in {path}. Measured data are kept."

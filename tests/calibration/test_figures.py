@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.calibration.calibrate import calibrate_arm, ensure_splits
+from cellapp.calibration.calibrate import calibrate_arm
+from cellapp.pipeline import draw_missing_splits
 from cellapp.profile import load_profile
 from cellapp.run import import_csv
 from cellapp.trials.coverage import coverage
@@ -23,15 +24,15 @@ def test_a_real_ur10_ends_at_or_below_0_455_mm(tmp_path, seed):
     if seed is not None:
         profile = profile.model_copy(update={"seed": seed})
     with import_csv(profile, READINGS, tmp_path / "run") as run:
-        ensure_splits(run)
+        draw_missing_splits(run)
         readings = run.readings("left")
     calibration, notes = calibrate_arm(profile, "left", readings)
     assert notes == []
     assert calibration.counts == {"identify": 300, "train": 0, "validate": 2473}
-    position = calibration.validate["geometry"]["position_mm"]
-    assert position["n"] == 2473
-    assert position["mean"] <= 0.455
-    assert calibration.validate["nominal"]["position_mm"]["mean"] > 0.8
+    position = calibration.validate["geometry"].position_mm
+    assert position.n == 2473
+    assert position.mean <= 0.455
+    assert calibration.validate["nominal"].position_mm.mean > 0.8
     # the priors keep the tool where a probe can be: about 0.1 m along the last axis
     assert np.linalg.norm(calibration.model.geometry.tool - [0.0, 0.0, 0.093]) < 2e-3
 

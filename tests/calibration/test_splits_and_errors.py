@@ -95,8 +95,8 @@ def test_repeatability_is_that_of_the_repeats_alone():
     p_M = np.repeat(rng.normal(size=(40, 3)), 10, axis=0) + rng.normal(0.0, 20e-6, (400, 3))
     found = repeatability(q, p_M)
     assert found is not None
-    assert found["n"] == 400
+    assert found.n == 400
     # mean length of three normal numbers is 1.596 sigma; the barycentre of ten takes a root of 0.9 off
-    assert found["mean"] == pytest.approx(1.596 * 0.020 * np.sqrt(0.9), rel=0.05)
-    assert found["rp"] > found["mean"]
+    assert found.mean == pytest.approx(1.596 * 0.020 * np.sqrt(0.9), rel=0.05)
+    assert found.rp > found.mean
     assert repeatability(rng.uniform(-3, 3, (40, 6)), p_M[:40]) is None

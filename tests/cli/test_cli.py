@@ -15,12 +15,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 
 from cellapp import cli
 from cellapp.run import RunFile
-from cellapp.trials.links import LinkTrial, Struck
+from cellapp.trials.links import LinkLog, Struck
 from tests.twin import PROFILES, write_profile
 
 ROOT = Path(__file__).parents[2]
@@ -219,6 +220,66 @@ def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
     assert not [path for path in (work / "all/of/it").iterdir() if path.name.startswith("run.sqlite-")]
 
 
+SHOWN = {
+    "overview": ("next: nothing is left to do", "cellapp-overview"),
+    "calibration": ("Arm left: held-out errors [mm]", "cellapp-calibrate"),
+    "parameters": ("Arm right: identified parameters", "cellapp-calibrate"),
+    "discovery": ("verdict", "cellapp-discover"),
+    "plan": ("Arm left: planned stops", "cellapp-stops"),
+    "targets": ("out of reach", "cellapp-compensate"),
+    "verification": ("left, compensated", "cellapp-verify"),
+    "log": ("warning  the first line", "cellapp-log"),
+    "profile": ('"name": "twin"', "cellapp-profile"),
+    "history": ("rests on: profile", "cellapp-history"),
+}
+
+
+def test_looking_changes_no_byte(work: Path, call: Any) -> None:
+    with RunFile.open(work / "done", write=True) as run:
+        run.log("warning", "the first line")
+        run.log("info", "the last line")
+    before = bytes_below(work / "done")
+    for part, (says, schema) in SHOWN.items():
+        ended = call("show", "done", part)
+        assert ended.code == 0, ended.err
+        assert says in ended.out, part
+        assert call("show", "done", part, "--json", "-").json["schema"] == schema
+    assert bytes_below(work / "done") == before
+    lines = call("show", "done", "log", "--level", "info", "--last", "1", "--json", "-").json["lines"]
+    assert [line["level"] for line in lines] == ["info"]
+
+
+def test_what_is_out_of_date_is_shown_and_not_pushed(work: Path, call: Any) -> None:
+    with RunFile.open(work / "done", write=True) as run:
+        for name in run.profile.arms:
+            words = list(run.readings(name).split or ())
+            run.assign_splits(name, [*words[1:], words[0]])
+    assert "the discovery is out of date" in call("calibrate", "done").out
+    assert "calibrated again since" in " ".join(call("show", "done").out.split())
+    assert "out of date: " in call("show", "done", "verification").out
+    before = bytes_below(work / "done")
+    one_sentence(call("push", "done", "targets.yaml"), "'discover' is out of date", "Run 'cellapp discover done' first")
+    assert bytes_below(work / "done") == before
+    insisted = call("push", "done", "targets.yaml", "--verify", "--out-of-date", "--json", "-")
+    assert "was used although 'discover' is out of date" in insisted.json["notes"][0]
+    assert call("discover", "done").code == 0
+    assert call("push", "done", "targets.yaml", "--verify").code == 0
+
+
+def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call: Any) -> None:
+    schemas = call("schema", "--json", "-").out
+    schemas = json.loads(schemas)
+    results = [json.loads(path.read_text("utf-8")) for path in made.glob("*-*.json")]
+    results += [call("show", "done", part, "--json", "-").json for part in SHOWN if part != "profile"]
+    results += [call("report", "done", "--json", "-").json, call("doctor", "twin.yaml", "--json", "-").json]
+    assert len({result["schema"] for result in results}) >= 10
+    for result in results:
+        jsonschema.validate(result, schemas[result["schema"]])
+    assert json.loads(call("schema", "cellapp-calibrate").out) == schemas["cellapp-calibrate"]
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**results[0], "unknown": 1}, schemas[results[0]["schema"]])
+
+
 def test_trials(work: Path, call: Any) -> None:
     found = call("trials", "coverage", "twin.yaml", "--n", "2", "--stops", "25", "--json", "-").json
     assert found["arms"]["left"]["runs"] == 2
@@ -239,7 +300,7 @@ def test_a_trial_of_links_that_breaks_a_promise_exits_with_one(
     struck = [Struck("link closed", "during", "left", 0.07, 0.15, 0.22)]
     monkeypatch.setattr(
         "cellapp.trials.links.link_trials",
-        lambda *_: LinkTrial(4, struck, complaints, connect_s=[0.2], state_s=[0.005], overhead_s=[0.04]),
+        lambda *_: LinkLog(4, struck, complaints, connect_s=[0.2], state_s=[0.005], overhead_s=[0.04]).result(),
     )
     ended = call("trials", "links", "--moves", "4", "--every", "2")
     assert ended.code == (1 if complaints else 0)
@@ -264,11 +325,11 @@ def test_a_bridge_that_would_stand_open_is_refused(work: Path, call: Any, argume
 def test_a_verification_that_does_not_hold_exits_with_one(
     work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cellapp.compensation.push.arriving", lambda arm, command, here: command + 0.02)
+    monkeypatch.setattr("cellapp.compensation.push.with_approach", lambda arm, command, here: command + 0.02)
     ended = call("push", "done", "targets.yaml", "--verify", "--json", "-")
     assert ended.code == 1
-    assert "verification: arm left: compensated targets were missed by" in ended.err
-    assert ended.json["arms"]["left"]["compensated_mm"]["mean"] > 5.0, "the numbers are told all the same"
+    assert "verification: arm left: the mean error at compensated targets is" in ended.err
+    assert ended.json["arms"]["left"]["compensated_mm"]["mean"] > 5.0, "the numbers are reported all the same"
 
 
 # -- readings out and in ----------------------------------------------------------------------------------------------
@@ -354,14 +415,19 @@ BAD = [
     (None, "calibrate planned", ["arm 'left' has no readings", "collect or import"]),
     (None, "discover planned", ["not calibrated yet; run 'cellapp calibrate' first"]),
     (None, "discover collected", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "push collected targets.yaml", ["calibration.json", "'cellapp calibrate' first"]),
-    (None, "compensate collected targets.yaml", ["calibration.json", "'cellapp calibrate' first"]),
+    (None, "push collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "compensate collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "export collected --geometry out.json", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "show planned calibration", ["no calibration is stored; make it with 'cellapp calibrate'"]),
+    (None, "show planned overview --last 3", ["--level and --last belong to 'log'"]),
+    (None, "show nothing", ["nothing: run folder not found"]),
+    (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-plan, "]),
     (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
     (None, "push done twin.yaml", ["twin.yaml: "]),
     (None, "export planned --csv out.csv", ["holds no readings yet"]),
     (None, "import twin.yaml nowhere.csv --run new", ["nowhere.csv: file not found"]),
     (None, "export done --csv nowhere/out.csv", ["nowhere/out.csv cannot be written"]),
-    (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: there is no such folder"]),
+    (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: folder not found"]),
     (None, "emulate ur10-ur5.yaml", ["no controller to emulate"]),
 ]
 
@@ -486,7 +552,16 @@ finally:
 """
 
 
-@pytest.mark.parametrize("command", ["--help", "plan twin.yaml --run new", "collect planned", "doctor twin.yaml"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "--help",
+        "plan twin.yaml --run new",
+        "collect planned",
+        "doctor twin.yaml",
+        *(f"show done {part}" for part in ("overview", "calibration", "discovery", "verification", "plan")),
+    ],
+)
 def test_torch_is_not_loaded_where_no_network_is_needed(work: Path, command: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", WATCH, *command.split()],
@@ -505,7 +580,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     ended = shell("--help", cwd=tmp_path)
     assert ended.code == 0
     for command in ("run", "doctor", "plan", "collect", "import", "export", "calibrate", "discover", "compensate",
-                    "push", "report", "trials", "emulate", "tracker-bridge"):  # fmt: skip
+                    "push", "report", "show", "schema", "trials", "emulate", "tracker-bridge"):  # fmt: skip
         assert f" {command} " in ended.out
 
 

@@ -250,10 +250,10 @@ def test_a_hundred_measurements_with_a_fault_every_five(caplog: pytest.LogCaptur
     trial = bridge_trial(small_twin(), 100, 5, seed=4, listener=lambda progress: seen.append(progress.done))
     assert (trial.asked, trial.delivered) == (100, 100)
     assert (trial.lost, trial.doubled, trial.strange) == (0, 0, 0)
-    assert set(trial.outcomes) == set(ALL_FAULTS)
-    assert all(count == 2 for count in trial.outcomes.values())
+    assert set(trial.faults) == set(ALL_FAULTS)
+    assert all(count == 2 for count in trial.faults.values())
     assert seen == list(range(101))
-    assert trial.as_dict()["schema"] == "cellapp-trials-bridge"
+    assert trial.as_object()["schema"] == "cellapp-trials-bridge"
 
 
 def test_a_trial_is_cancelled_between_measurements() -> None:

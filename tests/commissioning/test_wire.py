@@ -21,12 +21,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.calibration.calibrate import Calibration, calibrate_run
 from cellapp.collection.collect import collect_run
 from cellapp.commissioning.emulate import EmulatedTracker, emulate, emulated_arms
-from cellapp.pipeline import new_planned_run
+from cellapp.pipeline import calibrate_run, new_planned_run
 from cellapp.profile import Profile, profile_from_json, profile_to_json
 from cellapp.progress import CancelToken
+from cellapp.results import CalibrateResult
 from cellapp.run import Readings
 from drivers.arms.ur_settings import UrSettings
 from drivers.trackers.bridge_settings import BridgeSettings
@@ -85,7 +85,7 @@ def emulated(profile: Profile) -> Iterator[int]:
     assert process.exitcode == 0
 
 
-def collected(profile: Profile, folder: Path) -> tuple[dict[str, Readings], Calibration]:
+def collected(profile: Profile, folder: Path) -> tuple[dict[str, Readings], CalibrateResult]:
     with new_planned_run(profile, folder) as run:
         collect_run(run)
         return {name: run.readings(name) for name in run.arms()}, calibrate_run(run)
@@ -113,10 +113,12 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
         assert np.array_equal(wired[name].approach, direct[name].approach)
         assert wired[name].covariance_M == pytest.approx(direct[name].covariance_M, rel=1e-6)
         assert (np.diff(wired[name].time_s) > 0.0).all()
-        found, expected = ours.arms[name].identification, its.arms[name].identification
-        assert found.names == expected.names
-        assert np.abs((found.values - expected.values) / expected.standard_errors).max() < 1e-3
-        assert found.standard_errors == pytest.approx(expected.standard_errors, rel=1e-3)
+        found, expected = ours.arms[name].identified, its.arms[name].identified
+        assert list(found) == list(expected)
+        for parameter, estimate in expected.items():
+            assert estimate.standard_error is not None
+            assert abs(found[parameter].value - estimate.value) < 1e-3 * estimate.standard_error
+            assert found[parameter].standard_error == pytest.approx(estimate.standard_error, rel=1e-3)
 
 
 # -- as a user does it -------------------------------------------------------------------------------------------------

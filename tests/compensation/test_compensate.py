@@ -11,10 +11,10 @@ import pytest
 
 from cellapp.compensation.compensate import (
     Command,
-    arriving,
-    as_dict,
     compensate,
+    compensate_result,
     invert_model,
+    with_approach,
     without_effects,
 )
 from cellapp.compensation.targets import Target, load_targets
@@ -127,10 +127,10 @@ def test_the_side_that_a_joint_arrives_from_is_made_good(model: CellModel) -> No
     middle = arm.true_joints(command[None])[0]
     for here in (command + 1.0, command - 1.0, command + np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])):
         side = np.sign(command - here)
-        sent = arriving(arm, command, here)
+        sent = with_approach(arm, command, here)
         np.testing.assert_allclose(arm.true_joints(sent[None], side[None])[0], middle, atol=1e-11)
         np.testing.assert_allclose(sent - command, side * half, atol=1e-6)
-    np.testing.assert_allclose(arriving(arm, command, command), command, atol=1e-12)
+    np.testing.assert_allclose(with_approach(arm, command, command), command, atol=1e-12)
 
 
 def test_effects_are_taken_out_to_the_last_bit_that_counts(model: CellModel) -> None:
@@ -161,7 +161,7 @@ def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) ->
     high = run.profile.model_copy(update={"plan": run.profile.plan.model_copy(update={"floor": 0.05})})
     refusals = [command.refusal for command in compensate(high, model, TARGETS)]
     assert any("nearer to the floor" in refusal for refusal in refusals)
-    entry = as_dict(refused[-1:])["targets"]
+    entry = compensate_result(refused[-1:]).as_object()["targets"]
     assert entry == [{"name": "it", "arm": "left", "refusal": "out of reach", "q_nominal": None, "q_compensated": None}]
 
 

@@ -13,13 +13,15 @@ import pytest
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.compensation import push as pushing
 from cellapp.compensation.compensate import Command, compensate
-from cellapp.compensation.push import push, unverified
+from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.errors import HardwareError, InputError
 from cellapp.model import CellModel
-from cellapp.pipeline import push_run, stored_results
+from cellapp.pipeline import push_run
 from cellapp.progress import Cancelled, CancelToken, Progress
+from cellapp.results import ArmVerification, ErrorSummary, MeasuredTarget, VerifyResult
 from cellapp.run import RunFile
+from cellapp.run.stages import read_results
 from cellapp.safety.cell_bodies import home_positions
 from tests.twin import PROFILES, plant_of, small_twin
 
@@ -55,16 +57,15 @@ def test_compensated_targets_are_met_to_the_trackers_noise(
     found = push(run.profile, model, commands, heard.append, verify=True)
     assert [(target.name, target.note) for target in found.targets] == [(t.name, "") for t in TARGETS]
     for name in ("left", "right"):
-        nominal, compensated = found.summaries[name]["nominal"], found.summaries[name]["compensated"]
+        nominal, compensated = found.arms[name].nominal_mm, found.arms[name].compensated_mm
         assert nominal.n == compensated.n == sum(target.arm == name for target in TARGETS)
         # 3 to 4 m away the tracker scatters by 17 um across the beam in each of two directions
         assert compensated.mean < 40e-3
         assert nominal.mean > 40.0 * compensated.mean
-    result = found.as_dict()
-    assert unverified(result) == []
-    assert result["arms"]["left"]["compensated_mm"]["n"] == 8
-    assert found.targets[0].compensated_m is not None
-    assert result["targets"][0]["compensated_mm"] == pytest.approx(found.targets[0].compensated_m * 1e3)
+    assert found.complaints() == []
+    assert found.arms["left"].compensated_mm.n == 8
+    left_mm = [target.compensated_mm for target in found.targets if target.arm == "left"]
+    assert found.arms["left"].compensated_mm.mean == pytest.approx(np.mean([mm for mm in left_mm if mm is not None]))
     (cell,) = cells
     assert plant_of(cell).clearance.arms_m > 0.0
     assert plant_of(cell).clearance.floor_m > 0.0
@@ -77,9 +78,9 @@ def test_without_the_arriving_side_backlash_would_be_seen(
     run: RunFile, model: CellModel, commands: tuple[Command, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     right = [command for command in commands if command.target.arm == "right"]
-    good = push(run.profile, model, right, verify=True).summaries["right"]["compensated"].mean
-    monkeypatch.setattr(pushing, "arriving", lambda arm, command, here: command)
-    bad = push(run.profile, model, right, verify=True).summaries["right"]["compensated"].mean
+    good = push(run.profile, model, right, verify=True).arms["right"].compensated_mm.mean
+    monkeypatch.setattr(pushing, "with_approach", lambda arm, command, here: command)
+    bad = push(run.profile, model, right, verify=True).arms["right"].compensated_mm.mean
     assert bad > 2.0 * good
 
 
@@ -87,8 +88,8 @@ def test_a_target_that_cannot_be_commanded_is_left_out_with_its_reason(run: RunF
     commands = compensate(run.profile, model, (FAR, TARGETS[0]))
     found = push(run.profile, model, commands, verify=True)
     assert [target.note for target in found.targets] == ["out of reach", ""]
-    assert (found.targets[0].nominal_m, found.targets[0].compensated_m) == (None, None)
-    assert found.summaries["left"]["nominal"].n == 1
+    assert (found.targets[0].nominal_mm, found.targets[0].compensated_mm) == (None, None)
+    assert found.arms["left"].nominal_mm.n == 1
     with pytest.raises(InputError, match="none of the targets can be commanded: out of reach"):
         push(run.profile, model, commands[:1], verify=True)
 
@@ -101,20 +102,20 @@ def test_a_way_that_the_gate_refuses_is_noted_and_nothing_moves(
     mad = dataclasses.replace(commands[0], q_compensated=under)
     found = push(run.profile, model, (mad, commands[1]), verify=True)
     assert "refused to move: arm left: comes nearer to the floor" in found.targets[0].note
-    assert found.targets[0].compensated_m is None
-    assert found.targets[1].compensated_m is not None
+    assert found.targets[0].compensated_mm is None
+    assert found.targets[1].compensated_mm is not None
     assert plant_of(cells[0]).clearance.floor_m > 0.0
 
 
 def test_without_verification_nothing_is_measured_and_an_earlier_one_is_kept(run: RunFile) -> None:
-    push_run(run, TARGETS[:2], verify=True)
-    verified = stored_results(run)["verify"]
-    assert verified["arms"]["left"]["compensated_mm"]["n"] == 2
-    assert push_run(run, (TARGETS[0], FAR), verify=False) == ("target far: out of reach",)
-    results = stored_results(run)
-    assert results["verify"] == verified
-    assert results["push"]["arms"] == {}
-    assert [target["compensated_mm"] for target in results["push"]["targets"]] == [None, None]
+    verified = push_run(run, TARGETS[:2], verify=True)
+    assert verified.arms["left"].compensated_mm.n == 2
+    pushed = push_run(run, (TARGETS[0], FAR), verify=False)
+    assert pushed.notes == ("target far: out of reach",)
+    assert pushed.arms == {}
+    assert [target.compensated_mm for target in pushed.targets] == [None, None]
+    stored = read_results(run)
+    assert (stored.verify, stored.push) == (verified, pushed)
 
 
 def test_cancelled_between_targets(
@@ -155,11 +156,21 @@ def test_a_fault_on_the_way_stops_everything(
     assert not any(plant_of(opened[0]).moving(name) for name in ("left", "right"))
 
 
-def test_a_verification_that_does_not_hold_is_told() -> None:
-    good = {"nominal_mm": {"mean": 2.0}, "compensated_mm": {"mean": 0.02}}
-    bad = {"nominal_mm": {"mean": 0.5}, "compensated_mm": {"mean": 0.75}}
-    targets = [{"arm": "left"}, {"arm": "right"}, {"arm": "left"}]
-    assert unverified({"arms": {"left": good, "right": good}, "targets": targets}) == []
-    assert unverified({"arms": {"left": good}, "targets": targets}) == ["arm right: no target could be measured"]
-    (told,) = unverified({"arms": {"left": bad, "right": good}, "targets": targets})
-    assert told.startswith("arm left: compensated targets were missed by 0.750 mm in the mean, uncompensated by 0.500")
+def arm(nominal_mm: float, compensated_mm: float) -> ArmVerification:
+    before, after = (ErrorSummary(mean=mean, rms=mean, std=0.0, max=mean, n=1) for mean in (nominal_mm, compensated_mm))
+    return ArmVerification(nominal_mm=before, compensated_mm=after)
+
+
+def test_a_verification_that_does_not_hold_is_reported() -> None:
+    good, bad = arm(2.0, 0.02), arm(0.5, 0.75)
+    targets = tuple(
+        MeasuredTarget(name=f"t{k}", arm=name, nominal_mm=None, compensated_mm=None, note="")
+        for k, name in enumerate(("left", "right", "left"))
+    )
+    assert VerifyResult(arms={"left": good, "right": good}, targets=targets).complaints() == []
+    missing = VerifyResult(arms={"left": good}, targets=targets).complaints()
+    assert missing == ["arm right: no target could be measured"]
+    (complaint,) = VerifyResult(arms={"left": bad, "right": good}, targets=targets).complaints()
+    assert complaint.startswith(
+        "arm left: the mean error at compensated targets is 0.750 mm, at uncompensated ones 0.5"
+    )

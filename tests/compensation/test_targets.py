@@ -42,7 +42,7 @@ def test_the_list_of_the_twin() -> None:
         ("schema: something\nversion: 1\ntargets:\n" + GOOD, "schema: "),
         ("schema: cellapp-targets\nversion: 2\ntargets:\n" + GOOD, "version: "),
         (HEAD + GOOD.replace("left", "middle"), "target 'one': no arm 'middle'; arms are left, right"),
-        (HEAD + GOOD + GOOD, "target 'one' stands there twice; give every target its own name"),
+        (HEAD + GOOD + GOOD, "target 'one' is listed twice; give every target its own name"),
         (HEAD + GOOD.replace("0.25", ".nan"), "targets.0.position.1: "),
         (HEAD + GOOD.replace("0.25", ".inf"), "targets.0.position.1: "),
         (HEAD + GOOD.replace("0.25", "250"), "targets.0.position.1: 250 m is beyond 100 m"),

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cellapp.calibration.calibrate import calibrate_arm, calibrate_run
+from cellapp.calibration.calibrate import calibrate_arm
 from cellapp.calibration.circumstances import circumstances_of_arms
 from cellapp.collection.cell import build_plant, plant_arm
-from cellapp.discovery.discover import discover_arm, discover_readings, discover_run
+from cellapp.discovery.discover import discover_arm, discover_cell
+from cellapp.discovery.record import arm_result, discover_result
 from cellapp.effects import EFFECTS, Circumstances
 from cellapp.errors import InputError
 from cellapp.model import CellModel
+from cellapp.pipeline import discover_run
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import load_profile
 from cellapp.run import Readings, RunFile, import_csv
+from cellapp.run.stages import read_results
 from cellapp.trials.blind import Noise, blind_readings, with_hidden
 from drivers.plant import suggest
+from tests.discovery.searched import calibrated_and_searched
 
 ROOT = Path(__file__).parents[2]
 STIFFNESS = [9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]
@@ -61,8 +64,9 @@ def measured_run(folder, plan, effects, seed=7, noise_seed=0):
 
 def discovered(folder, plan, effects, **seeds):
     with measured_run(folder, plan, effects, **seeds) as run:
-        calibration = calibrate_run(run)
-        return calibration, discover_run(run), json.loads(run.read_result("calibrate"))
+        found = calibrated_and_searched(run)
+        calibrated = read_results(run).calibrate
+        return calibrated, found.arms, calibrated.with_effects(discover_result(found)).as_object()
 
 
 def names(discovery):
@@ -114,9 +118,8 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
         shown = stored["arms"][name]["validate"]
         assert shown["effects"]["position_mm"]["rms"] == pytest.approx(discovery.after_mm)
         assert shown["effects"]["position_mm"]["mean"] < shown["geometry"]["position_mm"]["mean"]
-        assert calibration.arms[name].model.effects == ()
-    model = CellModel.load(tmp_path / "run" / "calibration.json")
-    assert {term.slug for term in model.arms["left"].effects} == names(left)
+        assert calibration.arms[name].best_stage == "geometry"
+        assert {term.slug for term in discovery.model.effects} == names(discovery)
 
 
 def blind(plan, effects, seed, noise=None):
@@ -230,8 +233,7 @@ def test_effects_that_the_data_cannot_show_are_listed(plan):
 def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
     profile = load_profile(ROOT / "profiles" / "ur10-real.yaml")
     with import_csv(profile, ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv", tmp_path / "run") as run:
-        calibrate_run(run)
-        discovery = discover_run(run)["left"]
+        discovery = calibrated_and_searched(run).arms["left"]
         inside = np.median(run.readings("left").q, axis=0)[None]
     invisible = {entry["effect"]: entry for entry in discovery.invisible}
     for slug in ("backlash", "friction_windup", "base_step", "payload_compliance"):
@@ -259,8 +261,8 @@ def test_the_pure_computation_needs_no_run_file(plan):
     profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
     readings = blind_readings(profile, plan, 2)
     models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
-    found = discover_readings(profile, CellModel(arms=models), readings)
+    found = discover_cell(profile, CellModel(arms=models), readings).arms
     known = circumstances_of_arms(models, readings)
     alone = discover_arm(profile, "left", models["left"], readings["left"], known=known["left"])
     assert set(found) == {"left", "right"}
-    assert found["left"].as_dict() == alone.as_dict()
+    assert arm_result(found["left"]) == arm_result(alone)

@@ -12,17 +12,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cellapp.calibration.calibrate import CALIBRATION_FILE, calibrate_run
 from cellapp.cli.app import app
 from cellapp.collection.cell import build_plant
 from cellapp.collection.collect import collect_run
 from cellapp.discovery import propose as proposing
-from cellapp.discovery.discover import discover_run
-from cellapp.discovery.outcome import Discovery
+from cellapp.discovery.outcome import CellDiscovery
 from cellapp.discovery.proposal.approaches import DWELLS_S, STEPS_RAD
 from cellapp.discovery.proposal.candidate_poses import Effort
-from cellapp.discovery.propose import Proposal, append_to_plan, propose_run, propose_stops
-from cellapp.model import CellModel
+from cellapp.discovery.propose import Proposal
+from cellapp.discovery.record import proposal_result
+from cellapp.pipeline import append_proposed_stops, propose_after
 from cellapp.planning.plan import plan_stops
 from cellapp.planning.stop_conditions import STOP_CONDITIONS_RESULT, StopConditions, read_stop_conditions
 from cellapp.profile import Profile
@@ -31,6 +30,7 @@ from cellapp.run import Readings, RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import refuse_motion
 from drivers.no_driver import NoDriver
+from tests.discovery.searched import calibrated_and_searched, proposed
 from tests.twin import small_twin, with_arms
 
 STOPS = 90
@@ -86,7 +86,7 @@ def plan() -> dict[str, np.ndarray]:
     return plan_stops(a_profile({}))
 
 
-Tied = tuple[RunFile, dict[str, Discovery], Proposal]
+Tied = tuple[RunFile, CellDiscovery, Proposal]
 
 
 @pytest.fixture(scope="module")
@@ -94,14 +94,15 @@ def tied(plan: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) 
     """Both arms have backlash, which this run cannot distinguish from unsettled measurements."""
     folder = tmp_path_factory.mktemp("tied") / "run"
     with measured_run(folder, {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
-        calibrate_run(run)
-        found = discover_run(run)
-        yield run, found, propose_run(run, found, PROPOSED, effort=EFFORT)
+        found = calibrated_and_searched(run)
+        proposal = proposed(run, found, PROPOSED, EFFORT)
+        append_proposed_stops(run, proposal.stops)
+        yield run, found, proposal
 
 
 def test_proposed_stops_decide_what_a_poor_plan_leaves_open_and_better_than_random_ones(tied: Tied) -> None:
     _, found, proposal = tied
-    for discovery in found.values():
+    for discovery in found.arms.values():
         assert set(discovery.accepted[0].answer_set) == {"backlash", "unsettled_measurement"}
     assert len(proposal.stops) == PROPOSED
     for arm in ("left", "right"):
@@ -116,10 +117,9 @@ def test_proposed_stops_decide_what_a_poor_plan_leaves_open_and_better_than_rand
 
 def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
     with measured_run(tmp_path / "run", {"left": SOFT}, plan, tied=False) as run:
-        calibrate_run(run)
-        found = discover_run(run)
-        assert {"joint_compliance", "link_bending"} <= set(found["left"].accepted[0].answer_set)
-        proposal = propose_run(run, found, 2 * PROPOSED, effort=Effort(drawn=200, kept=140, candidates=3000))
+        found = calibrated_and_searched(run)
+        assert {"joint_compliance", "link_bending"} <= set(found.arms["left"].accepted[0].answer_set)
+        proposal = proposed(run, found, 2 * PROPOSED, Effort(drawn=200, kept=140, candidates=3000))
         elastic = {"joint_compliance", "link_bending"}
         answers = [a for a in proposal.predictions if a.arm == "left" and {a.effect, a.against} == elastic]
         assert len(answers) == 2
@@ -158,14 +158,15 @@ def test_every_leg_is_inside_the_limits_and_free(tied: Tied) -> None:
 
 def test_the_proposal_in_words_and_as_json(tied: Tied) -> None:
     _, _, proposal = tied
-    result = json.loads(json.dumps(proposal.as_dict()))
+    typed = proposal_result(proposal, STOPS, proposal.notes)
+    result = typed.model_dump(mode="json")
     assert (result["count"], result["written"], result["first_configuration"]) == (PROPOSED, True, STOPS)
     assert len(result["stops"]) == 2 * PROPOSED
     assert {row["configuration"] for row in result["stops"]} == set(range(STOPS, STOPS + PROPOSED))
-    lines = proposal_lines(result)
+    lines = proposal_lines(typed)
     assert sum("backlash / unsettled_measurement" in line for line in lines) == 2
     assert all(len(line) <= 80 for line in lines)
-    assert any("would tell" in line for line in lines)
+    assert any("these stops would" in line for line in lines)
     assert f"stops {STOPS + 1} to {STOPS + PROPOSED}" in " ".join(lines)
 
 
@@ -180,12 +181,12 @@ def test_the_proposal_is_in_the_plan_until_a_new_one_replaces_it(tied: Tied, pla
         for name, one in stop.conditions.items():
             np.testing.assert_array_equal(conditions[STOPS + number][name].via, one.via)
     try:
-        again = propose_run(run, found, 5, effort=EFFORT)
-        assert again.first == STOPS
+        again = propose_after(run, found, 5, effort=EFFORT)
+        assert again.first_configuration == STOPS
         assert len(run.read_plan()["left"]) == STOPS + 5
         assert sorted(read_stop_conditions(run)) == list(range(STOPS, STOPS + 5))
     finally:
-        append_to_plan(run, proposal.stops)
+        append_proposed_stops(run, proposal.stops)
 
 
 def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path) -> None:
@@ -202,15 +203,14 @@ def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path)
         [(run.profile, "no plan"), (drivers, "driver of arms.left is 'none'"), (placeless, "were measured")]
     ):
         with RunFile.create(tmp_path / str(number), profile, fill) as other:
-            calibrate_run(other)
-            proposal = propose_run(other, discover_run(other), 4, effort=LITTLE)
-            assert len(proposal.stops) == 4
-            assert proposal.first is None
+            proposal = propose_after(other, calibrated_and_searched(other), 4, effort=LITTLE)
+            assert proposal.count == 4
+            assert proposal.first_configuration is None
             assert any(says in note for note in proposal.notes)
             assert any("listed only" in note for note in proposal.notes)
             assert other.read_plan() == {}
             assert other.read_result(STOP_CONDITIONS_RESULT) is None
-            assert not proposal.as_dict()["written"]
+            assert not proposal.written
 
 
 def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -226,15 +226,15 @@ def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert "3 proposed stops" in done.output
         assert "collect DIR --resume" in " ".join(done.output.split())
     finally:
-        append_to_plan(run, tied[2].stops)
+        append_proposed_stops(run, tied[2].stops)
 
 
 def test_collecting_the_proposed_stops_distinguishes_the_effects(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
     with measured_run(tmp_path / "run", {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
-        calibrate_run(run)
-        found = discover_run(run)
-        assert all(len(discovery.accepted[0].answer_set) == 2 for discovery in found.values())
-        proposal = propose_run(run, found, 2 * PROPOSED, effort=EFFORT)
+        found = calibrated_and_searched(run)
+        assert all(len(discovery.accepted[0].answer_set) == 2 for discovery in found.arms.values())
+        proposal = proposed(run, found, 2 * PROPOSED, EFFORT)
+        append_proposed_stops(run, proposal.stops)
         held_out = {name: run.readings(name).in_split("validate") for name in plan}
         assert collect_run(run, resume=True)[:-1] == ()
         for name in plan:
@@ -251,18 +251,14 @@ def test_collecting_the_proposed_stops_distinguishes_the_effects(plan: dict[str,
                 np.testing.assert_allclose(readings.step[row], stop.q[name] - asked.via, atol=1e-9)
                 np.testing.assert_array_equal(readings.approach[row], np.sign(stop.q[name] - asked.via))
                 assert asked.dwell_s < readings.dwell_s[row] < asked.dwell_s + 10.0
-        calibrate_run(run)
-        for name, discovery in discover_run(run).items():
+        for name, discovery in calibrated_and_searched(run).arms.items():
             assert discovery.accepted[0].term.slug == "backlash", name
             assert discovery.accepted[0].answer_set == ("backlash",), name
 
 
 def test_the_pure_computation_is_reproducible(tied: Tied) -> None:
     run, found, _ = tied
-    model = CellModel.load(run.folder / CALIBRATION_FILE)
-    readings = {name: run.readings(name) for name in model.arms}
-    first, second = (propose_stops(run.profile, model, readings, found, 2, effort=LITTLE) for _ in range(2))
-    assert first.first is None
+    first, second = (proposed(run, found, 2, LITTLE) for _ in range(2))
     assert first.predictions == second.predictions
     for one, other in zip(first.stops, second.stops, strict=True):
         for name in one.q:

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from cellapp.reporting.findings import accepted_table
 
 from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.outcome import Discovery
@@ -15,7 +16,6 @@ from cellapp.kinematics.chain import smr_positions
 from cellapp.model import ArmModel
 from cellapp.model.nominal import bodies_of, nominal_arm
 from cellapp.profile import load_profile
-from cellapp.reporting.findings import accepted_table
 from cellapp.run import Readings
 from tests.arms import STATION
 from tests.effects.toy_effect import FORM, GRID, SOFTENING, ToySag

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
-from cellapp.calibration.calibrate import calibrate_run
 from cellapp.reporting.page import page_text
 from cellapp.run import RunFile
-from tests.reporting.test_page import fill, pretend_discovery, profile_of
+from tests.reporting.cases import discovery
+from tests.reporting.parsed_page import NOON
+from tests.reporting.runs import LEFT, RIGHT, store_discovery
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -24,14 +25,14 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(calibrated_folders: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page with an unknown effect and with warnings of results that are missing."""
     folder = tmp_path_factory.mktemp("browser")
-    with RunFile.create(folder / "run", profile_of("left", "right")) as run:
-        fill(run)
-        calibrate_run(run)
-        pretend_discovery(run, "left", "right")
+    shutil.copytree(calibrated_folders / "double", folder / "run")
+    with RunFile.open(folder / "run", write=True) as run:
+        store_discovery(run, discovery(LEFT, RIGHT))
         path = folder / "report.html"
-        path.write_text(page_text(run, datetime(2026, 1, 2, 12, 0, 0, tzinfo=UTC)), encoding="utf-8")
+        path.write_text(page_text(run, NOON), encoding="utf-8")
     return path
 
 
@@ -45,10 +46,10 @@ def browser() -> Iterator[Browser]:
         opened.close()
 
 
-def _listen(page: Page, said: list[str], asked: list[str]) -> None:
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda request: asked.append(request.url))
+def _record(page: Page, messages: list[str], requests: list[str]) -> None:
+    page.on("console", lambda message: messages.append(message.text))
+    page.on("pageerror", lambda error: messages.append(str(error)))
+    page.on("request", lambda request: requests.append(request.url))
 
 
 @pytest.mark.parametrize("width", [1280, 600])
@@ -56,15 +57,15 @@ def test_page_in_a_browser(browser: Browser, report: Path, width: int) -> None:
     grounds = {}
     for scheme in ("light", "dark"):
         page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
-        said: list[str] = []
-        asked: list[str] = []
-        _listen(page, said, asked)
+        messages: list[str] = []
+        requests: list[str] = []
+        _record(page, messages, requests)
         page.goto(report.as_uri(), timeout=60_000)
         assert page.get_by_role("heading", level=1).is_visible()
-        assert page.get_by_role("heading", name="Arm left: unknown effect").is_visible()
-        assert page.get_by_text("Where the arm goes is now known to").first.is_visible()
-        assert said == []
-        assert asked == [report.as_uri()]
+        assert page.get_by_role("heading", name=f"Arm {LEFT}: unknown effect").is_visible()
+        assert page.get_by_text("The mean error of the predicted SMR position").first.is_visible()
+        assert messages == []
+        assert requests == [report.as_uri()]
         assert page.evaluate("document.documentElement.scrollWidth") == width
         # what is wider than its frame scrolls in it; a drawing never is
         wider = "[...document.querySelectorAll('figure, .panel')].filter(e => e.scrollWidth > e.clientWidth).length"

@@ -425,7 +425,7 @@ def spoil_profile(path: Path) -> None:
         (spoil_header_only, "is cut off: 100 bytes of"),
         (spoil_cut, "is cut off: .* restore it from a copy"),
         (spoil_middle, "is damaged .* restore it from a copy"),
-        (spoil_newer, r"newer cellapp \(schema 99, this one reads up to 2\); install the newer"),
+        (spoil_newer, r"newer cellapp \(schema 99, this one reads up to 3\); install the newer"),
         (spoil_other, "is an SQLite file, but not a run of cellapp"),
         (spoil_tables, "is damaged .*no such table"),
         (spoil_profile, "holds a profile that this cellapp cannot read"),
@@ -543,6 +543,7 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
         connection.execute("ALTER TABLE reading DROP COLUMN step")
         connection.execute("ALTER TABLE reading DROP COLUMN dwell_s")
+        connection.execute("DROP TABLE stage")
         connection.execute("UPDATE meta SET value = '1' WHERE key = 'version'")
         connection.execute("PRAGMA user_version=1")
         connection.commit()

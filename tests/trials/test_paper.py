@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.profile import load_profile
-from cellapp.reporting.tables import paper_tables
 from cellapp.trials.measured import measured_plan
-from cellapp.trials.paper import paper_trial, summary
+from cellapp.trials.paper import paper_result, paper_trial
+from cellapp.trials.tables import paper_tables
 
 ROOT = Path(__file__).parents[2]
 
@@ -25,7 +25,7 @@ def test_three_methods_and_another_station():
         assert ways["tracker_frame"] > ways["geometry"]
     for stages in trial.position_mm.values():
         assert stages["network"] < stages["geometry"] < stages["nominal"]
-    tables = paper_tables(summary([trial]))
+    tables = paper_tables(paper_result([trial]))
     assert any("proposed" in row[0] for row in tables[0].rows)
 
 

@@ -1,4 +1,4 @@
-"""Sealed trials: a run tells nothing of its truth, a broken seal is refused, judging goes on, verdicts count right."""
+"""Blind trials: a run contains nothing of its truth, a broken seal is refused, judging continues, scores are right."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import sqlite3
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,23 +23,35 @@ from cellapp.kinematics.transforms import transform
 from cellapp.model.nominal import nominal_arm
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import Cancelled, CancelToken, Progress
+from cellapp.results import BeforeAfter
 from cellapp.run import RunFile
+from cellapp.run.stages import read_stages
 from cellapp.trials.judge import TRIAL_RESULT, judge_run, judge_trials, source_digest
+from cellapp.trials.scoring import (
+    ArmFindings,
+    DescribedTerm,
+    JudgeResult,
+    NoiseLengths,
+    ScoredRun,
+    score_run,
+    scores,
+)
 from cellapp.trials.sealed import (
     EXPECTED,
     KINDS,
     LOOK_ALIKES,
     PAIRS,
-    Hidden,
-    Opened,
-    Truth,
+    ExpectedTerm,
+    GroundTruth,
+    HiddenLaw,
+    SealHeader,
     _cases,
     beyond_geometry,
     check_seal,
     open_truth,
     seal_trials,
 )
-from cellapp.trials.verdicts import Found, Judged, judged_sentences, judged_summary, judged_tables, trial_table_markdown
+from cellapp.trials.tables import judge_markdown, judge_sentences, judge_tables
 from drivers.plant import OUTSIDE, REALISTIC
 from tests.twin import PROFILES, small_twin
 
@@ -68,7 +79,7 @@ def all_kinds(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], Mapping[str, Any]]:
+def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], JudgeResult]:
     """Three sealed runs that hide nothing, judged in two goes: folder, what the first go left in them, and outcome."""
     folder = tmp_path_factory.mktemp("judged") / "trials"
     seal_trials(small(), folder, 3, seed=SEED, kind="none")
@@ -81,7 +92,7 @@ def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[st
     with pytest.raises(Cancelled):
         judge_trials(folder, jobs=1, listener=stop_after_the_first, cancel=cancel)
     first = stored(folder)
-    return folder, first, judge_trials(folder, jobs=1).result
+    return folder, first, judge_trials(folder, jobs=1)
 
 
 @pytest.fixture
@@ -146,15 +157,15 @@ def numbers_in(value: Any) -> Iterator[str]:
         yield repr(value)
 
 
-def test_a_run_tells_nothing_of_its_truth(all_kinds: Path) -> None:
+def test_a_run_contains_nothing_of_its_truth(all_kinds: Path) -> None:
     content = json.loads((all_kinds / "truth.json").read_text("utf-8"))
     words = {*REALISTIC, *OUTSIDE, "effects", "look_alike", "truth", "hidden", content["sealed"]["profile"] + '"'}
     for entry in content["trials"]:
         data = (all_kinds / entry["run"] / "run.sqlite").read_bytes()
         assert b"sealed-" in data
         assert [word for word in words if word.encode() in data] == []
-        told = [entry["effects"], entry["seeds"], entry["noise_um"], entry["held_out_um"], content["sealed"]["seed"]]
-        numbers = set(numbers_in(told))
+        secret = [entry["effects"], entry["seeds"], entry["noise_um"], entry["held_out_um"], content["sealed"]["seed"]]
+        numbers = set(numbers_in(secret))
         assert len(numbers) >= 7
         assert [number for number in numbers if number.encode() in data] == []
         with RunFile.open(all_kinds / entry["run"]) as run:
@@ -195,7 +206,7 @@ def test_every_law_meets_both_arms() -> None:
 
 
 def test_a_seed_gives_the_same_trials_and_none_gives_others(
-    judged_once: tuple[Path, list[str], Mapping[str, Any]], tmp_path: Path
+    judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path
 ) -> None:
     seal_trials(small(), tmp_path / "again", 3, seed=SEED, kind="none")
     assert open_truth(tmp_path / "again").trials == open_truth(judged_once[0]).trials
@@ -203,7 +214,7 @@ def test_a_seed_gives_the_same_trials_and_none_gives_others(
     for name in ("a", "b"):
         seal_trials(small_twin(), tmp_path / name, 1, kind="none")
         drawn.append(open_truth(tmp_path / name))
-    assert drawn[0].sealed["seed"] != drawn[1].sealed["seed"]
+    assert drawn[0].sealed.seed != drawn[1].sealed.seed
     assert drawn[0].trials[0].readings != drawn[1].trials[0].readings
 
 
@@ -271,10 +282,10 @@ def test_a_changed_truth_breaks_the_seal(mine: Path, place: float) -> None:
     (mine / "truth.json").write_bytes(data)
     with pytest.raises(CheckFailed, match="the seal is broken"):
         judge_trials(mine)
-    assert stored(mine) == [""] * 10, "it is told before any work"
+    assert stored(mine) == [""] * 10, "it is reported before any work"
 
 
-def test_changed_readings_are_told(judged_once: tuple[Path, list[str], Mapping[str, Any]], tmp_path: Path) -> None:
+def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path) -> None:
     folder = Path(shutil.copytree(judged_once[0], tmp_path / "trials"))
     connection = sqlite3.connect(folder / "run-0002" / "run.sqlite")
     connection.execute("UPDATE reading SET p_m = '[3.0, 0.5, -0.25]' WHERE arm = 'right' AND configuration = 7")
@@ -290,12 +301,12 @@ def test_changed_readings_are_told(judged_once: tuple[Path, list[str], Mapping[s
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ("judge nowhere", 2, "nowhere: there is no such folder; 'cellapp trials seal' makes one"),
+        ("judge nowhere", 2, "nowhere: folder not found; 'cellapp trials seal' makes one"),
         ("judge empty", 2, "empty holds no sealed trials (truth.json is missing)"),
         ("judge torn", 2, "torn holds no sealed trials (seal.txt is missing)"),
         ("judge bare", 2, "bare holds no runs"),
         ("judge broken", 1, "the seal is broken"),
-        ("judge bare --markdown no/where.md", 2, "--markdown: no/where.md: there is no such folder"),
+        ("judge bare --markdown no/where.md", 2, "--markdown: no/where.md: folder not found"),
         ("judge bare --jobs 0", 2, ""),
         ("seal twin.yaml --out torn --n 1", 2, "torn is not empty; give a new folder"),
         ("seal twin.yaml --out torn/truth.json --n 1", 2, "torn/truth.json: "),
@@ -332,7 +343,7 @@ def test_what_is_wrong_is_said_in_one_sentence(
 # -- judging ----------------------------------------------------------------------------------------------------------
 
 
-def test_judging_goes_on_where_it_was_stopped(judged_once: tuple[Path, list[str], Mapping[str, Any]]) -> None:
+def test_judging_goes_on_where_it_was_stopped(judged_once: tuple[Path, list[str], JudgeResult]) -> None:
     folder, first, result = judged_once
     done = [text for text in first if text]
     assert 1 <= len(done) < 3
@@ -340,45 +351,45 @@ def test_judging_goes_on_where_it_was_stopped(judged_once: tuple[Path, list[str]
     assert all(after)
     assert [text for text, before in zip(after, first, strict=True) if before] == done, "not judged twice"
     events: list[Progress] = []
-    assert judge_trials(folder, listener=events.append).result["trials"] == result["trials"]
+    assert judge_trials(folder, listener=events.append).trials == result.trials
     assert [(event.done, event.total) for event in events] == [(3, 3)]
     assert stored(folder) == after
 
 
-def test_what_judging_says(judged_once: tuple[Path, list[str], Mapping[str, Any]]) -> None:
+def test_what_judging_reports(judged_once: tuple[Path, list[str], JudgeResult]) -> None:
     folder, _, result = judged_once
-    assert result["schema"] == "cellapp-trials-judge"
-    assert [trial["run"] for trial in result["trials"]] == ["run-0001", "run-0002", "run-0003"]
-    assert result["sealed"]["seed"] == SEED
-    assert result["failed"] == []
-    json.dumps(result, allow_nan=False)
-    for trial in result["trials"]:
-        for arm in trial["arms"].values():
-            assert arm["heldout_um"]["after"] > 0.0
-            assert arm["seconds"] > 0.0
+    assert result.as_object()["schema"] == "cellapp-trials-judge"
+    assert [trial.run for trial in result.trials] == ["run-0001", "run-0002", "run-0003"]
+    assert result.sealed.seed == SEED
+    assert result.failed == ()
+    json.dumps(result.as_object(), allow_nan=False)
+    for trial in result.trials:
+        for arm in trial.arms.values():
+            assert arm.heldout_um.after > 0.0
+            assert arm.seconds > 0.0
     with RunFile.open(folder / "run-0001") as run:
-        assert run.read_result("calibrate") is not None
+        assert list(read_stages(run).current) == ["calibrate"]
 
 
 def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Path) -> None:
     folder = tmp_path / "trials"
     seal_trials(small(), folder, 1, seed=SEED, kind="one")
     judge_run(folder / "run-0001", source_digest())
-    result = judge_trials(folder).result
-    (trial,) = result["trials"]
-    assert [hidden["effect"] for hidden in trial["hidden"]] == ["joint_compliance"]
-    assert trial["visible"]
-    arm = trial["arms"][trial["arm"]]
-    assert "joint_compliance" in {slug for answers in arm["answer_sets"] for slug in answers}
-    assert trial["in_answer_set"]
-    assert arm["heldout_um"]["after"] < 0.2 * arm["heldout_um"]["before"]
-    assert arm["noise_um"]["stated"] == pytest.approx(arm["noise_um"]["drawn"], rel=0.6)
-    assert result["judged_by_other_source"] == 0
-    assert {target["target"] for target in result["targets"]} >= {"visible: exactly its name", "one arm within 3 s"}
+    result = judge_trials(folder)
+    (trial,) = result.trials
+    assert [hidden.effect for hidden in trial.hidden] == ["joint_compliance"]
+    assert trial.visible
+    arm = trial.findings
+    assert "joint_compliance" in {slug for answers in arm.answer_sets for slug in answers}
+    assert trial.in_answer_set
+    assert arm.heldout_um.after < 0.2 * arm.heldout_um.before
+    assert arm.noise_um.stated == pytest.approx(arm.noise_um.drawn, rel=0.6)
+    assert result.judged_by_other_source == 0
+    assert {target.target for target in result.targets} >= {"visible: exactly its name", "one arm within 3 s"}
 
 
-def test_a_run_that_fails_is_told_and_keeps_no_other_from_being_judged(
-    judged_once: tuple[Path, list[str], Mapping[str, Any]], tmp_path: Path
+def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
+    judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path
 ) -> None:
     folder = Path(shutil.copytree(judged_once[0], tmp_path / "trials"))
     for name in ("run-0001", "run-0003"):
@@ -388,14 +399,14 @@ def test_a_run_that_fails_is_told_and_keeps_no_other_from_being_judged(
             connection.execute("UPDATE reading SET split = 'identify'")
         connection.commit()
         connection.close()
-    judgement = judge_trials(folder, jobs=1)
-    assert len(judgement.failed) == 1
-    assert judgement.failed[0].startswith("run-0001: arm 'left': 60 readings leave 60 to identify and 0 to validate")
-    assert [trial["run"] for trial in judgement.result["trials"]] == ["run-0002", "run-0003"]
+    result = judge_trials(folder, jobs=1)
+    assert len(result.failed) == 1
+    assert result.failed[0].startswith("run-0001: arm 'left': 60 readings leave 60 to identify and 0 to validate")
+    assert [trial.run for trial in result.trials] == ["run-0002", "run-0003"]
 
 
 def test_the_commands(
-    judged_once: tuple[Path, list[str], Mapping[str, Any]],
+    judged_once: tuple[Path, list[str], JudgeResult],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -405,9 +416,9 @@ def test_the_commands(
     assert code == 0
     assert "Sealed trials: targets" in said
     assert f"seed {SEED}" in said
-    found = json.loads(out.read_text("utf-8"))
-    assert found["trials"] == judged_once[2]["trials"]
-    assert table.read_text("utf-8") == trial_table_markdown(found)
+    found = JudgeResult.from_json(out.read_text("utf-8"), str(out))
+    assert found.trials == judged_once[2].trials
+    assert table.read_text("utf-8") == judge_markdown(found)
     shutil.copytree(PROFILES, tmp_path / "profiles")
     monkeypatch.setattr("cellapp.trials.sealed._write_runs", lambda *arguments: [])
     code, said, _ = call(
@@ -416,21 +427,24 @@ def test_the_commands(
     assert code == 0
     sealed = json.loads((tmp_path / "new" / "truth.json").read_text("utf-8"))["sealed"]
     assert (tmp_path / "new" / "seal.txt").read_text("utf-8").split()[0] in said
-    assert str(sealed["seed"]) not in said.replace(str(tmp_path), ""), "a seed that was drawn is nobody's business"
+    assert str(sealed["seed"]) not in said.replace(str(tmp_path), ""), "a drawn seed stays secret"
 
 
-# -- verdicts ---------------------------------------------------------------------------------------------------------
+# -- scores -----------------------------------------------------------------------------------------------------------
 
 
-def truth(kind: str, *slugs: str, visible_um: float = 100.0, look_alikes: bool = False) -> Truth:
+def truth(kind: str, *slugs: str, visible_um: float = 100.0, look_alikes: bool = False) -> GroundTruth:
     expected = EXPECTED.get(slugs[0]) if kind == "outside" else None
-    return Truth(
+    return GroundTruth(
         run="run-0001",
         kind=kind,
         look_alikes=look_alikes,
         arm="left" if slugs else "",
-        effects=tuple(Hidden(slug, slug, {}, 2.0 * visible_um, visible_um) for slug in slugs),
-        expected=None if expected is None else {"channel": expected[0], "variables": list(expected[1])},
+        effects=tuple(
+            HiddenLaw(effect=slug, plant=slug, parameters={}, raw_um=2.0 * visible_um, visible_um=visible_um)
+            for slug in slugs
+        ),
+        expected=None if expected is None else ExpectedTerm(channel=expected[0], variables=expected[1]),
         noise_um={"left": 26.0, "right": 26.0},
         held_out_um={"left": 25.0, "right": 25.0},
         seeds={},
@@ -438,21 +452,36 @@ def truth(kind: str, *slugs: str, visible_um: float = 100.0, look_alikes: bool =
     )
 
 
-NOTHING = Found((), (), (), "nothing missing", 26.0, 25.5, 26.0, 1.0, 0.9)
+def findings(**changes: Any) -> ArmFindings:
+    after_um = changes.pop("after_um", 25.5)
+    found: dict[str, Any] = {
+        "accepted": (),
+        "answer_sets": (),
+        "described": (),
+        "verdict": "nothing missing",
+        "heldout_um": BeforeAfter(before=26.0, after=after_um),
+        "noise_um": NoiseLengths(stated=26.0, drawn=25.0),
+        "seconds": 1.0,
+        "cpu_seconds": 0.9,
+    }
+    return ArmFindings(**{**found, **changes})
 
 
-def named(*slugs: str, answers: tuple[str, ...] = (), **changes: Any) -> Found:
+NOTHING = findings()
+
+
+def named(*slugs: str, answers: tuple[str, ...] = (), **changes: Any) -> ArmFindings:
     sets = tuple((slug, *answers) for slug in slugs)
-    return replace(NOTHING, accepted=slugs, answer_sets=sets, verdict="explained", **changes)
+    return findings(accepted=slugs, answer_sets=sets, verdict="explained", **changes)
 
 
-def unknown(channel: str, *variables: str) -> Found:
-    found = named("unknown")
-    return replace(found, described=((channel, variables),), verdict="unknown effect")
+def unknown(channel: str, *variables: str) -> ArmFindings:
+    described = (DescribedTerm(channel=channel, variables=variables),)
+    return findings(accepted=("unknown",), answer_sets=(("unknown",),), described=described, verdict="unknown effect")
 
 
-def judged(true: Truth, left: Found, right: Found = NOTHING) -> Judged:
-    return Judged(true, {"left": left, "right": right}, "here")
+def judged(true: GroundTruth, left: ArmFindings, right: ArmFindings = NOTHING) -> ScoredRun:
+    return score_run(true, {"left": left, "right": right})
 
 
 @pytest.mark.parametrize(
@@ -475,9 +504,9 @@ def test_outcomes(hidden: tuple[str, ...], accepted: tuple[str, ...], outcome: s
 
 def test_the_answer_set_counts_only_where_something_is_named() -> None:
     true = truth("one", "backlash")
-    assert judged(true, named("friction_windup", answers=("backlash",))).answered
-    assert not judged(true, named("friction_windup")).answered
-    assert not judged(true, NOTHING).answered
+    assert judged(true, named("friction_windup", answers=("backlash",))).in_answer_set
+    assert not judged(true, named("friction_windup")).in_answer_set
+    assert not judged(true, NOTHING).in_answer_set
 
 
 @pytest.mark.parametrize(
@@ -512,8 +541,8 @@ def test_counts_targets_and_misses() -> None:
         judged(truth("pair", "backlash", "base_step"), named("base_step", "backlash")),
         judged(truth("pair", "backlash", "friction_windup", look_alikes=True), named("backlash", seconds=9.0)),
     ]
-    result = judged_summary(trials)
-    reached = {target["target"]: (target["reached"], target["n"], target["met"]) for target in result["targets"]}
+    result = scores(trials)
+    reached = {target.target: (target.reached, target.n, target.met) for target in result.targets}
     assert reached == {
         "visible: exactly its name": (1, 2, False),
         "visible: truth in the answer set": (2, 2, True),
@@ -527,13 +556,15 @@ def test_counts_targets_and_misses() -> None:
         "look-alikes: exactly both names": (0, 1, True),
         "one arm within 3 s": (17, 18, False),
     }
-    assert result["one"]["backlash"]["visible"]["named"] == 1
-    assert result["one"]["backlash"]["visible"]["heldout_to_drawn"]["max"] == pytest.approx(1.6)
-    assert result["one"]["tracker_scale"]["below"]["none"] == 1
-    assert result["none"]["arm beside one that hides something"]["n"] == 7
-    assert result["none"]["arm beside one that hides something"]["false_names"] == 1
-    assert result["outside"]["tool_sag"]["false_names"] == 1
-    missed = [(miss["hidden"].split(" (")[0], miss["found"]) for miss in result["misses"]]
+    assert result.one["backlash"].visible.named == 1
+    to_drawn = result.one["backlash"].visible.heldout_to_drawn
+    assert to_drawn is not None
+    assert to_drawn.max == pytest.approx(1.6)
+    assert result.one["tracker_scale"].below.none == 1
+    assert result.none["arm beside one that hides something"].n == 7
+    assert result.none["arm beside one that hides something"].false_names == 1
+    assert result.outside["tool_sag"].false_names == 1
+    missed = [(miss.hidden.split(" (")[0], miss.found) for miss in result.misses]
     assert missed == [
         ("backlash", "friction_windup"),
         ("", "joint_drift"),
@@ -546,30 +577,34 @@ def test_counts_targets_and_misses() -> None:
 
 def test_few_clean_arms_meet_no_target_and_many_do() -> None:
     def met(n: int) -> list[object]:
-        targets = judged_summary([judged(truth("none"), NOTHING) for _ in range(n)])["targets"]
-        return [target["met"] for target in targets if target["kind"] == "none"]
+        targets = scores([judged(truth("none"), NOTHING) for _ in range(n)]).targets
+        return [target.met for target in targets if target.kind == "none"]
 
     assert met(149) == [None, None]
     assert met(150) == [True, True]
 
 
 def test_the_table_for_the_readme_ends_with_date_seed_and_program() -> None:
-    opened = Opened({"written": "2026-01-02T03:04:05", "program": "cellapp 0.0.9", "profile": "twin", "seed": 1234,
-                     "kind": "mixed", "noise": "heavy", "runs": 4, "stops": 400}, ())  # fmt: skip
+    sealed = SealHeader(
+        written="2026-01-02T03:04:05", program="cellapp 0.0.9", profile="twin", seed=1234, kind="mixed", noise="heavy",
+        runs=4, stops=400,
+    )  # fmt: skip
     trials = [
         judged(truth("one", "backlash"), named("friction_windup", answers=("a|b",))),
         judged(truth("none"), NOTHING),
         judged(truth("outside", "crosstalk"), unknown("joint 4", "q5")),
         judged(truth("pair", "backlash", "base_step"), named("base_step", "backlash")),
     ]
-    result = {"date": "2026-02-03", "program": "cellapp 0.1.0", "source": "abc", "judged_by_other_source": 1, "jobs": 2,
-              "sealed": opened.sealed, "failed": ["run-0009: broken"], **judged_summary(trials)}  # fmt: skip
-    text = trial_table_markdown(result)
+    result = JudgeResult(
+        date="2026-02-03", program="cellapp 0.1.0", source="abc", judged_by_other_source=1, jobs=2, sealed=sealed,
+        failed=("run-0009: broken",), **dict(scores(trials)),
+    )  # fmt: skip
+    text = judge_markdown(result)
     last = text.rstrip().splitlines()[-1]
     for word in ("2026-02-03", "cellapp 0.1.0", "seed 1234", "noise heavy", "2026-01-02", "run-0009: broken", "1 runs"):
         assert word in last, word
-    assert last.endswith(judged_sentences(result)[-1])
-    titles = [table.title for table in judged_tables(result)]
+    assert last.endswith(judge_sentences(result)[-1])
+    titles = [table.title for table in judge_tables(result)]
     assert [line.strip("*") for line in text.splitlines() if line.startswith("**")] == titles
     assert len(titles) == len(KINDS) + 2
     for block in text.split("\n\n"):

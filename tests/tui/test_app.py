@@ -1,4 +1,4 @@
-"""The screen, driven by keys: with a run that the test holds in its hands, and once with the real one."""
+"""The screen, driven by keys: with a run that the test controls, and once with the real one."""
 
 from __future__ import annotations
 
@@ -11,42 +11,39 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import pytest
 from textual.pilot import Pilot
 from textual.widgets import Button, DataTable, Input, Label, OptionList, ProgressBar, RichLog, Static, TabbedContent
 
 from cellapp.errors import HardwareError, InputError
-from cellapp.pipeline import Outcome
 from cellapp.progress import CancelToken, Listener, Progress
-from cellapp.reporting.findings import discovery_tables
+from cellapp.reporting.discovery_tables import discovery_tables
+from cellapp.results import DiscoverResult, WholeRunResult
 from cellapp.tui.app import ERROR_LOG, CellApp, LeaveScreen
-from tests.reporting.made import made_arm
+from tests.reporting.cases import calibration, unknown_effect
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"
 WAIT_S = 30.0
 WHOLE_RUN_S = 150.0
 SMALL = (80, 24)
 
-SUMMARY = {"mean": 0.1234, "rms": 0.2, "std": 0.05, "max": 0.4, "n": 17}
-RESULTS: dict[str, dict[str, Any]] = {
-    "calibrate": {
-        "arms": {
-            "left": {"rank": 27, "iterations": 4, "validate": {"nominal": {"position_mm": SUMMARY}}},
-        },
-        "pair": {"nominal": {"cooperative_mm": SUMMARY}},
-    },
-    "discover": {"arms": {"left": {**made_arm("left"), "sentence": "arm left: backlash [joint 2] explains it"}}},
-}
+SENTENCE = "arm left: backlash [joint 2] explains it"
+RESULTS = WholeRunResult(
+    run="",
+    calibrate=calibration("left"),
+    discover=DiscoverResult(arms={"left": unknown_effect("left").model_copy(update={"sentence": SENTENCE})}),
+    notes=("target left-17: not [reached]",),
+)
 
 
 @dataclass
 class HeldRun:
-    """Stands in for ``run_whole``: emits events, waits for the test, then ends as it was told to."""
+    """Stands in for ``run_whole``: emits events, waits for the test, then returns ``results`` or raises ``error``."""
 
     events: tuple[Progress, ...] = (Progress("plan", 30, 30, "done"), Progress("collect", 7, 30, "stop 8"))
     error: BaseException | None = None
+    results: WholeRunResult = RESULTS
     reached: threading.Event = field(default_factory=threading.Event)
     go_on: threading.Event = field(default_factory=threading.Event)
     calls: list[tuple[Path, Path | None]] = field(default_factory=list)
@@ -56,7 +53,9 @@ class HeldRun:
         self.reached.clear()
         self.go_on.clear()
 
-    def __call__(self, profile: Path, folder: Path | None, listener: Listener, cancel: CancelToken | None) -> Outcome:
+    def __call__(
+        self, profile: Path, folder: Path | None, listener: Listener, cancel: CancelToken | None
+    ) -> WholeRunResult:
         assert cancel is not None
         assert folder is not None
         self.calls.append((profile, folder))
@@ -68,7 +67,7 @@ class HeldRun:
         cancel.check()
         if self.error is not None:
             raise self.error
-        return Outcome(folder, RESULTS, ("target left-17: not [reached]",))
+        return self.results.model_copy(update={"run": str(folder)})
 
 
 @pytest.fixture(autouse=True)
@@ -140,17 +139,18 @@ async def test_tables_verdict_and_notes_appear_when_the_run_is_done() -> None:
             "nominal, position", "0.1234", "0.2000", "0.0500", "0.4000", "17",
         ]  # fmt: skip
         shown = texts(app)
-        assert "arm left: backlash [joint 2] explains it" in shown
+        assert SENTENCE in shown
         assert "Arm left: held-out errors [mm] (27 parameters, 4 iterations)" in shown
         assert "Note: target left-17: not [reached]" in shown
         assert "target left-17" in log(app)
         steps, accepted = list(app.query(DataTable))[2:]
-        expected = discovery_tables(RESULTS["discover"])
+        assert RESULTS.discover is not None
+        expected = discovery_tables(RESULTS.discover)
         assert [table.title for table in expected] == [text for text in shown if text.startswith("Arm left: ")][-2:]
         for drawn, table in zip((steps, accepted), expected, strict=True):
-            assert [str(column.label) for column in drawn.columns.values()] == list(table.columns)
+            assert tuple(str(column.label) for column in drawn.columns.values()) == table.headings
             rows = [tuple(str(cell) for cell in drawn.get_row_at(place)) for place in range(drawn.row_count)]
-            assert rows == list(table.rows)
+            assert tuple(rows) == table.text_rows()
         assert status(pilot).startswith("Done")
 
         run.hold_again()
@@ -162,6 +162,21 @@ async def test_tables_verdict_and_notes_appear_when_the_run_is_done() -> None:
         run.go_on.set()
         await until(pilot, lambda: len(app.query(DataTable)) == 4, "the new tables")
         assert await exit_code(pilot, app) == 0
+
+
+async def test_results_that_do_not_hold_are_marked_and_not_shown() -> None:
+    out_of_date = {"discover": "20 readings were added since"}
+    run = HeldRun(results=RESULTS.model_copy(update={"out_of_date": out_of_date}))
+    app = CellApp(PROFILES, run)
+    async with app.run_test(size=SMALL) as pilot:
+        run.go_on.set()
+        await started(pilot, run)
+        await ended(pilot, app)
+        assert len(app.query(DataTable)) == 2
+        assert SENTENCE not in texts(app)
+        (mark,) = app.query(".outdated").results(Static)
+        assert "discover" in str(mark.render())
+        assert "20 readings were added since" in log(app)
 
 
 async def test_stop_ends_the_run_at_its_next_step_and_says_how_to_go_on() -> None:
@@ -177,7 +192,7 @@ async def test_stop_ends_the_run_at_its_next_step_and_says_how_to_go_on() -> Non
             assert app.running
             run.go_on.set()
             await ended(pilot, app)
-            assert status(pilot) == "Stopped; go on with: cellapp collect 'my run' --resume."
+            assert status(pilot) == "Stopped; continue with: cellapp collect 'my run' --resume."
             assert app.query_one("#stop", Button).disabled
             assert not app.query_one("#run", Button).disabled
             run.hold_again()
@@ -213,7 +228,7 @@ async def test_errors_are_shown_in_words() -> None:
         app.query_one("#folder", Input).value = "here"
         for error, text in (
             (InputError("a.yaml: seed: expected [int]"), "a.yaml: seed: expected [int]"),
-            (HardwareError("left: no answer"), "left: no answer; then go on with: cellapp collect here --resume."),
+            (HardwareError("left: no answer"), "left: no answer; then continue with: cellapp collect here --resume."),
         ):
             run.error = error
             run.go_on.set()
@@ -265,9 +280,9 @@ async def test_a_profile_that_is_not_there_and_none_at_all(tmp_path: Path) -> No
     app = CellApp(tmp_path / "nowhere")
     async with app.run_test(size=SMALL) as pilot:
         await pilot.pause()
-        assert "There is no *.yaml" in status(pilot)
+        assert "No *.yaml found" in status(pilot)
         await pilot.press("f5")
-        assert status(pilot).startswith("Which profile?")
+        assert status(pilot).startswith("No profile selected")
         assert not app.running
         await pilot.press(*"gone", "f5")
         await ended(pilot, app)
@@ -393,7 +408,7 @@ async def test_a_screen_that_goes_away_stops_the_run() -> None:
     run = HeldRun()
     tokens: list[CancelToken | None] = []
 
-    def watched(profile: Path, folder: Path | None, listener: Listener, cancel: CancelToken | None) -> Outcome:
+    def watched(profile: Path, folder: Path | None, listener: Listener, cancel: CancelToken | None) -> WholeRunResult:
         tokens.append(cancel)
         return run(profile, folder, listener, cancel)
 

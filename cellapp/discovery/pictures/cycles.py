@@ -8,17 +8,14 @@ import numpy as np
 
 from cellapp.effects import EffectColumn
 from cellapp.kinematics.transforms import Array
+from cellapp.results import CycleBand
 
 _BAND = (0.1, 0.9)
 """Shares of the cumulated power between which the dominant cycles lie: the middle 80 %."""
 
 
-def dominant_cycles(columns: Sequence[EffectColumn], values: Array) -> dict[str, dict[str, float]]:
-    """Dominant cycles a turn of each joint (key: its number) of columns that are waves, with values [rad].
-
-    ``from`` and ``to`` enclose the middle 80 % of the power, ``peak`` has most of it; ``rms_urad`` is over a whole
-    turn.
-    """
+def dominant_cycles(columns: Sequence[EffectColumn], values: Array) -> dict[str, CycleBand]:
+    """Dominant cycles a turn of each joint (key: its number) of columns that are waves, with values [rad]."""
     power: dict[int, dict[int, float]] = {}
     for column, value in zip(columns, values.tolist(), strict=True):
         if column.cycles is not None and column.joint is not None:
@@ -27,10 +24,10 @@ def dominant_cycles(columns: Sequence[EffectColumn], values: Array) -> dict[str,
     return {str(joint + 1): _band(power[joint]) for joint in sorted(power) if any(power[joint].values())}
 
 
-def _band(power: dict[int, float]) -> dict[str, float]:
+def _band(power: dict[int, float]) -> CycleBand:
     counts = sorted(power)
     each = np.array([power[count] for count in counts])
     share = np.cumsum(each) / each.sum()
     first, last = (counts[min(int(np.searchsorted(share, at)), len(counts) - 1)] for at in _BAND)
     rms = float(np.sqrt(each.sum()))
-    return {"from": first, "to": last, "peak": counts[int(np.argmax(each))], "rms_urad": rms * 1e6}
+    return CycleBand(first=first, last=last, peak=counts[int(np.argmax(each))], rms_urad=rms * 1e6)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +22,6 @@ class PeriodicCurve:
     x: tuple[float, ...]
     value: tuple[float, ...]
     band: tuple[float, ...]
-
-    def as_dict(self) -> Mapping[str, Any]:
-        """For JSON."""
-        return {"x": list(self.x), "value": list(self.value), "band": list(self.band)}
 
 
 @dataclass(frozen=True)
@@ -58,20 +52,6 @@ class Picture:
     computed: tuple[float, ...]
     band: tuple[float, ...] = ()
     curve: PeriodicCurve | None = None
-
-    def as_dict(self) -> Mapping[str, Any]:
-        """For JSON."""
-        return {
-            "title": self.title,
-            "effect": self.effect,
-            "x_label": self.x_label,
-            "y_label": self.y_label,
-            "x": list(self.x),
-            "measured": list(self.measured),
-            "computed": list(self.computed),
-            "band": list(self.band),
-            "curve": None if self.curve is None else self.curve.as_dict(),
-        }
 
 
 @dataclass(frozen=True, eq=False)

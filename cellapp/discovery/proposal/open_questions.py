@@ -26,8 +26,8 @@ _VARIABLE_CONDITIONS = frozenset(
     {DriverVariable.APPROACH, DriverVariable.STEP, DriverVariable.DWELL, DriverVariable.OTHER_ARM}
 )
 """Variables that the conditions of further stops can vary where a run did not."""
-_LEAST_MOTION = 1e-12
-"""Guards the division by the motion per unit of a parameter that moves nothing [m]."""
+_MOVES_NOTHING = 1e-12
+"""Guards divisions by the information about, or the motion by, a parameter that moves nothing."""
 
 
 def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: EffectContext) -> list[Hypothesis]:
@@ -66,7 +66,7 @@ def _against(
         rows = fit.displacements(columns)
         if len(moving) > _MOST_COLUMNS:
             projected = signal.projector.project(rows[moving])
-            information = np.maximum(np.einsum("kd,kd->k", rows[moving], projected), _LEAST_MOTION)
+            information = np.maximum(np.einsum("kd,kd->k", rows[moving], projected), _MOVES_NOTHING)
             gains = (rows[moving] @ signal.projected) ** 2 / information
             moving = sorted(moving[k] for k in np.argsort(-gains, kind="stable")[:_MOST_COLUMNS])
         names = tuple(columns[k].name for k in moving)
@@ -97,10 +97,10 @@ def _reverse(
 
 def _faint_effects(data: ArmData, fit: JointFit, discovery: Discovery, joined: EffectContext) -> list[Hypothesis]:
     """The effects of which this plan shows least, and those it cannot show because a factor did not vary."""
-    faint = sorted(discovery.not_found, key=lambda entry: float(entry["visible_share"]))
-    slugs = [str(entry["effect"]) for entry in faint[:_MOST_FAINT]]
+    faint = sorted(discovery.not_found, key=lambda entry: entry.visible_share or 0.0)
+    slugs = [entry.effect for entry in faint[:_MOST_FAINT]]
     for entry in discovery.invisible:
-        effect = EFFECTS[str(entry["effect"])]
+        effect = EFFECTS[entry.effect]
         if effect.variables & _VARIABLE_CONDITIONS and effect.untestable(data.context):
             slugs.append(effect.slug)
     found = []
@@ -133,7 +133,7 @@ def _signal_size(data: ArmData, fit: JointFit, column: EffectColumn, further: Ef
         assert further.offset is not None
         levers = np.sqrt(np.mean(np.sum((fit.by_joint[:, further.joint] * noise) ** 2, axis=0)))
         moved = float(levers * np.sqrt(np.mean(further.offset**2)))
-    return min(noise / max(moved, _LEAST_MOTION), max(abs(column.lower), abs(column.upper)))
+    return min(noise / max(moved, _MOVES_NOTHING), max(abs(column.lower), abs(column.upper)))
 
 
 def _laws(data: ArmData, slug: str, joined: EffectContext) -> list[Law]:

@@ -47,7 +47,7 @@ class SearchState:
         return {term.slug for term in self.fit.terms}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SearchProblem:
     """What does not change during a search.
 

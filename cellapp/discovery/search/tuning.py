@@ -15,7 +15,8 @@ from cellapp.discovery.terms import ModelTerms, with_term
 from cellapp.effects import Law
 
 _SHRINKAGE = (1.0, 1.0, 0.5, 0.5, 0.25, 0.12)
-"""Factors on the distances of each round: from 35 % to 4 % of a constant, finer than data determine a time constant."""
+"""Factors on the distance of each round, 0.3 in the logarithm of a constant: down to 4 %, finer than data determine a
+time constant."""
 _LEAST_IMPROVEMENT = 1e-9
 """Relative gain below which two values of a constant count as equal; above rounding."""
 

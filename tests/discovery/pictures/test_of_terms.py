@@ -13,6 +13,7 @@ from cellapp.discovery.data import ArmData
 from cellapp.discovery.joint_fit import fit_terms
 from cellapp.discovery.pictures.cycles import dominant_cycles
 from cellapp.discovery.pictures.of_terms import pictures
+from cellapp.discovery.record import picture_result
 from cellapp.discovery.terms import ModelTerm
 from cellapp.effects import EFFECTS, EffectColumn, Wave, joint_column
 from cellapp.kinematics.chain import parameter_names, smr_positions
@@ -21,7 +22,7 @@ from cellapp.model.nominal import bodies_of, nominal_arm
 from cellapp.profile import load_profile
 from cellapp.run import Readings
 from tests.arms import STATION
-from tests.reporting.test_page import PROFILE
+from tests.twin import PROFILES
 
 N = 120
 SIGMA_M = 10e-6
@@ -52,7 +53,7 @@ def test_what_is_no_wave_has_no_cycles():
 
 def made(bend, *terms, off_axis_m=0.1):
     """Pictures of a fit of ``terms`` to readings whose joints stand off by ``bend(q, approach)``."""
-    profile = load_profile(PROFILE)
+    profile = load_profile(PROFILES / "twin.yaml")
     geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
     named = dict(zip(parameter_names(6), geometry.vector(), strict=True)) | {"tx": off_axis_m, "ty": 0.0}
     geometry = geometry.with_vector(np.array(list(named.values())))
@@ -75,7 +76,7 @@ def made(bend, *terms, off_axis_m=0.1):
         assert len(picture.x) == len(picture.measured) == len(picture.computed) == len(picture.band) > 0
         assert list(picture.x) == sorted(picture.x)
         assert min(picture.band) >= 0.0
-        json.dumps(picture.as_dict(), allow_nan=False)
+        json.dumps(picture_result(picture).model_dump(), allow_nan=False)
     return found
 
 

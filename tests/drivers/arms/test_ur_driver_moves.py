@@ -575,9 +575,7 @@ def test_a_stop_without_halt_is_a_fault(delayed: Any, moves_at_once: bool) -> No
 
 def test_motions_with_random_faults() -> None:
     trial = link_trials(8, 4, seed=10, hosts=TRIAL_HOSTS)
-    assert trial.complaints == []
+    assert trial.complaints == ()
     assert trial.moves == 8
-    assert len(trial.struck) == 2
-    written = trial.as_dict()
-    assert written["faults"] == 2
-    assert written["longest_step_s"] < 30.0
+    assert trial.faults == 2
+    assert trial.longest_step_s < 30.0

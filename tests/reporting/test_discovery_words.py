@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 
 import pytest
@@ -10,29 +9,34 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.effects import EFFECTS
-from cellapp.reporting.findings import (
+from cellapp.reporting.discovery_tables import (
     accepted_table,
     cycle_table,
-    description_sentences,
-    discovery_lines,
     discovery_tables,
     gap_steps,
-    gap_table,
     invisible_table,
     not_found_table,
+    numbered_steps_table,
     parameter_table,
-    picture_words,
-    rest_sentences,
 )
+from cellapp.reporting.discovery_text import (
+    description_sentences,
+    discovery_lines,
+    picture_words,
+    remainder_sentences,
+    rival_sentences,
+)
+from cellapp.reporting.table import format_cell
 from cellapp.reporting.words import interval_95, law_words, place_words, ranges, short_reason
+from cellapp.results import BeforeAfter, DiscoverResult, Estimate, LawRecord, Place
 from tests.effects.cell import context_of
-from tests.reporting.made import made_arm, made_picture, made_result, nothing_missing
+from tests.reporting.cases import data_driven_term, discovery, nothing_missing, picture, unknown_effect
 
 MOST_LINES = 25
 
 
 def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
-    lines = discovery_lines(made_result("left", "right"))
+    lines = discovery_lines(discovery("left", "right"))
     assert max(len(line) for line in lines) <= 80
     left, right = "\n".join(lines).split("\nArm right\n")
     assert len(left.splitlines()) <= MOST_LINES
@@ -40,7 +44,7 @@ def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
     for text in (
         "0.4906  geometry alone",
         "0.0299  a data-driven term added",
-        "0.0312  the model that is kept",
+        "0.0312  final model",
         "0.0223  noise floor",
         "joint 1: 9-37 (212 urad rms), joint 2: 14 (80 urad rms)",
         "joint 5 depends on q2, about c |sin(q2)|",
@@ -57,51 +61,47 @@ def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
 
 
 def test_long_words_are_wrapped_and_long_reasons_are_cut() -> None:
-    result = made_result("left", "right")
-    arm = result["arms"]["left"]
-    arm["steps"][1]["what"] = "dropped in review: " + ", ".join(["encoder eccentricity (one cycle a turn)"] * 4)
-    arm["invisible"][0]["reason"] = "not testable: " + "no reason at all " * 9
-    lines = discovery_lines(result)
+    arm = unknown_effect("left")
+    step = arm.steps[1].model_copy(
+        update={"what": "dropped in review: " + ", ".join(["encoder eccentricity (one cycle a turn)"] * 4)}
+    )
+    backlash = arm.invisible[0].model_copy(update={"reason": "not testable: " + "no reason at all " * 9})
+    changed = {"steps": (arm.steps[0], step, arm.steps[2]), "invisible": (backlash, arm.invisible[1])}
+    lines = discovery_lines(DiscoverResult(arms={"left": arm.model_copy(update=changed)}))
     assert max(len(line) for line in lines) <= 80
     assert sum("eccentricity" in line for line in lines) > 1
     assert sum("no reason at all" in line for line in lines) == 1
 
 
 def test_the_same_steps_everywhere() -> None:
-    arm = made_arm("left")
+    arm = unknown_effect("left")
     steps = [("geometry alone", 0.4906), ("transmission error: a free curve a joint", 0.1112)]
-    assert gap_steps(arm) == [*steps, ("a data-driven term added", 0.0299), ("the model that is kept", 0.0312)]
-    first, accepted, second = discovery_tables(made_result("left", "right"))
+    assert gap_steps(arm) == [*steps, ("a data-driven term added", 0.0299), ("final model", 0.0312)]
+    first, accepted, second = discovery_tables(discovery("left", "right"))
     assert first.title == "Arm left: unknown effect"
-    assert [row[-1] for row in first.rows] == [row[-1] for row in gap_table("left", arm).rows]
+    assert [row[-1] for row in first.rows] == [row[-1] for row in numbered_steps_table("left", arm).rows]
     assert [row[0] for row in accepted.rows] == ["transmission_error", "joint_compliance", "unknown"]
-    assert accepted.rows[1][1:] == ("joints 2-4, 6", "0.005", "0.4512", "0.0312")
+    assert accepted.text_rows()[1][1:] == ("joints 2-4, 6", "0.005", "0.4512", "0.0312")
     assert second.title == "Arm right: nothing missing"
-    # what the last step left is what is kept: told once
-    arm["heldout_mm"]["after"] = 0.0299
-    assert gap_steps(arm)[-1] == ("a data-driven term added", 0.0299)
+    # the last step is the final model: no row of its own
+    final = arm.model_copy(update={"heldout_mm": BeforeAfter(before=0.4906, after=0.0299)})
+    assert gap_steps(final)[-1] == ("a data-driven term added", 0.0299)
 
 
 @pytest.mark.parametrize("floor", [None, math.nan])
-def test_a_noise_floor_that_nobody_knows_has_no_row(floor: float | None) -> None:
-    result = made_result("left", "right")
-    result["arms"]["left"]["noise_floor_mm"] = floor
+def test_an_unknown_noise_floor_has_no_row(floor: float | None) -> None:
+    result = discovery("left", "right")
+    left = result.arms["left"].model_copy(update={"noise_floor_mm": floor})
+    result = result.model_copy(update={"arms": {**result.arms, "left": left}})
     table = discovery_tables(result)[0]
     assert "noise floor" not in [row[0] for row in table.rows]
     assert sum("noise floor" in line for line in discovery_lines(result)) == 2  # the other arm's, and its verdict
 
 
-def test_results_of_an_older_version_are_left_out() -> None:
-    result = made_result("left", "right")
-    del result["arms"]["left"]["steps"]
-    assert discovery_tables(result) == []
-    assert discovery_lines(result) == []
-
-
 def test_accepted_effects_with_all_their_evidence() -> None:
-    table = accepted_table("left", made_arm("left"))
+    table = accepted_table("left", unknown_effect("left"))
     assert table is not None
-    row = dict(zip(table.columns, table.rows[1]))
+    row = dict(zip(table.headings, table.text_rows()[1]))
     assert row["law"] == "softer below a knee torque; knee at 18.8 Nm for joint 2"
     assert row["score"] == "250.2"
     assert row["answer set"] == "joint_compliance or pedestal_compliance or link_bending"
@@ -109,68 +109,73 @@ def test_accepted_effects_with_all_their_evidence() -> None:
     assert accepted_table("right", nothing_missing("right")) is None
 
 
+def test_rivals_that_remain_and_rivals_that_are_ruled_out() -> None:
+    remain, ruled_out = rival_sentences(unknown_effect("left"))
+    assert remain.startswith("pedestal_compliance or link_bending would explain these data as well as joint_compliance")
+    assert ruled_out == "Nearly as good as joint_compliance, but ruled out by these data: tracker_angle_error."
+    assert rival_sentences(nothing_missing("right")) == []
+
+
 def test_parameters_have_intervals_in_people_s_units_and_curves_have_cycles() -> None:
-    arm = made_arm("left")
+    arm = unknown_effect("left")
     parameters, cycles = parameter_table("left", arm), cycle_table("left", arm)
     assert parameters is not None
     assert cycles is not None
-    assert parameters.rows == (("joint_compliance", "compliance2", "16.668", "16.633 to 16.703", "µrad/Nm"),)
-    assert cycles.rows == (("1", "9 to 37", "11", "212"), ("2", "14", "14", "80"))
+    assert parameters.text_rows() == (("joint_compliance", "compliance2", "16.668", "16.633 to 16.703", "µrad/Nm"),)
+    assert cycles.text_rows() == (("1", "9 to 37", "11", "212"), ("2", "14", "14", "80"))
     assert parameter_table("right", nothing_missing("right")) is None
     assert cycle_table("right", nothing_missing("right")) is None
 
 
-def test_what_cannot_be_said_has_its_reason_and_its_size() -> None:
-    arm = made_arm("left")
+def test_an_estimate_without_standard_error_has_no_interval() -> None:
+    number, interval, unit = interval_95(Estimate(value=0.0021, standard_error=None, unit="m"))
+    assert (format_cell(number), interval, unit) == ("2.100", None, "mm")
+
+
+def test_undetected_effects_have_their_reason_and_their_size() -> None:
+    arm = unknown_effect("left")
     invisible, absent = invisible_table("left", arm), not_found_table("left", arm)
     assert invisible is not None
     assert absent is not None
-    assert invisible.rows == (
+    assert invisible.text_rows() == (
         ("backlash", "no approach signs", ""),
         ("tracker_scale", "geometry follows nearly all of it", "0.3988"),
     )
-    assert absent.rows == (("target_slip", "0.0047", "97"),)
+    assert absent.text_rows() == (("target_slip", "0.0047", "97"),)
 
 
 def test_a_term_without_a_name_is_described() -> None:
-    arm = made_arm("left")
+    arm = unknown_effect("left")
     ((heading, words),) = description_sentences(arm)
-    assert heading == "No name for this: joint 5, q2"
+    assert heading == "Effect without a name: joint 5, q2"
     assert "22 µm rms" in words
     assert "c |sin(q2)| (score +12.3 against the curve's)" in words
-    arm["accepted"][2]["description"].update(formula="", gain_over_curve=None)
+    arm = arm.model_copy(update={"accepted": (data_driven_term(formula="", gain=None),)})
     assert "No short formula" in description_sentences(arm)[0][1]
 
 
-def test_what_remains_is_told() -> None:
-    text = " ".join(rest_sentences(made_arm("left")))
-    assert "1.40 times as the readings state" in text
+def test_the_remainder_is_described() -> None:
+    text = " ".join(remainder_sentences(unknown_effect("left")))
+    assert "1.40 times the stated uncertainty" in text
     assert "below 0.001" in text
     assert "corrects 0.3965 mm rms; trained on what the effects leave, it finds nothing" in text
-    assert "0.0937 mm in the middle and 0.3740 mm at most" in text
-    (only,) = rest_sentences(nothing_missing("right"))
+    assert "median 0.0937 mm, at most 0.3740 mm" in text
+    (only,) = remainder_sentences(nothing_missing("right"))
     assert "is 0.42" in only
-    arm = nothing_missing("right")
-    arm.update(network_mm={"before": 0.02, "after": 0.02}, scatter=None, omnibus_p=None)
-    assert rest_sentences(arm) == ["A residual network corrects 0.0200 mm rms of what the geometry leaves."]
+    arm = nothing_missing("right").model_copy(
+        update={"network_mm": BeforeAfter(before=0.02, after=0.02), "scatter": None, "omnibus_p": None}
+    )
+    assert remainder_sentences(arm) == ["A residual network corrects 0.0200 mm rms of what the geometry leaves."]
 
 
-def test_captions_say_what_one_sees() -> None:
-    words = picture_words(made_picture("transmission_error", 1, curve=True))
+def test_notes_of_figures_say_what_they_show() -> None:
+    words = picture_words(picture("transmission_error", 1, curve=True))
     assert "scatter 20 µrad rms" in words
-    assert "least sure at 128° (150 µrad)" in words
+    assert "least certain at 128° (150 µrad)" in words
     assert "No reading was taken from 128° to -170°." in words
-    plain = picture_words(made_picture("joint_compliance", 2))
-    assert "sure" not in plain
+    plain = picture_words(picture("joint_compliance", 2))
+    assert "certain" not in plain
     assert "No reading" not in plain
-
-
-def test_nothing_is_changed_by_telling_it() -> None:
-    result = made_result("left", "right")
-    before = copy.deepcopy(result)
-    discovery_lines(result)
-    discovery_tables(result)
-    assert result == before
 
 
 CONTEXT = context_of()
@@ -184,7 +189,7 @@ LAWS += [
 @pytest.mark.parametrize(("slug", "name"), sorted({(slug, law.name) for slug, law in LAWS}))
 def test_every_law_has_words(slug: str, name: str) -> None:
     law = next(law for s, law in LAWS if (s, law.name) == (slug, name))
-    words = law_words(slug, {"name": law.name, "constants": dict(law.constants)})
+    words = law_words(slug, LawRecord(name=law.name, constants=dict(law.constants)))
     assert words
     assert "_" not in words
     # more than the law's own name: that says nothing to whoever does not know the program
@@ -192,25 +197,27 @@ def test_every_law_has_words(slug: str, name: str) -> None:
 
 
 def test_constants_of_a_law_are_in_people_s_units() -> None:
-    assert law_words("base_step", {"name": "onset", "constants": {"onset_s": 5400.0}}) == (
+    assert law_words("base_step", LawRecord(name="onset", constants={"onset_s": 5400.0})) == (
         "at once, 1.5 h after the run began"
     )
     assert "time constant 30 min" in law_words(
-        "joint_drift", {"name": "warm_up", "constants": {"first_s": 0.0, "last_s": 3600.0, "tau_s": 1800.0}}
+        "joint_drift", LawRecord(name="warm_up", constants={"first_s": 0.0, "last_s": 3600.0, "tau_s": 1800.0})
     )
-    assert "time constant 2.5 s" in law_words("unsettled_measurement", {"name": "creep", "constants": {"tau_s": 2.5}})
-    assert "ratio 120" in law_words("transmission_error", {"name": "gear", "constants": {"ratio": 120.0}})
-    assert "11.5 deg" in law_words("backlash", {"name": "saturating", "constants": {"width": 0.2}})
-    assert law_words("unknown", {"name": "base shift|time", "constants": {"period_s": 1758.0}}) == (
+    assert "time constant 2.5 s" in law_words(
+        "unsettled_measurement", LawRecord(name="creep", constants={"tau_s": 2.5})
+    )
+    assert "ratio 120" in law_words("transmission_error", LawRecord(name="gear", constants={"ratio": 120.0}))
+    assert "11.5 deg" in law_words("backlash", LawRecord(name="saturating", constants={"width": 0.2}))
+    assert law_words("unknown", LawRecord(name="base shift|time", constants={"period_s": 1758.0})) == (
         "base shift as a function of time, period 29.3 min"
     )
 
 
 def test_places() -> None:
-    assert place_words({"joints": [6, 1, 2, 3], "acts_on": []}) == "joints 1-3, 6"
-    assert place_words({"joints": [4], "acts_on": ["joint 4"]}) == "joint 4"
-    assert place_words({"joints": [], "acts_on": ["joint 1", "joint 3"]}) == "joints 1, 3"
-    assert place_words({"joints": [], "acts_on": ["base", "tool"]}) == "base, tool"
+    assert place_words(Place(joints=(6, 1, 2, 3), acts_on=())) == "joints 1-3, 6"
+    assert place_words(Place(joints=(4,), acts_on=("joint 4",))) == "joint 4"
+    assert place_words(Place(joints=(), acts_on=("joint 1", "joint 3"))) == "joints 1, 3"
+    assert place_words(Place(joints=(), acts_on=("base", "tool"))) == "base, tool"
 
 
 @given(st.sets(st.integers(1, 12)))
@@ -228,9 +235,9 @@ def test_ranges_hold_the_same_numbers(numbers: set[int]) -> None:
     st.sampled_from(["rad", "m", "rad/Nm", "1/K", "1/(N m^2)", "m/K"]),
 )
 def test_intervals_hold_the_value_and_are_as_wide_as_stated(value: float, error: float, unit: str) -> None:
-    shown, interval, shown_unit = interval_95({"value": value, "standard_error": error, "unit": unit})
-    low, high = (float(text) for text in interval.split(" to "))
-    assert low <= float(shown) <= high
+    number, interval, shown_unit = interval_95(Estimate(value=value, standard_error=error, unit=unit))
+    low, high = (float(text) for text in format_cell(interval).split(" to "))
+    assert low <= float(format_cell(number)) <= high
     factor = 1e3 if shown_unit == "mm" else 1e6
     assert high - low == pytest.approx(3.92 * error * factor, rel=0.06)
 

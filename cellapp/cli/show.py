@@ -1,0 +1,158 @@
+"""``show`` and ``schema``: print what is stored. They only read: the run is opened read-only."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cellapp.cli.job import Job, open_run
+from cellapp.cli.options import JsonOption, RunFolder
+from cellapp.errors import InputError
+
+if TYPE_CHECKING:
+    from cellapp.results import RunResults
+    from cellapp.run import RunFile
+
+
+class Part(StrEnum):
+    """What ``show`` can print of a run."""
+
+    OVERVIEW = "overview"
+    CALIBRATION = "calibration"
+    PARAMETERS = "parameters"
+    DISCOVERY = "discovery"
+    PLAN = "plan"
+    TARGETS = "targets"
+    VERIFICATION = "verification"
+    LOG = "log"
+    PROFILE = "profile"
+    HISTORY = "history"
+
+
+def show(
+    folder: RunFolder,
+    part: Annotated[Part, typer.Argument(help="What to print.")] = Part.OVERVIEW,
+    level: Annotated[
+        str | None, typer.Option("--level", metavar="WORD", help="With log: only lines of this level.")
+    ] = None,
+    last: Annotated[int | None, typer.Option("--last", metavar="N", min=1, help="With log: the last N lines.")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Print what a run holds; nothing is computed or changed."""
+    from cellapp.reporting import run_tables
+    from cellapp.run import overview
+
+    if part is not Part.LOG and (level is not None or last is not None):
+        raise InputError("show: --level and --last belong to 'log'")
+    with Job(json_file) as job, open_run(folder) as run:
+        match part:
+            case Part.OVERVIEW:
+                state = overview.run_overview(run)
+                job.show(run_tables.overview_tables(state))
+                job.say(*run_tables.overview_sentences(state))
+                job.result(state)
+            case Part.HISTORY:
+                history = overview.run_history(run)
+                job.say(*run_tables.history_lines(history))
+                job.result(history)
+            case Part.PLAN:
+                stops = overview.planned_stops(run)
+                job.show(run_tables.plan_tables(stops))
+                job.result(stops)
+            case Part.LOG:
+                log = overview.run_log(run, level, last)
+                job.say(*run_tables.log_lines(log))
+                job.result(log)
+            case Part.PROFILE:
+                text = run_tables.profile_text(run.profile)
+                job.say(text)
+                job.write_json(text)
+            case _:
+                _show_result(job, run, part)
+
+
+def schema(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One result, as cellapp-calibrate.")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Print the JSON schemas of the results, by the name that their JSON carries under "schema"."""
+    import json
+
+    from cellapp.results import json_schemas
+    from cellapp.trials.results import TRIAL_RESULTS
+
+    schemas = {**json_schemas(), **json_schemas(TRIAL_RESULTS)}
+    if name is not None and name not in schemas:
+        raise InputError(f"schema: '{name}' is not a result; results are {', '.join(schemas)}")
+    text = json.dumps(schemas if name is None else schemas[name], indent=1)
+    with Job(json_file) as job:
+        if json_file is None:
+            job.say(text)
+        job.write_json(text)
+
+
+def _show_result(job: Job, run: RunFile, part: Part) -> None:
+    """Print the stored result of one verb, and whether it still holds."""
+    from cellapp.run.stages import read_results
+
+    results = read_results(run)
+    name, make, print_result = {
+        Part.CALIBRATION: ("calibrate", "cellapp calibrate", _show_calibration),
+        Part.PARAMETERS: ("calibrate", "cellapp calibrate", _show_parameters),
+        Part.DISCOVERY: ("discover", "cellapp discover", _show_discovery),
+        Part.TARGETS: ("compensate", "cellapp compensate", _show_targets),
+        Part.VERIFICATION: ("verify", "cellapp push --verify", _show_verification),
+    }[part]
+    reason = {str(key): text for key, text in results.out_of_date.items()}.get(name)
+    stored = getattr(results, name)
+    if stored is None:
+        why = f"{name} is stored, but {reason}" if reason else f"no {part.value} is stored"
+        raise InputError(f"{run.path}: {why}; make it with '{make}'")
+    print_result(job, results)
+    if reason is not None:
+        job.say(f"out of date: {reason}; repeat it with '{make}'")
+    job.result(stored)
+
+
+def _show_calibration(job: Job, results: RunResults) -> None:
+    from cellapp.reporting.tables import calibration_tables, tracker_sentences
+
+    assert results.calibrate is not None
+    job.show(calibration_tables(results.calibrate))
+    job.say(*tracker_sentences(results.calibrate), *results.calibrate.notes)
+
+
+def _show_parameters(job: Job, results: RunResults) -> None:
+    from cellapp.reporting.run_tables import merged_sentences
+    from cellapp.reporting.tables import parameter_tables
+
+    assert results.calibrate is not None
+    job.show(parameter_tables(results.calibrate))
+    job.say(*merged_sentences(results.calibrate))
+
+
+def _show_discovery(job: Job, results: RunResults) -> None:
+    from cellapp.reporting.discovery_tables import discovery_tables
+    from cellapp.reporting.discovery_text import discovery_lines
+
+    assert results.discover is not None
+    job.show(discovery_tables(results.discover))
+    job.say(*discovery_lines(results.discover))
+
+
+def _show_targets(job: Job, results: RunResults) -> None:
+    from cellapp.reporting.run_tables import refusal_sentences, target_tables
+
+    assert results.compensate is not None
+    job.show(target_tables(results.compensate))
+    job.say(*refusal_sentences(results.compensate), *results.compensate.notes)
+
+
+def _show_verification(job: Job, results: RunResults) -> None:
+    from cellapp.reporting.tables import verification_tables
+
+    assert results.verify is not None
+    job.show(verification_tables(results.verify))
+    job.say(*results.verify.notes)

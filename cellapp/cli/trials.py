@@ -1,0 +1,179 @@
+"""``cellapp trials``: trials on simulated cells and emulated devices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cellapp.cli.job import Job
+from cellapp.cli.options import JsonOption, ProfilePath
+from cellapp.errors import CellappError, CheckFailed, InputError
+
+trials_app = typer.Typer(help="Monte Carlo trials on simulated cells.", no_args_is_help=True)
+
+
+@trials_app.command("coverage")
+def coverage(
+    profile: ProfilePath,
+    n: Annotated[int, typer.Option("--n", min=2, help="Simulated runs.")] = 200,
+    stops: Annotated[int, typer.Option("--stops", min=20, help="Stops each is identified from.")] = 100,
+    json_file: JsonOption = None,
+) -> None:
+    """How often the stated 95 % intervals contain the truth, over many simulated arms."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.coverage import coverage_trials
+
+    with Job(json_file) as job:
+        result = coverage_trials(load_profile(profile), n, stops, job.listen, job.cancel)
+        for name, arm in result.arms.items():
+            shares = arm.by_parameter.values()
+            job.say(
+                f"arm {name}: {100 * arm.share:.2f} % of {arm.intervals} stated 95 % intervals contain the truth"
+                f" ({arm.runs} runs; by parameter {100 * min(shares):.1f} to {100 * max(shares):.1f} %)"
+            )
+        job.result(result)
+
+
+@trials_app.command("parameter-sets")
+def parameter_sets(
+    profile: ProfilePath,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated arms.")] = 5,
+    json_file: JsonOption = None,
+) -> None:
+    """The paper's comparison: redundant, paper's and identifiable set; iterations, mean and maximum error."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.parameter_sets import parameter_set_trials
+    from cellapp.trials.tables import parameter_set_tables
+
+    with Job(json_file) as job:
+        result = parameter_set_trials(load_profile(profile), range(seeds), job.listen, job.cancel)
+        job.show(parameter_set_tables(result))
+        job.result(result)
+
+
+@trials_app.command("paper")
+def paper(
+    profile: ProfilePath,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells.")] = 10,
+    json_file: JsonOption = None,
+) -> None:
+    """The paper's three methods on many simulated cells, and the two networks at another tracker station."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.paper import paper_result, paper_trials
+    from cellapp.trials.tables import paper_tables
+
+    with Job(json_file) as job:
+        result = paper_result(paper_trials(load_profile(profile), range(seeds), job.listen, job.cancel))
+        job.show(paper_tables(result))
+        job.result(result)
+
+
+@trials_app.command("links")
+def links(
+    moves: Annotated[int, typer.Option("--moves", min=2, help="Motions in all, of two arms at once.")] = 1000,
+    every: Annotated[int, typer.Option("--every", min=2, help="Motions to each fault.")] = 20,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws targets and faults.")] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Two emulated UR arms under the real client, random faults: what is reported, and how soon all is at rest."""
+    from cellapp.trials.links import link_trials
+    from cellapp.trials.tables import link_table
+
+    with Job(json_file) as job:
+        result = link_trials(moves, every, seed, job.listen, job.cancel)
+        job.show([link_table(result)])
+        job.say(f"{result.moves} moves, {result.faults} faults, {len(result.complaints)} complaints")
+        job.say(*result.complaints)
+        job.result(result)
+        if result.complaints:
+            raise CheckFailed(f"trials links: {len(result.complaints)} things were not as specified; see above")
+
+
+@trials_app.command("bridge")
+def bridge(
+    profile: ProfilePath,
+    measurements: Annotated[int, typer.Option("--measurements", min=1, help="Measurements in all.")] = 1000,
+    every: Annotated[int, typer.Option("--every", min=1, help="Measurements to each fault.")] = 20,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults.")] = 0,
+    serial: Annotated[
+        tuple[str, str] | None,
+        typer.Option("--serial", metavar="BRIDGE CLIENT", help="Both ends of a serial cable, to use that instead."),
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Many measurements over the tracker bridge with random faults: none may be lost, doubled or mixed up."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.bridge import bridge_trial
+    from cellapp.trials.tables import bridge_table
+
+    with Job(json_file) as job:
+        result = bridge_trial(load_profile(profile), measurements, every, seed, serial, job.listen, job.cancel)
+        job.show([bridge_table(result)])
+        job.say(
+            f"{result.asked} measurements asked for, {result.delivered} delivered; {result.lost} lost,"
+            f" {result.doubled} doubled, {result.strange} mixed up"
+        )
+        job.result(result)
+        if result.lost or result.doubled or result.strange:
+            raise CheckFailed("trials bridge: measurements were lost, doubled or mixed up")
+
+
+@trials_app.command("seal")
+def seal(
+    profile: ProfilePath,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder of the trials.")],
+    n: Annotated[int, typer.Option("--n", min=1, help="Runs.")] = 200,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="Draws everything; left out, a secret one is drawn.")
+    ] = None,
+    kind: Annotated[
+        str, typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair or mixed.")
+    ] = "one",
+    noise: Annotated[
+        str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 urad a joint).")
+    ] = "gaussian",
+    json_file: JsonOption = None,
+) -> None:
+    """Write runs of simulated cells whose hidden effects are stated in a sealed file only."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.sealed import SEAL_FILE, TRUTH_FILE, seal_trials
+
+    with Job(json_file) as job:
+        result = seal_trials(
+            load_profile(profile), out, n, seed=seed, kind=kind, noise=noise, listener=job.listen, cancel=job.cancel
+        )
+        job.say(f"{result.runs} runs in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge' only")
+        job.say(f"SHA-256 of the truth, also in {out / SEAL_FILE}: {result.sha256}")
+        job.result(result)
+
+
+@trials_app.command("judge")
+def judge(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the trials.")],
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 2,
+    again: Annotated[bool, typer.Option("--again", help="Judge again also what was judged before.")] = False,
+    markdown: Annotated[
+        Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Calibrate and discover on every sealed run, then open the truth and compare; continues where it was stopped."""
+    from cellapp.trials.judge import judge_trials
+    from cellapp.trials.tables import judge_markdown, judge_sentences, judge_tables
+
+    with Job(json_file) as job:
+        if markdown is not None and not markdown.absolute().parent.is_dir():
+            raise InputError(f"--markdown: {markdown}: folder not found; nothing was done")
+        result = judge_trials(folder, jobs=jobs, again=again, listener=job.listen, cancel=job.cancel)
+        job.show(judge_tables(result))
+        job.say(*judge_sentences(result))
+        job.result(result)
+        if markdown is not None:
+            try:
+                markdown.write_text(judge_markdown(result), encoding="utf-8")
+            except OSError as error:
+                raise CellappError(f"--markdown: {markdown} cannot be written ({error.strerror})") from None
+        if result.failed:
+            raise CheckFailed(f"{len(result.failed)} runs could not be judged: {'; '.join(result.failed)}")

@@ -1,0 +1,171 @@
+"""The result of ``discover`` from the objects of discovery."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from cellapp.calibration.record import pair_result
+from cellapp.discovery import outcome
+from cellapp.discovery.describe import Description
+from cellapp.discovery.outcome import CellDiscovery, Discovery
+from cellapp.discovery.pictures import picture as drawn
+from cellapp.discovery.proposal.predictions import PredictedDiscrimination
+from cellapp.discovery.propose import Proposal as ProposedStops
+from cellapp.discovery.propose import ProposedStop
+from cellapp.effects import EFFECTS, term_to_json
+from cellapp.planning.stop_conditions import StopConditions
+from cellapp.results import (
+    AcceptedEffect,
+    ArmDiscoveryResult,
+    BeforeAfter,
+    Correlation,
+    CurveRecord,
+    DiscoverResult,
+    Discrimination,
+    Estimate,
+    Evidence,
+    GapStep,
+    HeldOutBeforeAfter,
+    LawRecord,
+    Picture,
+    Place,
+    Proposal,
+    ProposalQuestion,
+    RunnerUp,
+    TermDescription,
+)
+from cellapp.results import ProposedStop as ProposedStopRow
+
+
+def discover_result(found: CellDiscovery) -> DiscoverResult:
+    """The object that ``discover --json`` writes and that the run file keeps."""
+    return DiscoverResult(
+        arms={name: arm_result(discovery) for name, discovery in found.arms.items()},
+        pair={} if found.pair is None else {"effects": pair_result(found.pair)["effects"]},
+    )
+
+
+def arm_result(found: Discovery) -> ArmDiscoveryResult:
+    """Discovery in the data of one arm."""
+    return ArmDiscoveryResult(
+        noise_floor_mm=_finite(found.noise_floor_mm),
+        heldout_mm=BeforeAfter(before=found.before.rms, after=found.after.rms),
+        heldout_position_mm=HeldOutBeforeAfter(before=found.before, after=found.after),
+        seconds=found.seconds,
+        steps=tuple(GapStep(what=step.what, effect=step.effect, heldout_mm=step.heldout_mm) for step in found.steps),
+        threshold=found.threshold,
+        omnibus_p=_finite(found.omnibus_p),
+        scatter=_finite(found.scatter),
+        accepted=tuple(_accepted(effect) for effect in found.accepted),
+        invisible=found.invisible,
+        not_found=found.not_found,
+        network_mm=found.network_mm,
+        uncertainty_mm=found.uncertainty_mm,
+        pictures=tuple(picture_result(picture) for picture in found.pictures),
+        validate_={"effects": found.stage} if found.accepted else {},
+        verdict=found.verdict,
+        sentence=found.sentence,
+    )
+
+
+def proposal_result(proposed: ProposedStops, first: int | None, notes: Sequence[str]) -> Proposal:
+    """Proposed stops; ``first`` is the number of the first of them in the run's plan, None where it has none."""
+    arms: dict[str, list[ProposalQuestion]] = {}
+    for prediction in proposed.predictions:
+        arms.setdefault(prediction.arm, []).append(_question(prediction))
+    return Proposal(
+        count=len(proposed.stops),
+        written=first is not None,
+        first_configuration=first,
+        arms={name: tuple(questions) for name, questions in arms.items()},
+        stops=tuple(
+            row for number, stop in enumerate(proposed.stops, start=first or 0) for row in _stop_rows(number, stop)
+        ),
+        notes=tuple(notes),
+        advice=proposed.advice,
+    )
+
+
+def _accepted(effect: outcome.AcceptedEffect) -> AcceptedEffect:
+    term, described = effect.term, effect.description
+    shared = term_to_json(term)
+    return AcceptedEffect(
+        effect=term.slug,
+        title=EFFECTS[term.slug].title,
+        law=LawRecord(name=shared["law"], constants=shared["constants"]),
+        where=Place(
+            joints=effect.joints,
+            acts_on=effect.acts_on,
+            channel=None if described is None else described.channel,
+            variables=None if described is None else described.variables,
+        ),
+        parameters={name: Estimate.model_validate(entry) for name, entry in shared["parameters"].items()},
+        evidence=Evidence(
+            statistic=effect.score,
+            corrected_p=effect.p_value,
+            heldout_mm=BeforeAfter(before=effect.heldout_before_mm, after=effect.heldout_after_mm),
+        ),
+        answer_set=effect.answer_set,
+        runners_up=tuple(
+            RunnerUp(effect=rival.slug, statistic=rival.score, told_apart=rival.distinguishable)
+            for rival in effect.rivals
+        ),
+        correlated_with=None
+        if effect.correlated is None
+        else Correlation(parameter=effect.correlated[0], correlation=effect.correlated[1]),
+        cycles=effect.cycles,
+        description=None if described is None else _description(described),
+    )
+
+
+def _description(found: Description) -> TermDescription:
+    return TermDescription(
+        channel=found.channel,
+        variables=found.variables,
+        size_um=found.size_um,
+        formula=found.formula,
+        gain_over_curve=found.gain,
+        curve=found.curve,
+        sentence=found.sentence,
+    )
+
+
+def picture_result(found: drawn.Picture) -> Picture:
+    """One picture."""
+    curve = found.curve
+    return Picture(
+        title=found.title,
+        effect=found.effect,
+        x_label=found.x_label,
+        y_label=found.y_label,
+        x=found.x,
+        measured=found.measured,
+        computed=found.computed,
+        band=found.band,
+        curve=None if curve is None else CurveRecord(x=curve.x, value=curve.value, band=curve.band),
+    )
+
+
+def _question(predicted: PredictedDiscrimination) -> ProposalQuestion:
+    return ProposalQuestion(
+        effect=predicted.effect,
+        against=predicted.against or None,
+        needed=predicted.needed,
+        discrimination=Discrimination(now=predicted.now, proposed=predicted.proposed, random=predicted.random),
+        gain_over_random=predicted.gain_over_random,
+    )
+
+
+def _stop_rows(number: int, stop: ProposedStop) -> list[ProposedStopRow]:
+    rows = []
+    for name, q in stop.q.items():
+        conditions = stop.conditions.get(name, StopConditions())
+        via = None if conditions.via is None else tuple(conditions.via.tolist())
+        dwell_s = conditions.dwell_s if conditions.dwell_s > 0.0 else None
+        rows.append(ProposedStopRow(configuration=number, arm=name, q=tuple(q.tolist()), via=via, dwell_s=dwell_s))
+    return rows
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

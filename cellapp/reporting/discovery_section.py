@@ -1,0 +1,136 @@
+"""The page's section on discovery: one part for each arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.kinematics.transforms import Array
+from cellapp.reporting.captioned import CaptionedFigure
+from cellapp.reporting.discovery_tables import (
+    accepted_table,
+    cycle_table,
+    gap_steps,
+    invisible_table,
+    noise_floor,
+    not_found_table,
+    numbered_steps_table,
+    parameter_table,
+)
+from cellapp.reporting.discovery_text import (
+    description_sentences,
+    picture_words,
+    remainder_sentences,
+    rival_sentences,
+    undrawn_sentences,
+    verdict_sentence,
+)
+from cellapp.reporting.table import Table
+from cellapp.results import ArmDiscoveryResult, DiscoverResult, Picture
+
+
+@dataclass(frozen=True)
+class ArmSection:
+    """Verdict, steps, accepted effects with figures, undetectable effects and the remainder of one arm."""
+
+    name: str
+    verdict: str
+    sentence: str
+    steps_figure: CaptionedFigure
+    steps_table: Table
+    tables: tuple[Table, ...]
+    remarks: tuple[str, ...]
+    descriptions: tuple[tuple[str, str], ...]
+    pictures: tuple[CaptionedFigure, ...]
+    undetected: tuple[Table, ...]
+    remainder: tuple[str, ...]
+
+
+def arm_sections(discover: DiscoverResult, predicted: Mapping[str, tuple[Array, Array]]) -> list[ArmSection]:
+    """One section for each arm.
+
+    ``predicted`` has the predicted standard deviation of a coordinate and the position error (n,) [mm] of each
+    held-out configuration, for arms whose model predicts one.
+    """
+    sections = []
+    for number, (name, arm) in enumerate(discover.arms.items(), start=1):
+        tables = (accepted_table(name, arm), parameter_table(name, arm), cycle_table(name, arm))
+        certainty = [_certainty_figure(number, name, *predicted[name])] if name in predicted else []
+        undetected = (invisible_table(name, arm), not_found_table(name, arm))
+        sections.append(
+            ArmSection(
+                name=name,
+                verdict=arm.verdict,
+                sentence=verdict_sentence(name, arm),
+                steps_figure=_steps_figure(number, name, arm),
+                steps_table=numbered_steps_table(name, arm),
+                tables=tuple(table for table in tables if table is not None),
+                remarks=(*rival_sentences(arm), *undrawn_sentences(arm)),
+                descriptions=tuple(description_sentences(arm)),
+                pictures=(*_effect_figures(number, name, arm.pictures), *certainty),
+                undetected=tuple(table for table in undetected if table is not None),
+                remainder=tuple(remainder_sentences(arm)),
+            )
+        )
+    return sections
+
+
+def _steps_figure(number: int, name: str, arm: ArmDiscoveryResult) -> CaptionedFigure:
+    from cellapp.reporting import figures
+
+    steps, floor = gap_steps(arm), noise_floor(arm)
+    legend = [("geometry", "held-out rms after each step, as in the table")]
+    if floor is not None:
+        legend.append(("floor", f"noise floor, {floor:.4f} mm"))
+    return CaptionedFigure(
+        figures.steps_figure(f"gap{number}", np.array([gap for _, gap in steps]), floor),
+        f"Arm {name}: error after each step, on configurations that the search did not use",
+        tuple(legend),
+    )
+
+
+def _effect_figures(number: int, name: str, pictures: Sequence[Picture]) -> list[CaptionedFigure]:
+    from cellapp.reporting import figures
+
+    drawn = []
+    for place, picture in enumerate(pictures, start=1):
+        legend = [("measured", "measured, without all other parts of the model")]
+        if figures.is_line(picture):
+            legend.append(("computed", "computed"))
+            if picture.curve is not None or picture.band:
+                legend.append(("band", "two standard deviations to either side"))
+        else:
+            legend.append(("effects", "computed"))
+        drawn.append(
+            CaptionedFigure(
+                figures.effect_figure(f"effect{number}-{place}", picture),
+                f"Arm {name}: {_picture_title(picture)}",
+                tuple(legend),
+                note=picture_words(picture),
+            )
+        )
+    return drawn
+
+
+def _picture_title(picture: Picture) -> str:
+    """Title with the variable on the x axis, unless the title names it already."""
+    variable = picture.x_label.partition(" [")[0]
+    if picture.title.endswith(variable) or picture.curve is not None:
+        return picture.title
+    names = ("joint ", "time", "azimuth", "elevation", "incidence")
+    return f"{picture.title}, against {variable if variable.startswith(names) else f'the {variable}'}"
+
+
+def _certainty_figure(number: int, name: str, predicted_mm: Array, errors_mm: Array) -> CaptionedFigure:
+    from cellapp.reporting import figures
+
+    return CaptionedFigure(
+        figures.certainty_figure(f"certainty{number}", predicted_mm, errors_mm),
+        f"Arm {name}: position error against predicted uncertainty",
+        (
+            ("effects", "one held-out configuration"),
+            ("floor", "error as large as predicted (rms of all three coordinates)"),
+        ),
+    )

@@ -1,0 +1,184 @@
+"""Tables of a discovery, for terminal, TUI and page."""
+
+from __future__ import annotations
+
+import math
+
+from cellapp.reporting.table import Cell, Column, Interval, Table, number_column
+from cellapp.reporting.words import interval_95, law_words, place_words, short_reason
+from cellapp.results import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult
+
+_MM = ".4f"
+_SAME = 0.005
+"""A last step within this relative difference of the final error is the final model: no extra row for it."""
+
+
+def gap_steps(arm: ArmDiscoveryResult) -> list[tuple[str, float]]:
+    """Steps of the search with the held-out rms error [mm] after each; the last is that of the final model."""
+    steps = [(step.what, step.heldout_mm) for step in arm.steps]
+    after = arm.heldout_mm.after
+    if not steps or abs(steps[-1][1] - after) > _SAME * after:
+        steps.append(("final model", after))
+    return steps
+
+
+def noise_floor(arm: ArmDiscoveryResult) -> float | None:
+    """Noise floor [mm]; None where the readings state no uncertainty."""
+    floor = arm.noise_floor_mm
+    return None if floor is None or not math.isfinite(floor) else floor
+
+
+def discovery_tables(result: DiscoverResult) -> list[Table]:
+    """Held-out error after each step and the accepted effects: one or two tables for each arm."""
+    tables = []
+    for name, arm in result.arms.items():
+        tables.append(steps_table(name, arm))
+        if arm.accepted:
+            tables.append(_short_accepted_table(name, arm))
+    return tables
+
+
+def steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """Held-out error after each step, and the noise floor."""
+    rows: list[tuple[Cell, ...]] = [*gap_steps(arm)]
+    floor = noise_floor(arm)
+    if floor is not None:
+        rows.append(("noise floor", floor))
+    columns = (Column("step"), number_column("held-out rms", _MM, "mm"))
+    return Table(f"Arm {name}: {arm.verdict}", columns, tuple(rows))
+
+
+def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """``steps_table`` with the step numbers of its figure."""
+    rows: list[tuple[Cell, ...]] = [(str(number), what, gap) for number, (what, gap) in enumerate(gap_steps(arm))]
+    floor = noise_floor(arm)
+    if floor is not None:
+        rows.append(("", "noise floor", floor))
+    columns = (Column("step"), Column("what was done"), number_column("held-out rms", _MM, "mm"))
+    return Table(f"Arm {name}: held-out error after each step", columns, tuple(rows))
+
+
+def _short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    columns = (
+        Column("accepted"),
+        Column("where"),
+        number_column("corrected p", ".2g"),
+        number_column("without", _MM),
+        number_column("with", _MM),
+    )
+    rows = [
+        (
+            found.effect,
+            place_words(found.where),
+            found.evidence.corrected_p,
+            found.evidence.heldout_mm.before,
+            found.evidence.heldout_mm.after,
+        )
+        for found in arm.accepted
+    ]
+    return Table(f"Arm {name}: accepted effects, held-out rms [mm]", columns, tuple(rows))
+
+
+def accepted_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """Accepted effects with all their evidence; None if there are none."""
+    if not arm.accepted:
+        return None
+    columns = (
+        Column("effect"),
+        Column("law"),
+        Column("where"),
+        number_column("score", ".1f"),
+        number_column("corrected p", ".2g"),
+        number_column("without it", _MM, "mm"),
+        number_column("with it", _MM, "mm"),
+        Column("answer set"),
+        Column("most correlated with"),
+    )
+    rows = [_accepted_row(found) for found in arm.accepted]
+    return Table(f"Arm {name}: accepted effects, held-out rms without and with each", columns, tuple(rows))
+
+
+def _accepted_row(found: AcceptedEffect) -> tuple[Cell, ...]:
+    evidence, correlated = found.evidence, found.correlated_with
+    return (
+        found.title,
+        law_words(found.effect, found.law, found.where.joints),
+        place_words(found.where),
+        evidence.statistic,
+        evidence.corrected_p,
+        evidence.heldout_mm.before,
+        evidence.heldout_mm.after,
+        " or ".join(found.answer_set),
+        None if correlated is None else f"{correlated.parameter} ({correlated.correlation:+.2f})",
+    )
+
+
+def parameter_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """Parameters with 95 % intervals; None if there are none.
+
+    Free curves and data-driven terms have too many coefficients for a table; their figures show them.
+    """
+    rows: list[tuple[Cell, ...]] = []
+    for found in arm.accepted:
+        if found.law.name == "curve" or found.description is not None:
+            continue
+        for parameter, estimate in found.parameters.items():
+            value, interval, unit = interval_95(estimate)
+            rows.append((found.effect, parameter, value, interval, unit))
+    if not rows:
+        return None
+    columns = (
+        Column("effect"),
+        Column("parameter"),
+        number_column("value", ".3f"),
+        number_column("95 % interval", ".3f"),
+        Column("unit"),
+    )
+    return Table(f"Arm {name}: size of the effects", columns, tuple(rows))
+
+
+def cycle_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """Dominant cycles per turn of the periodic error of each joint; None if there is no periodic error."""
+    rows = [
+        (joint, _band_cell(band), band.peak, band.rms_urad)
+        for found in arm.accepted
+        for joint, band in (found.cycles or {}).items()
+    ]
+    if not rows:
+        return None
+    columns = (
+        Column("joint"),
+        number_column("cycles per turn, middle 80 % of the power", "d"),
+        number_column("strongest", "d"),
+        number_column("rms over a whole turn", ".0f", "µrad"),
+    )
+    return Table(f"Arm {name}: periodic error by cycles per turn", columns, tuple(rows))
+
+
+def _band_cell(band: CycleBand) -> Cell:
+    return band.first if band.first == band.last else Interval(band.first, band.last)
+
+
+def invisible_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """Effects that these data cannot show, with the reason; None if there are none."""
+    rows = [(entry.effect, short_reason(entry.reason), entry.smallest_seen_rms_mm) for entry in arm.invisible]
+    if not rows:
+        return None
+    columns = (Column("effect"), Column("why it cannot be seen"), number_column("visible from", _MM, "mm rms"))
+    return Table(f"Arm {name}: effects that these data cannot show", columns, tuple(rows))
+
+
+def not_found_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """Effects that were not found, with the smallest size that would have been; None if there are none."""
+    rows = [
+        (entry.effect, entry.smallest_seen_rms_mm, None if entry.visible_share is None else 100.0 * entry.visible_share)
+        for entry in arm.not_found
+    ]
+    if not rows:
+        return None
+    columns = (
+        Column("effect"),
+        number_column("would have been seen from", _MM, "mm rms"),
+        number_column("visible beside the geometry", ".0f", "%"),
+    )
+    return Table(f"Arm {name}: searched for and not found", columns, tuple(rows))

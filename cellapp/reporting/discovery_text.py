@@ -1,0 +1,216 @@
+"""A discovery in words: lines for a terminal, sentences for the page."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from itertools import pairwise
+
+from cellapp.reporting.discovery_tables import gap_steps, noise_floor
+from cellapp.reporting.words import place_words, ranges, short_reason
+from cellapp.results import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult, Picture
+
+WIDTH = 80
+"""Columns of a terminal."""
+_TURN = 360.0
+_UNEVEN = 2.0
+"""Ratio of the largest to the smallest standard deviation of a curve from which both are named."""
+_GAP_DEG = 10.0
+"""The widest range of a joint without readings is named from here on: narrower ones are plain sampling."""
+
+
+def verdict_sentence(name: str, arm: ArmDiscoveryResult) -> str:
+    """The sentence of the verdict without the arm's name."""
+    return arm.sentence.removeprefix(f"arm {name}: ")
+
+
+# -- lines for a terminal ---------------------------------------------------------------------------------------------
+
+
+def discovery_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
+    """Held-out error by step, accepted effects, alternatives, invisible effects and verdict of each arm."""
+    lines: list[str] = []
+    for name, arm in result.arms.items():
+        lines += [f"Arm {name}", "  held-out rms [mm] after each step"]
+        for what, gap in [*gap_steps(arm), ("noise floor", noise_floor(arm))]:
+            if gap is not None:
+                lines += _hanging(f"  {gap:9.4f}  ", what, width)
+        lines += _accepted_lines(arm.accepted, width)
+        for found in arm.accepted:
+            if found.indistinguishable:
+                words = f"of {found.effect}: {' or '.join(found.indistinguishable)}: these data cannot distinguish them"
+                lines += _hanging("  or instead   ", words, width)
+        for place, entry in enumerate(arm.invisible):
+            line = f"{entry.effect}: {short_reason(entry.reason)}"
+            lines.append(_cut(f"  {'' if place else 'not visible':11}  {line}", width))
+        lines += _hanging("  verdict      ", f"{arm.verdict}: {verdict_sentence(name, arm)}", width)
+        lines.append("")
+    return lines
+
+
+def _accepted_lines(accepted: Sequence[AcceptedEffect], width: int) -> list[str]:
+    """One line for each accepted effect; below it the cycles of a periodic error, or the description of a term."""
+    if not accepted:
+        return []
+    lines = [f"  {'accepted':23} {'where':20} {'corrected p':>11}  without -> with [mm]"]
+    for found in accepted:
+        gap = found.evidence.heldout_mm
+        place, p = place_words(found.where), f"{found.evidence.corrected_p:.2g}"
+        lines.append(_cut(f"  {found.effect:23} {place:20} {p:>11}  {gap.before:7.4f} -> {gap.after:.4f}", width))
+        cycles = cycle_words(found)
+        if cycles:
+            lines += _hanging("    cycles per turn  ", cycles, width)
+        if found.description is not None:
+            lines += _hanging("    ", found.description.sentence, width)
+    return lines
+
+
+def cycle_words(found: AcceptedEffect) -> str:
+    """Dominant cycles per turn of a free curve, joint by joint; empty for any other law."""
+    if found.law.name != "curve":
+        return ""
+    return ", ".join(
+        f"joint {joint}: {_band(band)} ({band.rms_urad:.0f} urad rms)" for joint, band in (found.cycles or {}).items()
+    )
+
+
+def _band(band: CycleBand) -> str:
+    return str(band.first) if band.first == band.last else f"{band.first}-{band.last}"
+
+
+def _hanging(first: str, text: str, width: int) -> list[str]:
+    return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=" " * len(first)) or [first.rstrip()]
+
+
+def _cut(line: str, width: int) -> str:
+    return line if len(line) <= width else line[: width - 3].rstrip() + "..."
+
+
+# -- sentences for the page -------------------------------------------------------------------------------------------
+
+
+def rival_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """Effects that could replace an accepted one, and those that the data rule out."""
+    sentences = []
+    for found in arm.accepted:
+        rivals = found.indistinguishable
+        if rivals:
+            sentences.append(
+                f"{' or '.join(rivals)} would explain these data as well as {found.effect}: the data cannot"
+                " distinguish them. The finding is the whole answer set."
+            )
+        if found.ruled_out:
+            sentences.append(
+                f"Nearly as good as {found.effect}, but ruled out by these data: {', '.join(found.ruled_out)}."
+            )
+    return sentences
+
+
+def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """Joints of an accepted effect that have no figure."""
+    sentences = []
+    for found in arm.accepted:
+        labels = {picture.y_label for picture in arm.pictures if picture.effect == found.effect}
+        missing = [joint for joint in found.where.joints if f"offset of joint {joint} [urad]" not in labels]
+        if missing:
+            joints = f"joints {ranges(missing)}" if len(missing) > 1 else f"joint {missing[0]}"
+            sentences.append(
+                f"There is no figure of {found.effect} for {joints}: the SMR hardly moves with"
+                f" {'these joints' if len(missing) > 1 else 'this joint'}."
+            )
+    return sentences
+
+
+def remainder_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """What the effects leave, what a residual network finds in it, and the predicted uncertainty."""
+    return [*_scatter_sentences(arm), *_network_sentences(arm), *_uncertainty_sentences(arm)]
+
+
+def _scatter_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    if arm.scatter is None or arm.omnibus_p is None:
+        return []
+    p = "below 0.001" if arm.omnibus_p < 0.001 else f"{arm.omnibus_p:.2g}"
+    return [
+        f"The remaining scatter is {arm.scatter:.2f} times the stated uncertainty. If nothing were missing, the"
+        f" probability of this much remaining structure is {p}."
+    ]
+
+
+def _network_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    if arm.network_mm is None:
+        return []
+    before, after = arm.network_mm.before, arm.network_mm.after
+    if before == after == 0.0:
+        return ["A residual network finds nothing to correct, neither before the effects nor after them."]
+    if not arm.accepted:
+        return [f"A residual network corrects {before:.4f} mm rms of what the geometry leaves."]
+    remainder = "finds nothing" if after == 0.0 else f"corrects {after:.4f} mm rms"
+    return [
+        f"A residual network trained on what the geometry leaves corrects {before:.4f} mm rms; trained on what the"
+        f" effects leave, it {remainder}."
+    ]
+
+
+def _uncertainty_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    predicted = arm.uncertainty_mm
+    if predicted is None:
+        return []
+    return [
+        f"Predicted standard deviation of a coordinate at held-out configurations: median {predicted.median:.4f} mm,"
+        f" at most {predicted.largest:.4f} mm. It grows where a joint range has no training data."
+    ]
+
+
+def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
+    """Heading and description of each data-driven term."""
+    descriptions = [found.description for found in arm.accepted if found.description is not None]
+    sentences = []
+    for term in descriptions:
+        variables = " and ".join(term.variables)
+        words = (
+            f"The term acts in the channel '{term.channel}', depends on {variables}, and moves the SMR by"
+            f" {term.size_um:.0f} µm rms beyond what the geometry can absorb."
+        )
+        if term.formula:
+            gain = term.gain_over_curve
+            words += f" A short formula fits as well as the curve: {term.formula}"
+            words += "." if gain is None else f" (score {gain:+.1f} against the curve's)."
+        else:
+            words += " No short formula fits as well as the curve."
+        sentences.append((f"Effect without a name: {term.channel}, {variables}", words))
+    return sentences
+
+
+def picture_words(picture: Picture) -> str:
+    """Size, scatter, and for a curve over a whole turn its uncertainty and gaps in the data."""
+    unit = "µrad" if picture.y_label.endswith("[urad]") else "µm"
+    remaining = _rms([m - c for m, c in zip(picture.measured, picture.computed, strict=True)])
+    words = (
+        f"The effect is {_rms(picture.computed):.0f} {unit} rms at these readings, which scatter"
+        f" {remaining:.0f} {unit} rms about it."
+    )
+    curve = picture.curve
+    if curve is None or curve.x[-1] - curve.x[0] != _TURN:
+        return words
+    points = list(zip(curve.band, curve.x, strict=True))
+    (low, best), (high, worst) = (pick(points, key=lambda point: point[0]) for pick in (min, max))
+    if high >= _UNEVEN * low:
+        words += (
+            f" The curve is most certain at {best:.0f}° (standard deviation {low:.0f} {unit}) and least certain at"
+            f" {worst:.0f}° ({high:.0f} {unit})."
+        )
+    begin, end = _largest_gap(picture.x)
+    if end - begin >= _GAP_DEG:
+        words += f" No reading was taken from {begin:.0f}° to {(end + 180.0) % 360.0 - 180.0:.0f}°."
+    return words
+
+
+def _largest_gap(angles: Sequence[float]) -> tuple[float, float]:
+    """Ends [deg] of the widest range of a turn without a value; the second may be beyond 180."""
+    around = [*angles, angles[0] + 360.0]
+    return max(pairwise(around), key=lambda pair: pair[1] - pair[0])
+
+
+def _rms(values: Sequence[float]) -> float:
+    return math.sqrt(sum(value**2 for value in values) / max(len(values), 1))

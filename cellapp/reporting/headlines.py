@@ -1,0 +1,133 @@
+"""The page's first words: headlines, warnings, results that are out of date, results that are missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cellapp.profile import Profile
+from cellapp.reporting.discovery_text import verdict_sentence
+from cellapp.reporting.report_data import ReportData
+from cellapp.reporting.words import METHOD_WORDS
+from cellapp.results import (
+    CALIBRATE,
+    DISCOVER,
+    VERIFY,
+    ArmCalibrationResult,
+    ArmDiscoveryResult,
+    CalibrateResult,
+    Method,
+    PairMethodResult,
+    StageName,
+)
+
+_NO_PAIR = "pair: skipped"
+"""How the note of a calibration begins that explains why there is no pair."""
+_BEST_METHODS: tuple[Method, ...] = ("effects", "proposed", "method_1", "nominal")
+"""The first of these that was computed makes the headline; method_2 is the counter-example of the paper."""
+STAGE_TITLES: dict[StageName, str] = {
+    "calibrate": "Calibration",
+    "discover": "Missing effects",
+    "compensate": "Compensated targets",
+    "push": "Pushed targets",
+    "verify": "Verification at new targets",
+}
+
+
+@dataclass(frozen=True)
+class Headline:
+    """A subject and a sentence about it."""
+
+    subject: str
+    sentence: str
+
+
+def headlines(data: ReportData) -> list[Headline]:
+    """The accuracy of each arm, of the pair, and at verified targets; only results that hold."""
+    lines = []
+    suffix = " (out of date)" if CALIBRATE in data.out_of_date else ""
+    for name, arm in data.calibrate.arms.items():
+        found = None if data.discover is None else data.discover.arms.get(name)
+        lines.append(Headline(f"Arm {name}{suffix}", _arm_sentence(arm, found)))
+        if found is not None:
+            sentence = f"{found.verdict.capitalize()}: {verdict_sentence(name, found)}."
+            lines.append(Headline(f"Arm {name}, missing effects", sentence))
+    method = next((method for method in _BEST_METHODS if method in data.calibrate.pair), None)
+    if method is not None:
+        sentence = _pair_sentence(method, data.calibrate.pair[method], data.calibrate.pair.get("nominal"))
+        lines.append(Headline(f"Pair{suffix}", sentence))
+    for name, verified in ({} if data.verify is None else data.verify.arms).items():
+        before, after = verified.nominal_mm.mean, verified.compensated_mm.mean
+        change = "fell" if after < before else "did not fall: it changed"
+        lines.append(
+            Headline(
+                f"Arm {name}, verified",
+                f"At {verified.compensated_mm.n} new targets the measured mean error {change} from {before:.3f} mm to"
+                f" {after:.3f} mm with compensation.",
+            )
+        )
+    return lines
+
+
+def _arm_sentence(arm: ArmCalibrationResult, found: ArmDiscoveryResult | None) -> str:
+    if not arm.converged:
+        return f"The calibration did not converge ({arm.message}): do not use it."
+    nominal, geometry = arm.validate_["nominal"].position_mm, arm.validate_["geometry"].position_mm
+    with_effects = found is not None and bool(found.accepted)
+    best = arm.validate_["effects"].position_mm if with_effects else geometry
+    sentence = (
+        f"The mean error of the predicted SMR position is {best.mean:.3f} mm ({best.n} configurations that the"
+        f" calibration did not use); with the nominal geometry it is {nominal.mean:.3f} mm"
+    )
+    return sentence + (f", with the identified geometry alone {geometry.mean:.3f} mm." if with_effects else ".")
+
+
+def _pair_sentence(method: Method, best: PairMethodResult, nominal: PairMethodResult | None) -> str:
+    sentence = (
+        f"The mean error of the predicted distance between the two arms' SMRs is {best.cooperative_mm.mean:.3f} mm"
+        f" with {METHOD_WORDS[method]} (held-out stops)"
+    )
+    if method != "nominal" and nominal is not None:
+        sentence += f"; with the nominal cell it is {nominal.cooperative_mm.mean:.3f} mm"
+    return sentence + "."
+
+
+def warnings(data: ReportData) -> list[str]:
+    """Notes of the calibration, and why targets were not measured."""
+    notes = [note for note in data.calibrate.notes if not note.startswith(_NO_PAIR)]
+    targets = () if data.verify is None else data.verify.targets
+    return notes + [f"target {target.name}: {target.note}" for target in targets if target.note]
+
+
+def out_of_date_lines(data: ReportData) -> list[tuple[str, str]]:
+    """Title and reason of each result that no longer holds."""
+    return [(STAGE_TITLES[name], reason) for name, reason in data.out_of_date.items()]
+
+
+def missing_results(data: ReportData) -> list[tuple[str, str]]:
+    """Title of each result that the run does not have, and the command that makes it."""
+    missing = []
+    if not data.calibrate.pair:
+        title = "Pair (inter-base transform and cooperative errors)"
+        missing.append((title, _why_no_pair(data.profile, data.calibrate)))
+    if data.results.discover is None and DISCOVER not in data.out_of_date:
+        missing.append((STAGE_TITLES[DISCOVER], "search for them with: cellapp discover DIR"))
+    if data.verify is None and VERIFY not in data.out_of_date:
+        missing.append((STAGE_TITLES[VERIFY], _how_to_verify(data)))
+    return missing
+
+
+def _why_no_pair(profile: Profile, calibrate: CalibrateResult) -> str:
+    reasons = [note for note in calibrate.notes if note.startswith(_NO_PAIR)]
+    reason = reasons[0].removeprefix("pair: ") if reasons else "not computed"
+    two = len(profile.arms) == 2
+    more = "measure more stops with both arms" if two else "measure two arms at the same stops in a new run"
+    return f"{reason}; {more}, then: cellapp calibrate DIR"
+
+
+def _how_to_verify(data: ReportData) -> str:
+    command = "measure targets with: cellapp push DIR TARGETS --verify"
+    if data.results.verify is not None:
+        return f"targets were pushed, but none was measured with both commands; {command}"
+    if not any(arm.driver.has_device for arm in data.profile.arms.values()):
+        return f"the profile has no devices; with a profile that has, {command}"
+    return command

@@ -1,0 +1,73 @@
+"""Where the numbers of a page come from: programs, seeds, settings, readings, hashes."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+
+import numpy as np
+
+import cellapp
+from cellapp.profile import Profile, profile_to_json
+from cellapp.reporting.report_data import ReportData
+from cellapp.results import Provenance
+from cellapp.run.stages import CALIBRATION_FILE, readings_digest
+
+HASH_TITLE = "SHA-256"
+"""The template sets lines whose title begins so in a fixed-width font."""
+
+
+def provenance_lines(data: ReportData) -> list[tuple[str, str]]:
+    """Pairs of a title and a text."""
+    origin = data.calibrate.provenance
+    torch_used = any(arm.network is not None for arm in data.calibrate.arms.values())
+    plant = data.profile.plant
+    return [
+        ("Profile", data.profile.name),
+        (f"{HASH_TITLE} of the profile", _sha256(profile_to_json(data.profile))),
+        ("Seed of splits and draws", str(origin.seed)),
+        *([] if plant is None else [("Seed of the simulated cell", str(plant.seed))]),
+        ("Calibrated by", _programs(origin, torch_used=torch_used)),
+        ("Calibrated at", origin.written),
+        ("Page made by", f"cellapp {cellapp.__version__}, Python {platform.python_version()}, numpy {np.__version__}"),
+        *_reading_lines(data),
+        ("Settings", _settings(data.profile)),
+        *((f"{HASH_TITLE} of the readings of arm {name}", readings_digest(arm)) for name, arm in data.readings.items()),
+        (f"{HASH_TITLE} of {CALIBRATION_FILE}", _sha256(data.model_in_force + "\n")),
+    ]
+
+
+def _reading_lines(data: ReportData) -> list[tuple[str, str]]:
+    lines = []
+    for name, readings in data.readings.items():
+        splits = data.calibrate.arms[name].splits
+        used = ", ".join(f"{count} {word}" for word, count in splits.items())
+        unused = len(readings) - sum(splits.values())
+        arm = data.profile.arms[name]
+        title = f"Readings of arm {name} ({arm.type.model})"
+        lines.append((title, f"{len(readings)}: {used}, {unused} unused; driver: {arm.driver.kind}"))
+    pair = data.calibrate.pair.get("method_1")
+    if pair is not None and pair.splits:
+        lines.append(("Common stops of the pair", ", ".join(f"{count} {word}" for word, count in pair.splits.items())))
+    return lines
+
+
+def _settings(profile: Profile) -> str:
+    settings = profile.calibration
+    stated = (("length", settings.priors.length, "m"), ("angle", settings.priors.angle, "rad"))
+    priors = [f"{kind} {value:g} {unit}" for kind, value, unit in stated if value is not None]
+    return f"parameter set {settings.parameter_set}, priors {', '.join(priors) or 'none'}, robust {settings.robust}"
+
+
+def _programs(origin: Provenance, *, torch_used: bool) -> str:
+    words = [origin.program]
+    for title, version in (("Python", origin.python), ("numpy", origin.numpy), ("torch", origin.torch)):
+        if version is not None:
+            words.append(f"{title} {version}")
+    if torch_used and origin.torch is None:
+        words.append("torch, version not recorded")
+    return ", ".join(words)
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -1,0 +1,171 @@
+"""Everything that one page shows, read from a run once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from cellapp.calibration.circumstances import circumstances_of_arms
+from cellapp.calibration.evaluation import position_errors
+from cellapp.effects import Circumstances
+from cellapp.errors import InputError
+from cellapp.kinematics.chain import smr_positions
+from cellapp.kinematics.transforms import Array
+from cellapp.model import ArmModel, CellModel
+from cellapp.profile import Profile
+from cellapp.results import (
+    CALIBRATE,
+    DISCOVER,
+    STAGES,
+    VERIFY,
+    CalibrateResult,
+    DiscoverResult,
+    RunResults,
+    StageName,
+    VerifyResult,
+)
+from cellapp.run import Readings, RunFile
+from cellapp.run.file import Event
+from cellapp.run.stages import RunStages, read_results, read_stages
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Profile, current results, the models of calibration and discovery, and the readings of a calibrated run.
+
+    Attributes
+    ----------
+    calibrated : CellModel
+        The model that ``calibrate`` stored: geometry, and a residual network where one was used.
+    discovered : CellModel or None
+        The model that ``discover`` stored, while the discovery holds.
+    model_in_force : str
+        The stored model (JSON) that compensation uses; ``calibration.json`` has the same text.
+    next_step : str
+        The command that repeats the first step that is missing or out of date; empty if there is none.
+    """
+
+    profile: Profile
+    results: RunResults
+    calibrate: CalibrateResult
+    calibrated: CellModel
+    discovered: CellModel | None
+    readings: Mapping[str, Readings]
+    events: tuple[Event, ...]
+    model_in_force: str
+    next_step: str
+
+    @property
+    def out_of_date(self) -> Mapping[StageName, str]:
+        """Results that no longer hold, with the reason."""
+        return self.results.out_of_date
+
+    @property
+    def discover(self) -> DiscoverResult | None:
+        """The discovery, while it holds."""
+        return None if DISCOVER in self.out_of_date else self.results.discover
+
+    @property
+    def verify(self) -> VerifyResult | None:
+        """The verification, while it holds; None if no target was measured with both commands."""
+        verify = self.results.verify
+        return None if verify is None or VERIFY in self.out_of_date or not verify.arms else verify
+
+    @property
+    def model(self) -> CellModel:
+        """The newest model that holds."""
+        return self.discovered or self.calibrated
+
+    @cached_property
+    def held_out(self) -> Mapping[str, HeldOutArm]:
+        """The held-out readings of each arm with the predictions of every stage."""
+        circumstances = circumstances_of_arms(self.model.arms, self.readings)
+        return {name: self._held_out_arm(name, circumstances[name]) for name in self.calibrated.arms}
+
+    def _held_out_arm(self, name: str, circumstances: Circumstances) -> HeldOutArm:
+        rows = self.readings[name].in_split("validate")
+        return HeldOutArm(
+            readings=self.readings[name].take(rows),
+            circumstances=circumstances.take(rows),
+            calibrated=self.calibrated.arms[name],
+            discovered=None if self.discovered is None else self.discovered.arms[name],
+        )
+
+
+@dataclass(frozen=True)
+class HeldOutArm:
+    """Held-out readings of one arm and the models that predict them."""
+
+    readings: Readings
+    circumstances: Circumstances
+    calibrated: ArmModel
+    discovered: ArmModel | None
+
+    @cached_property
+    def errors_mm(self) -> Mapping[str, Array]:
+        """Position errors (n,) [mm] by stage.
+
+        A calibration that an older version stored has its effects in the only model that is left: there is no stage
+        ``geometry`` then.
+        """
+        model, q = self.calibrated, self.readings.q
+        computed: dict[str, Array] = {"nominal": smr_positions(model.nominal, q)}
+        if not model.effects:
+            computed["geometry"] = smr_positions(model.geometry, q)
+            if model.network is not None:
+                computed["network"] = self._predict(model)
+        if self.discovered is not None and self.discovered.effects:
+            computed["effects"] = self._predict(self.discovered)
+        measured = self.readings.p_M
+        return {stage: position_errors(measured, computed[stage]) * 1e3 for stage in STAGES if stage in computed}
+
+    @cached_property
+    def prediction(self) -> tuple[Array, Array] | None:
+        """Predicted standard deviation of a coordinate and position error (n,) [mm] with the newest model.
+
+        None if that model predicts no uncertainty.
+        """
+        model = self.discovered or self.calibrated
+        predicted = model.uncertainty(self.readings.q) * 1e3
+        if not predicted.any():
+            return None
+        return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3
+
+    def _predict(self, model: ArmModel) -> Array:
+        return model.predict(self.readings.q, known=self.circumstances)
+
+
+def read_report_data(run: RunFile) -> ReportData:
+    """Read results, models and readings of a run.
+
+    Raises
+    ------
+    InputError
+        If the run is not calibrated, or its calibration cannot be read.
+    """
+    stages = read_stages(run)
+    results = read_results(run, stages)
+    if results.calibrate is None:
+        reason = results.out_of_date.get(CALIBRATE, "not calibrated yet")
+        raise InputError(f"{run.path}: {reason}, nothing to report; run 'cellapp calibrate' first")
+    calibrated = _stored_model(run, stages, CALIBRATE)
+    if calibrated is None or stages.in_force is None or stages.in_force.model is None:
+        raise InputError(f"{run.path}: the calibrated model is missing; run 'cellapp calibrate' first")
+    holds = results.discover is not None and DISCOVER not in results.out_of_date
+    return ReportData(
+        profile=run.profile,
+        results=results,
+        calibrate=results.calibrate,
+        calibrated=calibrated,
+        discovered=_stored_model(run, stages, DISCOVER) if holds else None,
+        readings={name: run.readings(name) for name in calibrated.arms},
+        events=tuple(run.events()),
+        model_in_force=stages.in_force.model,
+        next_step=stages.next_step(run.folder),
+    )
+
+
+def _stored_model(run: RunFile, stages: RunStages, name: StageName) -> CellModel | None:
+    text = stages.current[name].model
+    return None if text is None else CellModel.from_json(text, f"{run.path}: model of '{name}'")

@@ -1,0 +1,134 @@
+"""Tables and sentences of ``show``: the state of a run, its history, plan, log and commands."""
+
+from __future__ import annotations
+
+import json
+import math
+
+from cellapp.profile import Profile, profile_to_json
+from cellapp.reporting.table import Cell, Column, Table, number_column
+from cellapp.reporting.tables import merged_words
+from cellapp.results import (
+    CalibrateResult,
+    CompensateResult,
+    HistoryResult,
+    LogResult,
+    OverviewResult,
+    StageState,
+    StopsResult,
+)
+
+_DEG = ".2f"
+"""Number format of joint angles in degrees."""
+
+
+def overview_tables(state: OverviewResult) -> list[Table]:
+    """Stops of each arm, and every current stage with whether it holds."""
+    arms = Table(
+        f"Run {state.run}, profile {state.profile}",
+        (
+            Column("arm"),
+            Column("type"),
+            number_column("planned", "d"),
+            number_column("measured", "d"),
+            Column("splits"),
+        ),
+        tuple(
+            (name, arm.type, arm.planned, arm.measured, ", ".join(f"{n} {word}" for word, n in arm.splits.items()))
+            for name, arm in state.arms.items()
+        ),
+    )
+    if not state.stages:
+        return [arms]
+    columns = (Column("stage"), Column("when (UTC)"), Column("by"), Column("state"))
+    rows = tuple((stage.name, _when(stage), stage.program, _holds(stage)) for stage in state.stages)
+    return [arms, Table("Stored results", columns, rows)]
+
+
+def overview_sentences(state: OverviewResult) -> list[str]:
+    """Which model is in force, and the next command."""
+    sentences = []
+    if state.in_force is not None:
+        sentences.append(f"model in force: that of '{state.in_force}' (calibration.json)")
+    sentences.append(f"next: {state.next_step}" if state.next_step else "next: nothing is left to do")
+    return sentences
+
+
+def history_lines(history: HistoryResult) -> list[str]:
+    """Every stored stage, oldest first, each with what it rests on."""
+    lines = []
+    for stage in history.stages:
+        number = str(stage.number) if stage.number else "-"
+        lines.append(f"{number:>4}  {stage.name:10}  {_when(stage)}  {stage.digest[:12]}  {stage.program}")
+        lines.append(f"      {_holds(stage)}")
+        lines.append(f"      rests on: {', '.join(stage.rests_on)}")
+    return lines
+
+
+def plan_tables(stops: StopsResult) -> list[Table]:
+    """Joint angles [deg] of every planned stop, one table for each arm."""
+    tables = []
+    for name in stops.stops[0].q if stops.stops else ():
+        joints = len(stops.stops[0].q[name])
+        columns = (
+            number_column("stop", "d"),
+            Column("measured"),
+            *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)),
+        )
+        rows = tuple(
+            (stop.configuration, "yes" if stop.measured else "no", *map(math.degrees, stop.q[name]))
+            for stop in stops.stops
+        )
+        tables.append(Table(f"Arm {name}: planned stops", columns, rows))
+    return tables
+
+
+def target_tables(result: CompensateResult) -> list[Table]:
+    """Compensated joint angles [deg] of every target that can be commanded, one table for each arm."""
+    tables = []
+    for arm in dict.fromkeys(target.arm for target in result.targets):
+        commands = {
+            target.name: target.q_compensated
+            for target in result.targets
+            if target.arm == arm and target.q_compensated is not None
+        }
+        if commands:
+            joints = len(next(iter(commands.values())))
+            columns = (Column("target"), *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
+            rows: list[tuple[Cell, ...]] = [(name, *map(math.degrees, q)) for name, q in commands.items()]
+            tables.append(Table(f"Arm {arm}: compensated commands", columns, tuple(rows)))
+    return tables
+
+
+def refusal_sentences(result: CompensateResult) -> list[str]:
+    """Why targets cannot be commanded."""
+    return [f"target {target.name}: {target.refusal}" for target in result.targets if target.refusal]
+
+
+def log_lines(log: LogResult) -> list[str]:
+    """The log, one line each."""
+    return [f"{line.written}  {line.level:8} {line.text}" for line in log.lines]
+
+
+def profile_text(profile: Profile) -> str:
+    """The profile as indented JSON."""
+    return json.dumps(json.loads(profile_to_json(profile)), indent=1)
+
+
+def merged_sentences(result: CalibrateResult) -> list[str]:
+    """Which parameters were dropped, and which identified ones take their place."""
+    return [
+        f"arm {name}: {parameter} is merged into {merged_words(shares)}"
+        for name, arm in result.arms.items()
+        for parameter, shares in arm.merged.items()
+    ]
+
+
+def _when(stage: StageState) -> str:
+    return stage.written[:19].replace("T", " ")
+
+
+def _holds(stage: StageState) -> str:
+    if stage.superseded:
+        return "superseded"
+    return "holds" if stage.out_of_date is None else f"out of date: {stage.out_of_date}"

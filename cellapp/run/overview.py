@@ -1,0 +1,109 @@
+"""The state of a run as results of ``show``; everything here only reads."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from cellapp.results import (
+    ArmState,
+    HistoryResult,
+    LogLine,
+    LogResult,
+    OverviewResult,
+    PlannedStop,
+    StageState,
+    StopsResult,
+)
+from cellapp.run.file import RunFile
+from cellapp.run.stages import RunStages, StoredStage, read_history, read_stages
+
+
+def run_overview(run: RunFile) -> OverviewResult:
+    """Profile, arms, current stages, and the command that comes next."""
+    stages, plan = read_stages(run), run.read_plan()
+    arms = {}
+    for name, arm in run.profile.arms.items():
+        readings = run.readings(name)
+        counts = Counter(word or "none" for word in readings.split or [None] * len(readings))
+        planned = len(plan.get(name, ()))
+        arms[name] = ArmState(type=arm.type.model, planned=planned, measured=len(readings), splits=dict(counts))
+    return OverviewResult(
+        run=str(run.folder),
+        profile=run.profile.name,
+        arms=arms,
+        stages=tuple(_state(stage, stages) for stage in stages.current.values()),
+        in_force=None if stages.in_force is None else stages.in_force.name,
+        next_step=_next_step(run, stages, arms),
+    )
+
+
+def run_history(run: RunFile) -> HistoryResult:
+    """Every stage that was ever stored, oldest first."""
+    stages = read_stages(run)
+    return HistoryResult(run=str(run.folder), stages=tuple(_state(stage, stages) for stage in read_history(run)))
+
+
+def planned_stops(run: RunFile) -> StopsResult:
+    """Every planned stop, and whether it was measured."""
+    plan, done = run.read_plan(), run.stops_done()
+    count = max((len(q) for q in plan.values()), default=0)
+    return StopsResult(
+        run=str(run.folder),
+        stops=tuple(
+            PlannedStop(
+                configuration=stop,
+                measured=stop in done,
+                q={name: tuple(np.asarray(q[stop]).tolist()) for name, q in plan.items()},
+            )
+            for stop in range(count)
+        ),
+    )
+
+
+def run_log(run: RunFile, level: str | None = None, last: int | None = None) -> LogResult:
+    """Lines of the log, oldest first; only those of one ``level``, only the ``last`` ones."""
+    lines = [
+        LogLine(number=event.number, written=event.written, time_s=event.time_s, level=event.level, text=event.text)
+        for event in run.events()
+        if level is None or event.level == level
+    ]
+    return LogResult(run=str(run.folder), lines=tuple(lines if last is None else lines[-last:]))
+
+
+def _state(stage: StoredStage, stages: RunStages) -> StageState:
+    current = stages.current.get(stage.name)
+    superseded = current is None or current.number != stage.number
+    return StageState(
+        number=stage.number,
+        name=stage.name,
+        written=stage.written,
+        program=stage.program,
+        digest=stage.digest,
+        rests_on=_rests_on(stage),
+        superseded=superseded,
+        out_of_date=None if superseded else stages.out_of_date.get(stage.name),
+    )
+
+
+def _rests_on(stage: StoredStage) -> tuple[str, ...]:
+    """The basis in words; hashes are cut to twelve digits."""
+    if stage.basis is None:
+        return ("not recorded",)
+    basis = stage.basis
+    return (
+        f"profile {basis.profile[:12]}",
+        *(f"{arm.n} readings of {name} {arm.sha256[:12]}" for name, arm in basis.readings.items()),
+        *(f"{name} {digest[:12]}" for name, digest in basis.stages.items()),
+        *(() if basis.targets is None else (f"targets {basis.targets[:12]}",)),
+    )
+
+
+def _next_step(run: RunFile, stages: RunStages, arms: dict[str, ArmState]) -> str:
+    measured = [arm.measured for arm in arms.values()]
+    if not any(measured):
+        return f"cellapp collect {run.folder}"
+    if not stages.current and any(arm.measured < arm.planned for arm in arms.values()):
+        return f"cellapp collect {run.folder} --resume"
+    return stages.next_step(run.folder)

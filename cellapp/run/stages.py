@@ -1,0 +1,302 @@
+"""Stages of a run: what each verb stored, what it rests on, and whether that still holds.
+
+A verb appends a stage and never edits an earlier one. Every stage records its basis: hashes of the profile, of the
+readings and of the earlier stages that it used. A stage whose basis has changed since is out of date: it stays
+readable, is shown with the reason, and its model is not sent to the arms unless the operator insists.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from cellapp.errors import InputError
+from cellapp.profile import profile_to_json
+from cellapp.results import (
+    CALIBRATE,
+    COMPENSATE,
+    DISCOVER,
+    PUSH,
+    STAGE_NAMES,
+    VERIFY,
+    CalibrateResult,
+    CompensateResult,
+    DiscoverResult,
+    Record,
+    Result,
+    RunResults,
+    StageName,
+    VerifyResult,
+)
+from cellapp.run.file import RunFile, StageRow
+from cellapp.run.readings import Readings
+
+CALIBRATION_FILE = "calibration.json"
+"""The exported model in force, for other programs; cellapp itself reads the stored stages."""
+
+NOT_RECORDED = "what it rests on is not recorded, as an older version stored it"
+
+_UNREADABLE = "another version of cellapp stored it and this one cannot read it"
+
+
+class ReadingsBasis(Record):
+    """Number of readings of one arm, and the hash of their measured arrays and splits."""
+
+    n: int
+    sha256: str
+
+
+class Basis(Record):
+    """SHA-256 hashes of what a stage rests on; ``stages`` maps each earlier stage that it used to its digest."""
+
+    profile: str
+    readings: Mapping[str, ReadingsBasis]
+    stages: Mapping[StageName, str] = {}
+    targets: str | None = None
+
+
+@dataclass(frozen=True)
+class StoredStage:
+    """What one verb stored.
+
+    Attributes
+    ----------
+    number : int
+        Of the row; 0 for a result that an older version stored.
+    name : str
+    written, program : str
+        When (ISO 8601, UTC) and by which version.
+    basis : Basis or None
+        What it rests on; None where that was not recorded.
+    text : str
+        The result as JSON.
+    model : str or None
+        The model that it made as JSON.
+    """
+
+    number: int
+    name: StageName
+    written: str
+    program: str
+    basis: Basis | None
+    text: str
+    model: str | None
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the model without its provenance, or of the result where the stage made no model.
+
+        The same outcome at another time has the same digest.
+        """
+        if self.model is None:
+            return _sha256(self.text)
+        content = json.loads(self.model)
+        content.pop("provenance", None)
+        return _sha256(json.dumps(content, sort_keys=True))
+
+
+@dataclass(frozen=True)
+class RunStages:
+    """The newest stage of each name, and those of them that no longer hold.
+
+    Attributes
+    ----------
+    current : mapping
+        Name -> newest stage.
+    out_of_date : mapping
+        Name -> reason, a phrase such as "20 readings were added since".
+    in_force : StoredStage or None
+        The stage whose model is used: the discovery if it rests on the current calibration, else the calibration.
+    """
+
+    current: Mapping[StageName, StoredStage]
+    out_of_date: Mapping[StageName, str]
+    in_force: StoredStage | None
+
+    def stale_model(self) -> str:
+        """Why the model in force should not be used as it is; empty if it holds and so does the newest discovery."""
+        reasons = [
+            f"'{name}' is out of date ({self.out_of_date[name]})"
+            for name in (CALIBRATE, DISCOVER)
+            if name in self.out_of_date
+        ]
+        return "; ".join(reasons)
+
+    def next_step(self, folder: Path) -> str:
+        """The command that makes or repeats the first missing or outdated step; empty if there is none."""
+        for name in (CALIBRATE, DISCOVER):
+            if name not in self.current or name in self.out_of_date:
+                return f"cellapp {name} {folder}"
+        if VERIFY not in self.current or VERIFY in self.out_of_date:
+            return f"cellapp push {folder} TARGETS --verify"
+        return ""
+
+
+def append_stage(
+    run: RunFile, name: StageName, result: Result, basis: Basis | None, model: str | None = None
+) -> StoredStage:
+    """Append the result of a verb, with the model (JSON) that it made. Earlier rows stay as they are."""
+    run.append_stage(name, None if basis is None else basis.model_dump_json(), result.to_json(), model)
+    return read_history(run)[-1]
+
+
+def read_history(run: RunFile) -> list[StoredStage]:
+    """Every stage that was ever stored, oldest first; results of older versions without a basis stand in front."""
+    rows = run.stage_rows()
+    return [*_stored_without_basis(run, with_model=not rows), *map(_stage, rows)]
+
+
+def read_stages(run: RunFile) -> RunStages:
+    """The newest stage of each name, and whether it still holds."""
+    newest = {stage.name: stage for stage in read_history(run)}
+    current = {name: newest[name] for name in STAGE_NAMES if name in newest}
+    in_force = _in_force(current)
+    now = basis_of(run) if any(stage.basis is not None for stage in current.values()) else None
+    reasons = {name: _why_outdated(stage, now, current, in_force) for name, stage in current.items()}
+    return RunStages(current, {name: reason for name, reason in reasons.items() if reason}, in_force)
+
+
+def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:
+    """The current results of a run as objects; those that no longer hold are listed in ``out_of_date``."""
+    stages = stages or read_stages(run)
+    out_of_date = dict(stages.out_of_date)
+    found: dict[str, Result] = {}
+    for name, stage in stages.current.items():
+        try:
+            found[name] = _RESULTS[name].from_json(stage.text, f"{run.path}: {name}")
+        except InputError:
+            out_of_date[name] = _UNREADABLE
+    calibrate, discover = found.get(CALIBRATE), found.get(DISCOVER)
+    if isinstance(calibrate, CalibrateResult):
+        if isinstance(discover, DiscoverResult) and DISCOVER not in stages.out_of_date:
+            found[CALIBRATE] = calibrate.with_effects(discover)
+        else:
+            found[CALIBRATE] = calibrate.without_effects()
+    return RunResults.model_validate({"run": str(run.folder), "out_of_date": out_of_date, **found})
+
+
+def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Basis:
+    """The basis of a stage that is made now; ``stages`` maps each earlier stage that it uses to its digest."""
+    readings = {name: run.readings(name) for name in run.arms()}
+    return Basis(
+        profile=_sha256(profile_to_json(run.profile)),
+        readings={name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm)) for name, arm in readings.items()},
+        stages=stages or {},
+    )
+
+
+def basis_on_model(run: RunFile, model: StoredStage, targets: str) -> Basis | None:
+    """The basis of a stage that uses a model for targets (JSON); it rests on the readings that the model rests on.
+
+    None where it was not recorded what the model rests on.
+    """
+    if model.basis is None:
+        return None
+    return Basis(
+        profile=_sha256(profile_to_json(run.profile)),
+        readings=model.basis.readings,
+        stages={model.name: model.digest},
+        targets=_sha256(targets),
+    )
+
+
+def readings_digest(readings: Readings) -> str:
+    """SHA-256 of the names and numbers (little-endian) of all measured arrays of one arm, and of its splits."""
+    digest = hashlib.sha256()
+    for entry in fields(readings):
+        values = getattr(readings, entry.name)
+        if isinstance(values, np.ndarray):
+            digest.update(f"{entry.name} {values.shape}\n".encode())
+            digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
+    digest.update(json.dumps(readings.split).encode())
+    return digest.hexdigest()
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+_RESULTS: Mapping[StageName, type[Result]] = {
+    CALIBRATE: CalibrateResult,
+    DISCOVER: DiscoverResult,
+    COMPENSATE: CompensateResult,
+    PUSH: VerifyResult,
+    VERIFY: VerifyResult,
+}
+
+
+def _stage(row: StageRow) -> StoredStage:
+    return StoredStage(
+        number=row.number,
+        name=cast(StageName, row.name),
+        written=row.written,
+        program=row.program,
+        basis=None if row.basis is None else Basis.model_validate_json(row.basis),
+        text=row.text,
+        model=row.model,
+    )
+
+
+def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredStage]:
+    """Results of versions before the table ``stage``; their one model is ``calibration.json``, until it is replaced."""
+    model = _readable_json(run.folder / CALIBRATION_FILE) if with_model else None
+    for name in STAGE_NAMES:
+        document = run.read_document(name)
+        if document is not None:
+            own = model if name in (CALIBRATE, DISCOVER) else None
+            yield StoredStage(0, name, document.written, "an older version", None, document.text, own)
+
+
+def _readable_json(path: Path) -> str | None:
+    try:
+        text = path.read_text(encoding="utf-8")
+        return text if isinstance(json.loads(text), dict) else None
+    except (OSError, ValueError):  # also not UTF-8, not JSON
+        return None
+
+
+def _in_force(current: Mapping[StageName, StoredStage]) -> StoredStage | None:
+    calibrate, discover = current.get(CALIBRATE), current.get(DISCOVER)
+    if calibrate is None or discover is None:
+        return calibrate
+    if discover.basis is None:
+        return discover if calibrate.basis is None else calibrate
+    return discover if discover.basis.stages.get(CALIBRATE) == calibrate.digest else calibrate
+
+
+def _why_outdated(
+    stage: StoredStage,
+    now: Basis | None,
+    current: Mapping[StageName, StoredStage],
+    in_force: StoredStage | None,
+) -> str:
+    """Why a stage no longer holds; empty if it does."""
+    if stage.basis is None or now is None:
+        return NOT_RECORDED
+    reasons = []
+    if stage.basis.profile != now.profile:
+        reasons.append("the profile was changed since")
+    reasons += _changed_readings(stage.basis.readings, now.readings)
+    for name, digest in stage.basis.stages.items():
+        used = current[name] if stage.name == DISCOVER else in_force
+        if used is not None and used.digest != digest:
+            verb = "calibrated" if used.name == CALIBRATE else "searched for missing effects"
+            again = "again since, with another outcome" if used.name == name else "since, and another model is in force"
+            reasons.append(f"the run was {verb} {again}")
+    return ", ".join(reasons)
+
+
+def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, ReadingsBasis]) -> list[str]:
+    before, after = (sum(arm.n for arm in arms.values()) for arms in (then, now))
+    if after > before:
+        return [f"{after - before} readings were added since"]
+    return [] if dict(then) == dict(now) else ["the readings or their splits were changed since"]
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -1,0 +1,22 @@
+"""Every result of a trial, for the exported JSON schemas."""
+
+from __future__ import annotations
+
+from cellapp.results import Result
+from cellapp.trials.bridge import BridgeResult
+from cellapp.trials.coverage import CoverageResult
+from cellapp.trials.links import LinksResult
+from cellapp.trials.paper import PaperResult
+from cellapp.trials.parameter_sets import ParameterSetsResult
+from cellapp.trials.scoring import JudgeResult
+from cellapp.trials.sealed import SealResult
+
+TRIAL_RESULTS: tuple[type[Result], ...] = (
+    CoverageResult,
+    ParameterSetsResult,
+    PaperResult,
+    LinksResult,
+    BridgeResult,
+    SealResult,
+    JudgeResult,
+)

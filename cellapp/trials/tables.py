@@ -1,0 +1,240 @@
+"""Tables of the trials for terminal and README."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cellapp.reporting.table import Cell, Column, Number, Table, number_column
+from cellapp.trials.bridge import BridgeResult
+from cellapp.trials.links import LinksResult, Times
+from cellapp.trials.paper import PaperResult
+from cellapp.trials.parameter_sets import ParameterSetsResult
+from cellapp.trials.scoring import (
+    OUTCOMES,
+    VERDICTS,
+    CleanCounts,
+    EndState,
+    JudgeResult,
+    OutcomeCounts,
+    Spread,
+    TargetScore,
+)
+
+_MM = ".4f"
+_SECONDS = ".3f"
+_END = (Column("held out"), Column("verdicts"))
+
+
+def parameter_set_tables(result: ParameterSetsResult) -> list[Table]:
+    """Redundant and reduced models, one table for each arm."""
+    columns = (
+        Column("set (parameters), solver"),
+        number_column("iterations", "g"),
+        Column("converged"),
+        number_column("mean", ".4g", "mm"),
+        number_column("max", ".4g", "mm"),
+    )
+    return [
+        Table(
+            f"Arm {arm}: redundant and reduced models, medians over seeds",
+            columns,
+            tuple(
+                (
+                    f"{trial.parameter_set} ({trial.parameters}), {trial.solver}",
+                    trial.iterations,
+                    f"{trial.converged} of {trial.seeds}",
+                    trial.mean_mm,
+                    trial.max_mm,
+                )
+                for trial in trials
+            ),
+        )
+        for arm, trials in result.arms.items()
+    ]
+
+
+def paper_tables(result: PaperResult) -> list[Table]:
+    """The paper's methods over seeds beside the paper, and position errors at both tracker stations."""
+    rows: list[tuple[Cell, ...]] = [
+        (method, entry.median, entry.worst, entry.paper) for method, entry in result.cooperative_mm.items()
+    ]
+    gain = (result.gain.median, result.gain.worst, result.gain.paper)
+    rows.append(
+        ("proposed below method_1", *(None if share is None else Number(100 * share, 1, "%") for share in gain))
+    )
+    columns = (Column("method"), *(number_column(title, _MM) for title in ("median", "worst", "paper")))
+    title = f"Mean cooperative error [mm], {len(result.trials)} simulated cells"
+    positions = [trial.position_mm for trial in result.trials]
+    moved = [trial.moved_mm for trial in result.trials]
+    tables = [Table(title, columns, tuple(rows))]
+    for heading, trials in (("Mean position error [mm]", positions), ("At another tracker station [mm]", moved)):
+        shown: list[tuple[Cell, ...]] = []
+        for name, stages in trials[0].items():
+            for stage in stages:
+                values = sorted(arms[name][stage] for arms in trials if stage in arms[name])
+                shown.append((f"{name}, {stage}", values[len(values) // 2], values[-1]))
+        headings = (Column("arm, model"), number_column("median", _MM), number_column("worst", _MM))
+        tables.append(Table(heading, headings, tuple(shown)))
+    return tables
+
+
+def link_table(result: LinksResult) -> Table:
+    """Times of emulated arms under the real client, without and with faults."""
+    rows = [
+        _times("connect", result.connect_s),
+        _times("ask for the state", result.state_s),
+        _times("motion, beyond its ideal time", result.move_overhead_s),
+    ]
+    for fault, times in result.by_fault.items():
+        rows.append(_times(f"{fault}: reported", times.reported_s))
+        rows.append(_times(f"{fault}: at rest", times.at_rest_s))
+        rows.append(_times(f"{fault}: ready again", times.recovered_s))
+    numbers = (number_column(title, _SECONDS) for title in ("median", "95 %", "max"))
+    return Table("Times [s]", (Column("what"), *numbers, number_column("n", "d")), tuple(rows))
+
+
+def bridge_table(result: BridgeResult) -> Table:
+    """Time of a measurement by the fault that it met."""
+    undisturbed = ("none", result.asked - sum(result.faults.values()), result.undisturbed_s)
+    rows = [(fault, result.faults[fault], longest) for fault, longest in result.recovery_s.items()]
+    columns = (Column("fault"), number_column("n", "d"), number_column("longest; none: median", _SECONDS))
+    return Table("Times of a measurement [s]", columns, (undisturbed, *rows))
+
+
+def judge_tables(result: JudgeResult) -> list[Table]:
+    """Targets, then one table for each kind of trial; the last one lists the misses."""
+    tables = [_target_table(result.targets)]
+    for title, groups in (("One hidden effect", result.one), ("Two hidden effects", result.pair)):
+        rows = [
+            row
+            for name, group in groups.items()
+            for which, counts in (("", group.visible), (", below", group.below))
+            if (row := _count_row(f"{name} (look-alikes){which}" if group.look_alikes else name + which, counts))
+        ]
+        if groups:
+            columns: tuple[Column, ...] = (
+                Column("effect"),
+                Column("visible um"),
+                number_column("n", "d"),
+                number_column("named", "d"),
+                Column("otherwise"),
+                number_column("in answer set", "d"),
+                *_END,
+            )
+            tables.append(Table(title, columns, tuple(rows)))
+    if result.none:
+        columns = (Column("arms"), *(number_column(c, "d") for c in ("n", "false names", "false unknown")), *_END)
+        tables.append(Table("Nothing hidden", columns, tuple(_clean_row(*entry) for entry in result.none.items())))
+    if result.outside:
+        tables.append(_outside_table(result))
+    if result.misses:
+        tables.append(_miss_table(result))
+    return tables
+
+
+def judge_sentences(result: JudgeResult) -> list[str]:
+    """How the tables came about: threshold, abbreviations, speed, date, seed, program."""
+    sealed = result.sealed
+    wall, cpu = result.seconds_an_arm, result.cpu_seconds_an_arm
+    said = [
+        f"Visible: {result.threshold}, each hidden effect alone; below: not so, which counts for the targets of"
+        " pairs and of the held-out error only. Held out: rms over that of the noise drawn at those stops, median and"
+        f" worst. Verdicts: {', '.join(f'{word[0].upper()} {word}' for word in VERDICTS)}."
+    ]
+    if wall is not None and cpu is not None:
+        said.append(
+            f"Discovery of one arm: median {wall.median:.1f} s, longest {wall.max:.1f} s (processor"
+            f" {cpu.median:.1f} and {cpu.max:.1f} s), {result.jobs} at a time, a thread each."
+        )
+    if result.judged_by_other_source:
+        said.append(
+            f"{result.judged_by_other_source} runs were judged by another state of the program than the present"
+            " one; --again judges them again."
+        )
+    said += [f"Not judged: {failure}." for failure in result.failed]
+    said.append(
+        f"{result.date}; {result.program}, source {result.source}; {sealed.runs} runs of {sealed.stops}"
+        f" stops an arm, profile {sealed.profile}, kind {sealed.kind}, noise {sealed.noise},"
+        f" seed {sealed.seed}, sealed {sealed.written[:10]} by {sealed.program}."
+    )
+    return said
+
+
+def judge_markdown(result: JudgeResult) -> str:
+    """The tables as Markdown; date, seed and program stand at the end."""
+    parts = []
+    for table in judge_tables(result):
+        lines = [f"**{table.title}**", "", _markdown_row(table.headings), "|" + " --- |" * len(table.columns)]
+        parts.append("\n".join([*lines, *map(_markdown_row, table.text_rows())]))
+    parts.append(" ".join(judge_sentences(result)))
+    return "\n\n".join(parts) + "\n"
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _times(what: str, times: Times | None) -> tuple[Cell, ...]:
+    return (what, None, None, None, 0) if times is None else (what, times.median, times.p95, times.max, times.n)
+
+
+def _target_table(targets: Sequence[TargetScore]) -> Table:
+    columns = tuple(Column(title) for title in ("kind", "target", "wanted", "reached", "share", "met"))
+    rows = []
+    for target in targets:
+        sign = "at most" if target.at_most else "at least"
+        wanted = f"{sign} {100 * target.wanted:.0f} %" if target.at_most or target.wanted else ""
+        if target.n < target.trials_wanted:
+            wanted += f" of {target.trials_wanted}"
+        met = {True: "yes", False: "no", None: "too few"}[target.met] if wanted else ""
+        reached = f"{target.reached} of {target.n}"
+        rows.append((target.kind, target.target, wanted, reached, Number(100 * target.share, 1, "%"), met))
+    return Table("Sealed trials: targets", columns, tuple(rows))
+
+
+def _count_row(name: str, counts: OutcomeCounts) -> tuple[Cell, ...] | None:
+    if not counts.n:
+        return None
+    otherwise = ", ".join(f"{word} {counts.count(word)}" for word in OUTCOMES[1:] if counts.count(word))
+    visible = _range(counts.visible_um)
+    return name, visible, counts.n, counts.named, otherwise or "-", counts.in_answer_set, *_end(counts)
+
+
+def _clean_row(what: str, counts: CleanCounts) -> tuple[Cell, ...]:
+    return what, counts.n, counts.false_names, counts.false_unknown, *_end(counts)
+
+
+def _outside_table(result: JudgeResult) -> Table:
+    titles = ("n", "called unknown", "described", "in part", "false names")
+    columns = (Column("law"), Column("visible um"), *(number_column(title, "d") for title in titles), *_END)
+    rows: list[tuple[Cell, ...]] = []
+    for name, group in result.outside.items():
+        counts = (group.n, group.unknown, group.right, group.part, group.false_names)
+        rows.append((name, _range(group.visible_um), *counts, *_end(group)))
+    return Table("Outside the library", columns, tuple(rows))
+
+
+def _miss_table(result: JudgeResult) -> Table:
+    titles = ("run", "hidden (visible um)", "found", "or / described", "verdict")
+    rows = tuple(
+        (f"{miss.run} {miss.arm}", miss.hidden or "nothing", miss.found or "nothing", miss.said, miss.verdict,
+         miss.to_drawn)
+        for miss in result.misses
+    )  # fmt: skip
+    return Table("Misses", (*(Column(title) for title in titles), number_column("held out", ".3f")), rows)
+
+
+def _end(state: EndState) -> tuple[Cell, Cell]:
+    ratio = state.heldout_to_drawn
+    verdicts = " ".join(f"{word[0].upper()}{count}" for word, count in state.verdicts.items())
+    return None if ratio is None else f"{ratio.median:.3f}, {ratio.max:.3f}", verdicts
+
+
+def _range(spread: Spread | None) -> str:
+    if spread is None:
+        return ""
+    low, high = f"{spread.min:.0f}", f"{spread.max:.0f}"
+    return low if low == high else f"{low}-{high}"
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -1,0 +1,34 @@
+"""A small run of the simulated cell, made once a session by the verbs themselves."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cellapp.collection.collect import collect_run
+from cellapp.compensation.targets import load_targets
+from cellapp.pipeline import calibrate_run, discover_run, new_planned_run, push_run
+from tests.twin import PROFILES, finished_twin
+
+FEW_TARGETS = 2
+
+
+@pytest.fixture(scope="session")
+def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a run that was collected, calibrated, searched and verified at two targets. No test may write to it."""
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    with new_planned_run(finished_twin(), folder) as run:
+        collect_run(run)
+        calibrate_run(run)
+        discover_run(run)
+        targets = load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[:FEW_TARGETS]
+        push_run(run, targets, verify=True)
+    return folder
+
+
+@pytest.fixture
+def finished_copy(finished_run: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run that a test may change."""
+    return Path(shutil.copytree(finished_run, tmp_path / "run"))

@@ -1,0 +1,25 @@
+"""Calibrate a run and search it, with the objects of discovery and not only their results."""
+
+from __future__ import annotations
+
+from cellapp.discovery.discover import discover_cell
+from cellapp.discovery.outcome import CellDiscovery
+from cellapp.discovery.proposal.candidate_poses import Effort
+from cellapp.discovery.propose import Proposal, propose_stops
+from cellapp.model import CellModel
+from cellapp.pipeline import calibrate_run
+from cellapp.run import RunFile
+from cellapp.run.stages import CALIBRATION_FILE
+
+
+def calibrated_and_searched(run: RunFile) -> CellDiscovery:
+    """Draw splits, calibrate, search every arm."""
+    calibrate_run(run)
+    model = CellModel.load(run.folder / CALIBRATION_FILE)
+    return discover_cell(run.profile, model, {name: run.readings(name) for name in model.arms})
+
+
+def proposed(run: RunFile, found: CellDiscovery, count: int, effort: Effort) -> Proposal:
+    """Further stops after a search; the plan stays as it is."""
+    readings = {name: run.readings(name) for name in found.arms}
+    return propose_stops(run.profile, found.model, readings, found.arms, count, effort=effort)
