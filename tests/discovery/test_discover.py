@@ -40,6 +40,7 @@ def plan():
 def measured_run(folder, plan, effects, seed=7, noise_seed=0):
     """A run of a twin with ``effects`` by arm, measured in one go by the plant."""
     profile = load_profile(ROOT / "profiles" / "twin.yaml")
+    assert profile.plant is not None
     settings = profile.plant.model_copy(update={"effects": effects, "seed": seed})
     without = profile.network.model_copy(update={"kind": "none"})  # trained networks are tested elsewhere
     profile = profile.model_copy(update={"plant": settings, "network": without})
@@ -48,7 +49,9 @@ def measured_run(folder, plan, effects, seed=7, noise_seed=0):
     def fill(run):
         for name, q in plan.items():
             approach = np.sign(np.diff(np.vstack([np.zeros(6), q]), axis=0)).astype(np.int8)
-            points, covariance = plant.measure_positions(plant.smr_positions(name, q, approach=approach), rng)
+            points, covariance = plant.measure_positions(
+                plant.smr_positions(name, q, approach=approach.astype(np.float64)), rng
+            )
             readings = Readings(
                 configuration=np.arange(len(q)),
                 time_s=np.arange(len(q), dtype=np.float64),
@@ -211,7 +214,11 @@ def test_look_alikes_that_the_data_cannot_distinguish_are_an_answer_set(plan):
         plant.smr_positions("left", readings.q - offset), np.random.default_rng(3)
     )
     tied = replace(
-        readings, p_M=points, covariance_M=covariance, step=0.3 * readings.approach, dwell_s=np.full(len(readings), 2.0)
+        readings,
+        p_M=points,
+        covariance_M=covariance,
+        step=0.3 * readings.approach.astype(np.float64),
+        dwell_s=np.full(len(readings), 2.0),
     )
     model = calibrate_arm(profile, "left", tied)[0].model
     found = discover_arm(profile, "left", model, tied)

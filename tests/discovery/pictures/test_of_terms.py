@@ -35,9 +35,10 @@ def wave_column(joint: int, count: int, sine: bool) -> EffectColumn:
 
 
 def test_cycles_hold_the_middle_of_the_power():
-    columns = [wave_column(1, k, sine) for k in range(2, 12) for sine in (False, True)]
+    waves = [(k, sine) for k in range(2, 12) for sine in (False, True)]
+    columns = [wave_column(1, k, sine) for k, sine in waves]
     amplitudes = {3: 1.0, 5: 10.0, 6: 12.0, 9: 8.0, 11: 1.0}
-    values = [-amplitudes.get(one.wave.cycles, 0.0) * 1e-6 if one.wave.sine else 0.0 for one in columns]
+    values = [-amplitudes.get(k, 0.0) * 1e-6 if sine else 0.0 for k, sine in waves]
     found = dominant_cycles([*columns, wave_column(0, 2, False)], np.array([*values, 4e-6]))
     assert list(found) == ["1", "2"]
     assert found["1"] == {"from": 2, "to": 2, "peak": 2, "rms_urad": pytest.approx(4.0 / math.sqrt(2.0))}
@@ -62,7 +63,7 @@ def made(bend, *terms, off_axis_m=0.1):
     approach = rng.choice([-1, 1], (N, 6)).astype(np.int8)
     readings = Readings(
         configuration=np.arange(N, dtype=np.int64),
-        time_s=60.0 * np.arange(N),
+        time_s=60.0 * np.arange(N, dtype=np.float64),
         q=q,
         approach=approach,
         p_M=smr_positions(geometry, q + bend(q, approach)) + rng.normal(0.0, SIGMA_M, (N, 3)),
