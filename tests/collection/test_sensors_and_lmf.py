@@ -57,7 +57,7 @@ def test_without_a_section_there_is_no_sensor() -> None:
         ("{kind: serial, url: /dev/ttyUSB0, format: vaisala-ptu300, pattern: x}", "give either format or pattern"),
         ("{kind: serial, url: /dev/ttyUSB0, format: vaisala-ptu30}", "did you mean 'vaisala-ptu300'"),
         ("{kind: serial, url: 'http://x', format: vaisala-ptu300}", "'http://' is not known; write a device"),
-        ("{kind: serial, url: x, pattern: 'T=('}", "air.pattern: no regular expression: missing"),
+        ("{kind: serial, url: x, pattern: 'T=('}", "air.pattern: not a regular expression: missing"),
         ("{kind: serial, url: x, pattern: 'T=(.*)'}", r"air.pattern: it has no group (?P<temperature>...)"),
         ("{kind: serial, url: x, pattern: '(?P<temperature>.*)(?P<wind>.*)'}", "group wind is not known; known are"),
         ("{kind: serial, url: x, format: vaisala-ptu300, units: {pressure: atm}}", "expected 'hPa', 'mbar'"),

@@ -57,8 +57,10 @@ def test_a_motion_is_straight_and_within_limits(start, goal, speed, acceleration
 
 def test_durations_are_those_of_a_trapezium_and_a_triangle():
     start, goal = np.zeros(2), np.array([2.0, -1.0])
-    assert travel(0.0, start, goal, np.ones(2), np.full(2, 2.0)).duration_s == pytest.approx(2.0 / 1.0 + 1.0 / 2.0)
-    assert travel(0.0, start, goal, np.full(2, 9.0), np.full(2, 2.0)).duration_s == pytest.approx(2.0)
+    for speed, duration_s in ((1.0, 2.0 / 1.0 + 1.0 / 2.0), (9.0, 2.0)):
+        motion = travel(0.0, start, goal, np.full(2, speed), np.full(2, 2.0))
+        assert motion is not None
+        assert motion.duration_s == pytest.approx(duration_s)
 
 
 @settings(max_examples=60, deadline=None)
@@ -69,6 +71,7 @@ def test_braking_goes_on_along_the_way_and_never_past_its_end(goal, speed, accel
         return
     now = share * motion.duration_s
     rest = braked(motion, now, acceleration)
+    assert rest is not None
     q, velocity = motion.position(np.array([now]))[0], motion.velocity(np.array([now]))[0]
     assert rest.position(np.array([now]))[0] == pytest.approx(q, abs=1e-12)
     assert rest.velocity(np.array([now + 1e-9]))[0] == pytest.approx(velocity, abs=1e-6)
@@ -76,7 +79,8 @@ def test_braking_goes_on_along_the_way_and_never_past_its_end(goal, speed, accel
     end = rest.position(np.array([rest.end_s]))[0]
     assert (np.abs(end) <= np.abs(goal) + 1e-12).all()
     assert (np.abs(end) >= np.abs(q) - 1e-12).all()
-    again = braked(rest, now, acceleration)  # as when two things tell it to stop at the same time
+    again = braked(rest, now, acceleration)  # two stop commands at the same time
+    assert again is not None
     assert again.end_s == pytest.approx(rest.end_s, rel=1e-9)
     assert again.position(np.array([again.end_s]))[0] == pytest.approx(end, abs=1e-9)
 

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     until,
 )
 
-FAULTS: dict[str, tuple[tuple[object, ...], type[ArmError]]] = {
+FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
     "fin": (("drop", "rtde", "fin"), LinkLost),
     "rst": (("drop", "rtde", "rst"), LinkLost),
     "refused": (("drop", "rtde", "fin", 1.5), LinkLost),

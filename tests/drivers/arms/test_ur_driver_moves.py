@@ -452,7 +452,7 @@ def test_a_peer_that_is_not_an_rtde_server_is_refused(answer: bytes) -> None:
         assert not thread.is_alive()
 
 
-# -- delayed positions --------------------------------------------------------------------------------------------------
+# -- delayed positions ------------------------------------------------------------------------------------------------
 
 
 class DelayedClient:
@@ -507,7 +507,7 @@ class DelayedClient:
 
 @pytest.fixture
 def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Callable[..., list[dict[str, Any]]]]:
-    """The client, and a function that sends a request, lets the worker monitor for some seconds, returns its answers."""
+    """The client, and a function that sends a request, runs the worker for some seconds and returns its answers."""
     client, answers, now = DelayedClient(), io.BytesIO(), [1000.0]
     monkeypatch.setattr(ur_worker, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=client.tick))
     monkeypatch.setattr(ur_worker, "stop_program", lambda host, within_s: None)

@@ -237,8 +237,8 @@ def test_other_open_ports_are_named_when_the_dashboard_is_closed() -> None:
     [
         (b"", "closed the connection before its greeting"),
         (b"Connected: Universal Robots Dashboard", "closed the connection before its greeting"),
-        (b"SSH-2.0-OpenSSH_9\r\n", "greets with 'SSH-2.0-OpenSSH_9'"),
-        (b"\x1b[2J\x00\n", "greets with '?[2J?'"),
+        (b"SSH-2.0-OpenSSH_9\r\n", "greeting is 'SSH-2.0-OpenSSH_9'"),
+        (b"\x1b[2J\x00\n", "greeting is '?[2J?'"),
         (b"\n\nConnected: Universal Robots Dashboard Server\n\nhello\n", "expected a PolyScope version"),
         (b"Connected: Universal Robots Dashboard Server\n", "before the answer to 'PolyscopeVersion'"),
         (b"Connected: Universal Robots Dashboard Server\n" + 5000 * b"5" + b"\n", "longer than 4096 bytes"),

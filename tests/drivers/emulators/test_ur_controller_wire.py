@@ -265,6 +265,8 @@ def test_no_bytes_break_the_rtde_server(pieces: list[bytes]) -> None:
         session.received(struct.pack(">HB", 3 + len(piece), b"VvMOISPU"[kind % 8]) + piece)
         session.cycle()
     session.closed()
+    assert sent[0] == struct.pack(">HBB", 4, ord("V"), 1)
+    assert not server._owners, "a closed session keeps its inputs"
 
 
 # -- the other ports ---------------------------------------------------------------------------------------------------
@@ -499,7 +501,7 @@ def test_the_true_load_is_the_operators_and_the_believed_one_the_clients(make_ar
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("nobody", "status"), "no arm 'nobody'; there are old, new"),
+        (("nobody", "status"), "no arm 'nobody'; arms are old, new"),
         (("old", "dance"), "no command 'dance'"),
         (("old", "drop", "rtde"), "expected one of fin, rst"),
         (("old", "drop", "usb", "fin"), "expected one of dashboard, primary, script, rtde"),
@@ -562,7 +564,7 @@ def test_a_controller_that_makes_no_sense_is_refused(changes: dict[str, Any], wh
 
 
 def test_arms_and_plant_must_fit(make_arm, make_plant) -> None:
-    with pytest.raises(ValueError, match="the plant has no such arm; it has left"):
+    with pytest.raises(ValueError, match="not in the plant; its arms are left"):
         UrControllerServer([CB3], make_plant(make_arm()))
     with pytest.raises(ValueError, match="each with its own name"):
         UrControllerServer([CB3, CB3])

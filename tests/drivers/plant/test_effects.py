@@ -91,8 +91,8 @@ def test_a_stop_on_the_way_counts_in_the_history(make_arm, make_plant):
 @pytest.mark.parametrize(
     ("effects", "message"),
     [
-        ({"gremlins": {}}, "arm left: there is no effect 'gremlins'; effects are backlash, base_drift"),
-        ({"backlash": {"plays": [0] * 6}}, "arm left, effect backlash: there is no parameter 'plays'; its .* are play"),
+        ({"gremlins": {}}, "arm left: unknown effect 'gremlins'; effects are backlash, base_drift"),
+        ({"backlash": {"plays": [0] * 6}}, "arm left, effect backlash: unknown parameter 'plays'; its .* are play"),
         ({"backlash": {}}, "arm left, effect backlash: parameter 'play' is missing"),
         ({"backlash": [1]}, "arm left, effect backlash: expected its parameters by name"),
         ({"backlash": {"play": [0] * 5}}, "play must be a list of 6 numbers"),
@@ -192,7 +192,7 @@ class _Pedestal(Effect):
 class _Refraction(Effect):
     """All points look a little farther away."""
 
-    def seen(self, p_M, normal_M, situation):
+    def apparent_position(self, p_M, normal_M, situation):
         return p_M * (1 + 1e-5)
 
 

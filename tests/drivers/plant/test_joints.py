@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,8 @@ def _positions(make_arm, make_plant, effects, q=Q, **situation):
 def _offset(name, values, q, **situation):
     """Deflection by one effect at ``q`` (n, N)."""
     effect = FACTORIES[name](Parameters("left", name, values, q.shape[1]))
-    return effect.offset(SimpleNamespace(q=q, **situation), None)
+    inputs: Any = SimpleNamespace(q=q, **situation)
+    return effect.offset(inputs, None)
 
 
 def _sweep(joint, count=4096):

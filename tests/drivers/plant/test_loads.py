@@ -231,8 +231,8 @@ def test_the_leaning_arm_weighs_on_the_column_where_it_has_come_to(make_arm, mak
     plant = make_plant(make_arm(effects={"pedestal_compliance": values}))
     arm = plant._arm("left")
     plant.targets()
-    base = arm.bent.base
-    posture = Posture(arm.mechanism, plant.q("left")[None], arm.gravity, arm.bent)
+    base = arm.load_deflection.base
+    posture = Posture(arm.mechanism, plant.q("left")[None], arm.gravity, arm.load_deflection)
     again = _effect("pedestal_compliance", values).bend(SimpleNamespace(), posture).base
     first = (
         _effect("pedestal_compliance", values)

@@ -1,10 +1,11 @@
-"""The bridge from end to end, over TCP and over a serial cable: what is asked for comes, once, whatever happens."""
+"""The bridge from end to end, over TCP and a serial cable: every measurement is delivered exactly once."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,8 +31,8 @@ from drivers.trackers.protocol import (
     WrongTarget,
 )
 from drivers.trackers.simulated import Imperfections, SimulatedTracker
-from tests.drivers.ptys import serial_cable
 from tests.drivers.trackers.fake_lmf import Scene
+from tests.drivers.trackers.virtual_serial_cable import serial_cable
 
 TOKEN = "correct horse battery staple"
 QUICK_S = 0.3
@@ -39,8 +40,9 @@ NEST = np.array([1.5, 2.0, -0.3])
 
 
 @contextmanager
-def client(url, **options) -> Iterator[BridgeTracker]:
-    tracker = BridgeTracker(url, **({"timeout_s": QUICK_S, "preparation": Preparation()} | options))
+def client(url: str, **options: Any) -> Iterator[BridgeTracker]:
+    values: dict[str, Any] = {"timeout_s": QUICK_S, "preparation": Preparation()}
+    tracker = BridgeTracker(url, **(values | options))
     tracker.connect()
     try:
         yield tracker
@@ -51,7 +53,7 @@ def client(url, **options) -> Iterator[BridgeTracker]:
 @contextmanager
 def over(kind, plant, **options):
     """An emulated bridge and a client, over ``tcp`` or a ``serial`` cable."""
-    values = {"nests": {"n": NEST}, "reboot_s": 0.2, "slow_s": 1.5 * QUICK_S} | options
+    values: dict[str, Any] = {"nests": {"n": NEST}, "reboot_s": 0.2, "slow_s": 1.5 * QUICK_S} | options
     if kind == "tcp":
         with TrackerBridgeEmulator(plant, **values) as bridge, client(bridge.url) as tracker:
             yield bridge, tracker
@@ -181,7 +183,7 @@ def test_who_is_silent_for_long_loses_the_tracker_and_is_told(make_plant):
 def test_the_token_lets_in_and_keeps_out(kind, make_plant, caplog):
     caplog.set_level("DEBUG")
     with serial_cable() as (theirs, ours):
-        serial_end = {"port": None, "serial_url": theirs} if kind == "serial" else {}
+        serial_end: dict[str, Any] = {"port": None, "serial_url": theirs} if kind == "serial" else {}
         with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, token=TOKEN, **serial_end) as bridge:
             url = ours if kind == "serial" else bridge.url
             with pytest.raises(TrackerRefused, match="it asks for a token; name it in the profile"):
@@ -372,6 +374,7 @@ def test_a_client_that_comes_back_gets_the_measurement_that_was_under_way():
         dropped = threading.Event()
 
         def drop():
+            assert bridge._holder is not None
             bridge._links.drop(bridge._holder, "a test cuts the link", at_once=True)
             dropped.set()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -324,7 +326,7 @@ def test_refraction_is_that_of_the_published_table():
 
 
 def test_refraction_that_is_not_corrected_scales_the_cell(make_plant):
-    true = {"pressure_hpa": 940.0, "humidity_percent": 30.0}
+    true: dict[str, Any] = {"pressure_hpa": 940.0, "humidity_percent": 30.0}
     plant = make_plant(temperature_c=28.0)
     distance = np.linalg.norm(NEST)
 
