@@ -1,4 +1,4 @@
-"""Motions in simulated time, what the arm refuses, its faults, its temperatures."""
+"""The simulated arm: motions, refusals, faults, temperatures."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_durations_are_those_of_a_trapezium_and_a_triangle():
 
 @settings(max_examples=60, deadline=None)
 @given(goal=angles, speed=limits, acceleration=limits, share=st.floats(0.01, 0.99))
-def test_braking_goes_on_along_the_way_and_never_past_its_end(goal, speed, acceleration, share):
+def test_braking_follows_the_path_and_never_passes_its_end(goal, speed, acceleration, share):
     motion = travel(0.0, np.zeros(6), goal, speed, acceleration)
     if motion is None:
         return
@@ -112,7 +112,7 @@ def test_polling_the_state_sees_the_motion_end(arm):
     assert state.time_s == pytest.approx(2 * np.sqrt(0.3 / 2.0), abs=2 * CYCLE_S)
 
 
-def test_stop_brings_it_to_rest_on_its_way(plant, arm):
+def test_stop_brings_the_arm_to_rest_on_its_path(plant, arm):
     arm.start_move(np.full(6, 2.0), SPEED, ACCELERATION)
     plant.advance(1.0)
     arm.stop()
@@ -137,7 +137,7 @@ def test_stop_brings_it_to_rest_on_its_way(plant, arm):
         (np.ones(6), SPEED, np.full(6, np.inf), "acceleration of joint 1 is not a finite number"),
     ],
 )
-def test_what_is_outside_the_limits_moves_nothing(plant, arm, q, speed, acceleration, message):
+def test_a_goal_outside_the_limits_moves_nothing(plant, arm, q, speed, acceleration, message):
     with pytest.raises(LimitExceeded, match=f"arm left: .*{message}"):
         arm.start_move(q, speed, acceleration)
     assert not plant.moving("left")
@@ -203,7 +203,7 @@ def test_disconnecting_stops_the_arm_and_can_be_repeated(plant, arm):
         arm.state()
 
 
-def test_the_arm_says_who_it_is_and_what_it_carries(plant, arm):
+def test_the_arm_reports_its_identity_and_load(plant, arm):
     assert arm.name == "left"
     assert arm.identify().serial == "SIM-left"
     plant.set_payload("left", 2.5, np.zeros(3))

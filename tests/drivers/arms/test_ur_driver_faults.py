@@ -28,7 +28,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     driven,
     emulated_cell,
-    mend,
+    repair,
     pause,
     until,
 )
@@ -68,7 +68,7 @@ def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
 @pytest.fixture
 def arm(request: pytest.FixtureRequest, emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
     """An arm without fault at HOME; the driver is the same for all tests, which leave it connected if they can."""
-    mend(emulator, request.param)
+    repair(emulator, request.param)
     driver = drivers[request.param]
     driver.connect()
     go(driver, HOME)
@@ -80,7 +80,7 @@ def unconnected(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> Emulato
     """The controllers without clients, for tests that connect themselves."""
     for name, driver in drivers.items():
         driver.disconnect()
-        mend(emulator, name)
+        repair(emulator, name)
     return emulator
 
 
@@ -99,7 +99,7 @@ def go(arm: UrArm, q: np.ndarray) -> None:
 
 def go_again(emulator: EmulatorProcess, arm: UrArm) -> None:
     """After a person has repaired it, the next connect and a motion succeed."""
-    mend(emulator, arm.name)
+    repair(emulator, arm.name)
     assert_stays_at_rest(emulator, arm.name)
     moves = emulator.control(arm.name, "status")["moves"]
     arm.connect()
@@ -146,7 +146,7 @@ def test_a_fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: st
         until(lambda: not arm.state().ready, "the fault is seen")
         assert "stop: " in arm.state().reason
         # a person clears it before the application asks: it is recorded all the same
-        mend(emulator, arm.name)
+        repair(emulator, arm.name)
         assert not arm.state().ready
         with pytest.raises(error):
             arm.start_move(HOME, SPEED, ACCELERATION)
@@ -290,7 +290,7 @@ def test_a_slow_program_start_is_waited_for_and_a_slower_one_is_reported(unconne
         emulator.control("right", "start-delay", 30.0)
         with pytest.raises(ArmTimeout, match="did not start within 5 s"):
             arm.connect()
-        mend(emulator, "right")
+        repair(emulator, "right")
         arm.connect()
         go(arm, AWAY)
 
@@ -327,7 +327,7 @@ def test_the_watchdogs_rate_is_the_settings(unconnected: EmulatorProcess) -> Non
     emulator = unconnected
     ways = []
     for hertz in (20.0, 1.0):
-        mend(emulator, "right")
+        repair(emulator, "right")
         with driven("right", UrSettings(watchdog_hz=hertz)) as arm:
             arm.connect()
             go(arm, HOME)

@@ -54,7 +54,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     driven,
     emulated_cell,
     expectation,
-    mend,
+    repair,
     until,
 )
 
@@ -84,7 +84,7 @@ def unconnected(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> Itera
         arm.disconnect()
     yield emulator
     for name, arm in connected.items():
-        mend(emulator, name)
+        repair(emulator, name)
         arm.connect()
 
 

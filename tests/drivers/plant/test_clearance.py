@@ -1,4 +1,4 @@
-"""The collision witness against distances found the slow way."""
+"""The collision monitor against distances from dense sampling."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _capsules(arm, frames):
     return [((poses[f] @ [*s, 1.0])[:3], (poses[f] @ [*e, 1.0])[:3], r, f) for f, s, e, r in ends]
 
 
-def test_the_witness_sees_the_nearest_approach_of_a_motion(make_arm, make_config, dh_frames):
+def test_the_collision_monitor_finds_the_smallest_distance_of_a_motion(make_arm, make_config, dh_frames):
     left, right = make_arm(), make_arm("ur5", "right", 1.5)
     plant = Plant(make_config(left, right), watch_clearance=True)
     goals = {"left": np.array([0.9, -1.0, 1.2, 0.4, 0.3, 0.0]), "right": np.array([2.4, -0.7, 1.5, 0.0, 0.5, 0.0])}
@@ -73,7 +73,7 @@ def test_the_witness_sees_the_nearest_approach_of_a_motion(make_arm, make_config
     assert 0.0 <= plant.clearance.arms_time_s <= 2.0
 
 
-def test_a_collision_on_the_way_between_two_safe_ends_is_seen(make_arm, make_config):
+def test_a_collision_between_two_safe_end_points_is_detected(make_arm, make_config):
     right = make_arm("ur5", "right", 1.5)  # at zero it reaches towards the left arm
     here, there = np.zeros((2, 6))
     here[0], there[0] = np.pi - 1.3, np.pi + 1.3
@@ -96,5 +96,5 @@ def test_the_floor_is_where_it_is_configured_and_a_fixed_base_is_not_counted(mak
     assert plant.clearance.arms_m == np.inf
 
 
-def test_the_witness_is_off_by_default(make_plant):
+def test_the_collision_monitor_is_off_by_default(make_plant):
     assert make_plant().clearance is None

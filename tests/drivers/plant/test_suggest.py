@@ -1,4 +1,4 @@
-"""Suggested parameters: they fit, they are repeatable, they have the size that real ones have."""
+"""Suggested parameters are valid, repeatable and of realistic size."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def test_a_wrong_zero_makes_all_distances_longer_by_the_same_length():
     assert _angles(seen) == pytest.approx(_angles(P), abs=1e-14)
 
 
-def test_a_perfect_instrument_reads_what_is():
+def test_a_perfect_instrument_has_no_error():
     values = {"azimuth": NO_CIRCLE, "elevation": NO_CIRCLE, "transit": 0.0}
     assert np.abs(_apparent("tracker_angle_error", values) - P).max() < 1e-14
 
@@ -65,7 +65,7 @@ def test_an_eccentric_circle_is_read_once_a_turn_and_a_slanted_one_twice(axis):
 
 
 def test_circle_readings_of_an_eccentric_disc_satisfy_its_triangle():
-    """The head, seen from the centre of the disc, stands where the reading says, however far off the centre is."""
+    """The head's direction from the centre of the disc equals the reading, for any eccentricity."""
     e, phase = 0.2, 0.4
     azimuth = _angles(P)[0]
     seen = _angles(
@@ -109,7 +109,7 @@ def test_looked_at_squarely_glass_and_angles_show_nothing():
     assert np.abs(_apparent("target_incidence", GLASS | {"dihedral": 1e-5}) - P).max() < 1e-14
 
 
-def test_aslant_the_path_through_the_glass_is_longer_as_snell_says():
+def test_the_path_through_the_glass_follows_snells_law():
     angle = np.linspace(0.0, 1.0, 30)
     seen = _apparent("target_incidence", GLASS, normal_M=_turned(angle, np.array([0.0, 0.0, 1.0])))
     inside = np.arcsin(np.sin(angle) / 1.51)
@@ -122,7 +122,7 @@ def test_aslant_the_path_through_the_glass_is_longer_as_snell_says():
     assert _distance(other_side) == pytest.approx(_distance(seen), abs=1e-14)
 
 
-def test_a_wrong_dihedral_angle_sends_the_beam_aside_by_the_distance():
+def test_a_dihedral_error_deflects_the_beam_in_proportion_to_distance():
     angle = np.linspace(0.0, 0.6, 30)
     normal = _turned(angle, np.array([0.0, 0.0, 1.0]))
     moved = _apparent("target_incidence", GLASS | {"thickness": 0.0, "dihedral": 2e-6}, normal_M=normal) - P

@@ -109,14 +109,14 @@ def until(condition: Callable[[], bool]) -> None:
         ("Tdf= 3.0 'C P= **** hPa T= 20.0 'C", (20.0, None, None)),
     ],
 )
-def test_what_a_ptu300_prints(text: str, expected: tuple[float | None, ...]) -> None:
+def test_lines_of_a_ptu300(text: str, expected: tuple[float | None, ...]) -> None:
     values = parse_line(text, PTU)
     found = tuple(values.get(name) for name in ("temperature", "pressure", "humidity"))
     assert found == tuple(None if value is None else pytest.approx(value, abs=5e-3) for value in expected)
 
 
 @pytest.mark.parametrize("text", ["", ">", "send", "Tfrost= 36.0'C", "T= ***** 'C", "OK", "PTU300 / 1.05", "T= 21.4"])
-def test_what_is_no_reading(text: str) -> None:
+def test_lines_without_a_reading(text: str) -> None:
     assert parse_line(text, PTU) == {}
 
 
@@ -134,7 +134,7 @@ def test_wrong_units_are_refused(text: str, message: str) -> None:
         parse_line(text, PTU)
 
 
-def test_a_format_of_ones_own() -> None:
+def test_a_custom_format() -> None:
     layout = LineFormat(
         r"(?P<temperature>\S+);(?P<object_temperature>\S+);(?P<pressure>\S+)",
         units={"temperature": "degF", "pressure": "kPa"},
@@ -351,7 +351,7 @@ def test_a_loop(listen: Callable[..., SerialStation]) -> None:
 @pytest.mark.parametrize(
     "url", ["/dev/there-is-no-such-port", "nonsense://x", "socket://127.0.0.1:1", "socket://nowhere"]
 )
-def test_what_cannot_be_opened(url: str) -> None:
+def test_ports_that_cannot_be_opened(url: str) -> None:
     with pytest.raises(SensorLinkLost, match=r"cannot be opened: \S"):
         SerialStation(url, STREAMED).connect()
 
@@ -372,7 +372,7 @@ def test_before_and_after(line: Line) -> None:
         station.read()
 
 
-def test_the_simulated_station_tells_the_plants_air(make_plant: Callable[..., Plant]) -> None:
+def test_the_simulated_station_reads_the_plants_air(make_plant: Callable[..., Plant]) -> None:
     plant = make_plant(temperature_c=23.0)
     sensor = SimulatedAirSensor(plant)
     with pytest.raises(SensorLinkLost, match="connect first"):

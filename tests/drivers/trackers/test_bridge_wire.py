@@ -147,7 +147,7 @@ def test_a_line_that_is_too_long_is_never_written():
 
 
 @pytest.mark.parametrize("value", ["", "nan", "inf", "1e999", "1_000", "0x10", " 1", "1,5", "--1", "1e", "9" * 40])
-def test_what_is_no_number_is_refused(value):
+def test_invalid_numbers_are_refused(value):
     with pytest.raises(BadField, match="expected a number"):
         wire.read_number({"x": value}, "x", -10, 10)
 
@@ -172,7 +172,7 @@ def test_fields_that_are_missing_or_out_of_range_are_named():
         wire.read_id({"id": "a b"})
 
 
-def test_what_else_is_said_arrives_too():
+def test_other_answers_are_transmitted():
     identity = TrackerIdentity("AT960 MR", "750 123", "LMF 1.10")
     assert wire.read_identity(over_the_wire(wire.identity_fields(identity))) == identity
     for settings in (Preparation(), Preparation("RRR 1.5 in", "precise", 21.25, 990.5, 40.0)):
