@@ -24,6 +24,7 @@ from __future__ import annotations
 import json
 import math
 import socket
+import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, get_args
@@ -220,16 +221,18 @@ class ControlSession:
 
 
 class Control:
-    """Client of the control channel, for tests and trials; one thread at a time."""
+    """Client of the control channel, for tests and trials; any thread may use it."""
 
     def __init__(self, address: tuple[str, int]) -> None:
         self._link = socket.create_connection(address, _TIMEOUT_S)
         self._lines = self._link.makefile("r", encoding="utf-8")
+        self._lock = threading.Lock()
 
     def __call__(self, arm: str, command: str, *arguments: object) -> Any:
         """Send a command and return its answer. Raises ``Refused``, or ``OSError`` if the emulator has ended."""
-        self._link.sendall(f"{' '.join(map(str, (arm, command, *arguments)))}\n".encode())
-        line = self._lines.readline()
+        with self._lock:
+            self._link.sendall(f"{' '.join(map(str, (arm, command, *arguments)))}\n".encode())
+            line = self._lines.readline()
         if line.startswith("ok "):
             return json.loads(line[3:])
         if not line:

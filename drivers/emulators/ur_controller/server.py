@@ -322,7 +322,7 @@ class EmulatorProcess:
     ----------
     addresses : Addresses
     control : Control
-        The control channel; one thread at a time (``Control(addresses.control)`` opens another).
+        A client of the control channel.
     pid : int
     """
 

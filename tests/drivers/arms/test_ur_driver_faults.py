@@ -8,7 +8,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,8 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     driven,
     emulated_cell,
-    repair,
     pause,
+    repair,
     until,
 )
 
@@ -50,13 +51,32 @@ def emulator() -> Iterator[EmulatorProcess]:
         yield started
 
 
-ARMS = ("left", "right")
-DURING = [(ARMS[number % 2], fault) for number, fault in enumerate(FAULTS)]
+Faults = dict[str, str]
+"""Arm -> its fault; arms with faults are tested in parallel."""
+DURING: list[Faults] = [
+    {"left": "fin", "right": "rst"},
+    {"left": "refused", "right": "silence"},
+    {"left": "all silent", "right": "protective"},
+    {"left": "emergency"},
+]
 # detecting a silent link takes seconds: one kind of silence before a motion, the other after one
-BEFORE = [(ARMS[(number + 1) % 2], fault) for number, fault in enumerate(FAULTS) if fault != "all silent"]
-AFTER = [(name, fault) for name, fault in DURING if fault != "silence"]
-BOTH = pytest.mark.parametrize("arm", ARMS, indirect=True)
-E_SERIES = pytest.mark.parametrize("arm", ["right"], indirect=True)
+BEFORE: list[Faults] = [
+    {"left": "rst", "right": "fin"},
+    {"left": "silence", "right": "refused"},
+    {"left": "protective", "right": "emergency"},
+]
+AFTER: list[Faults] = [
+    {"left": "fin", "right": "rst"},
+    {"left": "all silent", "right": "refused"},
+    {"left": "emergency", "right": "protective"},
+]
+
+
+def in_parallel(action: Callable[..., None], arguments: Iterable[tuple[Any, ...]]) -> None:
+    """Call ``action`` with each tuple of arguments at the same time; raise the first error."""
+    with ThreadPoolExecutor() as pool:
+        for future in [pool.submit(action, *values) for values in arguments]:
+            future.result()
 
 
 @pytest.fixture(scope="module")
@@ -65,14 +85,24 @@ def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
         yield {"left": left, "right": right}
 
 
+def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
+    repair(emulator, arm.name)
+    arm.connect()
+    go(arm, HOME)
+
+
 @pytest.fixture
-def arm(request: pytest.FixtureRequest, emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
-    """An arm without fault at HOME; the driver is the same for all tests, which leave it connected if they can."""
-    repair(emulator, request.param)
-    driver = drivers[request.param]
-    driver.connect()
-    go(driver, HOME)
-    return driver
+def arms(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> dict[str, UrArm]:
+    """Both arms, without fault and at HOME; the drivers are the same for all tests, which leave them connected."""
+    in_parallel(make_ready, [(emulator, arm) for arm in drivers.values()])
+    return drivers
+
+
+@pytest.fixture
+def arm(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
+    """The right arm, without fault and at HOME."""
+    make_ready(emulator, drivers["right"])
+    return drivers["right"]
 
 
 @pytest.fixture
@@ -107,8 +137,12 @@ def go_again(emulator: EmulatorProcess, arm: UrArm) -> None:
     go(arm, HOME)
 
 
-@pytest.mark.parametrize(("arm", "fault"), DURING, indirect=["arm"])
-def test_a_fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+@pytest.mark.parametrize("faults", DURING, ids=str)
+def test_faults_during_a_motion(emulator: EmulatorProcess, arms: dict[str, UrArm], faults: Faults) -> None:
+    in_parallel(fault_during_a_motion, [(emulator, arms[name], fault) for name, fault in faults.items()])
+
+
+def fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     arm.start_move(FAR, SPEED, ACCELERATION)
     until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
     error = inject(emulator, arm.name, fault)
@@ -124,8 +158,12 @@ def test_a_fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: s
     go_again(emulator, arm)
 
 
-@pytest.mark.parametrize(("arm", "fault"), BEFORE, indirect=["arm"])
-def test_a_fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+@pytest.mark.parametrize("faults", BEFORE, ids=str)
+def test_faults_before_a_motion(emulator: EmulatorProcess, arms: dict[str, UrArm], faults: Faults) -> None:
+    in_parallel(fault_before_a_motion, [(emulator, arms[name], fault) for name, fault in faults.items()])
+
+
+def fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     moves = emulator.control(arm.name, "status")["moves"]
     error = inject(emulator, arm.name, fault)
     with pytest.raises(error, match=f"arm {arm.name}: "):
@@ -135,8 +173,12 @@ def test_a_fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: s
     go_again(emulator, arm)
 
 
-@pytest.mark.parametrize(("arm", "fault"), AFTER, indirect=["arm"])
-def test_a_fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+@pytest.mark.parametrize("faults", AFTER, ids=str)
+def test_faults_after_a_motion(emulator: EmulatorProcess, arms: dict[str, UrArm], faults: Faults) -> None:
+    in_parallel(fault_after_a_motion, [(emulator, arms[name], fault) for name, fault in faults.items()])
+
+
+def fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     go(arm, AWAY)
     error = inject(emulator, arm.name, fault)
     if error is LinkLost:
@@ -154,8 +196,11 @@ def test_a_fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: st
     go_again(emulator, arm)
 
 
-@BOTH
-def test_a_protective_stop_is_never_released_by_the_program(emulator: EmulatorProcess, arm: UrArm) -> None:
+def test_a_protective_stop_is_never_released_by_the_program(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
+    in_parallel(protective_stop_stays, [(emulator, arm) for arm in arms.values()])
+
+
+def protective_stop_stays(emulator: EmulatorProcess, arm: UrArm) -> None:
     emulator.control(arm.name, "protective", "travel", 0.3)
     arm.start_move(FAR, SPEED, ACCELERATION)
     with pytest.raises(ProtectiveStop, match="see what stopped it"):
@@ -169,7 +214,6 @@ def test_a_protective_stop_is_never_released_by_the_program(emulator: EmulatorPr
     go_again(emulator, arm)
 
 
-@E_SERIES
 def test_a_stop_on_the_pendant_ends_the_motion_and_the_job(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.start_move(FAR, SPEED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
@@ -195,7 +239,6 @@ def test_the_other_arm_goes_on_when_one_link_breaks(unconnected: EmulatorProcess
         go(right, HOME)
 
 
-@E_SERIES
 def test_a_worker_that_crashes_or_hangs_stops_the_arm(emulator: EmulatorProcess, arm: UrArm) -> None:
     """The client may crash or hang when its link breaks at the wrong moment: signals simulate that."""
     for signal_number, patience in ((signal.SIGSEGV, 5.0), (signal.SIGSTOP, 5.0)):
@@ -223,13 +266,12 @@ with driven(sys.argv[1]) as arm:
 """
 
 
-@pytest.mark.parametrize(
-    ("name", "both"), [("left", False), ("right", True)], ids=["application", "application and worker"]
-)
-def test_when_the_application_is_killed_the_arm_comes_to_rest(
-    unconnected: EmulatorProcess, name: str, both: bool
-) -> None:
-    emulator = unconnected
+def test_when_the_application_is_killed_the_arm_comes_to_rest(unconnected: EmulatorProcess) -> None:
+    in_parallel(kill_the_application, [(unconnected, "left", False), (unconnected, "right", True)])
+
+
+def kill_the_application(emulator: EmulatorProcess, name: str, with_worker: bool) -> None:
+    """Kill the application, with or without its worker process, during a motion."""
     with driven(name) as arm:
         arm.connect()
         go(arm, HOME)
@@ -241,7 +283,7 @@ def test_when_the_application_is_killed_the_arm_comes_to_rest(
         until(lambda: emulator.control(name, "status")["moving"], "the arm moves")
         pause(0.3)
         application.kill()
-        if both:
+        if with_worker:
             os.kill(worker, signal.SIGKILL)
         application.wait(PATIENT_S)
         until(lambda: not emulator.control(name, "status")["moving"], "the arm rests", 1.5)
@@ -263,8 +305,11 @@ def alive(pid: int) -> bool:
         return False
 
 
-@BOTH
-def test_stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
+def test_stop_from_another_thread(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
+    in_parallel(stop_from_another_thread, [(emulator, arm) for arm in arms.values()])
+
+
+def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.start_move(FAR, SPEED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     stopper = threading.Thread(target=arm.stop)
@@ -295,7 +340,6 @@ def test_a_slow_program_start_is_waited_for_and_a_slower_one_is_reported(unconne
         go(arm, AWAY)
 
 
-@E_SERIES
 def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.start_move(AWAY, SPEED * 0.2, ACCELERATION)
     with pytest.raises(ArmTimeout):
@@ -306,7 +350,6 @@ def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, 
     go(arm, HOME)
 
 
-@E_SERIES
 def test_a_dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess, arm: UrArm) -> None:
     """Only the watchdog is left to stop the arm."""
     arm.start_move(FAR, SPEED, ACCELERATION)

@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.trackers.lmf import FoundTracker, LmfTracker, find_trackers
+from drivers.trackers.lmf import LmfTracker
+from drivers.trackers.lmf_finder import FoundTracker, find_trackers
 from drivers.trackers.lmf_objects import LmfMissing, load_lmf
 from drivers.trackers.lmf_settings import MEASURING_S, ErrorLaw, LmfSettings
 from drivers.trackers.protocol import (
