@@ -326,7 +326,7 @@ def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
 def test_a_slow_program_start_is_waited_for_and_a_slower_one_is_reported(unconnected: EmulatorProcess) -> None:
     emulator = unconnected
     with driven("right") as arm:
-        emulator.control("right", "start-delay", 1.0)
+        emulator.control("right", "start-delay", 0.5)
         arm.connect()
         go(arm, AWAY)
         arm.stop()
