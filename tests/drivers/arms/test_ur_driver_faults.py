@@ -239,19 +239,23 @@ def test_the_other_arm_goes_on_when_one_link_breaks(unconnected: EmulatorProcess
         go(right, HOME)
 
 
-def test_a_worker_that_crashes_or_hangs_stops_the_arm(emulator: EmulatorProcess, arm: UrArm) -> None:
+def test_a_worker_that_crashes_or_hangs_stops_the_arm(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
+    signals = {"left": signal.SIGSEGV, "right": signal.SIGSTOP}
+    in_parallel(signal_worker, [(emulator, arms[name], number) for name, number in signals.items()])
+
+
+def signal_worker(emulator: EmulatorProcess, arm: UrArm, signal_number: signal.Signals) -> None:
     """The client may crash or hang when its link breaks at the wrong moment: signals simulate that."""
-    for signal_number, patience in ((signal.SIGSEGV, 5.0), (signal.SIGSTOP, 5.0)):
-        arm.start_move(FAR, SPEED, ACCELERATION)
-        until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
-        assert arm.worker_pid is not None
-        os.kill(arm.worker_pid, signal_number)
-        # the application has not looked yet: the controller stops the arm by itself
-        until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm", patience)
-        assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
-        with pytest.raises(LinkLost, match="seen at rest"):
-            arm.wait_settled(0.2)
-        go_again(emulator, arm)
+    arm.start_move(FAR, SPEED, ACCELERATION)
+    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+    assert arm.worker_pid is not None
+    os.kill(arm.worker_pid, signal_number)
+    # the application has not looked yet: the controller stops the arm by itself
+    until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm", 5.0)
+    assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
+    with pytest.raises(LinkLost, match="seen at rest"):
+        arm.wait_settled(0.2)
+    go_again(emulator, arm)
 
 
 APPLICATION = """
@@ -323,21 +327,45 @@ def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
     go(arm, HOME)
 
 
-def test_a_slow_program_start_is_waited_for_and_a_slower_one_is_reported(unconnected: EmulatorProcess) -> None:
-    emulator = unconnected
-    with driven("right") as arm:
-        emulator.control("right", "start-delay", 0.5)
+def test_slow_and_late_starts_of_the_program(unconnected: EmulatorProcess) -> None:
+    in_parallel(start_program, [(unconnected, "left", "late"), (unconnected, "right", "slow")])
+
+
+def start_program(emulator: EmulatorProcess, name: str, case: str) -> None:
+    with driven(name) as arm:
+        if case == "slow":
+            slow_start(emulator, arm)
+        else:
+            late_start(emulator, arm)
+    status = emulator.control(name, "status")
+    assert (status["runtime_state"], status["moving"]) == ("STOPPED", False)
+
+
+def slow_start(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """A slow start of the program is waited for, a slower one is reported."""
+    emulator.control(arm.name, "start-delay", 0.5)
+    arm.connect()
+    go(arm, AWAY)
+    arm.stop()
+    go(arm, HOME)  # the program is uploaded again
+    arm.disconnect()
+    emulator.control(arm.name, "start-delay", 30.0)
+    with pytest.raises(ArmTimeout, match="did not start within 5 s"):
         arm.connect()
-        go(arm, AWAY)
-        arm.stop()
-        go(arm, HOME)  # the program is uploaded again
-        arm.disconnect()
-        emulator.control("right", "start-delay", 30.0)
-        with pytest.raises(ArmTimeout, match="did not start within 5 s"):
-            arm.connect()
-        repair(emulator, "right")
+    repair(emulator, arm.name)
+    arm.connect()
+    go(arm, AWAY)
+
+
+def late_start(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """A program that starts after the time limit is ended by the next connect."""
+    emulator.control(arm.name, "fault", "script", "silent")
+    with pytest.raises(ArmTimeout, match=f"arm {arm.name}: its control program did not start within 5 s"):
         arm.connect()
-        go(arm, AWAY)
+    emulator.control(arm.name, "fault", "script", "none")
+    until(lambda: emulator.control(arm.name, "status")["runtime_state"] == "PLAYING", "the program starts after all")
+    arm.connect()
+    assert arm.state().ready
 
 
 def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, arm: UrArm) -> None:
