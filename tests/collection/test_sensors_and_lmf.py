@@ -21,7 +21,7 @@ from drivers.sensors.protocol import AirReading, SensorLinkLost
 from drivers.sensors.serial_station import SerialStation
 from drivers.sensors.simulated import SimulatedAirSensor
 from drivers.trackers.lmf import LmfTracker
-from tests.drivers.trackers.fake_lmf import Room
+from tests.drivers.trackers.fake_lmf import Scene
 from tests.twin import small_twin, write_profile
 
 STOPS = 4
@@ -57,7 +57,7 @@ def test_without_a_section_there_is_no_sensor() -> None:
         ("{kind: serial, url: /dev/ttyUSB0, format: vaisala-ptu300, pattern: x}", "give either format or pattern"),
         ("{kind: serial, url: /dev/ttyUSB0, format: vaisala-ptu30}", "did you mean 'vaisala-ptu300'"),
         ("{kind: serial, url: 'http://x', format: vaisala-ptu300}", "'http://' is not known; write a device"),
-        ("{kind: serial, url: x, pattern: 'T=('}", "air.pattern: not a regular expression: missing"),
+        ("{kind: serial, url: x, pattern: 'T=('}", "air.pattern: no regular expression: missing"),
         ("{kind: serial, url: x, pattern: 'T=(.*)'}", r"air.pattern: it has no group (?P<temperature>...)"),
         ("{kind: serial, url: x, pattern: '(?P<temperature>.*)(?P<wind>.*)'}", "group wind is not known; known are"),
         ("{kind: serial, url: x, format: vaisala-ptu300, units: {pressure: atm}}", "expected 'hPa', 'mbar'"),
@@ -178,16 +178,16 @@ def test_doctor_says_what_a_simulated_station_is(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def room(monkeypatch: pytest.MonkeyPatch) -> Iterator[Room]:
+def scene(monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     """LMF's stand-in behind the profile's driver."""
-    room = Room(targets={"left": np.array([3.0, 0.4, -0.2])}, in_the_network=(("192.168.0.7", "AT960", "750123"),))
-    monkeypatch.setattr(opening, "LmfTracker", lambda *given: LmfTracker(*given, load=lambda library: room.lmf()))
-    yield room
-    assert room.broken_rules == []
-    assert room.connected == []
+    scene = Scene(targets={"left": np.array([3.0, 0.4, -0.2])}, network=(("192.168.0.7", "AT960", "750123"),))
+    monkeypatch.setattr(opening, "LmfTracker", lambda *given: LmfTracker(*given, load=lambda library: scene.lmf()))
+    yield scene
+    assert scene.violations == []
+    assert scene.connected == []
 
 
-def test_lmf_is_initialised_and_set_up_as_the_profile_says(tmp_path: Path, room: Room) -> None:
+def test_lmf_is_initialised_and_set_up_as_the_profile_says(tmp_path: Path, scene: Scene) -> None:
     driver = (
         "{kind: lmf, address: AT960LRSimulator, reflector: Red Ring, accuracy: precise, serial: '750123',"
         " search_radius: 30 mm, air: {temperature: 22 degC, pressure_hpa: 990.0, humidity_percent: 33.0}}"
@@ -195,19 +195,19 @@ def test_lmf_is_initialised_and_set_up_as_the_profile_says(tmp_path: Path, room:
     with open_cell(with_sections(tmp_path, driver=driver)) as cell:
         point = cell.tracker.measure(np.array([3.0, 0.4, -0.2]), 1.0)
     assert (point.temperature_c, point.pressure_hpa, point.reflector) == (22.0, 990.0, "RRR 1.5in")
-    assert room.calls.count("Initialize") == 1
-    assert room.kept["tracker"].TargetSearch.Radius.Value == 0.03
-    assert str(room.kept["tracker"].Measurement.Profiles.Selected.Accuracy.Value) == "Precise"
+    assert scene.calls.count("Initialize") == 1
+    assert scene.persistent["tracker"].TargetSearch.Radius.Value == 0.03
+    assert str(scene.persistent["tracker"].Measurement.Profiles.Selected.Accuracy.Value) == "Precise"
 
 
-def test_lmf_that_is_not_ready_or_not_there(tmp_path: Path, room: Room) -> None:
-    room.quick_release = False
+def test_lmf_that_is_not_ready_or_not_there(tmp_path: Path, scene: Scene) -> None:
+    scene.quick_release = False
     profile = with_sections(tmp_path / "a", driver="{kind: lmf, address: 192.168.0.1}")
     with pytest.raises(HardwareError, match="its quick release is open: close it"), open_cell(profile):
         pass
-    room.quick_release = True
+    scene.quick_release = True
     profile = with_sections(tmp_path / "b", driver="{kind: lmf, address: 192.168.0.1, reflector: Cateye}")
-    with pytest.raises(InputError, match="none fits 'Cateye'"), open_cell(profile):
+    with pytest.raises(InputError, match="none matches 'Cateye'"), open_cell(profile):
         pass
     profile = with_sections(tmp_path / "c", driver="{kind: lmf, address: AT961Simulator}")
     with (
@@ -217,16 +217,16 @@ def test_lmf_that_is_not_ready_or_not_there(tmp_path: Path, room: Room) -> None:
         pass
 
 
-def test_doctor_asks_lmf_without_moving_the_head(tmp_path: Path, room: Room) -> None:
+def test_doctor_asks_lmf_without_moving_the_head(tmp_path: Path, scene: Scene) -> None:
     profile = with_sections(tmp_path / "a", driver="{kind: lmf, address: 192.168.0.1}")
     status, text = found(profile, "tracker")
     assert status == "warning"
     assert text.startswith("AT960-LR, serial 750123, firmware 2.3.0.1; before it measures: Tracker not initialized")
-    room.initialised = True
+    scene.initialised = True
     assert found(profile, "tracker") == ("ok", "AT960-LR, serial 750123, firmware 2.3.0.1; ready")
-    room.compatible = False
+    scene.compatible = False
     assert "this LMF was made for 2.3" in found(profile, "tracker")[1]
-    assert not {"Initialize", "PositionTo", "Face.Change", "GetInclinationToGravity"} & set(room.calls)
+    assert not {"Initialize", "PositionTo", "Face.Change", "GetInclinationToGravity"} & set(scene.calls)
     status, text = found(with_sections(tmp_path / "b", driver="{kind: lmf, address: 10.0.0.9}"), "tracker")
     assert status == "failed"
     assert text.endswith("LMF sees AT960 750123 at 192.168.0.7")
