@@ -211,7 +211,7 @@ def test_lmf_that_is_not_ready_or_not_there(tmp_path: Path, scene: Scene) -> Non
         pass
     profile = with_sections(tmp_path / "c", driver="{kind: lmf, address: AT961Simulator}")
     with (
-        pytest.raises(InputError, match=r"tracker\.driver\.address: 'AT961Simulator' is no simulator"),
+        pytest.raises(InputError, match=r"tracker\.driver\.address: 'AT961Simulator' is not a simulator"),
         open_cell(profile),
     ):
         pass
