@@ -1,1 +1,1 @@
-"""Servers that speak a real device's wire, so that drivers can be tried without it."""
+"""Servers that emulate the network protocols of real devices, for testing drivers without them."""

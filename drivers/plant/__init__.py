@@ -1,7 +1,7 @@
-"""The simulated cell: physics written apart from any model that is fitted to it.
+"""The simulated cell: physics that shares no code with the models fitted to it.
 
-Arms are axes in space with bodies on them, statics is solved at the deflected posture, hidden effects have forms of
-their own. A calibration that fits this cell has learnt something and has not read its own code back.
+Arms are axes in space with bodies on them, statics is solved at the deflected posture, hidden effects have their own
+equations. A calibration that fits this cell therefore does not merely reproduce its own code.
 """
 
 from drivers.plant.clearance import Clearance

@@ -1,4 +1,4 @@
-"""Distances between capsules, for a witness of collisions that trusts no planner."""
+"""Distances between capsules: a collision monitor that is independent of the planner."""
 
 from __future__ import annotations
 
@@ -11,27 +11,42 @@ from drivers.plant.config import Array
 
 @dataclass
 class Clearance:
-    """The smallest distances seen so far [m]; infinite while nothing has been seen."""
+    """Smallest distances so far, arm to arm and to the floor [m], with their times [s]; infinite before any sample."""
 
     arms_m: float = np.inf
     arms_time_s: float = np.nan
     floor_m: float = np.inf
     floor_time_s: float = np.nan
 
+    def update_arms(self, distances: Array, times_s: Array) -> None:
+        """Take distances (..., n) between the arms at times (n,) into account."""
+        self.arms_m, self.arms_time_s = _smaller(self.arms_m, self.arms_time_s, distances, times_s)
+
+    def update_floor(self, distances: Array, times_s: Array) -> None:
+        """Take distances (..., n) from the floor at times (n,) into account."""
+        self.floor_m, self.floor_time_s = _smaller(self.floor_m, self.floor_time_s, distances, times_s)
+
+
+def _smaller(best: float, best_time_s: float, distances: Array, times_s: Array) -> tuple[float, float]:
+    """Return the smallest of ``distances`` (..., n) and its time, if smaller than ``best``."""
+    each = distances.reshape(-1, len(times_s)).min(axis=0, initial=np.inf)
+    k = int(np.argmin(each))
+    return (float(each[k]), float(times_s[k])) if each[k] < best else (best, best_time_s)
+
 
 def _point_to_segment(p: Array, a: Array, b: Array) -> Array:
-    way = b - a
-    square = (way * way).sum(axis=-1)
-    share = ((p - a) * way).sum(axis=-1) / np.where(square > 0.0, square, 1.0)
-    nearest = a + np.clip(share, 0.0, 1.0)[..., None] * way
+    segment = b - a
+    square = (segment * segment).sum(axis=-1)
+    share = ((p - a) * segment).sum(axis=-1) / np.where(square > 0.0, square, 1.0)
+    nearest = a + np.clip(share, 0.0, 1.0)[..., None] * segment
     distance: Array = np.linalg.norm(p - nearest, axis=-1)
     return distance
 
 
 def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Distances (...,) between the segments a-b and c-d, ends (..., 3).
+    """Return the distances (...,) between the segments a-b and c-d with ends (..., 3).
 
-    Two segments are nearest at an end of one of them, or at the common normal where it meets both inside.
+    Two segments are closest at an end of one of them, or on their common normal if it meets both between their ends.
     """
     distance = np.minimum(
         np.minimum(_point_to_segment(a, c, d), _point_to_segment(b, c, d)),

@@ -1,4 +1,4 @@
-"""What the simulated cell is built from. SI units; T_C_B maps base coordinates into the cell frame C (z up)."""
+"""Configuration of the simulated cell. SI units; T_C_B maps base coordinates into the cell frame C (z up)."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ class CapsuleConfig:
 
 @dataclass(frozen=True, eq=False)
 class ArmConfig:
-    """One nominal arm of N joints, where it stands, what it carries and which hidden effects it suffers.
+    """One nominal arm of N joints: geometry, base pose, payload and hidden effects.
 
     Attributes
     ----------
     rows : array, shape (N, 4)
         theta, d, a, alpha of ``A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha)`` [rad, m, m, rad].
     limits, speed, acceleration : arrays, shapes (N, 2), (N,), (N,)
-        Joint ranges [rad] and the most the arm can do [rad/s, rad/s^2].
+        Joint ranges [rad], greatest speeds and accelerations [rad/s, rad/s^2].
     T_C_B : array, shape (4, 4)
         Nominal base pose in the cell.
     smr_offset, smr_normal : arrays, shape (3,)
-        SMR centre and the way it looks, in the flange frame (D-H frame N).
+        SMR centre and viewing direction in the flange frame (D-H frame N).
     smr_acceptance : float
-        Half-angle about the normal within which the SMR returns the beam [rad].
+        Half-angle about the viewing direction within which the SMR returns the beam [rad].
     masses, centers_of_mass : arrays, shapes (N,), (N, 3)
         Of the body fixed to D-H frame i, in that frame [kg, m].
     payload_mass, payload_center : float, array (3,)
@@ -59,7 +59,7 @@ class ArmConfig:
     effects : mapping
         Effect name -> its parameters; see ``drivers.plant.effects``.
     home : array, shape (N,), or None
-        Where the arm stands when the simulation begins [rad]; None is the zero position, moved into the limits.
+        Joint angles at the start of the simulation [rad]; None: the zero position, clipped to the limits.
     """
 
     name: str
@@ -111,10 +111,10 @@ class ArmConfig:
 
 @dataclass(frozen=True, eq=False)
 class TrackerConfig:
-    """The tracker: where it stands, what it sees, how well.
+    """The tracker: pose, field of view and accuracy.
 
     ``transverse`` and ``range`` are maximum permissible errors (constant [m], proportional [m/m]); half of one is one
-    standard deviation at ``averaging_s`` seconds of averaging. Azimuth, elevation [rad], distance [m] bound its field.
+    standard deviation at ``averaging_s`` seconds of averaging. Azimuth, elevation [rad], distance [m] limit its field.
     """
 
     T_C_M: Array
@@ -131,11 +131,11 @@ class TrackerConfig:
 
 @dataclass(frozen=True)
 class GeometryErrors:
-    """One standard deviation of each error of the true cell against the nominal one.
+    """Standard deviations of the true cell's differences from the nominal one.
 
-    ``length`` [m]: each axis line, sideways, in both directions. ``angle`` [rad]: its tilt, in both directions, and the
-    joint zero. ``base_length``, ``base_angle``: the base pose; ``smr`` [m]: the SMR offset; each coordinate.
-    ``mass``: the mass of each body, as a share of the nominal one.
+    ``length`` [m]: offset of each axis line in both transverse directions. ``angle`` [rad]: its tilt about both, and
+    the joint zero. ``base_length``, ``base_angle``: each coordinate of the base pose. ``smr`` [m]: each coordinate of
+    the SMR offset. ``mass``: mass of each body, relative to the nominal one.
     """
 
     length: float = 0.0
@@ -150,9 +150,9 @@ class GeometryErrors:
 class PlantConfig:
     """The whole simulated cell.
 
-    ``repeatability`` [rad]: standard deviation of each joint's stop. ``noise``: whether the tracker has any.
-    ``floor`` [m]: height in C of the floor plane that the clearance witness watches. ``holding_k`` [K]: how much warmer
-    than the air a joint becomes by being switched on; real ones 5 to 15 K.
+    ``repeatability`` [rad]: standard deviation of each joint's stop position. ``noise``: whether the tracker has noise.
+    ``floor`` [m]: height in C of the floor plane of the collision monitor. ``holding_k`` [K]: steady-state rise of a
+    joint at rest above the air; 5 to 15 K on real arms.
     """
 
     seed: int

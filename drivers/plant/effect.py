@@ -1,9 +1,10 @@
-"""What a hidden effect of the simulated cell is, and how its parameters are read.
+"""Base class of the hidden effects of the simulated cell, and the door for their parameters.
 
-An effect says how the arm departs from the ideal one in a given situation, without loads (``offset``) and under the
-loads of a posture (``bend``), what it remembers of motions and temperatures (``begin``, ``moved``, ``warmed``, or all
-at once ``remembered``), and what the tracker sees of the SMR (``seen``). It overrides what it needs. The cell adds up
-all effects and repeats ``bend`` until the loads of the deflected posture cause just that deflection.
+An effect returns the deviation from the ideal arm in a situation: ``offset`` without loads, ``bend`` under the loads of
+a posture. Effects with hysteresis or lag keep a memory of motions and temperatures (``initial_memory``,
+``memory_after_motion``, ``memory_after_time``, or ``assumed_memory`` for arms without a known history).
+``apparent_position`` changes what the tracker measures. An effect overrides what it needs. The cell adds up all effects
+and iterates ``bend`` until the loads of the deflected posture cause exactly that deflection.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from drivers.plant.mechanism import NO_DEFLECTION, Deflection, Load, Mechanism, 
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """n situations of one arm, as far as an effect may know them.
+    """n situations of one arm: the inputs of an effect.
 
     Attributes
     ----------
     q : array, shape (n, N)
-        Drive-side joint angles: what the controller reports [rad].
+        Drive-side joint angles, as the controller reports them [rad].
     approach : array, shape (n, N)
         Sign of each joint's last motion; 0 where it has not moved.
     last_step : array, shape (n, N)
@@ -40,13 +41,13 @@ class Situation:
     joints_c : array, shape (n, N)
         Joint temperatures [degC].
     others : mapping
-        Name of each other arm -> its undeflected posture at the same moment, in that arm's own base frame.
+        Name of each other arm -> its undeflected posture at the same time, in its own base frame.
     T_B_others : mapping
-        Name of each other arm -> what takes coordinates of its base frame into those of this arm's, (4, 4).
+        Name of each other arm -> transform from its base frame to this arm's, (4, 4).
     mechanism : Mechanism
         The true, undeflected arm.
     load : Load or None
-        What the flange carries; None is the mechanism's payload.
+        Load on the flange; None: the mechanism's payload.
     """
 
     q: Array
@@ -63,72 +64,72 @@ class Situation:
 
 
 class Effect:
-    """An effect that does nothing: the base of all others."""
+    """An effect without any influence: the base class of all others."""
 
-    def begin(self, q: Array) -> Array | None:
-        """What is remembered of an arm that has stood at ``q`` (1, N) for ever; None for an effect without memory."""
+    def initial_memory(self, q: Array) -> Array | None:
+        """Return the memory of an arm that has always rested at ``q`` (1, N); None for an effect without memory."""
         return None
 
-    def moved(self, memory: Array | None, q: Array) -> Array | None:
-        """Memory after each joint went straight to ``q`` (1, N)."""
+    def memory_after_motion(self, memory: Array | None, q: Array) -> Array | None:
+        """Return the memory after a motion without reversal of each joint to ``q`` (1, N)."""
         return memory
 
-    def warmed(self, memory: Array | None, air_c: float, joints_c: Array, duration_s: float) -> Array | None:
-        """Memory after a time at the air temperature ``air_c`` and the joint temperatures ``joints_c`` (N,)."""
+    def memory_after_time(self, memory: Array | None, air_c: float, joints_c: Array, duration_s: float) -> Array | None:
+        """Return the memory after ``duration_s`` at these temperatures of the air and the joints (N,) [degC]."""
         return memory
 
-    def remembered(self, situation: Situation) -> Array | None:
-        """Memory (n, ...) of arms of which no more is known than the situation tells.
+    def assumed_memory(self, situation: Situation) -> Array | None:
+        """Return the memory (n, ...) that follows from the situation alone.
 
-        A joint whose last step is zero came from afar in the direction of its approach; one that has none stands in the
-        middle of any play. The n situations are one history where their times differ.
+        A joint whose last step is zero made a long motion in the direction of its approach; one without approach is in
+        the middle of any play. Situations at different times are one history.
         """
         return None
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        """Departure from the ideal arm that no load causes."""
+        """Return the deviation from the ideal arm that does not depend on loads."""
         return NO_DEFLECTION
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        """Departure from the ideal arm that the loads of ``posture`` cause."""
+        """Return the deviation from the ideal arm that the loads of ``posture`` cause."""
         return NO_DEFLECTION
 
-    def seen(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
-        """Where the tracker sees (n, 3) an SMR that is at ``p_M`` and looks along ``normal_M`` (n, 3)."""
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+        """Return apparent positions (n, 3) of SMRs at ``p_M`` (n, 3) with viewing directions ``normal_M`` (n, 3)."""
         return p_M
 
 
 class Parameters:
-    """The parameters of one effect as configured; a wrong one is a ``ValueError`` with where and what is expected."""
+    """Configured parameters of one effect. A wrong one raises ``ValueError`` with its place and what is expected."""
 
     def __init__(self, arm: str, effect: str, values: Mapping[str, Any], joints: int) -> None:
         self._where = f"arm {arm}, effect {effect}"
         self._values = values
         self.joints = joints
 
-    def only(self, *keys: str, optional: tuple[str, ...] = ()) -> None:
-        """Demand these keys; allow the ``optional`` ones too and no other."""
+    def require(self, *keys: str, optional: tuple[str, ...] = ()) -> None:
+        """Require ``keys``, allow ``optional`` keys, refuse others."""
         named = ", ".join((*keys, *(f"{key} (optional)" for key in optional)))
         for key in self._values:
             if key not in keys and key not in optional:
-                raise ValueError(f"{self._where}: there is no parameter '{key}'; its parameters are {named}")
+                raise ValueError(f"{self._where}: unknown parameter '{key}'; its parameters are {named}")
         for key in keys:
             if key not in self._values:
                 raise ValueError(f"{self._where}: parameter '{key}' is missing; its parameters are {named}")
 
-    def together(self, *keys: str) -> bool:
-        """Whether these optional keys are there; it must be all or none."""
-        there = [key for key in keys if key in self._values]
-        if there and len(there) < len(keys):
-            raise ValueError(f"{self._where}: {', '.join(keys)} belong together, but only {', '.join(there)} is given")
-        return bool(there)
+    def all_or_none(self, *keys: str) -> bool:
+        """Return whether these optional keys are given; refuse a part of them."""
+        given = [key for key in keys if key in self._values]
+        if given and len(given) < len(keys):
+            raise ValueError(f"{self._where}: {', '.join(keys)} belong together, but only {', '.join(given)} is given")
+        return bool(given)
 
     def error(self, key: str, what: str) -> ValueError:
-        """An error about one parameter, to be raised."""
+        """Return an error about one parameter."""
         return ValueError(f"{self._where}: {key} {what}")
 
-    def unfit(self, what: str) -> ValueError:
-        """An error about the effect on this arm, to be raised."""
+    def effect_error(self, what: str) -> ValueError:
+        """Return an error about the effect on this arm."""
         return ValueError(f"{self._where}: {what}")
 
     def _list(self, key: str, count: int | None) -> list[Any]:
@@ -150,43 +151,43 @@ class Parameters:
         return float(value)
 
     def numbers(self, key: str, count: int | None = None, *, above: float = -np.inf, least: float = -np.inf) -> Array:
-        """A list of ``count`` numbers (default: one a joint), each above ``above`` and at least ``least``."""
+        """Return a list of ``count`` numbers (default: one per joint), each above ``above`` and at least ``least``."""
         return np.array([self._number(key, value, "hold numbers", above, least) for value in self._list(key, count)])
 
     def stiffnesses(self, key: str, count: int | None = None) -> Array:
-        """A list of ``count`` stiffnesses, each above 0; ``inf`` is what does not yield."""
+        """Return a list of ``count`` stiffnesses, each above 0; ``inf`` is rigid."""
         values = self._list(key, count)
         return np.array([v if v == np.inf else self._number(key, v, "hold numbers", 0.0, 0.0) for v in values])
 
     def number(
         self, key: str, *, above: float = -np.inf, least: float = -np.inf, default: float | None = None
     ) -> float:
-        """One number, above ``above`` and at least ``least``; ``default`` where the key is missing."""
+        """Return one number, above ``above`` and at least ``least``; ``default`` if the key is missing."""
         if default is not None and key not in self._values:
             return default
         return self._number(key, self._values[key], "be a number", above, least)
 
     def stiffness(self, key: str) -> float:
-        """One stiffness, above 0; ``inf`` is what does not yield."""
+        """Return one stiffness, above 0; ``inf`` is rigid."""
         value = self._values[key]
         return float(np.inf) if value == np.inf else self._number(key, value, "be a number", 0.0, 0.0)
 
-    def whole(self, key: str, *, least: int) -> int:
-        """One whole number, at least ``least``."""
+    def integer(self, key: str, *, least: int) -> int:
+        """Return one whole number, at least ``least``."""
         value = self._values[key]
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise self.error(key, f"must be a whole number from {least} up, not {value!r}")
         return value
 
     def choice(self, key: str, *words: str) -> str:
-        """One of some words."""
+        """Return one of the given words."""
         value = self._values.get(key)
         if value not in words:
             raise self.error(key, f"must be one of {', '.join(words)}, not {value!r}")
         return str(value)
 
     def joint_numbers(self, key: str) -> np.ndarray:
-        """A list of different joint numbers, counted from 1; returned counted from 0."""
+        """Return a list of different joint numbers; counted from 1 in the parameter, from 0 in the result."""
         value = self._values[key]
         valid = isinstance(value, list | tuple) and len(set(value)) == len(value) > 0
         if not valid or any(isinstance(v, bool) or not isinstance(v, int) or not 1 <= v <= self.joints for v in value):

@@ -1,4 +1,4 @@
-"""Rigid motions in space: turns about lines, small twists. Batches come first; float64."""
+"""Rigid transforms: rotations about lines, small twists. Leading axes are batches; float64."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from drivers.plant.config import Array
 
 
 def cross_matrix(v: Array) -> Array:
-    """Matrix (..., 3, 3) of the cross product with ``v`` (..., 3)."""
+    """Return the matrix (..., 3, 3) of the cross product with ``v`` (..., 3)."""
     matrix = np.zeros((*v.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2] = -v[..., 2], v[..., 1]
     matrix[..., 1, 0], matrix[..., 1, 2] = v[..., 2], -v[..., 0]
@@ -17,7 +17,7 @@ def cross_matrix(v: Array) -> Array:
 
 
 def rigid(twist: Array) -> Array:
-    """Rigid motion (..., 4, 4): a turn by the rotation vector ``twist[..., 3:]``, then a shift by ``[..., :3]``."""
+    """Return the transform (..., 4, 4) of a twist: translation ``[..., :3]``, rotation vector ``[..., 3:]``."""
     vector = twist[..., 3:]
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     cross = cross_matrix(vector)
@@ -32,7 +32,7 @@ def rigid(twist: Array) -> Array:
 
 
 def inverse(motion: Array) -> Array:
-    """Inverse of rigid motions (..., 4, 4)."""
+    """Return the inverse of rigid transforms (..., 4, 4)."""
     back = np.zeros_like(motion)
     turn = np.swapaxes(motion[..., :3, :3], -1, -2)
     back[..., :3, :3] = turn
@@ -42,13 +42,13 @@ def inverse(motion: Array) -> Array:
 
 
 def carry(motion: Array, point: Array) -> Array:
-    """Points (..., 3) moved by rigid motions (..., 4, 4)."""
+    """Return points (..., 3) transformed by rigid transforms (..., 4, 4)."""
     moved: Array = (motion[..., :3, :3] @ point[..., None])[..., 0] + motion[..., :3, 3]
     return moved
 
 
 def across(direction: Array) -> Array:
-    """Two unit vectors (..., 2, 3) that stand on the unit vectors ``direction`` (..., 3) and on each other."""
+    """Return two unit vectors (..., 2, 3) perpendicular to unit vectors ``direction`` (..., 3) and to each other."""
     least = np.argmin(np.abs(direction), axis=-1)
     helper = np.eye(3)[least]
     first = np.cross(direction, helper)

@@ -1,8 +1,8 @@
-"""An arm as axes in space with bodies on them: a product of turns about lines, and gravity on the bodies.
+"""An arm as axes in space with bodies on them: product of exponentials, and gravity on the bodies.
 
-The D-H table is read once, to know where the lines and bodies are at the zero position. From there on each joint is a
-turn about a line fixed in the base frame at the zero position (Brockett's product of exponentials), written with
-Rodrigues' formula as ``I + sin(q) K + (1 - cos(q)) K^2`` and a line's point.
+The D-H table only serves to place axes and bodies at the zero position. Each joint is then a rotation about a line that
+is fixed in the base frame at the zero position (Brockett's product of exponentials), written with Rodrigues' formula as
+``I + sin(q) K + (1 - cos(q)) K^2`` and a point of the line.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ STANDARD_GRAVITY = 9.80665
 
 @dataclass(frozen=True, eq=False)
 class Deflection:
-    """Departure from the ideal arm; a part is None where there is none. A twist: shift [m], rotation vector [rad].
+    """Deviation from the ideal arm; None: no deviation. Twists: translation [m], rotation vector [rad].
 
     Attributes
     ----------
     joints : array, shape (n, N)
-        True less reported joint angle [rad].
+        True minus reported joint angle [rad].
     base : array, shape (n, 6)
         Twist of the base, in B.
     links : array, shape (n, N, 6)
-        Twist of D-H frame i against joint i, in that frame.
+        Twist of D-H frame i relative to joint i, in that frame.
     tool : array, shape (n, 6)
-        Twist of what the flange carries, in the flange frame.
+        Twist of the tool, in the flange frame.
     """
 
     joints: Array | None = None
@@ -46,7 +46,7 @@ NO_DEFLECTION = Deflection()
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """What the flange carries at n stops: masses (n,) [kg], centres (n, 3) [m] in the flange frame."""
+    """Loads of the flange at n stops: masses (n,) [kg], centres (n, 3) [m] in the flange frame."""
 
     mass: Array
     center: Array
@@ -59,7 +59,7 @@ def _sum(one: Array | None, other: Array | None) -> Array | None:
 
 
 def combined(parts: Iterable[Deflection]) -> Deflection:
-    """Sum of small deflections."""
+    """Return the sum of small deflections."""
     whole = NO_DEFLECTION
     for part in parts:
         whole = Deflection(
@@ -90,13 +90,13 @@ class Mechanism:
     directions, points : arrays, shape (N, 3)
         Unit direction of each axis and a point on it.
     zeros : array, shape (N,)
-        True joint angle where the controller says zero [rad].
+        True joint angle when the controller reports zero [rad].
     frames : array, shape (N + 1, 4, 4)
         D-H frames 0 to N.
     masses, centers : arrays, shapes (N,), (N, 3)
-        Bodies; the last one without its load.
+        Bodies; the last one without the payload.
     payload_mass, payload_center : float, array (3,)
-        Load, in the flange frame.
+        Payload, in the flange frame.
     smr, smr_normal : arrays, shape (3,)
         In the flange frame.
     """
@@ -115,7 +115,7 @@ class Mechanism:
 
     @cached_property
     def _turns(self) -> Array:
-        """What multiplies sin(q), 1 - cos(q) and 1 in each joint's motion, as rows, (N, 3, 16)."""
+        """Matrices multiplied by sin(q), 1 - cos(q) and 1 in each joint's transform, as rows, (N, 3, 16)."""
         cross = cross_matrix(self.directions)
         turns = np.zeros((len(cross), 3, 4, 4))
         for k, matrix in enumerate((cross, cross @ cross)):
@@ -135,14 +135,14 @@ class Mechanism:
 
     @cached_property
     def _bodies(self) -> tuple[Array, Array]:
-        """First moment and mass of each body without a load, as columns (N, 4, 1); mass beyond each joint (N,)."""
+        """First moment and mass of each body without payload, as columns (N, 4, 1); mass beyond each joint (N,)."""
         moments = np.concatenate([self.masses[:, None] * self.centers, self.masses[:, None]], axis=1)
         return moments[:, :, None], np.cumsum(self.masses[::-1])[::-1]
 
     def placements(self, q: Array, bend: Deflection) -> Array:
-        """Motion in B (N, n, 4, 4) of each body from its place at zero, at the reported angles ``q`` (n, N).
+        """Return the transform in B (N, n, 4, 4) of each body from its zero position, at reported angles ``q`` (n, N).
 
-        Joint first, so that what belongs to a joint meets all its configurations in one matrix product.
+        The joint is the first axis, so that one matrix product covers all configurations of a joint.
         """
         angles = q + self.zeros
         if bend.joints is not None:
@@ -164,9 +164,9 @@ class Mechanism:
 
 @dataclass(frozen=True, eq=False)
 class Posture:
-    """A mechanism at n sets of reported joint angles, bent as ``bend`` says; all in B, worked out when asked for.
+    """A mechanism at n vectors of reported joint angles with the deflection ``bend``; all in B, computed on demand.
 
-    ``gravity`` (3,) is the acceleration of free fall in B [m/s^2]; ``load`` is what the flange carries, by default the
+    ``gravity`` (3,) is the acceleration of free fall in B [m/s^2]; ``load`` is the load of the flange, by default the
     mechanism's payload.
     """
 
@@ -178,68 +178,68 @@ class Posture:
 
     @cached_property
     def placements(self) -> Array:
-        """Motion of each body from its place at the zero position, (N, n, 4, 4)."""
+        """Transform of each body from its zero position, (N, n, 4, 4)."""
         return self.mechanism.placements(self.q, self.bend)
 
     @cached_property
     def base(self) -> Array:
-        """Motion of the base, (n, 4, 4)."""
+        """Transform of the base, (n, 4, 4)."""
         if self.bend.base is None:
             return np.broadcast_to(np.eye(4), (len(self.q), 4, 4))
         return rigid(self.bend.base)
 
-    def _moved(self, motions: Array, columns: Array) -> Array:
-        """Homogeneous ``columns`` (N, 4, k) of each joint or body under its ``motions`` (N, n, 4, 4): (N, n, 3, k)."""
+    def _transformed(self, motions: Array, columns: Array) -> Array:
+        """Return homogeneous ``columns`` (N, 4, k) transformed by ``motions`` (N, n, 4, 4): (N, n, 3, k)."""
         joints, n = motions.shape[:2]
-        return (motions.reshape(joints, 4 * n, 4) @ columns).reshape(joints, n, 4, -1)[:, :, :3]
+        transformed: Array = (motions.reshape(joints, 4 * n, 4) @ columns).reshape(joints, n, 4, -1)
+        return transformed[:, :, :3]
 
     @cached_property
     def axes(self) -> tuple[Array, Array]:
-        """Direction and point of each axis where it is now, (N, n, 3) each."""
+        """Direction and point of each axis in this posture, (N, n, 3) each."""
         carriers = np.concatenate([self.base[None], self.placements[:-1]])
-        lines = self._moved(carriers, self.mechanism._lines)
+        lines = self._transformed(carriers, self.mechanism._lines)
         return lines[..., 0], lines[..., 1]
 
     @cached_property
     def load_mass(self) -> Array:
-        """Mass that the flange carries, (n,) [kg]."""
+        """Mass of the load, (n,) [kg]."""
         if self.load is None:
             return np.full(len(self.q), self.mechanism.payload_mass)
         return self.load.mass
 
     @cached_property
     def load_moment(self) -> Array:
-        """Mass times place of what the flange carries, (n, 3) [kg m]."""
+        """First moment of the load, (n, 3) [kg m]."""
         center = self.mechanism.payload_center if self.load is None else self.load.center
-        return self.load_mass[:, None] * carry(self.placements[-1] @ self.mechanism.frames[-1], center)
+        moment: Array = self.load_mass[:, None] * carry(self.placements[-1] @ self.mechanism.frames[-1], center)
+        return moment
 
     @cached_property
     def first_moments(self) -> Array:
-        """Mass times place of each body, its load with it, (N, n, 3) [kg m]."""
-        moments = self._moved(self.placements, self.mechanism._bodies[0])[..., 0]
+        """First moment of each body, the load included, (N, n, 3) [kg m]."""
+        moments = self._transformed(self.placements, self.mechanism._bodies[0])[..., 0]
         moments[-1] += self.load_moment
         return moments
 
     @cached_property
     def masses_beyond(self) -> Array:
-        """Mass that each joint carries, (N, n) [kg]."""
+        """Mass beyond each joint, (N, n) [kg]."""
         return self.mechanism._bodies[1][:, None] + self.load_mass
 
     @cached_property
     def gravity_torques(self) -> Array:
-        """Torque of gravity about each axis, (n, N) [Nm]; positive where gravity would increase the angle."""
+        """Torque of gravity about each axis, (n, N) [Nm]; positive if gravity would increase the angle."""
         directions, points = self.axes
         arms = np.cumsum(self.first_moments[::-1], axis=0)[::-1]
         arms -= self.masses_beyond[..., None] * points
-        # d . (r x g) = -(d [g]) . r
-        return -((directions @ cross_matrix(self.gravity)) * arms).sum(axis=-1).T
+        return _torques(directions, arms, self.gravity)
 
     @cached_property
     def load_torques(self) -> Array:
-        """The part of ``gravity_torques`` that is due to what the flange carries, (n, N) [Nm]."""
+        """The part of ``gravity_torques`` that is due to the load, (n, N) [Nm]."""
         directions, points = self.axes
-        arms = self.load_moment - self.load_mass[:, None] * points
-        return -((directions @ cross_matrix(self.gravity)) * arms).sum(axis=-1).T
+        return _torques(directions, self.load_moment - self.load_mass[:, None] * points, self.gravity)
 
     @cached_property
     def base_moment(self) -> Array:
@@ -248,7 +248,7 @@ class Posture:
 
     @cached_property
     def flange(self) -> Array:
-        """Pose of the flange and what bends with the tool, T_B_F, (n, 4, 4)."""
+        """Pose of the flange including the tool's deflection, T_B_F, (n, 4, 4)."""
         pose: Array = self.placements[-1] @ self.mechanism.frames[-1]
         if self.bend.tool is not None:
             pose = pose @ rigid(self.bend.tool)
@@ -256,18 +256,25 @@ class Posture:
 
     @cached_property
     def smr(self) -> tuple[Array, Array]:
-        """Centre of the SMR and the way it looks, (n, 3) each."""
+        """SMR centre and viewing direction, (n, 3) each."""
         return carry(self.flange, self.mechanism.smr), self.flange[:, :3, :3] @ self.mechanism.smr_normal
 
     def segments(self) -> tuple[Array, Array]:
-        """Ends of the capsules' segments, (k, n, 3) each."""
+        """Return the ends of the capsules' segments, (k, n, 3) each."""
         capsules = self.mechanism.capsules
         motions = np.concatenate([self.base[None], self.placements])[capsules.frames]
         return carry(motions, capsules.starts[:, None]), carry(motions, capsules.ends[:, None])
 
 
+def _torques(directions: Array, moments: Array, gravity: Array) -> Array:
+    """Return the torques (n, N) of first moments (N, n, 3) about axes ``directions`` (N, n, 3) through their origin."""
+    # d . (r x g) = -(d [g]) . r
+    torques: Array = -((directions @ cross_matrix(gravity)) * moments).sum(axis=-1).T
+    return torques
+
+
 def _frames_at_zero(rows: Array) -> Array:
-    """D-H frames 0 to N, (N + 1, 4, 4), at the zero position of ``rot_z(q + theta) trans(a, 0, d) rot_x(alpha)``."""
+    """Return the D-H frames (N + 1, 4, 4) of ``rot_z(q + theta) trans(a, 0, d) rot_x(alpha)`` at q = 0."""
     frames = [np.eye(4)]
     for theta, d, a, alpha in rows:
         about_z, about_x = np.array([0.0, 0.0, d, 0.0, 0.0, theta]), np.array([a, 0.0, 0.0, alpha, 0.0, 0.0])
@@ -288,7 +295,7 @@ def _capsules_at_zero(capsules: Sequence[CapsuleConfig], frames: Array) -> Capsu
 
 
 def nominal(arm: ArmConfig) -> Mechanism:
-    """The arm as drawn."""
+    """Return the nominal mechanism of an arm."""
     frames = _frames_at_zero(arm.rows)
     return Mechanism(
         directions=frames[:-1, :3, 2].copy(),
@@ -306,9 +313,9 @@ def nominal(arm: ArmConfig) -> Mechanism:
 
 
 def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Generator) -> Mechanism:
-    """The mechanism with its lines moved and tilted, its joint zeros and SMR off, normally distributed.
+    """Return the mechanism with normally distributed errors of axes, joint zeros and SMR.
 
-    The same draws are taken whatever the sizes, so that one size can be changed alone.
+    The draws do not depend on the sizes, so that one size can be changed alone.
     """
     joints = len(mechanism.directions)
     sideways = across(mechanism.directions)
@@ -329,15 +336,15 @@ def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Gen
 
 
 def with_true_masses(mechanism: Mechanism, sd: float, rng: np.random.Generator) -> Mechanism:
-    """The mechanism with each body's mass off by its own share, normal with standard deviation ``sd``, at most 90 %."""
+    """Return the mechanism with normally distributed relative mass errors: standard deviation ``sd``, 90 % at most."""
     share = np.clip(sd * rng.standard_normal(len(mechanism.masses)), -0.9, 0.9)
     return replace(mechanism, masses=mechanism.masses * (1.0 + share))
 
 
 def gravity_torques(arm: ArmConfig, q: Array) -> Array:
-    """Torque of gravity about each axis of the nominal, undeflected arm at ``q`` (n, N): (n, N) [Nm].
+    """Return the torque of gravity about each axis of the nominal, undeflected arm at ``q`` (n, N): (n, N) [Nm].
 
-    Positive where gravity would increase the joint angle; a motor at rest gives the opposite.
+    Positive if gravity would increase the joint angle; a motor at rest applies the opposite.
     """
     gravity = arm.T_C_B[:3, :3].T @ np.array([0.0, 0.0, -STANDARD_GRAVITY])
     return Posture(nominal(arm), np.atleast_2d(np.asarray(q, dtype=np.float64)), gravity).gravity_torques

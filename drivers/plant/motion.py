@@ -1,4 +1,4 @@
-"""Joint motions in time: all joints start and end together, straight in joint space, with a trapezoidal speed."""
+"""Joint motions over time: all joints start and end together, straight in joint space, trapezoidal speed profile."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 
 from drivers.plant.config import Array
 
-_NOTHING_RAD = 1e-12
-"""Ways [rad] and speeds [rad/s] below this are none."""
+_ZERO_RAD = 1e-12
+"""Travel [rad] and speeds [rad/s] below this count as zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
     """From ``q_from`` (N,) at ``start_s`` to ``q_to`` (N,) at ``end_s``.
 
-    The share of the way done is a parabola in each phase: phase k begins at ``times[k]`` (after the start) with the
-    share ``share[k]``, the rate ``rate[k]`` and the constant acceleration ``pull[k]``.
+    The share of the travel is a parabola in each phase: phase k begins at ``times[k]`` after the start with the share
+    ``share[k]``, the rate ``rate[k]`` and the constant acceleration ``pull[k]``.
     """
 
     start_s: float
@@ -31,7 +31,7 @@ class Motion:
 
     @property
     def end_s(self) -> float:
-        """When it comes to rest [s]."""
+        """End of the motion [s]."""
         return self.start_s + self.duration_s
 
     def _phase(self, time_s: Array) -> tuple[Array, np.ndarray]:
@@ -40,54 +40,54 @@ class Motion:
         return t - self.times[phase], phase
 
     def position(self, time_s: Array) -> Array:
-        """Joint angles (n, N) at times (n,); before the start and after the end the ends, exactly."""
+        """Return the joint angles (n, N) at times (n,); exactly the end points before the start and after the end."""
         t, phase = self._phase(time_s)
         share = self.share[phase] + t * (self.rate[phase] + 0.5 * t * self.pull[phase])
         q = self.q_from + share[:, None] * (self.q_to - self.q_from)
         return np.where((time_s >= self.end_s)[:, None], self.q_to, q)
 
     def velocity(self, time_s: Array) -> Array:
-        """Joint speeds (n, N) at times (n,); zero before the start and from the end on."""
+        """Return the joint speeds (n, N) at times (n,); zero before the start and from the end on."""
         t, phase = self._phase(time_s)
         rate = self.rate[phase] + t * self.pull[phase]
-        inside = (time_s >= self.start_s) & (time_s < self.end_s)  # one that brakes has its speed from the start
+        inside = (time_s >= self.start_s) & (time_s < self.end_s)  # a braking motion starts with its full speed
         return np.where(inside, rate, 0.0)[:, None] * (self.q_to - self.q_from)
 
 
-def _most(way: Array, limit: Array) -> float:
-    """The largest rate at which all of ``way`` (N,) can be done while no joint passes its ``limit`` (N,)."""
-    return 1.0 / float((np.abs(way) / limit).max())
+def _largest_rate(travel: Array, limit: Array) -> float:
+    """Return the largest rate of the share of ``travel`` (N,) at which no joint exceeds its ``limit`` (N,)."""
+    return 1.0 / float((np.abs(travel) / limit).max())
 
 
 def travel(start_s: float, q_from: Array, q_to: Array, speed: Array, acceleration: Array) -> Motion | None:
-    """From rest to rest, as fast as ``speed`` and ``acceleration`` (N,) let every joint; None where nothing moves."""
+    """Return the fastest motion from rest to rest within ``speed`` and ``acceleration`` (N,); None if nothing moves."""
     way = q_to - q_from
-    if np.abs(way).max() < _NOTHING_RAD:
+    if np.abs(way).max() < _ZERO_RAD:
         return None
-    rate, pull = _most(way, speed), _most(way, acceleration)
-    rate = min(rate, np.sqrt(pull))  # the way is too short to reach full speed: a triangle
+    rate, pull = _largest_rate(way, speed), _largest_rate(way, acceleration)
+    rate = min(rate, np.sqrt(pull))  # triangular profile if the travel is too short for full speed
     ramp = rate / pull
     cruise = max(1.0 / rate - ramp, 0.0)
-    near = 0.5 * rate * ramp
+    ramp_share = 0.5 * rate * ramp
     return Motion(
         start_s=start_s,
         duration_s=2.0 * ramp + cruise,
         q_from=q_from,
         q_to=q_to,
         times=np.array([0.0, ramp, ramp + cruise]),
-        share=np.array([0.0, near, 1.0 - near]),
+        share=np.array([0.0, ramp_share, 1.0 - ramp_share]),
         rate=np.array([0.0, rate, rate]),
         pull=np.array([pull, 0.0, -pull]),
     )
 
 
 def braked(motion: Motion, time_s: float, acceleration: Array) -> Motion | None:
-    """What is left of ``motion`` at ``time_s`` when every joint brakes on its way, at most at ``acceleration`` (N,)."""
+    """Return the braking motion from ``motion`` at ``time_s`` along its path, at most at ``acceleration`` (N,)."""
     now = np.array([time_s])
     q, velocity = motion.position(now)[0], motion.velocity(now)[0]
-    if np.abs(velocity).max() < _NOTHING_RAD:
+    if np.abs(velocity).max() < _ZERO_RAD:
         return None
-    duration = 1.0 / _most(velocity, acceleration)
+    duration = 1.0 / _largest_rate(velocity, acceleration)
     return Motion(
         start_s=time_s,
         duration_s=duration,

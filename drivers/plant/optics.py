@@ -1,4 +1,4 @@
-"""What the tracker sees and how well, in its frame M: z up, origin where its axes meet."""
+"""Field of view and noise of the tracker, in its frame M: z up, origin at the intersection of its axes."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from drivers.plant.config import Array, TrackerConfig
 
 
 def deviations(tracker: TrackerConfig, distance: Array, averaging_s: float) -> tuple[Array, Array]:
-    """Standard deviations across and along the beam (n,) [m] at ``distance`` (n,) [m].
+    """Return the standard deviations across and along the beam (n,) [m] at ``distance`` (n,) [m].
 
-    Half of the maximum permissible error at the configured averaging; noise falls with the root of the averaging time.
+    Half of the maximum permissible error at the configured averaging time; noise falls with the root of that time.
     """
     factor = 0.5 * np.sqrt(tracker.averaging_s / averaging_s)
     across = factor * (tracker.transverse[0] + tracker.transverse[1] * distance)
@@ -19,16 +19,17 @@ def deviations(tracker: TrackerConfig, distance: Array, averaging_s: float) -> t
 
 
 def covariances(tracker: TrackerConfig, p_M: Array, averaging_s: float) -> Array:
-    """Covariance (n, 3, 3) [m^2] of measured points ``p_M`` (n, 3): the same in all directions across the beam."""
+    """Return the covariance (n, 3, 3) [m^2] of measured points ``p_M`` (n, 3); isotropic across the beam."""
     distance = np.linalg.norm(p_M, axis=1)
     across, along = deviations(tracker, distance, averaging_s)
     beam = p_M / distance[:, None]
     dyads = beam[:, :, None] * beam[:, None, :]
-    return across[:, None, None] ** 2 * (np.eye(3) - dyads) + along[:, None, None] ** 2 * dyads
+    covariance: Array = across[:, None, None] ** 2 * (np.eye(3) - dyads) + along[:, None, None] ** 2 * dyads
+    return covariance
 
 
 def noise(tracker: TrackerConfig, p_M: Array, averaging_s: float, rng: np.random.Generator) -> Array:
-    """Random errors (n, 3) [m] of measured points, with the covariance above."""
+    """Draw random errors (n, 3) [m] of measured points with the covariance of ``covariances``."""
     distance = np.linalg.norm(p_M, axis=1)
     across, along = deviations(tracker, distance, averaging_s)
     beam = p_M / distance[:, None]
@@ -39,7 +40,7 @@ def noise(tracker: TrackerConfig, p_M: Array, averaging_s: float, rng: np.random
 
 
 def why_hidden(tracker: TrackerConfig, p_M: Array, normal_M: Array, acceptance: float) -> str:
-    """Why an SMR at ``p_M`` (3,) that looks along ``normal_M`` (3,) returns no beam; empty when it does."""
+    """Return why an SMR at ``p_M`` (3,) with viewing direction ``normal_M`` (3,) returns no beam; empty if it does."""
     x, y, z = (float(v) for v in p_M)
     flat = np.hypot(x, y)
     distance = float(np.hypot(flat, z))

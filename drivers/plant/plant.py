@@ -1,4 +1,4 @@
-"""The simulated cell: arms that move, bend and warm up, a tracker that looks at them, one clock."""
+"""The simulated cell: arms that move, deflect and warm up, a tracker that measures them, one clock."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from drivers.plant.motion import Motion, braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 
 _EQUILIBRIUM_RAD = 1e-12
-_EQUILIBRIUM_STEPS = 200
-_WATCH_STEP_S = 0.02
+_MAX_ITERATIONS = 200
+_SAMPLE_S = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """An SMR as the tracker could find it now: of which arm, where (3,) [m] in M, and why not ("" when it can)."""
+    """An SMR at the current time: its arm, position (3,) [m] in M, and why the tracker cannot see it ("" if it can)."""
 
     arm: str
     p_M: Array
@@ -46,7 +46,7 @@ class Target:
 
 @dataclass(eq=False)
 class _Arm:
-    """One true arm and the state it is in."""
+    """One true arm and its state."""
 
     config: ArmConfig
     mechanism: Mechanism
@@ -55,19 +55,19 @@ class _Arm:
     gravity: Array  # acceleration of free fall in B
     effects: tuple[Effect, ...]
     repeatability: np.random.Generator
-    q: Array  # (N,) at the last rest, or where the present motion began
+    q: Array  # (N,) at the last rest, or at the start of the current motion
     memories: list[Array | None]  # at that moment
     approach: Array
     last_step: Array
-    miss: Array  # (N,) what the present stop misses its goal by
+    stop_error: Array  # (N,) position error of the current stop
     rise: Array  # (N,) joint temperature above the air
     rest_since_s: float = 0.0
     motion: Motion | None = None
-    bent: Deflection = NO_DEFLECTION  # by loads in the last solution, where the next one starts
+    load_deflection: Deflection = NO_DEFLECTION  # last solution, the initial value of the next one
 
 
-def _change(before: Deflection, after: Deflection) -> float:
-    """The largest difference of two deflections [rad or m]."""
+def _largest_change(before: Deflection, after: Deflection) -> float:
+    """Return the largest difference of two deflections [rad or m]."""
     largest = 0.0
     for name in ("joints", "base", "links", "tool"):
         old, new = getattr(before, name), getattr(after, name)
@@ -76,8 +76,8 @@ def _change(before: Deflection, after: Deflection) -> float:
     return largest
 
 
-def _as_shape(name: str, value: ArrayLike | None, default: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """``value``, or ``default`` where there is none, in the wanted shape."""
+def _broadcast(name: str, value: ArrayLike | None, default: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return ``value``, or ``default`` if it is None, broadcast to ``shape``."""
     array = np.asarray(default if value is None else value, dtype=np.float64)
     try:
         return np.broadcast_to(array, shape)
@@ -86,12 +86,12 @@ def _as_shape(name: str, value: ArrayLike | None, default: ArrayLike, shape: tup
 
 
 class Plant:
-    """A cell with true geometry and hidden effects, drawn and switched on by a configuration.
+    """A cell with true geometry and hidden effects according to a configuration and its seed.
 
-    Time is simulated: it passes only in ``advance``, which the simulated drivers call. ``watch_clearance`` samples the
-    distances of the arms' capsules from each other and from the floor while anything moves, into ``clearance``.
+    Time is simulated: it passes only in ``advance``, which the simulated drivers call. ``watch_clearance`` records in
+    ``clearance`` the smallest distances of the arms' capsules from each other and from the floor during motions.
 
-    Raises ``ValueError`` for an effect or parameter that does not exist or makes no sense.
+    Raises ``ValueError`` for an unknown effect, or an unknown or invalid parameter.
     """
 
     def __init__(self, config: PlantConfig, *, watch_clearance: bool = False) -> None:
@@ -101,7 +101,7 @@ class Plant:
         self._T_M_C = inverse(config.tracker.T_C_M)
         self._air = Air(config.temperature_c, np.random.default_rng([config.seed, 0]))
         self._noise = np.random.default_rng([config.seed, 1])
-        # a stream of its own for each arm and purpose: what one draws moves no other
+        # one random stream per arm and purpose: draws of one do not change another
         self._arms = {
             arm.name: self._true_arm(arm, np.random.SeedSequence([config.seed, 2, number]))
             for number, arm in enumerate(config.arms)
@@ -125,10 +125,10 @@ class Plant:
             effects=effects,
             repeatability=repeatability,
             q=arm.home,
-            memories=[effect.begin(arm.home[None]) for effect in effects],
+            memories=[effect.initial_memory(arm.home[None]) for effect in effects],
             approach=np.zeros(arm.joints),
             last_step=np.zeros(arm.joints),
-            miss=self.config.repeatability * repeatability.standard_normal(arm.joints),
+            stop_error=self.config.repeatability * repeatability.standard_normal(arm.joints),
             rise=np.zeros(arm.joints),
         )
 
@@ -154,7 +154,7 @@ class Plant:
         return self._arm(name).T_M_B.copy()
 
     def true_T_B_B(self, to: str, of: str) -> Array:
-        """Takes base coordinates of the arm ``of`` into base coordinates of the arm ``to``, (4, 4)."""
+        """True transform from the base frame of the arm ``of`` to that of the arm ``to``, (4, 4)."""
         return inverse(self._arm(to).T_C_B) @ self._arm(of).T_C_B
 
     def true_smr_offset(self, name: str) -> Array:
@@ -167,36 +167,43 @@ class Plant:
 
     # -- statics -----------------------------------------------------------------------------------------------------
 
-    def _settle(
-        self, arm: _Arm, situation: Situation, memories: Sequence[Array | None], start: Deflection, miss: Array | None
+    def _equilibrium(
+        self,
+        arm: _Arm,
+        situation: Situation,
+        memories: Sequence[Array | None],
+        start: Deflection,
+        stop_error: Array | None,
     ) -> tuple[Posture, Deflection]:
-        """The posture whose loads cause its own deflection, and that deflection, found by repetition from ``start``."""
+        """Find the posture whose loads cause its own deflection by fixed-point iteration; return both."""
         fixed = combined(e.offset(situation, memory) for e, memory in zip(arm.effects, memories, strict=True))
-        if miss is not None:
-            fixed = combined((fixed, Deflection(joints=miss)))
-        bent = start
-        for _ in range(_EQUILIBRIUM_STEPS):
-            posture = Posture(arm.mechanism, situation.q, arm.gravity, combined((fixed, bent)), situation.load)
+        if stop_error is not None:
+            fixed = combined((fixed, Deflection(joints=stop_error)))
+        load_deflection = start
+        for _ in range(_MAX_ITERATIONS):
+            posture = Posture(
+                arm.mechanism, situation.q, arm.gravity, combined((fixed, load_deflection)), situation.load
+            )
             after = combined(effect.bend(situation, posture) for effect in arm.effects)
-            if _change(bent, after) <= _EQUILIBRIUM_RAD:
+            if _largest_change(load_deflection, after) <= _EQUILIBRIUM_RAD:
                 return posture, after
-            bent = after
+            load_deflection = after
         raise ValueError(
             f"arm {arm.config.name}: the hidden effects reach no equilibrium under gravity; their stiffness is too low"
         )
 
-    def _seen(self, arm: _Arm, situation: Situation, posture: Posture) -> tuple[Array, Array]:
-        """Where the tracker sees the SMR and the way that looks, (n, 3) each, in M."""
+    def _apparent_smr(self, arm: _Arm, situation: Situation, posture: Posture) -> tuple[Array, Array]:
+        """Return the apparent SMR position and its viewing direction, (n, 3) each, in M."""
         p_B, normal_B = posture.smr
         p_M, normal_M = carry(arm.T_M_B, p_B), normal_B @ arm.T_M_B[:3, :3].T
         for effect in arm.effects:
-            p_M = effect.seen(p_M, normal_M, situation)
+            p_M = effect.apparent_position(p_M, normal_M, situation)
         return p_M, normal_M
 
-    def _others(
+    def _other_postures(
         self, arm: _Arm, given: Mapping[str, Array], n: int, loads: Mapping[str, Array] | None = None
     ) -> dict[str, Posture]:
-        """The other arms at the joint angles ``given`` (n, N) with the loads ``loads`` (n,), or as they are now."""
+        """Return the other arms at joint angles ``given`` (n, N) with ``loads`` (n,), by default as they are now."""
         loads = {} if loads is None else loads
         return {
             name: Posture(
@@ -206,7 +213,7 @@ class Plant:
                 load=None
                 if name not in loads
                 else Load(
-                    _as_shape("other_payloads", loads[name], 0.0, (n,)),
+                    _broadcast("other_payloads", loads[name], 0.0, (n,)),
                     np.broadcast_to(other.mechanism.payload_center, (n, 3)),
                 ),
             )
@@ -230,70 +237,70 @@ class Plant:
         joints_c: Array | None = None,
         air_c: Array | None = None,
     ) -> Array:
-        """SMR centres (n, 3) in M of an arm at rest at ``q`` (n, N), with all effects, without noise or repeatability.
+        """Return SMR centres (n, 3) in M of an arm at rest at ``q`` (n, N), with all effects, without random errors.
 
         Parameters
         ----------
         approach : array, shape (n, N)
-            Sign of each joint's last motion, 0 in the middle of any play; by default that of ``last_step``, else 0.
+            Sign of each joint's last motion; 0: in the middle of any play. Default: that of ``last_step``.
         others : mapping
-            Joint angles (n, N) of other arms, by name; by default they are where they are now.
+            Joint angles (n, N) of other arms, by name; default: as they are now.
         other_payloads : mapping
-            Loads (n,) [kg] of other arms, by name; by default what they carry now.
+            Loads (n,) [kg] of other arms, by name; default: as they are now.
         time_s : array, shape (n,)
-            The cell's clock [s]; by default all are now. Temperatures of different times are one history.
+            The cell's clock [s]; default: now. Temperatures at different times are one history.
         last_step : array, shape (n, N)
-            The last motion of each joint, with its sign [rad]; by default it is over, and came from afar.
+            The last motion of each joint, with its sign [rad]; default: a long one.
         since_rest_s : array, shape (n,)
-            Time at rest [s]; by default for ever.
+            Time at rest [s]; default: infinite.
         payload, payload_center : arrays, shapes (n,), (n, 3) or (3,)
-            Load [kg] and its centre in the flange frame [m]; by default those that the arm carries now.
+            Load [kg] and its centre in the flange frame [m]; default: the current ones.
         joints_c, air_c : arrays, shapes (n, N), (n,)
-            Temperatures [degC]; by default the air of the time and joints as much warmer as they are now.
+            Temperatures [degC]; default: the air at ``time_s``, and joints with their current rise above it.
 
-        Anything broadcasts to its shape. Raises ``ValueError`` where it does not, and for a negative load.
+        Arguments are broadcast to their shapes. Raises ``ValueError`` for a wrong shape or a negative load.
         """
         arm = self._arm(name)
         q = np.asarray(q, dtype=np.float64)
         n, joints = len(q), arm.config.joints
-        step = _as_shape("last_step", last_step, np.zeros_like(q), (n, joints))
-        times = _as_shape("time_s", time_s, self._clock_s, (n,))
-        air = _as_shape("air_c", air_c, self._air.temperature_c(times), (n,))
+        step = _broadcast("last_step", last_step, np.zeros_like(q), (n, joints))
+        times = _broadcast("time_s", time_s, self._clock_s, (n,))
+        air = _broadcast("air_c", air_c, self._air.temperature_c(times), (n,))
         mass, center = arm.mechanism.payload_mass, arm.mechanism.payload_center
         load = Load(
-            _as_shape("payload", payload, mass, (n,)), _as_shape("payload_center", payload_center, center, (n, 3))
+            _broadcast("payload", payload, mass, (n,)), _broadcast("payload_center", payload_center, center, (n, 3))
         )
         if (load.mass < 0.0).any():
             raise ValueError(f"payload must be at least 0 kg, not {load.mass.min():g}")
         situation = Situation(
             q=q,
-            approach=np.sign(_as_shape("approach", approach, step, (n, joints))),
+            approach=np.sign(_broadcast("approach", approach, step, (n, joints))),
             last_step=step,
-            since_rest_s=_as_shape("since_rest_s", since_rest_s, np.inf, (n,)),
+            since_rest_s=_broadcast("since_rest_s", since_rest_s, np.inf, (n,)),
             time_s=times,
             air_c=air,
-            joints_c=_as_shape("joints_c", joints_c, air[:, None] + arm.rise, (n, joints)),
-            others=self._others(arm, {} if others is None else others, n, other_payloads),
+            joints_c=_broadcast("joints_c", joints_c, air[:, None] + arm.rise, (n, joints)),
+            others=self._other_postures(arm, {} if others is None else others, n, other_payloads),
             T_B_others=self._T_B_others(arm),
             mechanism=arm.mechanism,
             load=load,
         )
-        memories = [effect.remembered(situation) for effect in arm.effects]
-        posture, _ = self._settle(arm, situation, memories, NO_DEFLECTION, None)
-        return self._seen(arm, situation, posture)[0]
+        memories = [effect.assumed_memory(situation) for effect in arm.effects]
+        posture, _ = self._equilibrium(arm, situation, memories, NO_DEFLECTION, None)
+        return self._apparent_smr(arm, situation, posture)[0]
 
     def joint_temperatures_during(self, name: str, q: Array, time_s: Array) -> Array:
-        """Joint temperatures (n, N) [degC] of an arm that is cold at time 0 and stands at ``q`` (n, N) at ``time_s``.
+        """Return joint temperatures (n, N) [degC] of an arm, cold at time 0, that is at ``q`` (n, N) at times (n,).
 
-        It is as warm as if each joint had turned evenly from each stop to the next; times (n,) must not decrease.
+        Each joint rotates at constant speed from stop to stop; times must not decrease.
         """
         arm = self._arm(name)
         q, time_s = np.asarray(q, dtype=np.float64), np.asarray(time_s, dtype=np.float64)
         rise, found = np.zeros(arm.config.joints), np.empty_like(q)
         waits = np.diff(time_s, prepend=0.0)
-        ways = np.abs(np.diff(q, axis=0, prepend=q[:1]))
-        for k, (wait, way) in enumerate(zip(waits, ways, strict=True)):
-            speed = way / wait if wait > 0.0 else np.zeros_like(way)
+        travels = np.abs(np.diff(q, axis=0, prepend=q[:1]))
+        for k, (wait, distance) in enumerate(zip(waits, travels, strict=True)):
+            speed = distance / wait if wait > 0.0 else np.zeros_like(distance)
             rise = joint_rise(rise, speed, wait, self.config.holding_k)
             found[k] = rise
         return self._air.temperature_c(time_s)[:, None] + found
@@ -318,25 +325,25 @@ class Plant:
         return arm.q if arm.motion is None else arm.motion.position(np.array([self._clock_s]))[0]
 
     def q(self, name: str) -> Array:
-        """Joint positions that the controller of an arm reports now, (N,) [rad]: those of its drives."""
+        """Joint positions that the controller of an arm reports now, (N,) [rad], measured at the drives."""
         return self._q(self._arm(name)).copy()
 
     def moving(self, name: str) -> bool:
-        """Whether a motion of an arm is under way."""
+        """Whether an arm moves."""
         return self._arm(name).motion is not None
 
     def rest_s(self, name: str) -> float:
-        """When the arm comes, or came, to rest [s]."""
+        """When the arm comes or came to rest [s]."""
         arm = self._arm(name)
         return arm.rest_since_s if arm.motion is None else arm.motion.end_s
 
     def payload(self, name: str) -> tuple[float, Array]:
-        """Mass [kg] and centre (3,) [m] in the flange frame of what the arm carries."""
+        """Mass [kg] and centre (3,) [m] of the arm's load in the flange frame."""
         mechanism = self._arm(name).mechanism
         return mechanism.payload_mass, mechanism.payload_center.copy()
 
     def set_payload(self, name: str, mass: float, center: Array) -> None:
-        """Hang a load of ``mass`` [kg] on the flange, its centre at ``center`` (3,) [m] in the flange frame."""
+        """Set the arm's load: ``mass`` [kg] with its centre at ``center`` (3,) [m] in the flange frame."""
         arm = self._arm(name)
         load = np.array(center, dtype=np.float64)
         arm.mechanism = replace(arm.mechanism, payload_mass=float(mass), payload_center=load)
@@ -349,22 +356,25 @@ class Plant:
         goal = np.array(q, dtype=np.float64)
         arm.motion = travel(self._clock_s, arm.q, goal, speed, acceleration)
         if arm.motion is not None:
-            arm.miss = self.config.repeatability * arm.repeatability.standard_normal(arm.config.joints)
+            arm.stop_error = self.config.repeatability * arm.repeatability.standard_normal(arm.config.joints)
 
     def stop(self, name: str) -> None:
-        """Brake all joints of an arm as hard as they can; harmless at rest."""
+        """Brake all joints of an arm at their greatest acceleration; harmless at rest."""
         arm = self._arm(name)
         if arm.motion is None:
             return
         shortened = braked(arm.motion, self._clock_s, arm.config.acceleration)
-        self._arrive(arm, self._q(arm), self._clock_s)
+        self._end_motion(arm, self._q(arm), self._clock_s)
         arm.motion = shortened
 
     @staticmethod
-    def _arrive(arm: _Arm, q: Array, time_s: float) -> None:
-        """Take the motion so far into the arm's history."""
+    def _end_motion(arm: _Arm, q: Array, time_s: float) -> None:
+        """Update the arm's state and memories after a motion to ``q``."""
         step = q - arm.q
-        arm.memories = [effect.moved(memory, q[None]) for effect, memory in zip(arm.effects, arm.memories, strict=True)]
+        arm.memories = [
+            effect.memory_after_motion(memory, q[None])
+            for effect, memory in zip(arm.effects, arm.memories, strict=True)
+        ]
         arm.approach = np.where(step == 0.0, arm.approach, np.sign(step))
         arm.last_step = step
         arm.q = q
@@ -372,13 +382,13 @@ class Plant:
         arm.motion = None
 
     def advance(self, duration_s: float) -> None:
-        """Let time pass."""
+        """Advance the clock."""
         end_s = self._clock_s + duration_s
         if self.clearance is not None:
             ends = [arm.motion.end_s for arm in self._arms.values() if arm.motion is not None]
             if ends:
                 last = min(max(ends), end_s)
-                count = int(np.ceil((last - self._clock_s) / _WATCH_STEP_S)) + 1
+                count = int(np.ceil((last - self._clock_s) / _SAMPLE_S)) + 1
                 self._watch(np.linspace(self._clock_s, last, max(count, 2)))
         air_c = self.air_temperature_c
         for arm in self._arms.values():
@@ -389,26 +399,28 @@ class Plant:
                 arm.rise = joint_rise(arm.rise, mean, turning_s, self.config.holding_k)
                 resting_s -= turning_s
                 if arm.motion.end_s <= end_s:
-                    self._arrive(arm, arm.motion.q_to, arm.motion.end_s)
+                    self._end_motion(arm, arm.motion.q_to, arm.motion.end_s)
             arm.rise = joint_rise(arm.rise, np.zeros_like(arm.rise), resting_s, self.config.holding_k)
             mean_c = air_c + 0.5 * (cold + arm.rise)
             arm.memories = [
-                effect.warmed(memory, air_c, mean_c, duration_s)
+                effect.memory_after_time(memory, air_c, mean_c, duration_s)
                 for effect, memory in zip(arm.effects, arm.memories, strict=True)
             ]
         self._clock_s = end_s
 
     # -- tracker -----------------------------------------------------------------------------------------------------
 
-    def _live(self, arm: _Arm) -> tuple[Array, Array]:
-        """Where the tracker sees an arm's SMR now and the way that looks, (3,) each, in M."""
+    def _current_smr(self, arm: _Arm) -> tuple[Array, Array]:
+        """Return the current apparent position of an arm's SMR and its viewing direction, (3,) each, in M."""
         q = self._q(arm)[None]
         moving = arm.motion is not None
         memories, step, approach = arm.memories, arm.last_step, arm.approach
         if moving:
             step = q[0] - arm.q
             approach = np.where(step == 0.0, approach, np.sign(step))
-            memories = [effect.moved(memory, q) for effect, memory in zip(arm.effects, memories, strict=True)]
+            memories = [
+                effect.memory_after_motion(memory, q) for effect, memory in zip(arm.effects, memories, strict=True)
+            ]
         situation = Situation(
             q=q,
             approach=approach[None],
@@ -417,19 +429,21 @@ class Plant:
             time_s=np.array([self._clock_s]),
             air_c=np.array([self.air_temperature_c]),
             joints_c=(self.air_temperature_c + arm.rise)[None],
-            others=self._others(arm, {}, 1),
+            others=self._other_postures(arm, {}, 1),
             T_B_others=self._T_B_others(arm),
             mechanism=arm.mechanism,
         )
-        posture, arm.bent = self._settle(arm, situation, memories, arm.bent, arm.miss[None])
-        p_M, normal_M = self._seen(arm, situation, posture)
+        posture, arm.load_deflection = self._equilibrium(
+            arm, situation, memories, arm.load_deflection, arm.stop_error[None]
+        )
+        p_M, normal_M = self._apparent_smr(arm, situation, posture)
         return p_M[0], normal_M[0]
 
     def targets(self) -> list[Target]:
-        """The SMRs of all arms as the tracker could find them now."""
+        """Return the SMRs of all arms at the current time."""
         found = []
         for name, arm in self._arms.items():
-            p_M, normal_M = self._live(arm)
+            p_M, normal_M = self._current_smr(arm)
             why = why_hidden(self.config.tracker, p_M, normal_M, arm.config.smr_acceptance)
             found.append(Target(name, p_M, why, arm.motion is not None))
         return found
@@ -437,23 +451,23 @@ class Plant:
     def measure_positions(
         self, p_M: Array, rng: np.random.Generator | None = None, *, averaging_s: float | None = None
     ) -> tuple[Array, Array]:
-        """What the tracker reads (n, 3) of SMRs at ``p_M`` (n, 3) [m], and its covariance (n, 3, 3) [m^2].
+        """Return measured positions (n, 3) of SMRs at ``p_M`` (n, 3) [m] and their covariances (n, 3, 3) [m^2].
 
-        ``rng`` draws the noise, by default the cell's own; there is none where the configuration switches it off.
+        ``rng`` draws the noise, by default the cell's own stream; the configuration may switch noise off.
         """
         averaging_s = self.config.tracker.averaging_s if averaging_s is None else averaging_s
         p_M = np.asarray(p_M, dtype=np.float64)
-        read = p_M.copy()
+        measured = p_M.copy()
         if self.config.noise:
-            read += noise(self.config.tracker, p_M, averaging_s, self._noise if rng is None else rng)
-        return read, covariances(self.config.tracker, p_M, averaging_s)
+            measured += noise(self.config.tracker, p_M, averaging_s, self._noise if rng is None else rng)
+        return measured, covariances(self.config.tracker, p_M, averaging_s)
 
-    # -- witness -----------------------------------------------------------------------------------------------------
+    # -- collision monitor -------------------------------------------------------------------------------------------
 
     def _watch(self, times_s: Array) -> None:
-        """Look at all capsules at some times of the motions under way."""
-        seen = self.clearance
-        assert seen is not None
+        """Update ``clearance`` with all capsules at some times of the current motions."""
+        clearance = self.clearance
+        assert clearance is not None
         bodies = []
         for arm in self._arms.values():
             q = np.broadcast_to(arm.q, (len(times_s), arm.config.joints))
@@ -462,18 +476,11 @@ class Plant:
             ends = [carry(arm.T_C_B, end) for end in Posture(arm.mechanism, q, arm.gravity).segments()]
             radii = arm.mechanism.capsules.radii
             bodies.append((ends[0], ends[1], radii))
-            # what is bolted to the base cannot be kept off the floor
+            # capsules of the base itself may touch the floor
             free = arm.mechanism.capsules.frames > 0
             heights = np.minimum(ends[0], ends[1])[free, :, 2] - radii[free, None] - self.config.floor
-            seen.floor_m, seen.floor_time_s = _smaller(seen.floor_m, seen.floor_time_s, heights, times_s)
+            clearance.update_floor(heights, times_s)
         for i, (a, b, r) in enumerate(bodies):
             for c, d, s in bodies[i + 1 :]:
                 gaps = segment_distances(a[:, None], b[:, None], c[None], d[None]) - (r[:, None] + s)[..., None]
-                seen.arms_m, seen.arms_time_s = _smaller(seen.arms_m, seen.arms_time_s, gaps, times_s)
-
-
-def _smaller(best: float, when: float, distances: Array, times_s: Array) -> tuple[float, float]:
-    """The smallest of ``distances`` (..., n) and its time, if smaller than ``best``."""
-    each = distances.reshape(-1, len(times_s)).min(axis=0, initial=np.inf)
-    k = int(np.argmin(each))
-    return (float(each[k]), float(times_s[k])) if each[k] < best else (best, when)
+                clearance.update_arms(gaps, times_s)

@@ -1,7 +1,7 @@
-"""Realistic parameters of hidden effects, drawn at random, so that blind trials can be made of them.
+"""Random, realistic parameters of hidden effects, for blind trials.
 
-Sizes are those that strain-wave drives, encoders, pedestals and trackers of this class are given in catalogues or
-estimated to have, for an arm with the reach and weight of a UR10; for other arms they are scaled by torque or length.
+Sizes are from catalogues or estimates of strain-wave drives, encoders, pedestals and trackers of this class, for an arm
+with the reach and weight of a UR10; for other arms they are scaled by torque or length.
 """
 
 from __future__ import annotations
@@ -21,40 +21,43 @@ _UR10_REACH_M = 1.39
 
 
 @dataclass(frozen=True, eq=False)
-class _Cell:
-    """What sizes depend on: the random stream, the arm, how long the run lasts [s], the arm's torques and reach."""
+class _Draw:
+    """Random draws for one effect, and what their sizes depend on: arm, duration of the run [s], torques, reach."""
 
     rng: np.random.Generator
     arm: ArmConfig
     duration_s: float
-    torques: Array  # (N,) the largest of gravity on each joint of the unloaded arm [Nm]
-    reach: float  # longest way from joint 1 to the SMR [m], roughly
+    torques: Array  # (N,) largest gravity torque on each joint of the unloaded arm [Nm]
+    reach: float  # greatest distance of the SMR from joint 1 [m], approximately
 
-    def between(self, low: float, high: float) -> float:
+    def uniform(self, low: float, high: float) -> float:
+        """Draw between two numbers."""
         return float(self.rng.uniform(low, high))
 
-    def about(self, low: float, high: float) -> float:
-        """Between two positive sizes, evenly in the logarithm."""
+    def log_uniform(self, low: float, high: float) -> float:
+        """Draw between two positive sizes, uniform in the logarithm."""
         return float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
 
-    def either(self, low: float, high: float) -> float:
-        """As ``about``, of either sign."""
-        return float(self.rng.choice([-1.0, 1.0])) * self.about(low, high)
+    def signed_log_uniform(self, low: float, high: float) -> float:
+        """Like ``log_uniform``, with a random sign."""
+        return float(self.rng.choice([-1.0, 1.0])) * self.log_uniform(low, high)
 
     def angle(self) -> float:
-        return self.between(0.0, 2.0 * np.pi)
+        """Draw a phase [rad]."""
+        return self.uniform(0.0, 2.0 * np.pi)
 
     def angles(self, count: int) -> list[float]:
+        """Draw phases [rad]."""
         return [self.angle() for _ in range(count)]
 
-    def vector(self, low: float, high: float) -> list[float]:
-        """In any direction, its length between two."""
-        way = self.rng.standard_normal(3)
-        found: list[float] = (way / np.linalg.norm(way) * self.about(low, high)).tolist()
+    def random_vector(self, low: float, high: float) -> list[float]:
+        """Draw a vector of random direction with a length between two sizes."""
+        direction = self.rng.standard_normal(3)
+        found: list[float] = (direction / np.linalg.norm(direction) * self.log_uniform(low, high)).tolist()
         return found
 
     def some_joints(self) -> list[int]:
-        """Two to four joints, counted from 1; at least two of those with long lever arms, if the arm has as many."""
+        """Draw two to four joints, counted from 1; at least two of the first three, which have long lever arms."""
         joints = self.arm.joints
         long = min(joints, 3)
         count = min(int(self.rng.integers(2, 5)), joints)
@@ -63,254 +66,264 @@ class _Cell:
         chosen = np.concatenate([first, rest])[:count] + 1
         return sorted(int(joint) for joint in chosen)
 
-    def each(self, low: float, high: float) -> list[float]:
-        return [self.about(low, high) for _ in range(self.arm.joints)]
+    def per_joint(self, low: float, high: float) -> list[float]:
+        """Draw a size for each joint, uniform in the logarithm."""
+        return [self.log_uniform(low, high) for _ in range(self.arm.joints)]
 
 
-def _drive_stiffness(cell: _Cell) -> list[float]:
-    """Drives are chosen for the torque they bear: under the largest they wind up by 1 to 2.2 mrad.
+def _drive_stiffness(draw: _Draw) -> list[float]:
+    """Draw stiffnesses for drives dimensioned by torque: wind-up of 1 to 2.2 mrad under the largest torque.
 
-    UR10, shoulder: 5.5e4 to 1.2e5 Nm/rad. Wrist drives are larger than their torque asks for.
+    UR10, shoulder: 5.5e4 to 1.2e5 Nm/rad. Wrist drives are larger than their torque requires.
     """
-    borne = np.maximum(cell.torques, 0.15 * cell.torques.max())
-    borne[0] = max(borne[0], cell.torques.max())
-    windup = cell.about(1.0e-3, 2.2e-3) * np.exp(0.2 * cell.rng.standard_normal(cell.arm.joints))
-    found: list[float] = (borne / windup).tolist()
+    design_torque = np.maximum(draw.torques, 0.15 * draw.torques.max())
+    design_torque[0] = max(design_torque[0], draw.torques.max())
+    windup = draw.log_uniform(1.0e-3, 2.2e-3) * np.exp(0.2 * draw.rng.standard_normal(draw.arm.joints))
+    found: list[float] = (design_torque / windup).tolist()
     return found
 
 
-def _joint_compliance(cell: _Cell) -> dict[str, Any]:
-    stiffness = _drive_stiffness(cell)
-    if cell.rng.random() < 0.7:
+def _joint_compliance(draw: _Draw) -> dict[str, Any]:
+    stiffness = _drive_stiffness(draw)
+    if draw.rng.random() < 0.7:
         return {"stiffness": stiffness}
-    knee = np.maximum(cell.between(0.15, 0.45) * cell.torques, 0.5)
+    knee = np.maximum(draw.uniform(0.15, 0.45) * draw.torques, 0.5)
     return {
         "stiffness": stiffness,
-        "soft_stiffness": (cell.between(0.65, 0.85) * np.array(stiffness)).tolist(),
+        "soft_stiffness": (draw.uniform(0.65, 0.85) * np.array(stiffness)).tolist(),
         "knee": knee.tolist(),
     }
 
 
-def _payload_compliance(cell: _Cell) -> dict[str, Any]:
-    return {"stiffness": _drive_stiffness(cell)}
+def _payload_compliance(draw: _Draw) -> dict[str, Any]:
+    return {"stiffness": _drive_stiffness(draw)}
 
 
-def _link_bending(cell: _Cell) -> dict[str, Any]:
-    lengths = np.hypot(cell.arm.rows[:, 1], cell.arm.rows[:, 2])
+def _link_bending(draw: _Draw) -> dict[str, Any]:
+    lengths = np.hypot(draw.arm.rows[:, 1], draw.arm.rows[:, 2])
     links = sorted(int(i) + 1 for i in np.argsort(lengths)[::-1][:2])
-    size = cell.reach / _UR10_REACH_M
-    bending = [1e5 * size * cell.about(0.7, 1.5) for _ in links]
-    return {"links": links, "bending": bending, "torsion": [0.77 * each for each in bending]}
+    size = draw.reach / _UR10_REACH_M
+    bending = [1e5 * size * draw.log_uniform(0.7, 1.5) for _ in links]
+    return {"links": links, "bending": bending, "torsion": [0.77 * value for value in bending]}
 
 
-def _transmission_error(cell: _Cell) -> dict[str, Any]:
-    joints = cell.some_joints()
+def _transmission_error(draw: _Draw) -> dict[str, Any]:
+    joints = draw.some_joints()
     count = len(joints)
-    if cell.rng.random() < 0.4:
+    if draw.rng.random() < 0.4:
         return {
             "mode": "curve",
             "joints": joints,
-            "rms": [cell.about(20e-6, 200e-6) for _ in joints],
-            "seed": int(cell.rng.integers(2**31)),
-            "lowest": int(cell.rng.integers(4, 8)),
-            "highest": int(cell.rng.integers(30, 46)),
+            "rms": [draw.log_uniform(20e-6, 200e-6) for _ in joints],
+            "seed": int(draw.rng.integers(2**31)),
+            "lowest": int(draw.rng.integers(4, 8)),
+            "highest": int(draw.rng.integers(30, 46)),
         }
-    which = cell.rng.choice(["output", "generator", "both"])
-    ratio = float(cell.rng.choice([80.0, 100.0, 101.0, 120.0, 160.0]))
-    off = np.zeros(count)
-    once = off if which == "output" else ratio * np.array([cell.about(15e-6, 60e-6) for _ in joints])
-    twice = off if which == "output" else np.array([cell.about(15e-6, 60e-6) for _ in joints])
-    output = off if which == "generator" else np.array([cell.about(20e-6, 60e-6) for _ in joints])
+    which = draw.rng.choice(["output", "generator", "both"])
+    ratio = float(draw.rng.choice([80.0, 100.0, 101.0, 120.0, 160.0]))
+    zero = np.zeros(count)
+    one_cycle = zero if which == "output" else ratio * np.array([draw.log_uniform(15e-6, 60e-6) for _ in joints])
+    two_cycles = zero if which == "output" else np.array([draw.log_uniform(15e-6, 60e-6) for _ in joints])
+    output = zero if which == "generator" else np.array([draw.log_uniform(20e-6, 60e-6) for _ in joints])
     return {
         "mode": "lines",
         "joints": joints,
         "ratio": [ratio] * count,
-        "eccentric": once.tolist(),
-        "eccentric_phase": cell.angles(count),
-        "coupling_slant": (2.0 * np.arctan(np.sqrt(ratio * twice))).tolist(),
-        "coupling_phase": cell.angles(count),
+        "eccentric": one_cycle.tolist(),
+        "eccentric_phase": draw.angles(count),
+        "coupling_slant": (2.0 * np.arctan(np.sqrt(ratio * two_cycles))).tolist(),
+        "coupling_phase": draw.angles(count),
         "output_slant": (2.0 * np.arctan(np.sqrt(output))).tolist(),
-        "output_phase": cell.angles(count),
+        "output_phase": draw.angles(count),
     }
 
 
-def _encoder_eccentricity(cell: _Cell) -> dict[str, Any]:
-    joints = cell.some_joints()
+def _encoder_eccentricity(draw: _Draw) -> dict[str, Any]:
+    joints = draw.some_joints()
     return {
         "joints": joints,
-        "eccentricity": [cell.about(1e-6, 3e-6) for _ in joints],
+        "eccentricity": [draw.log_uniform(1e-6, 3e-6) for _ in joints],
         "radius": [0.025] * len(joints),
-        "phase": cell.angles(len(joints)),
+        "phase": draw.angles(len(joints)),
     }
 
 
-def _backlash(cell: _Cell) -> dict[str, Any]:
-    values: dict[str, Any] = {"play": cell.each(50e-6, 140e-6)}
-    if cell.rng.random() < 0.3:
-        values["reach"] = [cell.about(0.05, 0.4)] * cell.arm.joints
+def _backlash(draw: _Draw) -> dict[str, Any]:
+    values: dict[str, Any] = {"play": draw.per_joint(50e-6, 140e-6)}
+    if draw.rng.random() < 0.3:
+        values["reach"] = [draw.log_uniform(0.05, 0.4)] * draw.arm.joints
     return values
 
 
-def _friction_windup(cell: _Cell) -> dict[str, Any]:
-    stiffness = np.array(_drive_stiffness(cell))
+def _friction_windup(draw: _Draw) -> dict[str, Any]:
+    stiffness = np.array(_drive_stiffness(draw))
     # about 5 Nm and 5 % of the load at a shoulder of 122 Nm
-    friction = [5.0 * cell.about(0.5, 1.5) * each / 8e4 for each in stiffness]
+    friction = [5.0 * draw.log_uniform(0.5, 1.5) * value / 8e4 for value in stiffness]
     return {
         "friction": friction,
-        "load_friction": cell.each(0.03, 0.1),
+        "load_friction": draw.per_joint(0.03, 0.1),
         "stiffness": stiffness.tolist(),
     }
 
 
-def _unsettled_measurement(cell: _Cell) -> dict[str, Any]:
+def _unsettled_measurement(draw: _Draw) -> dict[str, Any]:
     return {
-        "fraction": cell.each(6e-5, 1.6e-4),
-        "time_constant": [cell.about(2.0, 8.0)] * cell.arm.joints,
+        "fraction": draw.per_joint(6e-5, 1.6e-4),
+        "time_constant": [draw.log_uniform(2.0, 8.0)] * draw.arm.joints,
     }
 
 
-def _joint_axis_wobble(cell: _Cell) -> dict[str, Any]:
-    joints = cell.some_joints()
-    radius = 0.06 * cell.reach / _UR10_REACH_M
-    two = [cell.about(20e-6, 50e-6) * radius / tilt_of_two_lobes() for _ in joints]
+def _joint_axis_wobble(draw: _Draw) -> dict[str, Any]:
+    joints = draw.some_joints()
+    radius = 0.06 * draw.reach / _UR10_REACH_M
+    two = [draw.log_uniform(20e-6, 50e-6) * radius / tilt_of_two_lobes() for _ in joints]
     return {
         "joints": joints,
         "radius": [radius] * len(joints),
         "two_lobes": two,
-        "three_lobes": [cell.between(0.0, 0.25) * each for each in two],
-        "phase": cell.angles(len(joints)),
+        "three_lobes": [draw.uniform(0.0, 0.25) * value for value in two],
+        "phase": draw.angles(len(joints)),
     }
 
 
-def _thermal_growth(cell: _Cell) -> dict[str, Any]:
+def _thermal_growth(draw: _Draw) -> dict[str, Any]:
     return {
-        "expansion": cell.between(20e-6, 25e-6),
-        "share": cell.between(0.6, 1.0),
-        "lag": cell.about(300.0, 1800.0),
-        "motor": cell.between(0.5e-6, 2.5e-6) * cell.reach / _UR10_REACH_M,
+        "expansion": draw.uniform(20e-6, 25e-6),
+        "share": draw.uniform(0.6, 1.0),
+        "lag": draw.log_uniform(300.0, 1800.0),
+        "motor": draw.uniform(0.5e-6, 2.5e-6) * draw.reach / _UR10_REACH_M,
     }
 
 
-def _joint_drift(cell: _Cell) -> dict[str, Any]:
-    drift = [cell.either(30e-6, 80e-6) for _ in range(cell.arm.joints)]
-    return {"drift": drift, "time_constant": [cell.between(0.12, 0.4) * cell.duration_s] * cell.arm.joints}
+def _joint_drift(draw: _Draw) -> dict[str, Any]:
+    drift = [draw.signed_log_uniform(30e-6, 80e-6) for _ in range(draw.arm.joints)]
+    return {"drift": drift, "time_constant": [draw.uniform(0.12, 0.4) * draw.duration_s] * draw.arm.joints}
 
 
-def _course(cell: _Cell) -> tuple[str, float, float]:
-    """Law, its time, and how far it has gone when the run is over."""
-    law = str(cell.rng.choice(["linear", "exponential", "creep"]))
+def _course(draw: _Draw) -> tuple[str, float, float]:
+    """Draw a law and its time; also return the share of the drift that is reached at the end of the run."""
+    law = str(draw.rng.choice(["linear", "exponential", "creep"]))
     if law == "linear":
-        return law, cell.duration_s, 1.0
+        return law, draw.duration_s, 1.0
     if law == "exponential":
-        time = cell.between(0.12, 0.4) * cell.duration_s
-        return law, time, float(-np.expm1(-cell.duration_s / time))
-    time = cell.about(0.03, 0.15) * cell.duration_s
-    return law, time, float(np.log1p(cell.duration_s / time))
+        time = draw.uniform(0.12, 0.4) * draw.duration_s
+        return law, time, float(-np.expm1(-draw.duration_s / time))
+    time = draw.log_uniform(0.03, 0.15) * draw.duration_s
+    return law, time, float(np.log1p(draw.duration_s / time))
 
 
-def _drift(cell: _Cell, turn: tuple[float, float]) -> dict[str, Any]:
-    law, time, gone = _course(cell)
+def _drift(draw: _Draw, turn: tuple[float, float]) -> dict[str, Any]:
+    law, time, at_end = _course(draw)
     return {
-        "shift": [each / gone for each in cell.vector(30e-6, 80e-6)],
-        "turn": [each / gone for each in cell.vector(*turn)],
+        "shift": [value / at_end for value in draw.random_vector(30e-6, 80e-6)],
+        "turn": [value / at_end for value in draw.random_vector(*turn)],
         "law": law,
         "time": time,
     }
 
 
-def _base_drift(cell: _Cell) -> dict[str, Any]:
-    return _drift(cell, (30e-6, 80e-6))
+def _base_drift(draw: _Draw) -> dict[str, Any]:
+    return _drift(draw, (30e-6, 80e-6))
 
 
-def _tracker_drift(cell: _Cell) -> dict[str, Any]:
-    return _drift(cell, (8e-6, 25e-6))
+def _tracker_drift(draw: _Draw) -> dict[str, Any]:
+    return _drift(draw, (8e-6, 25e-6))
 
 
-def _base_step(cell: _Cell) -> dict[str, Any]:
+def _base_step(draw: _Draw) -> dict[str, Any]:
     return {
-        "shift": cell.vector(20e-6, 60e-6),
-        "turn": cell.vector(20e-6, 60e-6),
-        "time": cell.between(0.2, 0.8) * cell.duration_s,
+        "shift": draw.random_vector(20e-6, 60e-6),
+        "turn": draw.random_vector(20e-6, 60e-6),
+        "time": draw.uniform(0.2, 0.8) * draw.duration_s,
     }
 
 
-def _target_slip(cell: _Cell) -> dict[str, Any]:
-    return {"shift": cell.vector(40e-6, 150e-6), "time": cell.between(0.2, 0.8) * cell.duration_s}
+def _target_slip(draw: _Draw) -> dict[str, Any]:
+    return {"shift": draw.random_vector(40e-6, 150e-6), "time": draw.uniform(0.2, 0.8) * draw.duration_s}
 
 
-def _pedestal_compliance(cell: _Cell) -> dict[str, Any]:
-    stiffness = cell.torques.max() / cell.about(45e-6, 90e-6)
+def _pedestal_compliance(draw: _Draw) -> dict[str, Any]:
+    stiffness = draw.torques.max() / draw.log_uniform(45e-6, 90e-6)
     return {
-        "height": cell.between(0.4, 1.0),
-        "bending": [float(stiffness * cell.between(0.85, 1.2)) for _ in range(2)],
+        "height": draw.uniform(0.4, 1.0),
+        "bending": [float(stiffness * draw.uniform(0.85, 1.2)) for _ in range(2)],
         "torsion": float(1.5 * stiffness),
     }
 
 
-def _pedestal_coupling(cell: _Cell) -> dict[str, Any]:
-    bending = cell.about(1.3e6, 3e6)
-    return {"bending": bending, "torsion": bending * cell.between(0.6, 1.2), "depth": cell.between(0.2, 0.8)}
+def _pedestal_coupling(draw: _Draw) -> dict[str, Any]:
+    bending = draw.log_uniform(1.3e6, 3e6)
+    return {"bending": bending, "torsion": bending * draw.uniform(0.6, 1.2), "depth": draw.uniform(0.2, 0.8)}
 
 
-def _tracker_scale(cell: _Cell) -> dict[str, Any]:
-    return {"ppm": cell.either(2.0, 10.0)}
+def _tracker_scale(draw: _Draw) -> dict[str, Any]:
+    return {"ppm": draw.signed_log_uniform(2.0, 10.0)}
 
 
-def _tracker_angle_error(cell: _Cell) -> dict[str, Any]:
+def _tracker_angle_error(draw: _Draw) -> dict[str, Any]:
     def circle() -> list[float]:
         # second order s^2 / 4
-        return [cell.about(8e-6, 20e-6), cell.angle(), 2.0 * float(np.sqrt(cell.about(6e-6, 20e-6))), cell.angle()]
+        return [
+            draw.log_uniform(8e-6, 20e-6),
+            draw.angle(),
+            2.0 * float(np.sqrt(draw.log_uniform(6e-6, 20e-6))),
+            draw.angle(),
+        ]
 
-    return {"azimuth": circle(), "elevation": circle(), "transit": cell.either(5e-6, 15e-6)}
+    return {"azimuth": circle(), "elevation": circle(), "transit": draw.signed_log_uniform(5e-6, 15e-6)}
 
 
-def _tracker_distance_offset(cell: _Cell) -> dict[str, Any]:
-    return {"offset": cell.either(8e-6, 30e-6)}
+def _tracker_distance_offset(draw: _Draw) -> dict[str, Any]:
+    return {"offset": draw.signed_log_uniform(8e-6, 30e-6)}
 
 
-def _target_incidence(cell: _Cell) -> dict[str, Any]:
-    # a plate so thick that the error is this large where the reflector just still answers
-    index, cosine = 1.51, np.cos(cell.arm.smr_acceptance)
+def _target_incidence(draw: _Draw) -> dict[str, Any]:
+    # thickness such that the error has this size at the largest incidence that the reflector accepts
+    index, cosine = 1.51, np.cos(draw.arm.smr_acceptance)
     path = np.sqrt(index**2 - 1.0 + cosine**2) - cosine - (index - 1.0)
-    thickness = cell.about(30e-6, 70e-6) / max(float(path), 0.01)
-    return {"thickness": thickness, "index": index, "dihedral": cell.either(1e-6, 3e-6)}
+    thickness = draw.log_uniform(30e-6, 70e-6) / max(float(path), 0.01)
+    return {"thickness": thickness, "index": index, "dihedral": draw.signed_log_uniform(1e-6, 3e-6)}
 
 
-def _dress_pack(cell: _Cell) -> dict[str, Any]:
-    mix = cell.between(0.4, 1.2)
+def _dress_pack(draw: _Draw) -> dict[str, Any]:
+    mix = draw.uniform(0.4, 1.2)
     return {
-        "torque": cell.either(4.0, 9.0) * cell.torques.max() / 122.0,
-        "stiffness": 8e4 * cell.torques.max() / 122.0,
+        "torque": draw.signed_log_uniform(4.0, 9.0) * draw.torques.max() / 122.0,
+        "stiffness": 8e4 * draw.torques.max() / 122.0,
         "first": 1.0,
-        "second": float(cell.rng.choice([-1.0, 1.0])) * mix,
-        "centre": cell.between(-0.8, 0.8),
-        "width": cell.between(0.3, 0.9),
+        "second": float(draw.rng.choice([-1.0, 1.0])) * mix,
+        "centre": draw.uniform(-0.8, 0.8),
+        "width": draw.uniform(0.3, 0.9),
     }
 
 
-def _crosstalk(cell: _Cell) -> dict[str, Any]:
-    return {"amplitude": cell.either(150e-6, 350e-6), "phase": cell.angle()}
+def _crosstalk(draw: _Draw) -> dict[str, Any]:
+    return {"amplitude": draw.signed_log_uniform(150e-6, 350e-6), "phase": draw.angle()}
 
 
-def _base_sway(cell: _Cell) -> dict[str, Any]:
-    shift = cell.vector(30e-6, 70e-6)
-    return {"shift": shift, "period": cell.between(1500.0, 4500.0), "phase": cell.angle()}
+def _base_sway(draw: _Draw) -> dict[str, Any]:
+    shift = draw.random_vector(30e-6, 70e-6)
+    return {"shift": shift, "period": draw.uniform(1500.0, 4500.0), "phase": draw.angle()}
 
 
-def _tool_sag(cell: _Cell) -> dict[str, Any]:
-    return {"shift": cell.vector(60e-6, 140e-6)}
+def _tool_sag(draw: _Draw) -> dict[str, Any]:
+    return {"shift": draw.random_vector(60e-6, 140e-6)}
 
 
-def _wrist_cable(cell: _Cell) -> dict[str, Any]:
-    lever = max(float(np.hypot(*cell.arm.smr_offset[:2])), 0.02)
-    return {"amplitude": cell.either(40e-6, 90e-6) / lever, "phase": cell.angle()}
+def _wrist_cable(draw: _Draw) -> dict[str, Any]:
+    lever = max(float(np.hypot(*draw.arm.smr_offset[:2])), 0.02)
+    return {"amplitude": draw.signed_log_uniform(40e-6, 90e-6) / lever, "phase": draw.angle()}
 
 
-def _draught(cell: _Cell) -> dict[str, Any]:
-    return {"angle": cell.either(9e-6, 20e-6), "period": cell.between(1200.0, 3600.0), "phase": cell.angle()}
+def _draught(draw: _Draw) -> dict[str, Any]:
+    return {
+        "angle": draw.signed_log_uniform(9e-6, 20e-6),
+        "period": draw.uniform(1200.0, 3600.0),
+        "phase": draw.angle(),
+    }
 
 
-_KNOWN: dict[str, Callable[[_Cell], dict[str, Any]]] = {
+_CATALOGUED: dict[str, Callable[[_Draw], dict[str, Any]]] = {
     "joint_compliance": _joint_compliance,
     "payload_compliance": _payload_compliance,
     "link_bending": _link_bending,
@@ -333,7 +346,7 @@ _KNOWN: dict[str, Callable[[_Cell], dict[str, Any]]] = {
     "target_incidence": _target_incidence,
     "tracker_drift": _tracker_drift,
 }
-_PECULIAR: dict[str, Callable[[_Cell], dict[str, Any]]] = {
+_UNCATALOGUED: dict[str, Callable[[_Draw], dict[str, Any]]] = {
     "dress_pack": _dress_pack,
     "crosstalk": _crosstalk,
     "base_sway": _base_sway,
@@ -342,15 +355,15 @@ _PECULIAR: dict[str, Callable[[_Cell], dict[str, Any]]] = {
     "draught": _draught,
 }
 
-REALISTIC: tuple[str, ...] = tuple(_KNOWN)
+REALISTIC: tuple[str, ...] = tuple(_CATALOGUED)
 """Effects that robots, trackers and pedestals are known to have."""
 
-OUTSIDE: tuple[str, ...] = tuple(_PECULIAR)
-"""Laws that no catalogue of them holds."""
+OUTSIDE: tuple[str, ...] = tuple(_UNCATALOGUED)
+"""Effects outside that catalogue."""
 
 
 def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: float = 18000.0) -> dict[str, Any]:
-    """Parameters of one effect at a realistic size, as ``ArmConfig.effects`` takes them: numbers, words and lists.
+    """Draw parameters of one effect at a realistic size, in the form of ``ArmConfig.effects``.
 
     Parameters
     ----------
@@ -359,18 +372,18 @@ def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: flo
     rng : numpy.random.Generator
         Draws joints, signs, phases, sizes and onsets; the same state gives the same parameters.
     arm : ArmConfig
-        Whose reach, weight and SMR scale the sizes.
+        Its reach, weight and SMR scale the sizes.
     duration_s : float
-        How long the run lasts [s]: onsets and time constants lie within it.
+        Duration of the run [s]; onsets and time constants lie within it.
 
     Raises ``ValueError`` for a slug that does not exist or a duration that is not positive.
     """
-    makers = _KNOWN | _PECULIAR
-    if slug not in makers:
-        raise ValueError(f"there is no effect '{slug}'; effects are {', '.join(sorted(makers))}")
+    factories = _CATALOGUED | _UNCATALOGUED
+    if slug not in factories:
+        raise ValueError(f"unknown effect '{slug}'; effects are {', '.join(sorted(factories))}")
     if not 0.0 < duration_s < np.inf:
         raise ValueError(f"duration_s must be a positive time, not {duration_s:g}")
     poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, arm.joints))
     torques = np.maximum(np.abs(gravity_torques(arm, poses)).max(axis=0), 1e-3)
     reach = float(np.hypot(arm.rows[:, 1], arm.rows[:, 2])[1:].sum())
-    return makers[slug](_Cell(rng, arm, float(duration_s), torques, reach))
+    return factories[slug](_Draw(rng, arm, float(duration_s), torques, reach))

@@ -1,4 +1,4 @@
-"""What a sensor of the surroundings must do."""
+"""Interface of an air sensor."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class AirReading:
-    """The air at one moment; None where the sensor does not measure it.
+    """State of the air at one moment; None: not measured.
 
     Attributes
     ----------
     time_s : float
-        When it was read, on the clock of the driver [s]: the plant's in simulation, else this computer's monotonic one.
+        Time of the reading on the driver's clock [s]: the plant's in simulation, otherwise ``time.monotonic``.
     temperature_c : float
         Temperature [degC].
     pressure_hpa : float or None
@@ -21,9 +21,9 @@ class AirReading:
     humidity_percent : float or None
         Relative humidity [%].
     object_temperature_c : float or None
-        Temperature of what a contact probe of the same station is fixed to [degC].
+        Temperature of an object, from a contact probe of the same station [degC].
     age_s : float
-        How long ago it was read when it was handed over [s].
+        Age of the reading when it was returned [s].
     """
 
     time_s: float
@@ -34,7 +34,7 @@ class AirReading:
     age_s: float = 0.0
 
     def __str__(self) -> str:
-        """For eyes: "air 21.4 degC, 1013.2 hPa, 38 %, object 22.0 degC, 3 s old"."""
+        """Format for people: "air 21.4 degC, 1013.2 hPa, 38 %, object 22.0 degC, 3 s old"."""
         parts = [f"air {self.temperature_c:.1f} degC"]
         if self.pressure_hpa is not None:
             parts.append(f"{self.pressure_hpa:.1f} hPa")
@@ -46,15 +46,15 @@ class AirReading:
 
 
 class SensorError(Exception):
-    """Base of all that a sensor can refuse or suffer."""
+    """Base of all errors of a sensor."""
 
 
 class SensorLinkLost(SensorError):
-    """The sensor no longer answers, or answers what is no reading."""
+    """The sensor does not answer, or its answers are not readings."""
 
 
 class StaleReading(SensorLinkLost):
-    """There is a reading, but it is too old to stand for the air now."""
+    """The newest reading is too old to represent the current air."""
 
 
 class AirSensor(Protocol):
@@ -64,7 +64,7 @@ class AirSensor(Protocol):
         """Open the link. Raises ``SensorLinkLost``."""
 
     def read(self) -> AirReading:
-        """The air now; never an old value: raises ``SensorLinkLost`` or ``StaleReading`` instead."""
+        """Return the current air, never an old value. Raises ``SensorLinkLost`` or ``StaleReading``."""
 
     def disconnect(self) -> None:
         """Close the link; harmless when closed."""

@@ -1,7 +1,7 @@
-"""A weather station on a serial line, a serial server or a socket: whatever pyserial can open, line by line.
+"""Driver of a weather station that sends lines over any pyserial URL (serial port, serial server, socket).
 
-One thread listens as long as the station is connected, so that every line is dated when it comes and not when somebody
-asks; it opens a lost link again by itself. Who asks gets the newest reading with its age, or a refusal with the cause.
+A thread reads while the station is connected, so that every line gets the time of its arrival; it reopens a lost link.
+``read`` returns the newest reading with its age, or raises an error with the cause.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import serial
 from drivers.sensors.protocol import AirReading, SensorLinkLost, StaleReading
 
 FIELDS = ("temperature", "pressure", "humidity", "object_temperature")
-"""What the named groups of a pattern may be called, each also with ``_unit`` behind it."""
+"""Allowed names of the groups in a pattern, each also with the suffix ``_unit``."""
 LONGEST_LINE = 512
 
-_TURN_S = 0.1
+_READ_TIMEOUT_S = 0.1
 _REOPEN_S = 2.0
 _JOIN_S = 5.0
 _LINE_END = re.compile(rb"[\r\n]+")
@@ -30,7 +30,7 @@ _PARITIES = {"N": serial.PARITY_NONE, "E": serial.PARITY_EVEN, "O": serial.PARIT
 _STOPS = {"1": serial.STOPBITS_ONE, "2": serial.STOPBITS_TWO}
 _FRAMING = re.compile(r"([5-8])([NEO])([12])")
 
-# Factor and offset into degC, hPa and %; what a unit is called, without blanks, quotes, degree signs and capitals.
+# Factor and offset to degC, hPa and %. Names of units without blanks, quotes, degree signs and capitals.
 _TEMPERATURES = {"c": (1.0, 0.0), "degc": (1.0, 0.0), "f": (5 / 9, -160 / 9), "degf": (5 / 9, -160 / 9),
                  "k": (1.0, -273.15)}  # fmt: skip
 _PRESSURES = {
@@ -53,8 +53,8 @@ _UNITS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "pressure": _PRESSURES,
     "humidity": _HUMIDITIES,
 }
-_USUAL = {"temperature": "degC", "object_temperature": "degC", "pressure": "hPa", "humidity": "%"}
-# Narrow on purpose: 293 K, 68 degF, 1.013 bar or 29.9 inHg, taken for degC and hPa, fall outside.
+_DEFAULT_UNITS = {"temperature": "degC", "object_temperature": "degC", "pressure": "hPa", "humidity": "%"}
+# Narrow on purpose: 293 K, 68 degF, 1.013 bar or 29.9 inHg misread as degC and hPa fall outside.
 _PLAUSIBLE = {
     "temperature": (-10.0, 50.0),
     "object_temperature": (-10.0, 60.0),
@@ -62,24 +62,24 @@ _PLAUSIBLE = {
     "humidity": (0.0, 100.0),
 }
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
-_NO_PART_OF_A_UNIT = re.compile(r"[\s'’°º�]")
+_NOT_IN_UNIT = re.compile(r"[\s'’°º�]")
 
 
 @dataclass(frozen=True)
 class LineFormat:
-    """How a station writes a reading, and how it is asked for one.
+    """Format of a station's lines, and how to request one.
 
     Attributes
     ----------
     pattern : str
-        Regular expression that must fit a whole line, its groups named as ``FIELDS``; ``temperature`` must be one. A
-        group such as ``pressure_unit`` catches the unit that the line names, which is then obeyed.
+        Regular expression that matches a whole line, with groups named as in ``FIELDS``; ``temperature`` is required.
+        A group such as ``pressure_unit`` takes the unit from the line.
     units : mapping of str to str
-        Unit of each field whose line names none; left out: degC, hPa, %.
+        Unit of each field if the line contains none; default: degC, hPa, %.
     poll : bytes
-        What is sent to get a line; empty for a station that sends by itself.
+        Bytes that request a line; empty for a station that sends unasked.
     baud, framing : int, str
-        What such stations use when delivered, framing as in "8N1".
+        Factory settings of such stations, framing as in "8N1".
     """
 
     pattern: str
@@ -92,20 +92,20 @@ class LineFormat:
         try:
             groups = re.compile(self.pattern).groupindex
         except re.error as error:
-            raise ValueError(f"pattern: no regular expression: {error}") from None
+            raise ValueError(f"pattern: not a regular expression: {error}") from None
         known = {*FIELDS, *(f"{name}_unit" for name in FIELDS)}
         if "temperature" not in groups or not known.issuperset(groups):
             raise ValueError(f"pattern: needs (?P<temperature>...), and may have {', '.join(sorted(known))}")
         for name, unit in self.units.items():
-            if name not in FIELDS or _bare(unit) not in _UNITS[name]:
+            if name not in FIELDS or _normalised(unit) not in _UNITS[name]:
                 raise ValueError(f"units: '{name}: {unit}' is not known; for {name} use one of {_choices(name)}")
 
 
 _VALUE = r"[-+]?[ ]*\d+\.?\d*"
 PRESETS: Mapping[str, LineFormat] = MappingProxyType(
     {
-        # "P= 1013.2 hPa T= 31.1 'C RH= 38.3 %RH", the quantities in any order, after the prompt; whatever else it
-        # prints (P1=, dew point) is passed over. A star in place of a figure does not fit.
+        # "P= 1013.2 hPa T= 31.1 'C RH= 38.3 %RH", the quantities in any order, after the prompt; other output (P1=, dew
+        # point) is skipped. A star in place of a number does not match.
         "vaisala-ptu300": LineFormat(
             pattern=(
                 rf"(?=(?:.*[\s>])?T=\s*(?P<temperature>{_VALUE})\s*(?P<temperature_unit>'?[CFK])(?:\s|$))"
@@ -121,25 +121,25 @@ PRESETS: Mapping[str, LineFormat] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class _Heard:
-    """A reading and when its line came."""
+class _DatedReading:
+    """A reading and the arrival time of its line."""
 
     values: Mapping[str, float]
     at_s: float
 
 
 def parse_line(line: str, layout: LineFormat) -> dict[str, float]:
-    """Fields of a line in degC, hPa and %; empty when it is no reading at all.
+    """Return the fields of a line in degC, hPa and %; empty if the line does not match the pattern.
 
     Raises
     ------
     ValueError
-        If it looks like a reading, but a unit is not known or a value cannot be: what and where.
+        If the line matches, but a unit is unknown or a value is not plausible.
     """
-    found = re.fullmatch(layout.pattern, line)
-    if found is None:
+    match = re.fullmatch(layout.pattern, line)
+    if match is None:
         return {}
-    texts = found.groupdict()
+    texts = match.groupdict()
     values = {}
     for name in FIELDS:
         text = texts.get(name)
@@ -147,30 +147,30 @@ def parse_line(line: str, layout: LineFormat) -> dict[str, float]:
             continue
         bare = text.replace(" ", "")
         if _NUMBER.fullmatch(bare) is None:
-            raise ValueError(f"{name} is '{text}', which is no number")
-        unit = texts.get(f"{name}_unit") or layout.units.get(name) or _USUAL[name]
-        if _bare(unit) not in _UNITS[name]:
-            raise ValueError(f"{name} comes in '{unit}'; known are {_choices(name)}")
-        factor, offset = _UNITS[name][_bare(unit)]
+            raise ValueError(f"{name} is '{text}', which is not a number")
+        unit = texts.get(f"{name}_unit") or layout.units.get(name) or _DEFAULT_UNITS[name]
+        if _normalised(unit) not in _UNITS[name]:
+            raise ValueError(f"{name} has the unit '{unit}'; known are {_choices(name)}")
+        factor, offset = _UNITS[name][_normalised(unit)]
         value = float(bare) * factor + offset
         low, high = _PLAUSIBLE[name]
         if not low <= value <= high:
             raise ValueError(
-                f"{name} is {value:g} {_USUAL[name]}, which is not between {low:g} and {high:g}: is it in another"
-                f" unit than {unit}?"
+                f"{name} is {value:g} {_DEFAULT_UNITS[name]}, which is not between {low:g} and {high:g}: is it in"
+                f" another unit than {unit}?"
             )
         values[name] = value
     if "temperature" not in values:
-        raise ValueError("it has no temperature")
+        raise ValueError("it contains no temperature")
     return values
 
 
-def _bare(unit: str) -> str:
-    return _NO_PART_OF_A_UNIT.sub("", unit).casefold()
+def _normalised(unit: str) -> str:
+    return _NOT_IN_UNIT.sub("", unit).casefold()
 
 
 def _choices(name: str) -> str:
-    return ", ".join(_UNITS.get(name, {})) or "nothing: there is no such field"
+    return ", ".join(_UNITS.get(name, {})) or "nothing: unknown field"
 
 
 class SerialStation:
@@ -188,11 +188,11 @@ class SerialStation:
         timeout_s: float = 5.0,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Nothing is opened yet.
+        """Configure the driver; nothing is opened yet.
 
-        ``baud`` and ``framing`` differ from those of ``layout`` where given. A reading older than ``max_age_s`` is
-        refused. A station that is polled is polled every ``poll_every_s``. ``timeout_s``: how long ``read`` waits for
-        a reading that is fresh enough. Raises ``ValueError`` on a framing that is none.
+        ``baud`` and ``framing`` replace those of ``layout``. Readings older than ``max_age_s`` are refused. A polled
+        station is polled every ``poll_every_s``. ``read`` waits ``timeout_s`` for a fresh reading. Raises
+        ``ValueError`` for an invalid framing.
         """
         match = _FRAMING.fullmatch((framing or layout.framing).upper())
         if match is None:
@@ -207,46 +207,46 @@ class SerialStation:
         self._max_age_s, self._poll_every_s, self._timeout_s = max_age_s, poll_every_s, timeout_s
         self._now = now
         self._changed = threading.Condition()
-        self._heard: _Heard | None = None
-        self._misfits = 0
-        self._trouble = ""
-        self._lost = ""
+        self._newest: _DatedReading | None = None
+        self._bad_lines = 0
+        self._last_bad_line = ""
+        self._link_error = ""
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
     def connect(self) -> None:
-        """Open the link and begin to listen. Raises ``SensorLinkLost``."""
+        """Open the link and start reading. Raises ``SensorLinkLost``."""
         self.disconnect()
         port = self._open()
         self._stop = threading.Event()
-        self._heard, self._misfits, self._trouble, self._lost = None, 0, "", ""
+        self._newest, self._bad_lines, self._last_bad_line, self._link_error = None, 0, "", ""
         self._thread = threading.Thread(target=self._listen, args=(port, self._stop), name="air sensor", daemon=True)
         self._thread.start()
 
     def read(self) -> AirReading:
-        """The newest reading, with its age; waits a little for one that is fresh enough.
+        """Return the newest reading with its age; wait for a fresh one for a limited time.
 
         Raises
         ------
         StaleReading
-            If the newest one is too old: how old, and why none came since.
+            If the newest one is too old; the message contains its age and the cause.
         SensorLinkLost
-            If there is none: the station is silent, unplugged, or says what is no reading.
+            If there is none: the station is silent, unplugged, or its lines do not match.
         """
         if self._thread is None:
             raise SensorLinkLost(f"air sensor {self._url}: not connected")
         with self._changed:
             self._changed.wait_for(lambda: self._fresh() is not None, timeout=self._timeout_s)
-            heard = self._fresh()
-            if heard is None:
-                raise self._refusal()
+            reading = self._fresh()
+            if reading is None:
+                raise self._no_reading_error()
         return AirReading(
-            time_s=heard.at_s,
-            temperature_c=heard.values["temperature"],
-            pressure_hpa=heard.values.get("pressure"),
-            humidity_percent=heard.values.get("humidity"),
-            object_temperature_c=heard.values.get("object_temperature"),
-            age_s=max(self._now() - heard.at_s, 0.0),
+            time_s=reading.at_s,
+            temperature_c=reading.values["temperature"],
+            pressure_hpa=reading.values.get("pressure"),
+            humidity_percent=reading.values.get("humidity"),
+            object_temperature_c=reading.values.get("object_temperature"),
+            age_s=max(self._now() - reading.at_s, 0.0),
         )
 
     def disconnect(self) -> None:
@@ -256,35 +256,35 @@ class SerialStation:
             self._stop.set()
             thread.join(_JOIN_S)
 
-    # -- who asks ------------------------------------------------------------------------------------------------------
+    # -- reading ------------------------------------------------------------------------------------------------------
 
-    def _fresh(self) -> _Heard | None:
-        heard = self._heard
-        return heard if heard is not None and self._now() - heard.at_s <= self._max_age_s else None
+    def _fresh(self) -> _DatedReading | None:
+        reading = self._newest
+        return reading if reading is not None and self._now() - reading.at_s <= self._max_age_s else None
 
-    def _refusal(self) -> SensorLinkLost:
+    def _no_reading_error(self) -> SensorLinkLost:
         subject = f"air sensor {self._url}"
-        cause = self._lost
-        if not cause and self._misfits:
-            lines = "1 line that is" if self._misfits == 1 else f"{self._misfits} lines that are"
-            cause = f"it sent {lines} no reading: {self._trouble}; check format or pattern, units, baud and framing"
+        cause = self._link_error
+        if not cause and self._bad_lines:
+            lines = "1 line" if self._bad_lines == 1 else f"{self._bad_lines} lines"
+            cause = f"it sent {lines} without a reading: {self._last_bad_line}; check format, units, baud and framing"
         if not cause:
             cause = "it is silent; check its power, the cable, and whether it must be polled"
-        if self._heard is None:
+        if self._newest is None:
             return SensorLinkLost(f"{subject}: no reading: {cause}")
-        age_s = self._now() - self._heard.at_s
+        age_s = self._now() - self._newest.at_s
         return StaleReading(
             f"{subject}: the newest reading is {age_s:.0f} s old, more than {self._max_age_s:g} s: {cause}"
         )
 
-    # -- who listens ---------------------------------------------------------------------------------------------------
+    # -- the thread ---------------------------------------------------------------------------------------------------
 
     def _open(self) -> serial.SerialBase:
         options = self._options if "://" in self._url else {**self._options, "write_timeout": self._timeout_s}
-        try:  # pyserial's rfc2217:// refuses a time limit for writing; its own socket has one
-            return serial.serial_for_url(self._url, timeout=_TURN_S, **options)
+        try:  # pyserial's rfc2217:// refuses a write timeout; its socket has one
+            return serial.serial_for_url(self._url, timeout=_READ_TIMEOUT_S, **options)
         except (OSError, ValueError, NotImplementedError) as error:  # SerialException is an OSError
-            raise SensorLinkLost(f"air sensor {self._url}: cannot be opened: {_said(error)}") from error
+            raise SensorLinkLost(f"air sensor {self._url}: cannot be opened: {_one_line(error)}") from error
 
     def _listen(self, port: serial.SerialBase | None, stop: threading.Event) -> None:
         while not stop.is_set():
@@ -294,74 +294,74 @@ class SerialStation:
                 try:
                     port = self._open()
                 except SensorLinkLost as error:
-                    self._note_lost(str(error).partition(": ")[2])
+                    self._set_link_error(str(error).partition(": ")[2])
                     continue
-                self._note_lost("")
+                self._set_link_error("")
             try:
-                self._follow(port, stop)
+                self._read_lines(port, stop)
             except (OSError, ValueError) as error:
-                self._note_lost(f"the link is lost: {_said(error)}")
+                self._set_link_error(f"the link is lost: {_one_line(error)}")
             finally:
                 self._close(port)
                 port = None
 
-    def _note_lost(self, cause: str) -> None:
+    def _set_link_error(self, cause: str) -> None:
         with self._changed:
-            self._lost = cause
+            self._link_error = cause
 
     @staticmethod
     def _close(port: serial.SerialBase) -> None:
         try:
             port.close()
         except OSError:
-            return  # it was gone already
+            return  # it was closed already
 
-    def _follow(self, port: serial.SerialBase, stop: threading.Event) -> None:
-        """Take lines until told to stop or until the link breaks."""
-        held = b""
-        in_step = False  # what comes before the first line end may be the tail of a line, and must not count
+    def _read_lines(self, port: serial.SerialBase, stop: threading.Event) -> None:
+        """Process lines until ``stop`` is set or the link breaks."""
+        pending = b""
+        synchronised = False  # input before the first line end may be the rest of a line and is ignored
         due_s = time.monotonic()
         while not stop.is_set():
             if self._layout.poll and time.monotonic() >= due_s:
                 port.write(self._layout.poll)
                 due_s = time.monotonic() + self._poll_every_s
-            came = port.read(max(port.in_waiting, 1))
-            if not came:
+            data = port.read(max(port.in_waiting, 1))
+            if not data:
                 continue
-            held += came
-            *lines, held = _LINE_END.split(held)
+            pending += data
+            *lines, pending = _LINE_END.split(pending)
             for line in lines:
-                if in_step:
-                    self._take(line)
+                if synchronised:
+                    self._process(line)
                 elif self._layout.poll:
-                    due_s = time.monotonic()  # the first answer was passed over: ask again at once
-                in_step = True
-            if len(held) > LONGEST_LINE:
-                self._note_misfit(held, "a line without end")
-                held, in_step = b"", False
+                    due_s = time.monotonic()  # the first answer was ignored: poll again at once
+                synchronised = True
+            if len(pending) > LONGEST_LINE:
+                self._count_bad_line(pending, "a line without end")
+                pending, synchronised = b"", False
 
-    def _take(self, line: bytes) -> None:
+    def _process(self, line: bytes) -> None:
         text = line.decode("latin-1").strip()
         if not text or text == ">" or text.encode("latin-1") == self._layout.poll.strip():
-            return  # the prompt, or an echo of what was sent
+            return  # the prompt, or the echo of the poll
         try:
             values = parse_line(text, self._layout)
         except ValueError as error:
-            self._note_misfit(line, str(error))
+            self._count_bad_line(line, str(error))
             return
         if not values:
-            self._note_misfit(line, "it does not fit")
+            self._count_bad_line(line, "it does not match")
             return
         with self._changed:
-            self._heard = _Heard(values, self._now())
-            self._misfits, self._trouble = 0, ""
+            self._newest = _DatedReading(values, self._now())
+            self._bad_lines, self._last_bad_line = 0, ""
             self._changed.notify_all()
 
-    def _note_misfit(self, line: bytes, why: str) -> None:
+    def _count_bad_line(self, line: bytes, why: str) -> None:
         with self._changed:
-            self._misfits += 1
-            self._trouble = f"{line[:60].decode('latin-1')!r}: {why}"
+            self._bad_lines += 1
+            self._last_bad_line = f"{line[:60].decode('latin-1')!r}: {why}"
 
 
-def _said(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__

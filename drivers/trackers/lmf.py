@@ -18,7 +18,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -27,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.trackers.lmf_calls import CallThread
+from drivers.trackers.lmf_finder import find_trackers
 from drivers.trackers.lmf_objects import Lmf, describe, error_number, load_lmf, to_si, unwrap
 from drivers.trackers.lmf_results import ErrorLaw, read_air, read_position, tracker_time_s
-from drivers.trackers.lmf_settings import DEFAULT_LIBRARY, LmfSettings
+from drivers.trackers.lmf_settings import LmfSettings
 from drivers.trackers.lmf_setup import apply_settings, set_quantity, start_level_monitoring
 from drivers.trackers.protocol import (
     Face,
@@ -58,7 +58,6 @@ CONNECTING_S = 60.0
 INITIALISING_S = 60.0
 """Leica allows 30 s; its simulator is slow on purpose."""
 LEVELLING_S = 180.0
-FINDING_S = 30.0
 
 _NO_PREPARATION = Preparation()
 _USUAL_ACCURACY = ErrorLaw()
@@ -66,34 +65,6 @@ _IN_USE = 10011
 """LMF's error number for a tracker that another program holds."""
 _MAX_MESSAGES = 200
 _POINTING, _MEASURING, _TURNING = "pointing and searching", "measuring", "turning to face 2"
-
-
-@dataclass(frozen=True)
-class FoundTracker:
-    """A tracker that answers in the network."""
-
-    address: str
-    model: str
-    serial: str
-
-
-def find_trackers(library: str = DEFAULT_LIBRARY, load: Callable[[str], Lmf] = load_lmf) -> list[FoundTracker]:
-    """Return the trackers in this computer's networks. Raises ``LmfMissing``, ``TrackerTimeout``, ``TrackerError``."""
-
-    def find() -> list[FoundTracker]:
-        lmf = load(library)
-        try:
-            finder = lmf.TrackerFinder()
-            finder.Refresh()
-            return [FoundTracker(str(t.IPAddress), str(t.Type), str(t.SerialNumber)) for t in finder.Trackers]
-        except lmf.exceptions as error:
-            raise TrackerError(f"tracker: LMF could not search for trackers: {describe(error)}") from error
-
-    calls = CallThread()
-    try:
-        return calls.call("searching for trackers", find, FINDING_S)
-    finally:
-        calls.close()
 
 
 class LmfTracker:

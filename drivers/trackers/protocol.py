@@ -1,4 +1,4 @@
-"""What a laser tracker must do. Points are in its own frame M [m]."""
+"""Interface of a laser tracker. Points are in its own frame M [m]."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ACCURACIES: tuple[Accuracy, ...] = ("fast", "standard", "precise")
 
 @dataclass(frozen=True)
 class TrackerIdentity:
-    """Who the tracker is."""
+    """Identity of the tracker."""
 
     model: str
     serial: str
@@ -26,17 +26,17 @@ class TrackerIdentity:
 
 @dataclass(frozen=True)
 class Preparation:
-    """How the tracker is set up before it measures; applied again after every connect.
+    """Setup of the tracker before measuring; applied again after every connect.
 
     Attributes
     ----------
     reflector : str
-        The reflector type by the name that the tracker's software gives it; empty leaves what is selected there. A
-        tracker cannot tell reflectors apart, and the wrong type shifts every distance.
+        Reflector type as named by the tracker's software; empty keeps the current selection. A tracker cannot detect
+        the type, and a wrong type shifts every distance.
     accuracy : {"fast", "standard", "precise"}
-        Profile of stationary measurements, where the tracker has several.
+        Profile of stationary measurements, if the tracker has several.
     temperature_c, pressure_hpa, humidity_percent : float or None
-        Air to correct the refraction with [degC, hPa, %]; None where the tracker shall use its own weather station.
+        Air data for the refraction correction [degC, hPa, %]; None: from the tracker's own weather station.
     """
 
     reflector: str = ""
@@ -68,24 +68,24 @@ class Point:
     covariance_M : array, shape (3, 3)
         Its covariance [m^2].
     time_s : float
-        When it was taken, on the cell's clock [s]: the middle of the averaging.
+        Time of the measurement on the cell's clock [s]: the middle of the averaging.
     averaging_s : float
-        How long was averaged [s].
+        Averaging time [s].
     temperature_c : float or None
-        Air temperature that the refraction was corrected with [degC].
+        Air temperature of the refraction correction [degC].
     pressure_hpa, humidity_percent : float or None
-        Likewise pressure [hPa] and relative humidity [%]; None where the tracker does not tell.
+        Pressure [hPa] and relative humidity [%] of the correction; None: not reported.
     precision_M : array, shape (3,), or None
-        Standard deviation of each coordinate as the tracker reports it [m]; None where it reports none.
+        Standard deviation of each coordinate as reported by the tracker [m]; None: not reported.
     face : {1, 2}
-        The face it was measured in.
+        Face of the measurement.
     tracker_time_s, host_time_s : float or None
-        When the result was made, by the tracker's own clock and by that of the computer it is wired to [s], each from
-        an origin of its own; None where not told.
+        Time of the result on the tracker's clock and on the clock of its computer [s], each with its own origin; None:
+        not reported.
     reflector : str
-        The reflector type whose offset was applied; empty where not told.
+        Reflector type whose offset was applied; empty: not reported.
     quality : tuple of str
-        What the tracker warns of about this point, in words; empty when it warns of nothing.
+        Warnings of the tracker about this point.
     """
 
     p_M: NDArray[np.float64]
@@ -105,7 +105,7 @@ class Point:
 
 @dataclass(frozen=True)
 class TwoFace:
-    """The same SMR in both faces. Their difference shows errors of the tracker that averaging does not."""
+    """The same SMR in both faces. Their difference shows systematic errors that averaging does not reduce."""
 
     first: Point
     second: Point
@@ -129,16 +129,16 @@ class TwoFace:
 
 @dataclass(frozen=True)
 class Inclination:
-    """What the level says.
+    """Reading of the level.
 
     Attributes
     ----------
     tilt_rad : tuple of two float
-        Rotation against gravity about the tracker's x and y axes [rad].
+        Tilt relative to gravity about the tracker's x and y axes [rad].
     drift_rad : float
-        How far it has turned since monitoring began [rad].
+        Change of the tilt since monitoring began [rad].
     threshold_rad : float
-        The drift at which the tracker must be considered bumped [rad].
+        Drift above which the tracker counts as moved [rad].
     """
 
     tilt_rad: tuple[float, float]
@@ -152,19 +152,19 @@ class Inclination:
 
 
 class TrackerError(Exception):
-    """Base of all that a tracker can refuse or suffer."""
+    """Base of all errors of a tracker."""
 
 
 class NotReady(TrackerError):
-    """A precondition is not met; the message names every one of them."""
+    """Preconditions are not met; the message names all of them."""
 
 
 class TargetLost(TrackerError):
-    """No SMR where one was expected: turned away, hidden, out of the field or not there."""
+    """No SMR at the expected point: turned away, hidden, out of the field of view or missing."""
 
 
 class WrongTarget(TrackerError):
-    """An SMR was locked, but too far from the prediction: perhaps the other arm's."""
+    """The locked SMR is too far from the prediction; it may be the other arm's."""
 
 
 class Unstable(TrackerError):
@@ -172,15 +172,15 @@ class Unstable(TrackerError):
 
 
 class Halted(TrackerError):
-    """Somebody told the tracker to halt; there is no measurement."""
+    """The measurement was halted; there is no result."""
 
 
 class TrackerTimeout(TrackerError):
-    """The tracker answers, but did not finish in time; there is no measurement."""
+    """The tracker answers, but did not finish in time; there is no result."""
 
 
 class TrackerRefused(TrackerError):
-    """Whoever guards the tracker lets nobody in: another client holds it, or the token is wrong."""
+    """Access to the tracker is refused: another client holds it, or the token is wrong."""
 
 
 class TrackerLinkLost(TrackerError):
@@ -194,16 +194,16 @@ class Tracker(Protocol):
         """Open the link and apply the settings given to the driver. Raises ``TrackerLinkLost``, ``TrackerRefused``."""
 
     def identify(self) -> TrackerIdentity:
-        """Ask the tracker who it is."""
+        """Return model, serial number and software of the tracker."""
 
     def prepare(self, settings: Preparation) -> None:
         """Initialise where needed and apply ``settings``: right-handed Cartesian metres, stationary measurements.
 
-        Raises ``NotReady`` with what it lacks, ``ValueError`` for a setting that this tracker does not have.
+        Raises ``NotReady`` with all unmet preconditions, ``ValueError`` for a setting that this tracker does not have.
         """
 
     def unmet(self) -> list[str]:
-        """Every precondition that keeps it from measuring, in words; empty when ready."""
+        """Return every unmet precondition of measuring, as sentences; empty if ready."""
 
     def measure(self, expected_M: NDArray[np.float64], averaging_s: float) -> Point:
         """Point at ``expected_M`` (3,) [m], lock the SMR there and average it, in face 1.
@@ -213,13 +213,13 @@ class Tracker(Protocol):
         """
 
     def measure_two_face(self, expected_M: NDArray[np.float64], averaging_s: float) -> TwoFace:
-        """Measure the SMR at ``expected_M`` (3,) [m] in face 1, then in face 2; it ends in face 1. Raises likewise."""
+        """Measure the SMR at ``expected_M`` (3,) [m] in face 1, then face 2; end in face 1. Raises like ``measure``."""
 
     def inclination(self) -> Inclination | None:
-        """The level, or None where there is none."""
+        """Return the level's reading, or None if the tracker has no level."""
 
     def halt(self) -> None:
-        """End what is under way, which then raises ``Halted``; harmless when nothing is. From any thread."""
+        """End the running measurement, which then raises ``Halted``; harmless if none runs. From any thread."""
 
     def disconnect(self) -> None:
         """Release the tracker and close the link; harmless when closed."""
@@ -228,10 +228,10 @@ class Tracker(Protocol):
 def measure_nests(
     tracker: Tracker, nests: Mapping[str, NDArray[np.float64]], averaging_s: float
 ) -> tuple[dict[str, Point], dict[str, TrackerError]]:
-    """Measure the SMRs in fixed nests, name -> (3,) [m] in M: what was read, and why the others were not.
+    """Measure the SMRs in fixed nests, name -> (3,) [m] in M; return the points, and the errors of the other nests.
 
-    Done at the start, now and then, and at the end of a run, nests tell whether the tracker has moved.
-    A lost link, or a tracker that is not ready, ends it: those are raised.
+    Repeated during a run, nests show whether the tracker has moved. A lost link or a tracker that is not ready is
+    raised.
     """
     points: dict[str, Point] = {}
     missed: dict[str, TrackerError] = {}

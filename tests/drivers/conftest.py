@@ -1,4 +1,4 @@
-"""Two published arms, cells made of them, and a D-H chain written out to compare with."""
+"""Fixtures: two published arms, cells made of them, and a D-H chain for comparison."""
 
 from __future__ import annotations
 

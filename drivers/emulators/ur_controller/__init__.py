@@ -1,7 +1,7 @@
-"""Universal Robots controllers that are not there: RTDE, dashboard, script and primary port, with motion behind them.
+"""Emulated Universal Robots controllers: RTDE, dashboard, script and primary port, with simulated motion.
 
-The real ur_rtde client holds the interpreter's lock while it connects, and knows the standard ports only. So the
-emulator runs in a process of its own, and each arm has a loopback address of its own::
+The real ur_rtde client holds the interpreter's lock while it connects and uses the standard ports only. Hence the
+emulator runs in a separate process, and each arm has a loopback address of its own::
 
     from drivers.emulators.ur_controller import ControllerConfig, personality, start_in_process
 
@@ -13,18 +13,18 @@ emulator runs in a process of its own, and each arm has a loopback address of it
         emulator.control("left", "release")                     # the operator
         emulator.control("left", "status")["moving"]
 
-Plain sockets may use it in the same process: ``with UrControllerServer([left, right], plant) as server: ...`` with
+Clients with plain sockets may share its process: ``with UrControllerServer([left, right], plant) as server: ...`` with
 ``server.addresses`` and ``server.control()``; ``ports=FREE_PORTS`` in a ``ControllerConfig`` takes free ones.
-``serve`` runs it in the foreground. ``control.py`` lists all that can be commanded.
+``serve`` runs it in the foreground. ``control.py`` lists all commands of the control channel.
 
-Another server on the same plant, such as a tracker's, runs in a thread of its own in the same process: it holds
-``server.cell.lock`` while it touches the plant and waits for the cell's time with ``server.cell.wait(seconds)`` or on
-the condition ``server.cell.passed``, which has the same lock. Only the controllers' loop lets time pass, ``pace``
-seconds of the cell for each second of wall time.
+Another server on the same plant, such as a tracker's, runs in a thread of the same process. It holds
+``server.cell.lock`` while it accesses the plant and waits for the cell's clock with ``server.cell.wait(seconds)`` or on
+the condition ``server.cell.passed``, which uses the same lock. Only the controllers' loop advances the clock, by
+``pace`` seconds per second of wall time.
 
-What this is not: URScript is not interpreted (a program other than ur_rtde's control script ends at once); servo,
+Not emulated: URScript is not interpreted (a program other than ur_rtde's control script ends at once); servo,
 speed, force, path and Cartesian motions end the program, as a script error would; ``stopJ`` brakes as hard as the
-drives can, whatever deceleration is asked for; every current and force reads zero; the script port sends nothing.
+drives can, whatever deceleration is requested; all currents and forces are zero; the script port sends nothing.
 """
 
 from drivers.emulators.ur_controller.control import Control, Refused

@@ -1,22 +1,22 @@
-"""The control channel: faults and operator's actions on command, a line in, a line out, over TCP on loopback.
+"""Control channel: faults and operator's actions on command, one line per request and answer, TCP on loopback.
 
-A request is ``ARM COMMAND [ARGUMENT ...]`` (ARM ``*``: every one), the answer ``ok JSON`` or ``error TEXT``.
+A request is ``ARM COMMAND [ARGUMENT ...]`` (ARM ``*``: all arms), the answer ``ok JSON`` or ``error TEXT``.
 
-    status                                how it is: modes, program, motion, connections
+    status                                modes, program, motion, connections
     received                              the lines that clients sent to the dashboard
-    log                                   what happened, newest last
+    log                                   events, newest last
     drop PORT fin|rst [SECONDS]           end its connections; refuse new ones for SECONDS
     fault PORT none|silent|refuse|garbage|flood|trickle [SECONDS]
     start-delay SECONDS                   from an uploaded program to its start, from now on
-    short-packets swallow|close           what becomes of RTDE data of the wrong length
-    protective now|off|speed V|travel V   stop now, or once a moving arm does V rad/s or has gone V rad
+    short-packets swallow|close           reaction to RTDE data of the wrong length
+    protective now|off|speed V|travel V   stop now, or when the arm reaches V rad/s or has moved by V rad
     release                               the operator releases a protective stop
-    estop | estop-release                 the button
+    estop | estop-release                 the emergency stop button
     power-on | brake-release | power-off  the operator at the pendant
     remote on|off                         the switch of the e-Series
-    load MASS [X Y Z]                     what truly hangs on the flange [kg, m]; the controller is told nothing
+    load MASS [X Y Z]                     true load of the flange [kg, m], unknown to the controller
 
-PORT is dashboard, primary, script, rtde or ``*``. ``pace FACTOR`` needs no arm but ``*``.
+PORT is dashboard, primary, script, rtde or ``*``. ``pace FACTOR`` applies to all arms.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from __future__ import annotations
 import json
 import math
 import socket
+import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, get_args
@@ -41,11 +42,11 @@ _TIMEOUT_S = 10.0
 
 
 class Refused(ValueError):
-    """The emulator did not understand a command or could not carry it out."""
+    """The emulator did not understand a command or could not execute it."""
 
 
 class Emulated:
-    """One controller with its ports, as the control channel sees it."""
+    """One controller with its ports, as used by the control channel."""
 
     def __init__(
         self, controller: Controller, rtde: RtdeServer, ports: Mapping[PortName, Port], received: deque[str]
@@ -56,8 +57,8 @@ class Emulated:
         self.received = received
 
 
-def obey(line: str, arms: Mapping[str, Emulated], cell: PacedCell, now_s: float) -> str:
-    """Carry out one line; the answer, without its end."""
+def execute(line: str, arms: Mapping[str, Emulated], cell: PacedCell, now_s: float) -> str:
+    """Execute one line and return the answer without its line end."""
     try:
         words = line.split()
         if len(words) < 2:
@@ -67,25 +68,25 @@ def obey(line: str, arms: Mapping[str, Emulated], cell: PacedCell, now_s: float)
             cell.pace = _number(arguments, 0)
             return "ok null"
         if name != "*" and name not in arms:
-            raise Refused(f"no arm '{name}'; there are {', '.join(arms)}")
+            raise Refused(f"no arm '{name}'; arms are {', '.join(arms)}")
         chosen = list(arms.values()) if name == "*" else [arms[name]]
         if command not in _COMMANDS:
-            raise Refused(f"no command '{command}'; there are pace, {', '.join(_COMMANDS)}")
+            raise Refused(f"no command '{command}'; commands are pace, {', '.join(_COMMANDS)}")
         answers = [_COMMANDS[command](arm, arguments, now_s) for arm in chosen]
         return f"ok {json.dumps(answers if name == '*' else answers[0])}"
     except (ValueError, OSError) as error:
         return f"error {' '.join(str(error).split())}"
 
 
-def _number(arguments: Sequence[str], at: int, *, most: float = math.inf, default: float | None = None) -> float:
+def _number(arguments: Sequence[str], at: int, *, limit: float = math.inf, default: float | None = None) -> float:
     if at >= len(arguments) and default is not None:
         return default
     try:
         value = float(arguments[at])
     except (IndexError, ValueError):
         raise Refused(f"argument {at + 1}: expected a number") from None
-    if not 0.0 <= value <= most:
-        raise Refused(f"argument {at + 1}: {value!r} is not between 0 and {most:g}")
+    if not 0.0 <= value <= limit:
+        raise Refused(f"argument {at + 1}: {value!r} is not between 0 and {limit:g}")
     return value
 
 
@@ -171,7 +172,7 @@ def _load(arm: Emulated, arguments: Sequence[str], _: float) -> None:
     arm.controller.motions.set_payload(arm.controller.name, mass, np.array(center))
 
 
-def _simply(action: Callable[[Controller], object]) -> Callable[[Emulated, Sequence[str], float], object]:
+def _without_arguments(action: Callable[[Controller], object]) -> Callable[[Emulated, Sequence[str], float], object]:
     def act(arm: Emulated, _: Sequence[str], __: float) -> None:
         action(arm.controller)
 
@@ -187,12 +188,12 @@ _COMMANDS: dict[str, Callable[[Emulated, Sequence[str], float], object]] = {
     "start-delay": _start_delay,
     "short-packets": _short_packets,
     "protective": _protective,
-    "release": _simply(lambda controller: controller.unlock(at_once=True)),
-    "estop": _simply(Controller.emergency_stop),
-    "estop-release": _simply(Controller.release_emergency_stop),
-    "power-on": _simply(Controller.power_on),
-    "brake-release": _simply(Controller.release_brakes),
-    "power-off": _simply(Controller.power_off),
+    "release": _without_arguments(lambda controller: controller.unlock(at_once=True)),
+    "estop": _without_arguments(Controller.emergency_stop),
+    "estop-release": _without_arguments(Controller.release_emergency_stop),
+    "power-on": _without_arguments(Controller.power_on),
+    "brake-release": _without_arguments(Controller.release_brakes),
+    "power-off": _without_arguments(Controller.power_off),
     "remote": _remote,
     "load": _load,
 }
@@ -201,39 +202,41 @@ _COMMANDS: dict[str, Callable[[Emulated, Sequence[str], float], object]] = {
 class ControlSession:
     """One connection to the control channel."""
 
-    def __init__(self, send: Callable[[bytes], None], obey_line: Callable[[str], str]) -> None:
-        self._send, self._obey = send, obey_line
-        self._held = bytearray()
+    def __init__(self, send: Callable[[bytes], None], execute_line: Callable[[str], str]) -> None:
+        self._send, self._execute = send, execute_line
+        self._received = bytearray()
 
     def received(self, data: bytes) -> None:
-        """Bytes from the client."""
-        self._held += data
-        while (end := self._held.find(b"\n")) >= 0:
-            line = self._held[:end].decode("utf-8", errors="replace").strip()
-            del self._held[: end + 1]
-            self._send(f"{self._obey(line)}\n".encode())
-        if len(self._held) > _LONGEST_LINE:
-            self._held.clear()
+        """Process bytes from the client."""
+        self._received += data
+        while (end := self._received.find(b"\n")) >= 0:
+            line = self._received[:end].decode("utf-8", errors="replace").strip()
+            del self._received[: end + 1]
+            self._send(f"{self._execute(line)}\n".encode())
+        if len(self._received) > _LONGEST_LINE:
+            self._received.clear()
 
     def closed(self) -> None:
-        """Nothing to tidy."""
+        """Do nothing: the session holds no resources."""
 
 
 class Control:
-    """The other end of the control channel, for tests and trials; from one thread at a time."""
+    """Client of the control channel, for tests and trials; any thread may use it."""
 
     def __init__(self, address: tuple[str, int]) -> None:
         self._link = socket.create_connection(address, _TIMEOUT_S)
         self._lines = self._link.makefile("r", encoding="utf-8")
+        self._lock = threading.Lock()
 
     def __call__(self, arm: str, command: str, *arguments: object) -> Any:
-        """Send a command and return what was answered. Raises ``Refused``, or ``OSError`` if the emulator is gone."""
-        self._link.sendall(f"{' '.join(map(str, (arm, command, *arguments)))}\n".encode())
-        line = self._lines.readline()
+        """Send a command and return its answer. Raises ``Refused``, or ``OSError`` if the emulator has ended."""
+        with self._lock:
+            self._link.sendall(f"{' '.join(map(str, (arm, command, *arguments)))}\n".encode())
+            line = self._lines.readline()
         if line.startswith("ok "):
             return json.loads(line[3:])
         if not line:
-            raise ConnectionResetError("the emulator is gone")
+            raise ConnectionResetError("the emulator has ended")
         raise Refused(line.removeprefix("error ").strip())
 
     def close(self) -> None:

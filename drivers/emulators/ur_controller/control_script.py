@@ -1,7 +1,7 @@
-"""What the control script of ur_rtde does on a controller, read from the registers it is spoken to through.
+"""The control script of ur_rtde as it acts on a controller through its registers.
 
-A client writes a command and its arguments into input registers; the script, once a control period, carries it out and
-tells so in output registers. The script's state stays READY while a blocking motion runs, as the real one's does.
+A client writes a command and its arguments into input registers. Once per control period the script executes it and
+reports that in output registers. Its state stays READY during a blocking motion, like that of the real script.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from drivers.emulators.ur_controller.controller import Controller, ScriptError
 _READY, _DONE = 1, 2
 _RUNNING_BIT = 1 << 15
 _IMMEDIATE = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
-"""Commands that are carried out in every cycle while they stand in the register, and leave the script READY."""
+"""Commands that are executed in every cycle while they are in the register, and leave the script READY."""
 _STOP = 255
 _KG_MOST = 50.0
 _NO_TOOL = (0.0,) * 6
 
 
 class ControlScript:
-    """The program that ur_rtde uploads, its registers beginning at ``int_offset`` and ``double_offset``."""
+    """The program that ur_rtde uploads; its registers begin at ``int_offset`` and ``double_offset``."""
 
     name = "rtde_control"
 
@@ -36,12 +36,12 @@ class ControlScript:
         self._operation = 0
 
     def begin(self, controller: Controller) -> None:
-        """Announce that it is ready, and that nothing asynchronous runs."""
+        """Report that the script is ready and no asynchronous motion runs."""
         self._progress(controller, running=False)
         controller.set_output_int(self._i, _READY)
 
     def cycle(self, controller: Controller) -> bool:
-        """Look at the command register once; False when it is told to end."""
+        """Execute the command register once; return False if it asks the script to end."""
         self._advance(controller)
         if self._blocked:
             return True
@@ -64,15 +64,15 @@ class ControlScript:
             self._done(controller)
         return True
 
-    # -- motion under way --------------------------------------------------------------------------------------------
+    # -- current motion ----------------------------------------------------------------------------------------------
 
     def _advance(self, controller: Controller) -> None:
-        """Go on with a motion that waits for rest, runs, or has arrived."""
-        if self._thread == "starting":  # the thread runs from the cycle after the command was answered
+        """Continue a motion that waits for rest, runs, or has ended."""
+        if self._thread == "starting":  # the thread runs from the cycle after the answer to the command
             self._thread = "running"
             self._operation = (self._operation + 1) % 128
             self._progress(controller, running=True)
-        if not controller.arrived():
+        if not controller.motion_ended():
             return
         if self._next_move is not None:
             if self._asynchronous and self._thread != "running":
@@ -92,7 +92,7 @@ class ControlScript:
         self._answered = True
 
     def _progress(self, controller: Controller, *, running: bool) -> None:
-        """Write the asynchronous word: count of writes, operation, and whether it runs."""
+        """Write the progress word: count of writes, operation number, and whether it runs."""
         self._writes = (self._writes + 1) % 128
         word = self._writes << 16 | self._operation << 24 | (_RUNNING_BIT if running else 0)
         controller.set_output_int(self._i + 2, word)
@@ -132,7 +132,7 @@ class ControlScript:
             case 1:
                 self._move(controller)
             case 8 | 20 | 21 | 56 | 57:
-                pass  # force sensor: there is none to set
+                pass  # force sensor: not emulated
             case 15 | 16 | 33 | 34:
                 self._stop(controller, asynchronous=command >= 33 and controller.input_int(self._i + 1) == 1)
             case 17 | 65:
@@ -142,7 +142,7 @@ class ControlScript:
                 controller.tcp = d(controller, 0, 6)
                 controller.publish_load()
             case 31:
-                controller.protective_stop("asked for by the program")
+                controller.protective_stop("requested by the program")
             case 35:
                 controller.set_watchdog(d(controller, 0, 1)[0], self._i)
             case 37:
@@ -166,7 +166,7 @@ class ControlScript:
                 raise ScriptError(f"command {command} of ur_rtde is not emulated")
 
     def _move(self, controller: Controller) -> None:
-        """``moveJ``: blocking, or in a thread of the script. An asynchronous motion under way is stopped first."""
+        """``moveJ``: blocking, or in a thread of the script. A running asynchronous motion is stopped first."""
         *goal, speed, acceleration = self._doubles(controller, 0, 8)
         self._asynchronous = controller.input_int(self._i + 1) == 1
         if self._thread != "none" or controller.moving:
@@ -195,7 +195,7 @@ class ControlScript:
         if not 0.0 <= mass <= _KG_MOST:
             raise ScriptError(f"set_payload: a mass of {mass!r} kg is not between 0 and {_KG_MOST:g} kg")
         controller.payload_mass = mass
-        if any(center):  # all zero: the centre stays, as the script has it
+        if any(center):  # all zero: the centre stays, as in the real script
             controller.payload_center = tuple(center)
         if inertia is not None:
             controller.payload_inertia = inertia

@@ -1,7 +1,7 @@
-"""A controller as a state machine: power, safety, program and registers. No sockets; time is told to it.
+"""A controller as a state machine: power, safety, program and registers. No sockets; the caller passes the time.
 
-Two clocks: the cell's (plant) for all that happens to the arm, so that it scales with the pace; the wall's for what a
-client waits for with a clock of its own: the start of an uploaded program and the watchdog.
+Two clocks: the cell's (plant) for everything that happens to the arm, so that it scales with the pace; wall time for
+what a client times with its own clock: the start of an uploaded program and the watchdog.
 """
 
 from __future__ import annotations
@@ -10,12 +10,19 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Protocol
 
 import numpy as np
 
 from drivers.emulators.ur_controller import poses
+from drivers.emulators.ur_controller.modes import (
+    JOINT_MODE,
+    JOINT_POWER_OFF,
+    SAFETY_BITS,
+    RobotMode,
+    Runtime,
+    SafetyMode,
+)
 from drivers.emulators.ur_controller.motion import Array, Motions
 from drivers.emulators.ur_controller.personality import ControllerConfig
 from drivers.emulators.ur_controller.variables import zeros
@@ -23,100 +30,47 @@ from drivers.emulators.ur_controller.variables import zeros
 Values = tuple[float, ...]
 
 _TEMPERATURE_EVERY_S = 0.5
-_LONGEST_PAUSE_S = 0.05
-"""A real controller never pauses; of a pause of this process, which is no silence of the client, no more than this
-counts for the watchdog."""
+_MAX_PAUSE_S = 0.05
+"""A longer pause of this process counts only as this for the watchdog: the client was not silent meanwhile."""
 _STEADY_S = 0.1
 _ZERO6: Values = (0.0,) * 6
 
 
-class RobotMode(IntEnum):
-    """As on the wire."""
-
-    DISCONNECTED = 0
-    CONFIRM_SAFETY = 1
-    BOOTING = 2
-    POWER_OFF = 3
-    POWER_ON = 4
-    IDLE = 5
-    BACKDRIVE = 6
-    RUNNING = 7
-
-
-class SafetyMode(IntEnum):
-    """As on the wire."""
-
-    NORMAL = 1
-    REDUCED = 2
-    PROTECTIVE_STOP = 3
-    RECOVERY = 4
-    SAFEGUARD_STOP = 5
-    SYSTEM_EMERGENCY_STOP = 6
-    ROBOT_EMERGENCY_STOP = 7
-    VIOLATION = 8
-    FAULT = 9
-
-
-class Runtime(IntEnum):
-    """State of the program, as on the wire."""
-
-    STOPPING = 0
-    STOPPED = 1
-    PLAYING = 2
-    PAUSING = 3
-    PAUSED = 4
-    RESUMING = 5
-
-
-_SAFETY_BITS = {
-    SafetyMode.NORMAL: 1 << 0,
-    SafetyMode.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
-    SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
-}
-_JOINT_RUNNING, _JOINT_IDLE, _JOINT_BOOTING, _JOINT_POWER_OFF = 253, 255, 247, 239
-_JOINT_MODE = {
-    RobotMode.RUNNING: _JOINT_RUNNING,
-    RobotMode.IDLE: _JOINT_IDLE,
-    RobotMode.POWER_ON: _JOINT_IDLE,
-    RobotMode.BOOTING: _JOINT_BOOTING,
-}
-
-
 class ScriptError(Exception):
-    """What a program asked for cannot be done; the program ends."""
+    """A program requests something impossible; the program ends."""
 
 
 class Program(Protocol):
-    """Something that runs on a controller, one cycle at a time."""
+    """A program on a controller, executed one cycle at a time."""
 
     name: str
 
     def begin(self, controller: Controller) -> None:
-        """The first thing it does. Raises ``ScriptError``."""
+        """Execute the first step. Raises ``ScriptError``."""
 
     def cycle(self, controller: Controller) -> bool:
-        """One control cycle; whether it goes on. Raises ``ScriptError``."""
+        """Execute one control cycle; return whether the program goes on. Raises ``ScriptError``."""
 
 
 @dataclass
-class _ArmedStop:
-    """A protective stop that waits for a moving arm: ``speed`` [rad/s] reached, or ``travel`` [rad] done."""
+class _StopTrigger:
+    """Condition of a protective stop: the arm reaches ``speed`` [rad/s] or has moved by ``travel`` [rad]."""
 
     speed: float = math.inf
     travel: float = math.inf
 
 
 class Controller:
-    """One controller. Call ``cycle`` once a control period, with the lock of the cell held.
+    """One controller. Call ``cycle`` once per control period, with the cell's lock held.
 
     Attributes
     ----------
     values : dict
         Every variable that RTDE can stream, as a tuple of numbers.
     log : deque of str
-        What happened, newest last; for whoever looks for the reason of a refusal.
+        Events, newest last; shows the reasons of refusals.
     moves : int
-        Motions started since the beginning; resumed ones count again.
+        Number of motions started; resumed ones count again.
     start_delay_s : float
         Wall time from an uploaded program to its start.
     """
@@ -142,28 +96,28 @@ class Controller:
         self.log: deque[str] = deque(maxlen=200)
         self.moves = 0
         self.now_s = 0.0
-        self._waiting: tuple[float, Program] | None = None
-        self._has_moved = False
+        self._uploaded: tuple[float, Program] | None = None
+        self._was_moving = False
         self._goal: tuple[Array, Array, Array] | None = None
-        self._stopped_at_s = -math.inf
-        self._releasing_at_s = math.inf
+        self._protective_stop_s = -math.inf
+        self._release_s = math.inf
         self._mode_due: list[tuple[float, RobotMode]] = []
-        self._armed = _ArmedStop()
+        self._stop_trigger = _StopTrigger()
         self._move_from = np.zeros(6)
         self._rest_since_s = -math.inf
         self._temperature_due_s = -math.inf
         self._watchdog: tuple[float, int] | None = None
-        self._watch_from_s = 0.0
-        self._awake_s = 0.0
+        self._watchdog_start_s = 0.0
+        self._running_s = 0.0
         self._written_s: dict[int, float] = {}
-        self._pose_of: tuple[Values, Values, Values] | None = None
+        self._pose_inputs: tuple[Values, Values, Values] | None = None
         self._q: Values = tuple(float(v) for v in motions.q(self.name))
         self._qd: Values = _ZERO6
         self._clock_s = motions.clock_s
-        self.values = self._first_values()
+        self.values = self._initial_values()
         self._publish_modes()
 
-    # -- what is asked -----------------------------------------------------------------------------------------------
+    # -- state -------------------------------------------------------------------------------------------------------
 
     @property
     def q(self) -> Values:
@@ -182,31 +136,31 @@ class Controller:
 
     @property
     def steady(self) -> bool:
-        """Whether the arm has rested for some tenths of a second."""
+        """Whether the arm has rested for a tenth of a second."""
         return not self.moving and self._clock_s - self._rest_since_s >= _STEADY_S
 
     @property
     def running(self) -> bool:
-        """Whether a program runs or will go on by itself."""
+        """Whether a program runs or is resuming."""
         return self.runtime in (Runtime.PLAYING, Runtime.RESUMING)
 
     @property
-    def obeys_outside(self) -> bool:
-        """Whether it takes commands from outside."""
+    def accepts_commands(self) -> bool:
+        """Whether it accepts commands over the network."""
         return self.remote_control or self.config.personality.series == "CB3"
 
     # -- registers ---------------------------------------------------------------------------------------------------
 
     def input_int(self, number: int) -> int:
-        """An integer register that clients write."""
+        """Return an integer register that clients write."""
         return int(self.values[f"input_int_register_{number}"][0])
 
     def input_double(self, number: int) -> float:
-        """A float register that clients write."""
+        """Return a float register that clients write."""
         return self.values[f"input_double_register_{number}"][0]
 
     def input_doubles(self, first: int, count: int) -> Values:
-        """Some float registers that clients write."""
+        """Return consecutive float registers that clients write."""
         return tuple(self.input_double(first + i) for i in range(count))
 
     def set_output_int(self, number: int, value: int) -> None:
@@ -219,25 +173,25 @@ class Controller:
             self.values[f"output_double_register_{first + i}"] = (float(value),)
 
     def write_input(self, name: str, value: Values) -> None:
-        """What a client wrote; the watchdog sees it."""
+        """Store an input that a client wrote, and its time for the watchdog."""
         self.values[name] = value
         if name.startswith("input_int_register_"):
-            self._written_s[int(name[19:])] = self._awake_s
+            self._written_s[int(name[19:])] = self._running_s
         elif name == "speed_slider_fraction" and self.values["speed_slider_mask"][0]:
             self.speed_fraction = min(max(value[0], 0.0), 1.0)
             self.values["target_speed_fraction"] = (self.speed_fraction,)
 
     def set_watchdog(self, least_hz: float, register: int) -> None:
-        """Stop the program when an input register is not written ``least_hz`` times a second; 0 switches it off."""
+        """Stop the program if an input register is written less often than ``least_hz``; 0 switches this off."""
         self._watchdog = (1.0 / least_hz, register) if least_hz > 0.0 else None
-        self._watch_from_s = self._awake_s
+        self._watchdog_start_s = self._running_s
 
     # -- motion ------------------------------------------------------------------------------------------------------
 
     def move(self, q: Sequence[float], speed: float, acceleration: float) -> None:
-        """Start a joint motion as ``movej`` does: no joint faster than ``speed`` or its own most.
+        """Start a joint motion like ``movej``: no joint exceeds ``speed`` or its own limit.
 
-        Raises ``ScriptError`` for a goal outside the limits, or for no number.
+        Raises ``ScriptError`` for a goal outside the limits, or a value that is not a finite number.
         """
         config = self.config
         numbers = (*q, speed, acceleration)
@@ -256,42 +210,42 @@ class Controller:
         self._goal = (goal, speed, acceleration)
         self._move_from = self.motions.q(self.name)
         self.motions.start_move(self.name, goal, speed, acceleration)
-        self._has_moved = True  # at a high pace it may be over before the next cycle
+        self._was_moving = True  # at a high pace the motion may end before the next cycle
         self.moves += 1
 
     def brake(self) -> None:
-        """Bring the arm to rest; what it was doing is forgotten."""
+        """Stop the arm and forget its goal."""
         self._goal = None
         self.motions.stop(self.name)
 
     # -- program -----------------------------------------------------------------------------------------------------
 
     def upload(self, program: Program) -> bool:
-        """A program came over the script port; it starts after a while, in the place of what runs. Whether it will."""
-        if not self.obeys_outside:
+        """Accept an uploaded program, which replaces a running one after a delay; return whether it was accepted."""
+        if not self.accepts_commands:
             self.log.append(f"program {program.name} ignored: not in remote control")
             return False
         if self.robot_mode is not RobotMode.RUNNING or self.safety_mode is not SafetyMode.NORMAL:
             self.log.append(f"program {program.name} ignored: {self.robot_mode.name}, {self.safety_mode.name}")
             return False
         self.stop_program()
-        self._waiting = (self.now_s + self.start_delay_s, program)
+        self._uploaded = (self.now_s + self.start_delay_s, program)
         return True
 
-    def stop_program(self, why: str = "") -> None:
-        """End what runs, is paused or is about to start; the arm brakes."""
-        self._waiting = None
+    def stop_program(self, reason: str = "") -> None:
+        """End a program that runs, is paused or is about to start; the arm brakes."""
+        self._uploaded = None
         self._watchdog = None
         if self.runtime in (Runtime.STOPPED, Runtime.STOPPING):
             return
-        if why:
-            self.log.append(f"program stopped: {why}")
+        if reason:
+            self.log.append(f"program stopped: {reason}")
         self.brake()
         self.program = None
         self._set_runtime(Runtime.STOPPING)
 
     def pause_program(self) -> bool:
-        """Interrupt what runs; whether anything did."""
+        """Pause the program; return whether one ran."""
         if not self.running:
             return False
         self.motions.stop(self.name)
@@ -299,58 +253,58 @@ class Controller:
         return True
 
     def resume_program(self) -> bool:
-        """Go on with what was interrupted; whether there was something and nothing stands against it."""
-        if self.runtime is not Runtime.PAUSED or not self._fit_to_move():
+        """Resume a paused program; return whether one was paused and the arm can move."""
+        if self.runtime is not Runtime.PAUSED or not self._can_move():
             return False
         self._set_runtime(Runtime.RESUMING)
         return True
 
-    def _fit_to_move(self) -> bool:
+    def _can_move(self) -> bool:
         return self.robot_mode is RobotMode.RUNNING and self.safety_mode is SafetyMode.NORMAL
 
     # -- safety and power --------------------------------------------------------------------------------------------
 
-    def protective_stop(self, why: str = "commanded") -> None:
-        """Stop the arm to protect it. Nothing happens where it is stopped already, or has no power."""
-        if not self._fit_to_move():
+    def protective_stop(self, reason: str = "commanded") -> None:
+        """Trigger a protective stop; without effect if the arm is stopped already or has no power."""
+        if not self._can_move():
             return
-        self.log.append(f"protective stop: {why}")
+        self.log.append(f"protective stop: {reason}")
         self.safety_mode = SafetyMode.PROTECTIVE_STOP
-        self._stopped_at_s = self.motions.clock_s
-        self._releasing_at_s = math.inf
-        self._waiting = None
-        self._armed = _ArmedStop()
+        self._protective_stop_s = self.motions.clock_s
+        self._release_s = math.inf
+        self._uploaded = None
+        self._stop_trigger = _StopTrigger()
         self.motions.stop(self.name)
         if self.running:
             self._set_runtime(Runtime.PAUSING)
         self._publish_modes()
 
     def arm_protective_stop(self, *, speed: float = math.inf, travel: float = math.inf) -> None:
-        """Stop once the arm moves at ``speed`` [rad/s], or has gone ``travel`` [rad] since a start; inf: not."""
-        self._armed = _ArmedStop(speed, travel)
+        """Trigger a stop when the arm reaches ``speed`` [rad/s] or has moved by ``travel`` [rad]; inf: never."""
+        self._stop_trigger = _StopTrigger(speed, travel)
 
     def unlock(self, *, at_once: bool = False) -> bool:
-        """Release a protective stop, as the operator does; False while it is too early (unless ``at_once``)."""
+        """Release a protective stop as the operator does; return False if too early (unless ``at_once``)."""
         if self.safety_mode is SafetyMode.PROTECTIVE_STOP:
-            if not at_once and self.motions.clock_s - self._stopped_at_s < self.config.unlock_after_s:
+            if not at_once and self.motions.clock_s - self._protective_stop_s < self.config.unlock_after_s:
                 return False
-            self._releasing_at_s = self.motions.clock_s
+            self._release_s = self.motions.clock_s
         return True
 
     def emergency_stop(self) -> None:
-        """Press the button: the program ends, the arm brakes and loses its power."""
+        """Press the emergency stop: the program ends, the arm brakes and loses power."""
         self.log.append("emergency stop")
         self.stop_program()
         self.motions.stop(self.name)
         self._goal = None
-        self._armed = _ArmedStop()
+        self._stop_trigger = _StopTrigger()
         self.safety_mode = SafetyMode.ROBOT_EMERGENCY_STOP
         self.robot_mode = RobotMode.POWER_OFF
         self._mode_due.clear()
         self._publish_modes()
 
     def release_emergency_stop(self) -> None:
-        """Pull the button out; power stays off."""
+        """Release the emergency stop; power stays off."""
         if self.safety_mode is SafetyMode.ROBOT_EMERGENCY_STOP:
             self.safety_mode = SafetyMode.NORMAL
             self._publish_modes()
@@ -366,7 +320,7 @@ class Controller:
         return True
 
     def release_brakes(self) -> bool:
-        """Go to RUNNING, over power on if need be; False in an emergency stop."""
+        """Go to RUNNING, with power on if needed; False in an emergency stop."""
         if not self.power_on():
             return False
         if self.robot_mode is not RobotMode.RUNNING and not any(m is RobotMode.RUNNING for _, m in self._mode_due):
@@ -375,7 +329,7 @@ class Controller:
         return True
 
     def power_off(self) -> None:
-        """End the program and take the power away."""
+        """End the program and switch power off."""
         self.stop_program("power off")
         self.motions.stop(self.name)
         self._mode_due.clear()
@@ -385,26 +339,26 @@ class Controller:
     # -- time --------------------------------------------------------------------------------------------------------
 
     def cycle(self, now_s: float) -> None:
-        """One control period, at ``now_s`` on the wall's monotonic clock; the cell's time has passed already."""
-        self._awake_s += min(now_s - self.now_s, _LONGEST_PAUSE_S)
+        """Execute one control period at ``now_s`` (``time.monotonic``), after the cell's time has been advanced."""
+        self._running_s += min(now_s - self.now_s, _MAX_PAUSE_S)
         self.now_s = now_s
         self._read_drives()
         while self._mode_due and self._clock_s >= self._mode_due[0][0]:
             self.robot_mode = self._mode_due.pop(0)[1]
             self._publish_modes()
-        if self._clock_s >= self._releasing_at_s:
-            self._releasing_at_s = math.inf
+        if self._clock_s >= self._release_s:
+            self._release_s = math.inf
             self.safety_mode = SafetyMode.NORMAL
             self.log.append("protective stop released")
             self._publish_modes()
-        self._watch()
-        self._run()
+        self._check_watchdog()
+        self._step_program()
 
     def _read_drives(self) -> None:
         clock_s = self.motions.clock_s
         elapsed_s = clock_s - self._clock_s
         moving = self.moving
-        if moving or self._has_moved or self._qd != _ZERO6:
+        if moving or self._was_moving or self._qd != _ZERO6:
             q: Values = tuple(self.motions.q(self.name).tolist())
             if elapsed_s > 0.0:
                 qd = tuple((a - b) / elapsed_s for a, b in zip(q, self._q, strict=True))
@@ -413,7 +367,7 @@ class Controller:
             values = self.values
             values["actual_q"] = values["target_q"] = q
             values["actual_qd"] = values["target_qd"] = self._qd
-        self._has_moved = moving
+        self._was_moving = moving
         if moving:
             self._rest_since_s = clock_s
         self._clock_s = clock_s
@@ -421,21 +375,21 @@ class Controller:
         if clock_s >= self._temperature_due_s:
             self._temperature_due_s = clock_s + _TEMPERATURE_EVERY_S
             self.values["joint_temperatures"] = tuple(self.motions.joint_temperatures_c(self.name).tolist())
-        if moving and (self._armed.speed < math.inf or self._armed.travel < math.inf):
-            gone = max(abs(a - b) for a, b in zip(self._q, self._move_from, strict=True))
-            if max(map(abs, self._qd)) >= self._armed.speed or gone >= self._armed.travel:
+        if moving and (self._stop_trigger.speed < math.inf or self._stop_trigger.travel < math.inf):
+            travel = max(abs(a - b) for a, b in zip(self._q, self._move_from, strict=True))
+            if max(map(abs, self._qd)) >= self._stop_trigger.speed or travel >= self._stop_trigger.travel:
                 self.protective_stop("armed for this motion")
 
-    def _watch(self) -> None:
+    def _check_watchdog(self) -> None:
         if self._watchdog is None or self.runtime is not Runtime.PLAYING:
             return
-        longest_s, register = self._watchdog
-        fed_s = max(self._written_s.get(register, -math.inf), self._watch_from_s)
-        silent_s = self._awake_s - fed_s
-        if silent_s > longest_s:
+        period_s, register = self._watchdog
+        written_s = max(self._written_s.get(register, -math.inf), self._watchdog_start_s)
+        silent_s = self._running_s - written_s
+        if silent_s > period_s:
             self.stop_program(f"watchdog: input_int_register_{register} not written for {silent_s:.3f} s")
 
-    def _run(self) -> None:
+    def _step_program(self) -> None:
         moving = self.moving
         if self.runtime is Runtime.STOPPING and not moving:
             self._set_runtime(Runtime.STOPPED)
@@ -445,31 +399,31 @@ class Controller:
             if self._goal is not None:
                 self._start(*self._goal)
             self._set_runtime(Runtime.PLAYING)
-        elif self.runtime is Runtime.STOPPED and self._waiting is not None and self.now_s >= self._waiting[0]:
+        elif self.runtime is Runtime.STOPPED and self._uploaded is not None and self.now_s >= self._uploaded[0]:
             if not moving:
-                program, self._waiting = self._waiting[1], None
+                program, self._uploaded = self._uploaded[1], None
                 self._watchdog = None
                 self.program = program
                 self._set_runtime(Runtime.PLAYING)
-                self._attempt(program.begin)
+                self._run_step(program.begin)
         elif self.runtime is Runtime.PLAYING and self.program is not None:
-            self._attempt(self.program.cycle)
+            self._run_step(self.program.cycle)
 
-    def _attempt(self, step: Callable[[Controller], bool | None]) -> None:
+    def _run_step(self, step: Callable[[Controller], bool | None]) -> None:
         try:
             if step(self) is False:
                 self.stop_program("it ended")
         except ScriptError as error:
             self.stop_program(str(error))
 
-    def arrived(self) -> bool:
-        """Whether the last motion is over."""
+    def motion_ended(self) -> bool:
+        """Return whether the last motion has ended."""
         if self.moving:
             return False
         self._goal = None
         return True
 
-    # -- what is streamed --------------------------------------------------------------------------------------------
+    # -- streamed values ---------------------------------------------------------------------------------------------
 
     def _set_runtime(self, state: Runtime) -> None:
         self.runtime = state
@@ -482,37 +436,37 @@ class Controller:
         values["safety_mode"] = values["safety_status"] = (int(self.safety_mode),)
         values["runtime_state"] = (int(self.runtime),)
         values["robot_status_bits"] = (powered * 1 | self.running * 2 | powered * 8,)
-        values["safety_status_bits"] = (_SAFETY_BITS[self.safety_mode],)
-        values["joint_mode"] = (_JOINT_MODE.get(self.robot_mode, _JOINT_POWER_OFF),) * 6
+        values["safety_status_bits"] = (SAFETY_BITS[self.safety_mode],)
+        values["joint_mode"] = (JOINT_MODE.get(self.robot_mode, JOINT_POWER_OFF),) * 6
         values["actual_robot_voltage"] = (48.0 * powered,)
 
     def publish_load(self) -> None:
-        """Show a changed payload or TCP."""
+        """Update the streamed payload and TCP."""
         values = self.values
         values["payload"] = (self.payload_mass,)
         values["payload_cog"] = self.payload_center
         values["payload_inertia"] = self.payload_inertia
         values["tcp_offset"] = self.tcp
-        self._pose_of = None
+        self._pose_inputs = None
 
     def tool_pose(self, q: Sequence[float], tcp: Sequence[float]) -> Values:
-        """Pose in B of a tool centre point ``tcp`` in the flange frame, as the controller computes it."""
+        """Return the pose in B of a tool centre point ``tcp`` given in the flange frame."""
         flange = poses.chain(self.config.personality.rows, q)[-1]
         return poses.pose(poses.composed(flange, poses.frame(tcp)))
 
     def refresh_poses(self) -> None:
-        """Bring the TCP pose and speed up to date; whoever streams them asks, because they take time."""
+        """Update the streamed TCP pose and speed; called only when they are streamed, because it takes time."""
         now = (self._q, self._qd, self.tcp)
-        if self._pose_of == now:
+        if self._pose_inputs == now:
             return
-        self._pose_of = now
+        self._pose_inputs = now
         frames = poses.chain(self.config.personality.rows, self._q)
         tool = poses.composed(frames[-1], poses.frame(self.tcp))
         values = self.values
         values["actual_TCP_pose"] = values["target_TCP_pose"] = poses.pose(tool)
         values["actual_TCP_speed"] = values["target_TCP_speed"] = poses.speed(frames, self._qd, tool.p)
 
-    def _first_values(self) -> dict[str, Values]:
+    def _initial_values(self) -> dict[str, Values]:
         values = zeros()
         values["actual_q"] = values["target_q"] = self._q
         values["actual_main_voltage"] = (48.0,)

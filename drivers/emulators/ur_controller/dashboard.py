@@ -1,10 +1,11 @@
-"""The dashboard: a line in, a line out. The wording of refusals was not compared with a real controller."""
+"""Dashboard server: one line per command and answer. Refusals were not compared with a real controller's text."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.emulators.ur_controller.controller import Controller, Runtime, SafetyMode
+from drivers.emulators.ur_controller.controller import Controller
+from drivers.emulators.ur_controller.modes import Runtime, SafetyMode
 
 GREETING = "Connected: Universal Robots Dashboard Server"
 
@@ -25,7 +26,7 @@ _ACKNOWLEDGED = {
     "addToLog": "Added log message",
     "close safety popup": "closing safety popup",
 }
-_NOT_DONE_HERE = (
+_NOT_EMULATED = (
     "load",
     "load installation",
     "shutdown",
@@ -36,37 +37,37 @@ _NOT_DONE_HERE = (
 
 
 def answer(controller: Controller, line: str) -> str:
-    """Do what a line asks and say what came of it."""
-    told = _questions(controller).get(line)
-    if told is not None:
-        return told
+    """Execute a line and return the answer."""
+    answer_to_question = _questions(controller).get(line)
+    if answer_to_question is not None:
+        return answer_to_question
     commands = _commands(controller)
     refused = f"Failed to execute: {line}"
     if line in commands:
-        if line in _REMOTE_ONLY and not controller.obeys_outside:
+        if line in _REMOTE_ONLY and not controller.accepts_commands:
             return _LOCAL.format(line=line)
         return commands[line]() or refused
     for command, acknowledged in _ACKNOWLEDGED.items():
-        if _is(line, command):
+        if _is_command(line, command):
             if command == "addToLog":
                 controller.log.append(f"dashboard: {line[9:209]}")
             return acknowledged
-    if any(_is(line, command) for command in _NOT_DONE_HERE):
+    if any(_is_command(line, command) for command in _NOT_EMULATED):
         return refused
     return f"could not understand: '{line}'"
 
 
-def _is(line: str, command: str) -> bool:
+def _is_command(line: str, command: str) -> bool:
     return line == command or line.startswith(f"{command} ")
 
 
 def _questions(controller: Controller) -> dict[str, str]:
-    who = controller.config.personality
+    personality = controller.config.personality
     safety = _safety(controller)
     known = {
-        "PolyscopeVersion": who.software,
-        "get robot model": who.model,
-        "get serial number": who.serial,
+        "PolyscopeVersion": personality.software,
+        "get robot model": personality.model,
+        "get serial number": personality.serial,
         "robotmode": f"Robotmode: {controller.robot_mode.name}",
         "safetymode": f"Safetymode: {safety}",
         "running": f"Program running: {str(controller.running).lower()}",
@@ -75,7 +76,7 @@ def _questions(controller: Controller) -> dict[str, str]:
         "isProgramSaved": "true <unnamed>",
         "quit": "Disconnected",
     }
-    if who.series == "e-Series":
+    if personality.series == "e-Series":
         known |= {
             "safetystatus": f"Safetystatus: {safety}",
             "is in remote control": str(controller.remote_control).lower(),
@@ -89,7 +90,7 @@ def _safety(controller: Controller) -> str:
 
 
 def _commands(controller: Controller) -> dict[str, Callable[[], str]]:
-    """Command -> what does it; an empty answer is a refusal."""
+    """Return the function of each command; an empty answer is a refusal."""
 
     def stop() -> str:
         controller.stop_program("by the dashboard")

@@ -1,4 +1,4 @@
-"""Ports and connections that can be made to misbehave. One thread, one selector."""
+"""Ports and connections with injectable faults. One thread, one selector."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ Ending = Literal["fin", "rst"]
 _GARBAGE = b"\x00\xff\x17 this is no robot \xfe\x80\n"
 _CHUNK = 65536
 _FLOOD = 4096
-_MOST_CLIENTS = 64
-_MOST_QUEUED = 1 << 20
-_MOST_STREAMED = 1 << 16
-_HIGHEST_FD = 1000  # select() takes no more than 1024
+_MAX_CLIENTS = 64
+_MAX_QUEUED = 1 << 20
+_MAX_STREAMED = 1 << 16
+_MAX_FD = 1000  # select() takes no more than 1024
 _TRICKLE_S = 0.05
 
 
 class Session(Protocol):
-    """What answers on one connection."""
+    """Protocol handler of one connection."""
 
     def received(self, data: bytes) -> None:
-        """Bytes from the client."""
+        """Process bytes from the client."""
 
     def closed(self) -> None:
-        """The connection is gone."""
+        """Release resources after the connection has ended."""
 
 
 @dataclass(eq=False)
@@ -43,11 +43,11 @@ class Link:
     socket: socket.socket
     session: Session | None = None
     queued: bytearray = field(default_factory=bytearray)
-    leaving: bool = False
+    closing: bool = False
     gone: bool = False
 
     def send(self, data: bytes) -> None:
-        """Queue an answer; what the port's fault makes of it."""
+        """Queue an answer, subject to the port's fault."""
         match self.port.fault:
             case "none":
                 self.port.push(self, data)
@@ -59,22 +59,22 @@ class Link:
                 pass
 
     def stream(self, data: bytes) -> None:
-        """Queue something that nobody asked for; a client that does not read misses it."""
-        if self.port.fault == "none" and len(self.queued) < _MOST_STREAMED:
+        """Queue unsolicited data; dropped for a client that does not read."""
+        if self.port.fault == "none" and len(self.queued) < _MAX_STREAMED:
             self.port.push(self, data)
         elif self.port.fault == "garbage":
             self.port.push(self, _GARBAGE)
 
-    def leave(self) -> None:
-        """Close once all is sent."""
-        self.leaving = True
+    def close_after_send(self) -> None:
+        """Close after all queued data are sent."""
+        self.closing = True
         self.port.push(self, b"")
 
 
 class Port:
-    """One listening port, its connections and its present fault.
+    """One listening port, its connections and its current fault.
 
-    ``open_session`` makes what answers on a new connection.
+    ``open_session`` returns the handler of a new connection.
     """
 
     def __init__(
@@ -91,14 +91,14 @@ class Port:
         self._listening: socket.socket | None = None
         self.links: list[Link] = []
         self.fault: Fault = "none"
-        self._mend_at_s: float | None = None
+        self._fault_end_s: float | None = None
         self._trickle_at_s = 0.0
 
     def listen(self) -> None:
         """Take the port. Raises ``OSError`` that names the address."""
         listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
-            if os.name == "posix":  # elsewhere it would share the port with whoever has it
+            if os.name == "posix":  # on Windows it would share the port with another process
                 listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listening.bind((self.host, self.number))
             listening.listen(16)
@@ -111,7 +111,7 @@ class Port:
         self._selector.register(listening, selectors.EVENT_READ, self)
 
     def close(self) -> None:
-        """Drop all connections and give the port back."""
+        """Drop all connections and free the port."""
         for link in list(self.links):
             self.drop(link)
         if self._listening is not None:
@@ -120,20 +120,20 @@ class Port:
             self._listening = None
 
     def fail(self, fault: Fault, until_s: float | None = None) -> None:
-        """Misbehave from now on, until ``until_s`` if given. Raises ``OSError`` if a refused port was taken since."""
+        """Set a fault, until ``until_s`` if given. Raises ``OSError`` if a refused port was taken meanwhile."""
         if fault == "refuse":
             self.close()
         elif self._listening is None:
             self.listen()
         self.fault = fault
-        self._mend_at_s = until_s
+        self._fault_end_s = until_s
         for link in list(self.links):
-            self._watch(link)
+            self._update_events(link)
 
     def tick(self, now_s: float) -> None:
-        """Mend what is due and send what a fault sends by itself."""
-        if self._mend_at_s is not None and now_s >= self._mend_at_s:
-            with suppress(OSError):  # taken meanwhile: it stays refused
+        """End a fault that is due; send the bytes of a trickle."""
+        if self._fault_end_s is not None and now_s >= self._fault_end_s:
+            with suppress(OSError):  # the port was taken meanwhile: it stays refused
                 self.fail("none")
         if self.fault == "trickle" and now_s >= self._trickle_at_s:
             self._trickle_at_s = now_s + _TRICKLE_S
@@ -141,14 +141,14 @@ class Port:
                 self.push(link, b"\x00")
 
     def accept(self) -> None:
-        """Take a new connection."""
+        """Accept a new connection."""
         if self._listening is None:
             return
         try:
             connection, _ = self._listening.accept()
         except OSError:
-            return  # gone before it was greeted
-        if len(self.links) >= _MOST_CLIENTS or connection.fileno() > _HIGHEST_FD:
+            return  # the client has closed already
+        if len(self.links) >= _MAX_CLIENTS or connection.fileno() > _MAX_FD:
             connection.close()
             return
         connection.setblocking(False)
@@ -156,11 +156,11 @@ class Port:
         link = Link(self, connection)
         self.links.append(link)
         self._selector.register(connection, selectors.EVENT_READ, link)
-        self._watch(link)
+        self._update_events(link)
         link.session = self._open_session(link)
 
-    def attend(self, link: Link, events: int) -> None:
-        """Read and write what is there."""
+    def handle(self, link: Link, events: int) -> None:
+        """Read and write as the selector reports."""
         if link.gone:
             return
         if events & selectors.EVENT_READ:
@@ -179,7 +179,7 @@ class Port:
             self.push(link, b"")
 
     def push(self, link: Link, data: bytes) -> None:
-        """Queue bytes and send what is taken at once."""
+        """Queue bytes and send what the socket takes at once."""
         if link.gone:
             return
         flood = self.fault == "flood"
@@ -194,14 +194,14 @@ class Port:
             self.drop(link)
             return
         del link.queued[:sent]
-        if len(link.queued) > _MOST_QUEUED or (link.leaving and not link.queued):
+        if len(link.queued) > _MAX_QUEUED or (link.closing and not link.queued):
             self.drop(link)
             return
         if link.queued or sent < len(data) or flood:
-            self._watch(link)
+            self._update_events(link)
 
-    def _watch(self, link: Link) -> None:
-        """Wait for what this connection may do now; a silent one is not even read, as if its cable were cut."""
+    def _update_events(self, link: Link) -> None:
+        """Register the selector events of a connection; a silent one is not read either, like a cut cable."""
         events = 0 if self.fault == "silent" else selectors.EVENT_READ
         if link.queued or self.fault == "flood":
             events |= selectors.EVENT_WRITE if self.fault != "silent" else 0
@@ -214,7 +214,7 @@ class Port:
             self._selector.unregister(link.socket)
 
     def drop(self, link: Link, ending: Ending = "fin") -> None:
-        """End a connection: an orderly end, or a reset."""
+        """End a connection in order, or with a reset."""
         if link.gone:
             return
         link.gone = True

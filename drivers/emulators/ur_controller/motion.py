@@ -1,4 +1,4 @@
-"""What the controllers move: the joints of a plant, or joints alone; and the time that passes for them."""
+"""Drives behind the controllers: the joints of a plant, or joints alone; and the cell's clock."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STANDSTILL_S = 5.0
 
 
 class Motions(Protocol):
-    """The drives of all arms of a cell and their common clock. ``drivers.plant.Plant`` is one."""
+    """Drives of all arms of a cell and their common clock; ``drivers.plant.Plant`` implements it."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -29,13 +29,13 @@ class Motions(Protocol):
         """Time of the cell [s]."""
 
     def advance(self, duration_s: float) -> None:
-        """Let time pass."""
+        """Advance the clock."""
 
     def q(self, name: str) -> Array:
         """Joint positions (6,) now [rad]."""
 
     def moving(self, name: str) -> bool:
-        """Whether a motion is under way."""
+        """Whether an arm moves."""
 
     def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
         """Start a joint motion of an arm at rest, at most at ``speed`` and ``acceleration`` (6,)."""
@@ -47,11 +47,11 @@ class Motions(Protocol):
         """Joint temperatures (6,) now [degC]."""
 
     def set_payload(self, name: str, mass: float, center: Array) -> None:
-        """Hang a load on the flange [kg, m]."""
+        """Set the load of the flange [kg, m]."""
 
 
 class FreeMotions:
-    """Joints without a cell around them: exact, weightless and always at room temperature."""
+    """Ideal joints without a plant: exact, without load, at constant temperature."""
 
     def __init__(self, homes: Mapping[str, Array], accelerations: Mapping[str, Array]) -> None:
         self._q = {name: np.array(home, dtype=np.float64) for name, home in homes.items()}
@@ -70,7 +70,7 @@ class FreeMotions:
         return self._clock_s
 
     def advance(self, duration_s: float) -> None:
-        """Let time pass."""
+        """Advance the clock."""
         self._clock_s += duration_s
         for name, motion in self._motions.items():
             if motion is not None and motion.end_s <= self._clock_s:
@@ -82,7 +82,7 @@ class FreeMotions:
         return self._q[name].copy() if motion is None else motion.position(np.array([self._clock_s]))[0]
 
     def moving(self, name: str) -> bool:
-        """Whether a motion is under way."""
+        """Whether an arm moves."""
         return self._motions[name] is not None
 
     def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
@@ -92,7 +92,7 @@ class FreeMotions:
         self._motions[name] = travel(self._clock_s, self._q[name], np.array(q), speed, acceleration)
 
     def stop(self, name: str) -> None:
-        """Brake as hard as the joints can."""
+        """Brake at the greatest acceleration."""
         motion = self._motions[name]
         if motion is not None:
             self._q[name] = self.q(name)
@@ -103,15 +103,14 @@ class FreeMotions:
         return np.full(6, _ROOM_C)
 
     def set_payload(self, name: str, mass: float, center: Array) -> None:
-        """Nothing here weighs anything."""
+        """Do nothing: ideal joints carry no load."""
 
 
 class PacedCell:
-    """A cell whose time passes at ``pace`` seconds for each second of wall time, shared by several threads.
+    """A cell whose clock runs at ``pace`` times wall time, shared by several threads.
 
-    The server of the controllers calls ``catch_up``; nobody else lets time pass. Whoever touches ``motions`` holds
-    ``lock`` while doing so, and lets go of it to wait: ``passed`` is a condition on the same lock, notified whenever
-    time has passed.
+    Only the server of the controllers advances the clock, with ``catch_up``. Hold ``lock`` to access ``motions`` and
+    release it to wait: ``passed`` is a condition on the same lock, notified when the clock has advanced.
     """
 
     def __init__(self, motions: Motions, pace: float = 1.0) -> None:
@@ -133,7 +132,7 @@ class PacedCell:
         self._pace = pace
 
     def catch_up(self, now_s: float) -> None:
-        """Let the cell's time pass up to ``now_s`` on the wall's monotonic clock; the first call sets the start."""
+        """Advance the cell to ``now_s`` (``time.monotonic``); the first call sets the start."""
         with self.lock:
             elapsed = 0.0 if self._last_s is None else now_s - self._last_s
             if self._last_s is None or elapsed > 0.0:
@@ -143,14 +142,14 @@ class PacedCell:
                 self.passed.notify_all()
 
     def wait(self, duration_s: float) -> None:
-        """Wait until ``duration_s`` of the cell's time have passed; from any thread but the server's.
+        """Wait until the cell's clock has advanced by ``duration_s``; from any thread except the server's.
 
-        Raises ``TimeoutError`` where the cell's clock stands, because its server does not run.
+        Raises ``TimeoutError`` if the clock does not advance, because the server does not run.
         """
         with self.passed:
             seen_s = self.motions.clock_s
             end_s = seen_s + duration_s
             while self.motions.clock_s < end_s:
                 if not self.passed.wait(_STANDSTILL_S) and seen_s == self.motions.clock_s:
-                    raise TimeoutError("the cell's clock stands: its server does not run")
+                    raise TimeoutError("the cell's clock does not advance: its server does not run")
                 seen_s = self.motions.clock_s

@@ -1,4 +1,4 @@
-"""Who a stood-in controller is: series, software, arm, the kinematics that it tells, and what its drives can do."""
+"""Identity and configuration of an emulated controller: series, software, arm, kinematics, limits of the drives."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Rows = tuple[tuple[float, float, float, float], ...]
 STANDARD_PORTS: Mapping[PortName, int] = {"dashboard": 29999, "primary": 30001, "script": 30003, "rtde": 30004}
 FREE_PORTS: Mapping[PortName, int] = dict.fromkeys(STANDARD_PORTS, 0)
 
-_SOFTWARE = {  # the form counts; the dates mean nothing
+_SOFTWARE = {  # the format matters, the dates do not
     "CB3": ((3, 15, 8, 106339), "Jun 20 2022"),
     "e-Series": ((5, 11, 1, 1108318), "Nov 11 2021"),
 }
@@ -39,18 +39,18 @@ _PUBLISHED: dict[tuple[str, str], Rows] = {
 
 @dataclass(frozen=True)
 class Personality:
-    """The controller that is stood in for.
+    """Identity of the emulated controller.
 
     Attributes
     ----------
     model : str
-        As a controller gives it: "UR10" on both series.
+        As reported by controllers: "UR10" in both series.
     serial : str
         Digits.
     rows : tuple
-        D-H rows theta, d, a, alpha of the six joints [rad, m, m, rad], as the controller computes with them.
+        D-H rows theta, d, a, alpha of the six joints [rad, m, m, rad] that the controller uses.
     checksums, calibration_status : tuple of int, int
-        As in the kinematics information; the defaults say that there is no calibration.
+        As in the kinematics information; the defaults mean: no calibration.
     """
 
     series: Series
@@ -77,12 +77,12 @@ class Personality:
 
     @property
     def rate_hz(self) -> float:
-        """Control cycles a second, which is also the most that RTDE streams."""
+        """Control rate, which is also the highest rate of RTDE [Hz]."""
         return _RATE_HZ[self.series]
 
 
 def personality(series: Series, model: str, serial: str) -> Personality:
-    """A UR5 or UR10 as published. Raises ``ValueError`` for other models."""
+    """Return a UR5 or UR10 with published kinematics. Raises ``ValueError`` for other models."""
     rows = _PUBLISHED.get((series, model))
     if rows is None:
         known = sorted({name for _, name in _PUBLISHED})
@@ -92,26 +92,26 @@ def personality(series: Series, model: str, serial: str) -> Personality:
 
 @dataclass(frozen=True)
 class ControllerConfig:
-    """One controller: who it is, where it listens, what its drives can do, how it is found.
+    """One controller: identity, addresses, limits of the drives, initial state.
 
     Attributes
     ----------
     name : str
         Of the arm, in the plant and on the control channel.
     host : str
-        IPv4 address to listen on; not a loopback one only with ``beyond_loopback``.
+        IPv4 address to listen on; other than loopback only with ``beyond_loopback``.
     ports : mapping
         Of dashboard, primary, script and rtde; 0 takes a free one. The ur_rtde client knows the standard ones only.
     limits, speed, acceleration : tuples of 6
-        Joint ranges [rad], and the most of each joint [rad/s, rad/s^2]. A faster command is carried out at these.
+        Joint ranges [rad] and limits of each joint [rad/s, rad/s^2]; faster commands are executed at these.
     home : tuple of 6
-        Where the arm stands at first, where no plant says otherwise [rad].
+        Initial joint angles without a plant [rad].
     robot_mode : str
-        "RUNNING" or "POWER_OFF": how it is found.
+        Initial mode: "RUNNING" or "POWER_OFF".
     remote_control : bool
-        Whether commands from outside are obeyed; CB3 has no such switch and always obeys.
+        Whether commands over the network are accepted; CB3 has no such switch and always accepts them.
     payload_mass, payload_center, tcp : float, tuple of 3, tuple of 6
-        What is set on the controller's installation [kg, m; m and rotation vector in rad].
+        Settings of the controller's installation [kg, m; m and rotation vector in rad].
     boot_s, brake_release_s, unlock_after_s : float
         In the cell's time: power on to idle, idle to running, protective stop to the earliest unlocking [s].
     start_delay_s : float

@@ -1,6 +1,6 @@
-"""Where flange and tool are, as a controller computes them: standard D-H; poses are position and rotation vector.
+"""Poses of flange and tool from standard D-H, as position and rotation vector.
 
-Plain numbers, because this is done in every control cycle for one configuration: arrays of three would take longer.
+Plain numbers instead of arrays: for one configuration per control cycle they are faster.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def _plus(u: Vector, v: Vector) -> Vector:
 
 
 def chain(rows: Rows, q: Sequence[float]) -> list[Frame]:
-    """D-H frames 0 to 6 in B at ``q`` (6,), from ``A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha)``."""
+    """Return D-H frames 0 to 6 in B at ``q`` (6,), from ``A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha)``."""
     frame = IDENTITY
     frames = [frame]
     for (theta, d, a, alpha), angle in zip(rows, q, strict=True):
@@ -52,7 +52,7 @@ def chain(rows: Rows, q: Sequence[float]) -> list[Frame]:
 
 
 def composed(one: Frame, other: Frame) -> Frame:
-    """``other``, given in ``one``, in the frame that ``one`` is given in."""
+    """Return the product ``one * other``."""
 
     def turned(v: Vector) -> Vector:
         return _plus(_mix(v[0], one.x, v[1], one.y), _mix(v[2], one.z, 0.0, one.z))
@@ -61,7 +61,7 @@ def composed(one: Frame, other: Frame) -> Frame:
 
 
 def speed(frames: Sequence[Frame], qd: Sequence[float], point: Vector) -> tuple[float, ...]:
-    """Velocity of a point of the last body and its angular velocity (6,), at joint speeds ``qd`` (6,)."""
+    """Return velocity of a point of the last body and its angular velocity (6,) at joint speeds ``qd`` (6,)."""
     linear = angular = (0.0, 0.0, 0.0)
     for before, rate in zip(frames, qd, strict=False):
         arm = _mix(1.0, point, -1.0, before.p)
@@ -71,7 +71,7 @@ def speed(frames: Sequence[Frame], qd: Sequence[float], point: Vector) -> tuple[
 
 
 def frame(pose: Sequence[float]) -> Frame:
-    """The frame of a pose x, y, z, rx, ry, rz."""
+    """Return the frame of a pose x, y, z, rx, ry, rz."""
     x, y, z, *about = pose
     angle = math.sqrt(sum(v * v for v in about))
     if angle == 0.0:
@@ -88,9 +88,9 @@ def frame(pose: Sequence[float]) -> Frame:
 
 
 def pose(frame: Frame) -> tuple[float, ...]:
-    """Pose x, y, z, rx, ry, rz of a frame; the rotation vector is at most half a turn long.
+    """Return the pose x, y, z, rx, ry, rz of a frame; the rotation angle is at most pi.
 
-    Taken from the unit quaternion by its largest component, which is steady at half a turn too.
+    Computed from the quaternion's largest component (Shepperd), which is stable at pi too.
     """
     (xx, yx, zx), (xy, yy, zy), (xz, yz, zz), p = frame
     trace = xx + yy + zz

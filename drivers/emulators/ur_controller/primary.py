@@ -1,11 +1,12 @@
-"""The primary interface: a version message, then the robot state ten times a second, the first with the kinematics."""
+"""Primary interface: a version message, then the robot state ten times a second, the first with kinematics."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
 
-from drivers.emulators.ur_controller.controller import Controller, RobotMode, Runtime, SafetyMode
+from drivers.emulators.ur_controller.controller import Controller
+from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.personality import ControllerConfig, Personality
 
 PERIOD_S = 0.1
@@ -22,20 +23,20 @@ def _sub(kind: int, payload: bytes) -> bytes:
 
 
 def package(subs: Iterable[bytes]) -> bytes:
-    """A robot-state package of sub-packages."""
+    """Return a robot-state package made of sub-packages."""
     payload = b"".join(subs)
     return struct.pack(">iB", 5 + len(payload), _ROBOT_STATE) + payload
 
 
-def kinematics_info(who: Personality) -> bytes:
-    """The sub-package that tells the D-H parameters and the checksums of their calibration."""
-    theta, d, a, alpha = zip(*who.rows, strict=True)
-    values = struct.pack(">6I24dI", *who.checksums, *theta, *a, *d, *alpha, who.calibration_status)
+def kinematics_info(personality: Personality) -> bytes:
+    """Return the sub-package with D-H parameters and calibration checksums."""
+    theta, d, a, alpha = zip(*personality.rows, strict=True)
+    values = struct.pack(">6I24dI", *personality.checksums, *theta, *a, *d, *alpha, personality.calibration_status)
     return _sub(_KINEMATICS, values)
 
 
 def configuration_data(config: ControllerConfig) -> bytes:
-    """The sub-package that tells limits, default speeds and D-H parameters (in its own order: a, d, alpha, theta)."""
+    """Return the sub-package with limits, default speeds and D-H parameters (in the order a, d, alpha, theta)."""
     theta, d, a, alpha = zip(*config.personality.rows, strict=True)
     limits = [bound for pair in config.limits for bound in pair]
     rates = [value for pair in zip(config.speed, config.acceleration, strict=True) for value in pair]
@@ -48,23 +49,23 @@ def configuration_data(config: ControllerConfig) -> bytes:
 
 
 def version_message(controller: Controller) -> bytes:
-    """The message with which a connection begins."""
-    who = controller.config.personality
+    """Return the first message of a connection."""
+    personality = controller.config.personality
     name = b"URControl"
-    major, minor, bugfix, build = who.version
+    major, minor, bugfix, build = personality.version
     payload = struct.pack(">QbbB", int(controller.clock_s * _MICROSECONDS), -2, _VERSION_MESSAGE, len(name)) + name
     payload += struct.pack(">BBii", major, minor, bugfix, build)
     return struct.pack(">iB", 5 + len(payload), _MESSAGE) + payload
 
 
 def first_state(controller: Controller) -> bytes:
-    """The robot state that a client sees first: with kinematics and configuration."""
+    """Return the first robot state of a connection, with kinematics and configuration."""
     config = controller.config
     return package([*_state(controller), kinematics_info(config.personality), configuration_data(config)])
 
 
 def state(controller: Controller) -> bytes:
-    """The robot state now."""
+    """Return the current robot state."""
     return package(_state(controller))
 
 

@@ -1,6 +1,6 @@
-"""Real-Time Data Exchange, protocol version 2: recipes, the stream of states, and the registers that clients write.
+"""Real-Time Data Exchange, protocol version 2: recipes, stream of states, registers written by clients.
 
-An input belongs to the connection that first set it up, until that connection ends; its last value stays.
+An input belongs to the connection that first claimed it until that connection ends; its last value stays.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _HEADER = struct.Struct(">HB")
 _VERSION, _CONTROLLER_VERSION, _TEXT = ord("V"), ord("v"), ord("M")
 _OUTPUTS, _INPUTS, _START, _PAUSE, _DATA = ord("O"), ord("I"), ord("S"), ord("P"), ord("U")
 _PROTOCOL = 2
-_MOST_RECIPES = 255
+_MAX_RECIPES = 255
 _POSES = frozenset({"actual_TCP_pose", "actual_TCP_speed", "target_TCP_pose", "target_TCP_speed"})
 
 
@@ -31,12 +31,12 @@ class _Recipe:
 
 
 class RtdeServer:
-    """What the connections to one controller share: who owns which input, and how long packets are dealt with.
+    """State shared by the connections to one controller: the owners of inputs, and the reaction to short packets.
 
     Attributes
     ----------
     short_packets : str
-        What becomes of a data packet of the wrong length: "swallow" or "close" the connection.
+        Reaction to a data packet of the wrong length: "swallow" it or "close" the connection.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -47,7 +47,7 @@ class RtdeServer:
         self.outputs = OUTPUTS | E_SERIES_OUTPUTS if e_series else OUTPUTS
 
     def claim(self, names: Sequence[str], session: RtdeSession) -> list[str]:
-        """The types of inputs for a connection, or why it cannot have them; it gets all or none."""
+        """Claim inputs for a connection, all or none; return their types, or why a name cannot be claimed."""
         types = [INPUTS.get(name, "NOT_FOUND") for name in names]
         for i, name in enumerate(names):
             if types[i] != "NOT_FOUND" and self._owners.get(name, session) is not session:
@@ -57,15 +57,12 @@ class RtdeServer:
         return types
 
     def release(self, session: RtdeSession) -> None:
-        """A connection ended: what it owned is free."""
+        """Free the inputs of a connection that has ended."""
         self._owners = {name: owner for name, owner in self._owners.items() if owner is not session}
 
 
 class RtdeSession:
-    """One connection. ``send`` takes bytes to the client, ``close`` ends the connection.
-
-    ``stream`` gives the client its states; call it once a control cycle.
-    """
+    """One connection. ``send`` and ``stream`` carry answers and states to the client, ``close`` ends the connection."""
 
     def __init__(
         self,
@@ -76,8 +73,8 @@ class RtdeSession:
     ) -> None:
         self._server = server
         self._send, self._stream, self._close = send, stream, close
-        self._held = bytearray()
-        self._agreed = False
+        self._received = bytearray()
+        self._version_agreed = False
         self._streaming = False
         self._output: _Recipe | None = None
         self._inputs: dict[int, _Recipe] = {}
@@ -87,25 +84,25 @@ class RtdeSession:
         self._poses = False
 
     def received(self, data: bytes) -> None:
-        """Bytes from the client."""
-        self._held += data
-        while len(self._held) >= _HEADER.size:
-            size, kind = _HEADER.unpack_from(self._held)
+        """Process bytes from the client."""
+        self._received += data
+        while len(self._received) >= _HEADER.size:
+            size, kind = _HEADER.unpack_from(self._received)
             if size < _HEADER.size:
                 self._close()
                 return
-            if len(self._held) < size:
+            if len(self._received) < size:
                 return
-            payload = bytes(self._held[_HEADER.size : size])
-            del self._held[:size]
+            payload = bytes(self._received[_HEADER.size : size])
+            del self._received[:size]
             self._package(kind, payload)
 
     def closed(self) -> None:
-        """The connection is gone."""
+        """Free the inputs of this connection."""
         self._server.release(self)
 
     def cycle(self) -> None:
-        """Send the state of this control cycle, if it is this client's turn."""
+        """Send the state of this control cycle if the requested frequency demands it."""
         if not self._streaming or self._output is None:
             return
         self._credit += self._share
@@ -124,8 +121,8 @@ class RtdeSession:
     def _reply(self, kind: int, payload: bytes) -> None:
         self._send(_HEADER.pack(_HEADER.size + len(payload), kind) + payload)
 
-    def _say(self, text: str) -> None:
-        """A warning for the client's log."""
+    def _warn(self, text: str) -> None:
+        """Send a warning for the client's log."""
         message, source = text.encode()[:255], b"RTDE"
         self._reply(_TEXT, bytes((len(message),)) + message + bytes((len(source),)) + source + b"\x02")
 
@@ -133,12 +130,12 @@ class RtdeSession:
         if kind == _DATA:
             self._data(payload)
         elif kind == _VERSION:
-            self._agreed = payload == struct.pack(">H", _PROTOCOL)
-            self._reply(_VERSION, bytes((self._agreed,)))
+            self._version_agreed = payload == struct.pack(">H", _PROTOCOL)
+            self._reply(_VERSION, bytes((self._version_agreed,)))
         elif kind == _CONTROLLER_VERSION:
             self._reply(_CONTROLLER_VERSION, struct.pack(">4I", *self._server.controller.config.personality.version))
-        elif kind in (_OUTPUTS, _INPUTS) and not self._agreed:
-            self._say("only protocol version 2 is spoken here; ask for it first")
+        elif kind in (_OUTPUTS, _INPUTS) and not self._version_agreed:
+            self._warn("only protocol version 2 is supported; request it first")
             self._close()
         elif kind == _OUTPUTS:
             self._set_outputs(payload)
@@ -152,12 +149,12 @@ class RtdeSession:
             self._streaming = False
             self._reply(_PAUSE, b"\x01")
         elif kind != _TEXT:
-            self._say(f"unknown package type {kind}")
+            self._warn(f"unknown package type {kind}")
 
     def _set_outputs(self, payload: bytes) -> None:
         controller = self._server.controller
         if len(payload) < 8:
-            self._say("the frequency of the outputs is missing")
+            self._warn("the frequency of the outputs is missing")
             return
         (frequency,) = struct.unpack_from(">d", payload)
         names = _split(payload[8:])
@@ -174,7 +171,7 @@ class RtdeSession:
         names = _split(payload)
         types = self._server.claim(names, self)
         number = 0
-        if names and not {"NOT_FOUND", "IN_USE"} & set(types) and len(self._inputs) < _MOST_RECIPES:
+        if names and not {"NOT_FOUND", "IN_USE"} & set(types) and len(self._inputs) < _MAX_RECIPES:
             number = len(self._inputs) + 1
             self._inputs[number] = _Recipe(number, tuple(names), layout(types), tuple(map(width, types)))
         self._reply(_INPUTS, bytes((number,)) + ",".join(types).encode())
@@ -196,5 +193,5 @@ class RtdeSession:
 
 
 def _split(names: bytes) -> list[str]:
-    """Names from a list that may end in a comma."""
+    """Split a list of names that may end in a comma."""
     return [name.strip() for name in names.decode("ascii", errors="replace").split(",") if name.strip()]

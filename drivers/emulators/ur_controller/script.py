@@ -1,8 +1,8 @@
-"""The script port: program texts come in, and what can be run of them is handed to the controller.
+"""Script port: extracts programs from uploaded text and passes them to the controller.
 
-Only whole blocks from ``def name():`` to an ``end`` in the first column are taken. URScript is not interpreted: the
-control script of ur_rtde is recognised by its markers and acted out; any other program starts and ends at once. A real
-controller also streams its state here; this one is silent.
+Only complete blocks from ``def name():`` to an ``end`` in the first column count. URScript is not interpreted: the
+control script of ur_rtde is recognised by its markers and emulated; any other program starts and ends at once. A real
+controller also streams its state here; this one sends nothing.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from drivers.emulators.ur_controller.control_script import ControlScript
 from drivers.emulators.ur_controller.controller import Controller, Program
 
-_MOST_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 _HEAD = re.compile(rb"^def[ \t]+([A-Za-z_]\w*)[ \t]*\([^)\n]*\)[ \t]*:", re.MULTILINE)
 _TAIL = re.compile(rb"^end[ \t]*\r?\n", re.MULTILINE)
 _FLOAT_OFFSET = re.compile(rb"# ?float register offset\s*\n?\s*(\d+)")
@@ -22,20 +22,20 @@ _INT_OFFSET = re.compile(rb"# ?int register offset\s*\n?\s*(\d+)")
 
 @dataclass
 class UnknownProgram:
-    """A program that is not understood: it starts and does nothing."""
+    """A program that is not emulated: it starts and ends at once."""
 
     name: str
 
     def begin(self, controller: Controller) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def cycle(self, controller: Controller) -> bool:
-        """It is over."""
+        """End."""
         return False
 
 
 def program_of(name: str, block: bytes) -> Program:
-    """What a block of text does on a controller."""
+    """Return the program of a block of text."""
     offsets = [pattern.search(block) for pattern in (_INT_OFFSET, _FLOAT_OFFSET)]
     numbers = [int(found.group(1)) for found in offsets if found is not None]
     if len(numbers) == 2 and all(number in (0, 24) for number in numbers):
@@ -44,24 +44,24 @@ def program_of(name: str, block: bytes) -> Program:
 
 
 class Upload:
-    """Collects the text of one connection and cuts programs out of it."""
+    """Collects the text of one connection and extracts programs."""
 
     def __init__(self) -> None:
-        self._held = bytearray()
+        self._received = bytearray()
 
     def take(self, data: bytes) -> list[Program]:
-        """The programs that ``data`` completes, in order; text outside a program is dropped."""
-        self._held += data
+        """Return the programs that ``data`` completes, in order; text outside a program is discarded."""
+        self._received += data
         found: list[Program] = []
-        while (head := _HEAD.search(self._held)) is not None:
-            tail = _TAIL.search(self._held, head.end())
+        while (head := _HEAD.search(self._received)) is not None:
+            tail = _TAIL.search(self._received, head.end())
             if tail is None:
                 break
-            block = bytes(self._held[head.start() : tail.end()])
+            block = bytes(self._received[head.start() : tail.end()])
             found.append(program_of(head.group(1).decode(), block))
-            del self._held[: tail.end()]
+            del self._received[: tail.end()]
         if head is None:
-            del self._held[: self._held.rfind(b"\n") + 1]
-        if len(self._held) > _MOST_BYTES:
-            self._held.clear()
+            del self._received[: self._received.rfind(b"\n") + 1]
+        if len(self._received) > _MAX_BYTES:
+            self._received.clear()
         return found

@@ -1,4 +1,4 @@
-"""The loop that serves all controllers of a cell from one thread, and the ways to start it."""
+"""Server loop for all controllers of a cell in one thread, and the functions that start it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 
 from drivers.emulators.ur_controller import dashboard, primary
-from drivers.emulators.ur_controller.control import Control, ControlSession, Emulated, obey
+from drivers.emulators.ur_controller.control import Control, ControlSession, Emulated, execute
 from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.links import Link, Port, Session
 from drivers.emulators.ur_controller.motion import FreeMotions, Motions, PacedCell
@@ -28,15 +28,15 @@ from drivers.emulators.ur_controller.script import Upload
 from drivers.plant import Plant, PlantConfig
 
 _LONGEST_LINE = 4096
-_PATIENCE_S = 10.0
+_JOIN_S = 10.0
 _START_S = 60.0
-_MOST_BEHIND = 5
-"""Control cycles that may be made up for; more are lost."""
+_MAX_BEHIND = 5
+"""Missed control cycles that are made up for; more are skipped."""
 
 
 @dataclass(frozen=True)
 class Addresses:
-    """Where the controllers and the control channel listen: (host, port)."""
+    """Addresses (host, port) of the controllers and the control channel."""
 
     arms: Mapping[str, Mapping[PortName, tuple[str, int]]]
     control: tuple[str, int]
@@ -45,27 +45,27 @@ class Addresses:
 class _DashboardSession:
     def __init__(self, arm: Controller, link: Link, received: deque[str]) -> None:
         self._arm, self._link, self._log = arm, link, received
-        self._held = bytearray()
+        self._received = bytearray()
         link.send(f"{dashboard.GREETING}\n".encode())
 
     def received(self, data: bytes) -> None:
-        self._held += data
-        while not (self._link.leaving or self._link.gone) and (end := self._held.find(b"\n")) >= 0:
-            line = self._held[:end].decode("utf-8", errors="replace").strip()
-            del self._held[: end + 1]
+        self._received += data
+        while not (self._link.closing or self._link.gone) and (end := self._received.find(b"\n")) >= 0:
+            line = self._received[:end].decode("utf-8", errors="replace").strip()
+            del self._received[: end + 1]
             self._log.append(line)
             self._link.send(f"{dashboard.answer(self._arm, line)}\n".encode())
             if line == "quit":
-                self._link.leave()
-        if len(self._held) > _LONGEST_LINE:
-            self._link.leave()
+                self._link.close_after_send()
+        if len(self._received) > _LONGEST_LINE:
+            self._link.close_after_send()
 
     def closed(self) -> None:
         pass
 
 
 class _ScriptSession:
-    """Takes programs; with ``greet``, on the primary port, the client is sent the robot state too."""
+    """Receives programs; with ``greet``, for the primary port, also sends the robot state."""
 
     def __init__(self, arm: Controller, link: Link, *, greet: bool) -> None:
         self._arm, self._upload = arm, Upload()
@@ -81,7 +81,7 @@ class _ScriptSession:
 
 
 class _Arm(Emulated):
-    """One controller, its ports and when its next cycle and robot state are due."""
+    """One controller, its ports and the due times of its next cycle and robot state."""
 
     def __init__(self, controller: Controller, selector: selectors.BaseSelector) -> None:
         config = controller.config
@@ -107,10 +107,10 @@ class _Arm(Emulated):
         return session
 
     def cycle(self, now_s: float) -> None:
-        """One control cycle and what is streamed after it."""
+        """Execute one control cycle and stream the state."""
         controller = self.controller
         self.due_s += controller.period_s
-        if now_s - self.due_s > _MOST_BEHIND * controller.period_s:
+        if now_s - self.due_s > _MAX_BEHIND * controller.period_s:
             self.due_s = now_s + controller.period_s
         controller.cycle(now_s)
         for link, session in list(self._streams.items()):
@@ -130,18 +130,18 @@ class _Arm(Emulated):
 
 
 class UrControllerServer:
-    """Controllers of one cell. In a ``with`` block they are served by a background thread; ``run`` serves them here.
+    """Controllers of one cell. A ``with`` block serves them in a background thread; ``run`` serves in the foreground.
 
-    Clients that hold the interpreter's lock while they connect (ur_rtde does) must be in another process: see
+    Clients that hold the interpreter's lock while connecting, such as ur_rtde, must be in another process: see
     ``start_in_process``.
 
     Attributes
     ----------
     cell : PacedCell
-        The motions, their clock and the lock. Another server in this process, such as a tracker's, runs in a thread of
-        its own, holds ``cell.lock`` while it touches the plant, and waits with ``cell.wait``.
+        The motions, their clock and lock. Another server in this process, such as a tracker's, runs in a thread of its
+        own, holds ``cell.lock`` while it accesses the plant, and waits with ``cell.wait``.
     failure : Exception or None
-        What ended the background thread before it was told to; all ports are closed then.
+        The exception that ended the background thread early; all ports are closed then.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class UrControllerServer:
         pace: float = 1.0,
         control_port: int = 0,
     ) -> None:
-        """Prepare for ``arms`` that move ``plant`` (None: joints alone).
+        """Configure controllers for ``arms`` that move ``plant`` (None: ideal joints).
 
         Raises ``ValueError`` if an arm is not in the plant, has another number of joints, or two share a name.
         """
@@ -163,7 +163,7 @@ class UrControllerServer:
             plant = FreeMotions(homes, {arm.name: np.array(arm.acceleration) for arm in arms})
         for name in names:
             if name not in plant.names:
-                raise ValueError(f"arm {name}: the plant has no such arm; it has {', '.join(plant.names)}")
+                raise ValueError(f"arm {name}: not in the plant; its arms are {', '.join(plant.names)}")
             if len(plant.q(name)) != 6:
                 raise ValueError(f"arm {name}: the plant gives it {len(plant.q(name))} joints, a UR arm has 6")
         self.cell = PacedCell(plant, pace)
@@ -177,12 +177,12 @@ class UrControllerServer:
         self.failure: Exception | None = None
 
     def _open_control(self, link: Link) -> ControlSession:
-        return ControlSession(link.send, lambda line: obey(line, self._arms, self.cell, time.monotonic()))
+        return ControlSession(link.send, lambda line: execute(line, self._arms, self.cell, time.monotonic()))
 
     # -- life --------------------------------------------------------------------------------------------------------
 
     def open(self) -> Addresses:
-        """Take all ports. Raises ``OSError`` that names the arm and the address; then nothing is left open."""
+        """Open all ports. Raises ``OSError`` with the arm and the address; then nothing is left open."""
         if self._wake is not None:
             raise RuntimeError("the emulator was started already")
         self._closing = False
@@ -205,7 +205,7 @@ class UrControllerServer:
 
     @property
     def addresses(self) -> Addresses:
-        """Where everything listens, once it does."""
+        """Addresses of all ports, once they are open."""
         arms = {
             name: {known: (port.host, port.number) for known, port in arm.ports.items()}
             for name, arm in self._arms.items()
@@ -214,34 +214,34 @@ class UrControllerServer:
 
     def __enter__(self) -> Self:
         self.open()
-        self._thread = threading.Thread(target=self._run_aside, name="UR controllers", daemon=True)
+        self._thread = threading.Thread(target=self._run_in_thread, name="UR controllers", daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()
         if self._thread is not None:
-            self._thread.join(_PATIENCE_S)
+            self._thread.join(_JOIN_S)
             self._thread = None
 
     def stop(self) -> None:
         """Let ``run`` return; from any thread."""
         self._closing = True
-        self._ring()
+        self._wake_up()
 
-    def _run_aside(self) -> None:
+    def _run_in_thread(self) -> None:
         try:
             self.run()
-        except Exception as error:  # noqa: BLE001 - a thread's last door: whoever waits for it must be told
+        except Exception as error:  # noqa: BLE001 - reported by ``failure``
             self.failure = error
 
-    def _ring(self) -> None:
+    def _wake_up(self) -> None:
         if self._wake is not None:
-            with suppress(OSError):  # full: it is awake already; closed: it is gone
+            with suppress(OSError):  # full: the loop wakes anyway; closed: it has ended
                 self._wake[0].send(b"!")
 
     def control(self) -> Control:
-        """A new connection to the control channel; close it."""
+        """Return a new connection to the control channel; the caller closes it."""
         return Control(self.addresses.control)
 
     def _close(self) -> None:
@@ -258,7 +258,7 @@ class UrControllerServer:
     # -- loop --------------------------------------------------------------------------------------------------------
 
     def run(self, stop_when_readable: Connection | None = None) -> None:
-        """Serve until ``stop``, or until ``stop_when_readable`` ends, then close all ports; call ``open`` before."""
+        """Serve until ``stop`` or until ``stop_when_readable`` closes, then close all ports; call ``open`` before."""
         if stop_when_readable is not None:
             self._selector.register(stop_when_readable.fileno(), selectors.EVENT_READ, self.stop)
         try:
@@ -271,7 +271,7 @@ class UrControllerServer:
                 ready = self._selector.select(max(0.0, due_s - time.monotonic()))
                 with self.cell.lock:
                     for key, events in ready:
-                        self._attend(key, events)
+                        self._handle(key, events)
                     now_s = time.monotonic()
                     if any(arm.due_s <= now_s for arm in self._arms.values()):
                         self.cell.catch_up(now_s)
@@ -283,9 +283,9 @@ class UrControllerServer:
             if stop_when_readable is not None:
                 self._selector.unregister(stop_when_readable.fileno())
 
-    def _attend(self, key: selectors.SelectorKey, events: int) -> None:
+    def _handle(self, key: selectors.SelectorKey, events: int) -> None:
         if isinstance(key.data, Link):
-            key.data.port.attend(key.data, events)
+            key.data.port.handle(key.data, events)
         elif isinstance(key.data, Port):
             key.data.accept()
         elif key.data is not None:
@@ -302,9 +302,9 @@ def serve(
     announce: Callable[[Addresses], None] = lambda _: None,
     control_port: int = 0,
 ) -> None:
-    """Serve in the foreground until interrupted; ``announce`` is called once, when all listen.
+    """Serve in the foreground until interrupted; ``announce`` is called once, when all ports are open.
 
-    Raises ``OSError`` if a port is in use or an address cannot be had, ``ValueError`` as ``UrControllerServer``.
+    Raises ``OSError`` if a port or address is not available, ``ValueError`` like ``UrControllerServer``.
     """
     server = UrControllerServer(arms, plant, pace, control_port)
     announce(server.open())
@@ -316,13 +316,13 @@ def serve(
 
 
 class EmulatorProcess:
-    """Controllers in a process of their own; ``close`` ends it, or use ``with``. It also ends when its parent does.
+    """Controllers in a separate process; ``close`` or ``with`` ends it. It also ends with its parent.
 
     Attributes
     ----------
     addresses : Addresses
     control : Control
-        The control channel; one thread at a time (``Control(addresses.control)`` opens another).
+        A client of the control channel.
     pid : int
     """
 
@@ -343,7 +343,7 @@ class EmulatorProcess:
         """End the process; harmless when it has ended."""
         self.control.close()
         self._pipe.close()
-        self._process.join(_PATIENCE_S)
+        self._process.join(_JOIN_S)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
@@ -355,38 +355,38 @@ def start_in_process(
     plant: PlantConfig | None = None,
     pace: float = 1.0,
 ) -> EmulatorProcess:
-    """Start controllers in a process of their own and return once all listen.
+    """Start controllers in a separate process and return when all ports are open.
 
-    Raises ``OSError`` if a port is in use, ``ValueError`` for what ``UrControllerServer`` or ``Plant`` would refuse,
-    ``TimeoutError`` if the process does not come up.
+    Raises ``OSError`` if a port is in use, ``ValueError`` like ``UrControllerServer`` and ``Plant``, ``TimeoutError``
+    if the process does not start.
     """
     context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
+    parent_end, child_end = context.Pipe()
     process = context.Process(
-        target=_serve_in_process, args=(theirs, tuple(arms), plant, pace), name="UR controllers", daemon=True
+        target=_serve_in_process, args=(child_end, tuple(arms), plant, pace), name="UR controllers", daemon=True
     )
     process.start()
-    theirs.close()
+    child_end.close()
     try:
-        if not ours.poll(_START_S):
-            raise TimeoutError(f"the emulator's process did not come up within {_START_S:g} s")
-        told = ours.recv()
+        if not parent_end.poll(_START_S):
+            raise TimeoutError(f"the emulator's process did not start within {_START_S:g} s")
+        answer = parent_end.recv()
     except (EOFError, TimeoutError) as error:
         process.kill()
         process.join()
-        ours.close()
-        raise TimeoutError(f"the emulator's process did not come up: {error or 'it ended'}") from error
-    if not isinstance(told, Addresses):
-        process.join(_PATIENCE_S)
-        ours.close()
-        raise told
-    return EmulatorProcess(process, ours, told)
+        parent_end.close()
+        raise TimeoutError(f"the emulator's process did not start: {error or 'it ended'}") from error
+    if not isinstance(answer, Addresses):
+        process.join(_JOIN_S)
+        parent_end.close()
+        raise answer
+    return EmulatorProcess(process, parent_end, answer)
 
 
 def _serve_in_process(
     pipe: Connection, arms: Sequence[ControllerConfig], plant: PlantConfig | None, pace: float
 ) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends when the pipe does, after whoever uses it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends when the parent closes the pipe
     try:
         server = UrControllerServer(arms, None if plant is None else Plant(plant), pace)
         addresses = server.open()

@@ -1,4 +1,4 @@
-"""The variables that RTDE knows, and their types on the wire."""
+"""RTDE variables and their types on the wire."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import struct
 from collections.abc import Sequence
 
 REGISTERS = 48
-"""Integer and float registers, each way."""
+"""Number of integer and of float registers in each direction."""
 
 _FORMATS = {
     "DOUBLE": "d",
@@ -53,33 +53,34 @@ _INPUTS = {
 }
 
 
-def _by_name(table: dict[str, str], ways: Sequence[str]) -> dict[str, str]:
+def _by_name(table: dict[str, str], directions: Sequence[str]) -> dict[str, str]:
     known = {name: kind for kind, names in table.items() for name in names.split()}
-    for way in ways:
+    for direction in directions:
         for number in range(REGISTERS):
-            known |= {f"{way}_int_register_{number}": "INT32", f"{way}_double_register_{number}": "DOUBLE"}
+            known[f"{direction}_int_register_{number}"] = "INT32"
+            known[f"{direction}_double_register_{number}"] = "DOUBLE"
     return known
 
 
 OUTPUTS = _by_name(_OUTPUTS, ("input", "output"))
-"""Name -> type of what both series stream."""
+"""Name -> type of the outputs of both series."""
 E_SERIES_OUTPUTS = {"ft_raw_wrench": "VECTOR6D"}
 INPUTS = _by_name(_INPUTS, ("input",))
-"""Name -> type of what clients may write."""
+"""Name -> type of the inputs."""
 
 
 def layout(kinds: Sequence[str]) -> struct.Struct:
-    """How values of some types lie one after another on the wire."""
+    """Return the binary layout of consecutive values of the given types."""
     return struct.Struct(">" + "".join(_FORMATS[kind] for kind in kinds))
 
 
 def width(kind: str) -> int:
-    """How many numbers a value of a type has."""
+    """Return the number of numbers in a value of a type."""
     one = layout([kind])
     return len(one.unpack(bytes(one.size)))
 
 
 def zeros() -> dict[str, tuple[float, ...]]:
-    """Every variable, zero."""
+    """Return every variable with the value zero."""
     kinds = OUTPUTS | E_SERIES_OUTPUTS | INPUTS
     return {name: layout([kind]).unpack(bytes(layout([kind]).size)) for name, kind in kinds.items()}

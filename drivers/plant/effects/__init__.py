@@ -1,4 +1,4 @@
-"""The hidden effects that the simulated cell knows. A new one is a file here and a line in ``FACTORIES``."""
+"""Registry of the hidden effects of the simulated cell. A new one is a file here and a line in ``FACTORIES``."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Any
 
 from drivers.plant.effect import Effect, Parameters
 from drivers.plant.effects.backlash import backlash
+from drivers.plant.effects.drift import base_drift, base_step, target_slip, tracker_drift
 from drivers.plant.effects.encoder_eccentricity import encoder_eccentricity
 from drivers.plant.effects.friction_windup import friction_windup
 from drivers.plant.effects.joint_axis_wobble import joint_axis_wobble
 from drivers.plant.effects.joint_compliance import joint_compliance
 from drivers.plant.effects.link_bending import link_bending
 from drivers.plant.effects.payload_compliance import payload_compliance
-from drivers.plant.effects.peculiar import base_sway, crosstalk, draught, dress_pack, tool_sag, wrist_cable
 from drivers.plant.effects.pedestal import pedestal_compliance, pedestal_coupling
 from drivers.plant.effects.target_incidence import target_incidence
+from drivers.plant.effects.thermal import joint_drift, thermal_growth
 from drivers.plant.effects.tracker import tracker_angle_error, tracker_distance_offset, tracker_scale
 from drivers.plant.effects.transmission_error import transmission_error
+from drivers.plant.effects.uncatalogued import base_sway, crosstalk, draught, dress_pack, tool_sag, wrist_cable
 from drivers.plant.effects.unsettled_measurement import unsettled_measurement
-from drivers.plant.effects.wandering import base_drift, base_step, target_slip, tracker_drift
-from drivers.plant.effects.warmth import joint_drift, thermal_growth
 
 FACTORIES: Mapping[str, Callable[[Parameters], Effect]] = {
     "backlash": backlash,
@@ -54,11 +54,11 @@ FACTORIES: Mapping[str, Callable[[Parameters], Effect]] = {
 
 
 def build(arm: str, joints: int, configured: Mapping[str, Mapping[str, Any]]) -> tuple[Effect, ...]:
-    """The effects of one arm. Raises ``ValueError`` naming the arm, the effect, the parameter and what exists."""
+    """Build the effects of one arm. Raises ``ValueError`` with the arm, the effect, the parameter and what is valid."""
     effects = []
     for name, values in configured.items():
         if name not in FACTORIES:
-            raise ValueError(f"arm {arm}: there is no effect '{name}'; effects are {', '.join(sorted(FACTORIES))}")
+            raise ValueError(f"arm {arm}: unknown effect '{name}'; effects are {', '.join(sorted(FACTORIES))}")
         if not isinstance(values, Mapping):
             raise ValueError(f"arm {arm}, effect {name}: expected its parameters by name, not {values!r}")
         effects.append(FACTORIES[name](Parameters(arm, name, values, joints)))

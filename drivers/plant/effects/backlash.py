@@ -1,4 +1,4 @@
-"""Play between drive and joint: the drive drags the joint along, which stays behind when the drive turns back."""
+"""Backlash between drive and joint: after a reversal the joint follows only when the play is used up."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ _ELEMENTS = 16
 
 @dataclass(frozen=True, eq=False)
 class Backlash(Effect):
-    """The play operator. Its memory is where each joint is; a motion that does not turn back is one clipping."""
+    """Play operator. The memory is the position of each joint; a motion without reversal is one clipping."""
 
     half: Array
 
-    def begin(self, q: Array) -> Array | None:
+    def initial_memory(self, q: Array) -> Array | None:
         return q
 
-    def moved(self, memory: Array | None, q: Array) -> Array | None:
+    def memory_after_motion(self, memory: Array | None, q: Array) -> Array | None:
         assert memory is not None
-        return np.clip(memory, q - self.half, q + self.half)
+        joint: Array = np.clip(memory, q - self.half, q + self.half)
+        return joint
 
-    def remembered(self, situation: Situation) -> Array | None:
+    def assumed_memory(self, situation: Situation) -> Array | None:
         q, step = situation.q, situation.last_step
-        # from the middle of the play a short step does not reach its edge
+        # a short step from the middle of the play does not reach its edge
         drag = np.where(step == 0.0, self.half, np.minimum(self.half, np.abs(step)))
-        return q - np.sign(situation.approach) * drag
+        joint: Array = q - np.sign(situation.approach) * drag
+        return joint
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
         assert memory is not None
@@ -38,12 +40,12 @@ class Backlash(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class SlippingTeeth(Effect):
+class SlippingElements(Effect):
     """Lost motion that grows with the length of the last step and saturates.
 
-    Between drive and joint many elements sit in parallel, each of which sticks, is strained by the step, and slips
-    beyond a strain of its own (Masing); these slip distances are spread exponentially about ``reach``. At rest they
-    creep back to the middle, so that each step begins unstrained. The memory is the drive's angle and the joint's lag.
+    Masing model: many parallel elements between drive and joint stick, are strained by the step, and slip beyond a
+    strain of their own; the slip distances are distributed exponentially with mean ``reach``. At rest the elements
+    relax, so that each step begins unstrained. The memory is the drive's angle and the joint's lag.
     """
 
     half: Array
@@ -51,17 +53,18 @@ class SlippingTeeth(Effect):
 
     def _lag(self, step: Array) -> Array:
         slips = -self.reach * np.log1p(-(np.arange(_ELEMENTS) + 0.5)[:, None, None] / _ELEMENTS)
-        return self.half * np.minimum(np.abs(step) / slips, 1.0).mean(axis=0)
+        lag: Array = self.half * np.minimum(np.abs(step) / slips, 1.0).mean(axis=0)
+        return lag
 
-    def begin(self, q: Array) -> Array | None:
+    def initial_memory(self, q: Array) -> Array | None:
         return np.stack([q, np.zeros_like(q)])
 
-    def moved(self, memory: Array | None, q: Array) -> Array | None:
+    def memory_after_motion(self, memory: Array | None, q: Array) -> Array | None:
         assert memory is not None
         step = q - memory[0]
         return np.stack([q, np.where(step == 0.0, memory[1], np.sign(step) * self._lag(step))])
 
-    def remembered(self, situation: Situation) -> Array | None:
+    def assumed_memory(self, situation: Situation) -> Array | None:
         step = situation.last_step
         lag = np.where(step == 0.0, self.half, self._lag(step))
         return np.stack([situation.q, np.sign(situation.approach) * lag])
@@ -72,12 +75,12 @@ class SlippingTeeth(Effect):
 
 
 def backlash(parameters: Parameters) -> Effect:
-    """``play``: full width of the dead band of each joint [rad].
+    """Build backlash. ``play``: full width of the dead band of each joint [rad].
 
     With ``reach`` [rad] per joint, the lost motion saturates at half the play as the last step grows beyond ``reach``.
     """
-    parameters.only("play", optional=("reach",))
+    parameters.require("play", optional=("reach",))
     half = parameters.numbers("play", least=0.0) / 2.0
-    if not parameters.together("reach"):
+    if not parameters.all_or_none("reach"):
         return Backlash(half)
-    return SlippingTeeth(half, parameters.numbers("reach", above=0.0))
+    return SlippingElements(half, parameters.numbers("reach", above=0.0))

@@ -1,4 +1,4 @@
-"""A graduated disc whose centre is not on the axis it turns about, read by one head."""
+"""An encoder disc whose centre is off its axis of rotation, read by one head."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from drivers.plant.mechanism import Deflection
 
 @dataclass(frozen=True, eq=False)
 class EncoderEccentricity(Effect):
-    """The servo brings the READING to the commanded angle; the shaft is then elsewhere.
+    """The servo controls the encoder reading to the commanded angle, so the shaft angle has the error.
 
-    The axis is the origin and the head stands at distance r from it. With the shaft at angle s the disc's centre is at
-    ``e (cos(s + phase), sin(s + phase))``; the head reads the angle under which the disc's centre sees it, on the disc:
+    The axis is the origin, the head is at distance r from it. With the shaft at angle s the disc's centre is at
+    ``e (cos(s + phase), sin(s + phase))``; the reading is the head's direction from the disc's centre, on the disc:
     ``reading = s + atan2(e sin(s + phase), r - e cos(s + phase))``. Solved for s in the triangle of centre, axis and
     head, whose angle at the centre follows from the reading: ``s = reading - atan2(h, sqrt(r^2 - h^2))`` with
     ``h = e sin(reading + phase)``.
@@ -35,8 +35,8 @@ class EncoderEccentricity(Effect):
 
 
 def encoder_eccentricity(parameters: Parameters) -> Effect:
-    """``joints``: numbers from 1; for each ``eccentricity`` [m], ``radius`` of the disc [m] and ``phase`` [rad]."""
-    parameters.only("joints", "eccentricity", "radius", "phase")
+    """Build eccentricity. ``joints``: numbers from 1; for each ``eccentricity``, ``radius`` [m], ``phase`` [rad]."""
+    parameters.require("joints", "eccentricity", "radius", "phase")
     joints = parameters.joint_numbers("joints")
     count = len(joints)
     eccentricity = parameters.numbers("eccentricity", count, least=0.0)

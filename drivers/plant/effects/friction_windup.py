@@ -1,4 +1,4 @@
-"""Coulomb friction behind the drive's spring: it comes to rest wound up against the last motion."""
+"""Coulomb friction behind the drive's spring: the joint comes to rest wound up against the last motion."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from drivers.plant.mechanism import Deflection, Posture
 
 @dataclass(frozen=True, eq=False)
 class FrictionWindup(Effect):
-    """The motor has dragged the joint along against ``friction + load_friction * |load|``; the spring holds that.
+    """At rest the spring holds the friction torque ``friction + load_friction * |load|`` of the last motion.
 
-    The friction acts at the joint, the encoder sits at the motor. The load is gravity at the deflected posture. A last
-    step shorter than the wind-up winds no further than itself. A joint that has not moved is not wound up. Sizes: an
-    estimate, 1e-4 rad at 50 Nm.
+    The friction acts at the joint, the encoder is at the motor. The load is gravity in the deflected posture. The
+    wind-up does not exceed the last step; a joint that has not moved has none. Sizes: an estimate, 1e-4 rad at 50 Nm.
     """
 
     friction: Array
@@ -31,8 +30,8 @@ class FrictionWindup(Effect):
 
 
 def friction_windup(parameters: Parameters) -> Effect:
-    """Per joint: ``friction`` [Nm], ``load_friction`` [Nm/Nm], ``stiffness`` of the drive [Nm/rad]."""
-    parameters.only("friction", "load_friction", "stiffness")
+    """Build wind-up. Per joint: ``friction`` [Nm], ``load_friction`` [Nm/Nm], drive ``stiffness`` [Nm/rad]."""
+    parameters.require("friction", "load_friction", "stiffness")
     return FrictionWindup(
         parameters.numbers("friction", least=0.0),
         parameters.numbers("load_friction", least=0.0),

@@ -1,4 +1,4 @@
-"""Bearings whose races are out of flat: the axis tilts a little as the joint turns, twice and three times a turn."""
+"""Bearing races that are not flat: the axis tilts with two and three cycles per revolution."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from drivers.plant.mechanism import Deflection
 
 _BALLS = 2.0 * np.pi * np.arange(24) / 24
 _CONTACTS = 1.0 + 0.6 * np.cos(_BALLS) + 0.3 * np.cos(2.0 * _BALLS)
-"""Stiffness of the seat under each ball: the housing is bolted on one side."""
+"""Relative stiffness of the seat under each ball; uneven, because the housing is bolted on one side."""
 
 
-def _rests() -> Array:
-    """What takes the race's heights over the balls (24,) into rise, slope along x and slope along y, (3, 24)."""
+def _plane_fit() -> Array:
+    """Return the matrix (3, 24) from the race's heights at the balls to rise, slope along x and slope along y."""
     planes = np.stack([np.ones_like(_BALLS), np.cos(_BALLS), np.sin(_BALLS)])
     weighted = planes * _CONTACTS
-    rests: Array = np.linalg.solve(weighted @ planes.T, weighted)
-    return rests
+    fit: Array = np.linalg.solve(weighted @ planes.T, weighted)
+    return fit
 
 
 def tilt_of_two_lobes() -> float:
-    """Tilt of the axis, in units of the height of two lobes over the radius of the race: its rms over a turn."""
+    """Return the rms tilt of the axis over a revolution, per unit height of two lobes divided by the race's radius."""
     turns = np.linspace(0.0, np.pi, 90, endpoint=False)
-    slopes = _rests()[1:] @ np.cos(2.0 * (_BALLS[:, None] - turns))
+    slopes = _plane_fit()[1:] @ np.cos(2.0 * (_BALLS[:, None] - turns))
     return float(np.sqrt((slopes**2).sum(axis=0).mean()))
 
 
 @dataclass(frozen=True, eq=False)
 class JointAxisWobble(Effect):
-    """A race with two and three lobes turns on balls and settles on the plane that strains them least.
+    """A race with two and three lobes rotates on balls and takes the plane of least strain energy.
 
-    The seat is not equally stiff all round, or the lobes would lift the race without tilting it. One lobe would be a
-    fixed tilt of the axis, which is geometry. Sizes: a tilt of 5 to 20 urad (an estimate).
+    The seat is not equally stiff all round; otherwise the lobes would lift the race without tilting it. One lobe would
+    be a constant tilt of the axis, which belongs to the geometry. Sizes: a tilt of 5 to 20 urad (an estimate).
     """
 
     joints: np.ndarray
@@ -48,12 +48,12 @@ class JointAxisWobble(Effect):
         n, count = situation.q.shape
         twists = np.zeros((n, count, 6))
         base = np.zeros((n, 6))
-        rests = _rests()
-        turned = _BALLS - (situation.q[:, self.joints] + self.phase)[..., None]
-        heights = self.two_lobes[:, None] * np.cos(2.0 * turned) + self.three_lobes[:, None] * np.cos(3.0 * turned)
-        rise, x, y = np.moveaxis(heights @ rests.T, -1, 0)
+        fit = _plane_fit()
+        angles = _BALLS - (situation.q[:, self.joints] + self.phase)[..., None]
+        heights = self.two_lobes[:, None] * np.cos(2.0 * angles) + self.three_lobes[:, None] * np.cos(3.0 * angles)
+        rise, x, y = np.moveaxis(heights @ fit.T, -1, 0)
         for k, joint in enumerate(self.joints):
-            # the axis lies along z of the frame before it
+            # the axis is z of the previous frame
             twist = base if joint == 0 else twists[:, joint - 1]
             twist[:, 2] = rise[:, k]
             twist[:, 3] = y[:, k] / self.radius[k]
@@ -62,8 +62,8 @@ class JointAxisWobble(Effect):
 
 
 def joint_axis_wobble(parameters: Parameters) -> Effect:
-    """``joints``: numbers from 1; for each ``radius`` [m], ``two_lobes``, ``three_lobes`` [m], ``phase`` [rad]."""
-    parameters.only("joints", "radius", "two_lobes", "three_lobes", "phase")
+    """Build wobble. ``joints``: from 1; for each ``radius``, ``two_lobes``, ``three_lobes`` [m], ``phase`` [rad]."""
+    parameters.require("joints", "radius", "two_lobes", "three_lobes", "phase")
     joints = parameters.joint_numbers("joints")
     return JointAxisWobble(
         joints,

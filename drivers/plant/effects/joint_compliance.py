@@ -1,4 +1,4 @@
-"""Joints that twist under gravity like springs, some of them softer under small loads."""
+"""Elastic joints under gravity, linear or stiffening with the load."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.plant.mechanism import Deflection, Posture
 
 @dataclass(frozen=True, eq=False)
 class JointCompliance(Effect):
-    """Each joint yields until its spring balances gravity there: ``stiffness * angle = torque(deflected posture)``."""
+    """Linear springs in equilibrium with gravity: ``stiffness * angle = torque(deflected posture)``."""
 
     stiffness: Array
 
@@ -23,9 +23,9 @@ class JointCompliance(Effect):
 
 @dataclass(frozen=True, eq=False)
 class HardeningJointCompliance(Effect):
-    """A strain-wave drive: soft while only some teeth carry, stiffer above a knee torque.
+    """A strain-wave drive: soft while few teeth carry the load, stiffer above a knee torque.
 
-    Catalogues of such drives give K1 < K2 < K3 with the torques where one passes into the next; two are kept here.
+    Catalogues give K1 < K2 < K3 and the torques between them; this model keeps two.
     """
 
     stiffness: Array
@@ -39,13 +39,13 @@ class HardeningJointCompliance(Effect):
 
 
 def joint_compliance(parameters: Parameters) -> Effect:
-    """``stiffness``: [Nm/rad] per joint; ``inf`` is a stiff one.
+    """Build joint compliance. ``stiffness``: [Nm/rad] per joint; ``inf`` is rigid.
 
-    With ``knee`` [Nm] per joint and ``soft_stiffness`` [Nm/rad], the latter holds below the knee torque.
+    With ``knee`` [Nm] per joint, ``soft_stiffness`` [Nm/rad] applies below the knee torque.
     """
-    parameters.only("stiffness", optional=("soft_stiffness", "knee"))
+    parameters.require("stiffness", optional=("soft_stiffness", "knee"))
     stiffness = parameters.stiffnesses("stiffness")
-    if not parameters.together("soft_stiffness", "knee"):
+    if not parameters.all_or_none("soft_stiffness", "knee"):
         return JointCompliance(stiffness)
     soft = parameters.stiffnesses("soft_stiffness")
     if (soft > stiffness).any():

@@ -1,4 +1,4 @@
-"""Links that are beams: they bend and twist under what lies beyond them and under their own weight."""
+"""Links as elastic beams: bending and torsion under the weight of all bodies beyond, and of the link itself."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _SEGMENTS = 12
 
 @dataclass(frozen=True, eq=False)
 class LinkBending(Effect):
-    """Each beam, from its joint's D-H origin to its own, is cut into segments that turn where the moment there says.
+    """Each beam, from D-H origin i - 1 to origin i, is divided into segments that rotate under the local moment.
 
     The moment at the middle of a segment is that of all weight beyond it in the deflected posture: bodies and load
-    beyond the link, and the link's own mass, spread along the beam so that its centre is where it is, with the
-    eccentricity it has. A segment of length s turns by ``s M / EI`` across the beam and ``s M / GJ`` along it; the
-    tip's twist is the product of these turns. Sizes: ``EI`` about 1e5 Nm^2 for a UR10 (an estimate).
+    beyond the link, and the link's own mass, distributed along the beam such that its centre of mass is correct. A
+    segment of length s rotates by ``s M / EI`` across the beam (Euler-Bernoulli) and by ``s M / GJ`` about it; the
+    tip's twist is the product of these rotations. Sizes: ``EI`` about 1e5 Nm^2 for a UR10 (an estimate).
     """
 
     links: np.ndarray
@@ -37,7 +37,7 @@ class LinkBending(Effect):
 
 
 def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> Array:
-    """Twist (n, 6) of a beam's tip, which is the origin of its own D-H frame, in that frame."""
+    """Return the twist (n, 6) of a beam's tip, the origin of its D-H frame, in that frame."""
     mechanism = posture.mechanism
     home = inverse(mechanism.frames[link + 1])
     root = carry(home, mechanism.frames[link, :3, 3])
@@ -48,13 +48,13 @@ def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> A
     share = (np.arange(_SEGMENTS) + 0.5) / _SEGMENTS
     places = root * (1.0 - share)[:, None]  # the middles of the segments
 
-    # the link's own mass: denser towards the end where its centre lies
+    # the link's own mass: linear density along the beam that puts the centre of mass in its place
     mass, center = mechanism.masses[link], carry(home, mechanism.centers[link])
     lean = float(np.clip((center - root) @ along / length - 0.5, -1 / 6, 1 / 6))
     masses = mass / _SEGMENTS * (1.0 + 12.0 * lean * (share - 0.5))
     beside = center - along * (center @ along)
 
-    # what lies beyond the tip, seen from it, in the link's own frame
+    # first moment of all beyond the tip, relative to it, in the link's own frame
     pose = posture.placements[link] @ mechanism.frames[link + 1]
     back = pose[:, :3, :3].swapaxes(1, 2)
     down = (back @ posture.gravity)[:, None]
@@ -86,8 +86,8 @@ def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> A
 
 
 def link_bending(parameters: Parameters) -> Effect:
-    """``links``: numbers from 1; for each ``bending`` EI and ``torsion`` GJ [Nm^2], or ``inf``."""
-    parameters.only("links", "bending", "torsion")
+    """Build link bending. ``links``: numbers from 1; for each ``bending`` EI and ``torsion`` GJ [Nm^2], or ``inf``."""
+    parameters.require("links", "bending", "torsion")
     links = parameters.joint_numbers("links")
     return LinkBending(
         links,

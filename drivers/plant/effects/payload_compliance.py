@@ -1,4 +1,4 @@
-"""Joints that twist under what the flange carries; the controller makes up for the weight of its own links."""
+"""Elastic joints under the payload alone, for controllers that compensate the weight of the links."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.plant.mechanism import Deflection, Posture
 
 @dataclass(frozen=True, eq=False)
 class PayloadCompliance(Effect):
-    """Drive springs that stand balanced under the links and yield to the load's torque at the deflected posture.
+    """Drive springs that deflect under the load's torque in the deflected posture.
 
     Sizes: the stiffness of strain-wave drives, 2.5e4 to 1e5 Nm/rad for sizes 25 to 40 (catalogues).
     """
@@ -23,6 +23,6 @@ class PayloadCompliance(Effect):
 
 
 def payload_compliance(parameters: Parameters) -> Effect:
-    """``stiffness``: [Nm/rad] per joint; ``inf`` is a stiff one."""
-    parameters.only("stiffness")
+    """Build payload compliance. ``stiffness``: [Nm/rad] per joint; ``inf`` is rigid."""
+    parameters.require("stiffness")
     return PayloadCompliance(parameters.stiffnesses("stiffness"))

@@ -1,4 +1,4 @@
-"""What the arms stand on yields: a column under the arm's own weight, a beam under the other arm's."""
+"""Elastic supports: a column under the arm's own weight, a common beam under the other arm's."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from drivers.plant.mechanism import Deflection, Posture
 
 @dataclass(frozen=True, eq=False)
 class PedestalCompliance(Effect):
-    """A column below the base, clamped at its foot, under the arm's weight where the deflected arm has it.
+    """A column below the base, clamped at its foot, under the weight of the deflected arm.
 
-    The weight's moment is the same all the way down a column that stands upright, and grows as it leans: the part of
-    the column a fraction u above its foot feels the moment about that place. It bends evenly over its height, so each
-    of its parts turns by its share; all above turns about it. Sizes: 2e6 Nm/rad (an estimate).
+    Each part of the column bends under the moment of the arm's weight about its middle: constant along an upright
+    column, growing towards the foot of a leaning one. All above a part rotates about it. Sizes: 2e6 Nm/rad (estimated).
     """
 
     height: float
@@ -39,9 +38,10 @@ class PedestalCompliance(Effect):
 
 @dataclass(frozen=True, eq=False)
 class PedestalCoupling(Effect):
-    """Both arms stand on one beam that runs level from base to base: the moment of another arm turns this base too.
+    """Both arms stand on one level beam from base to base: the moment of the other arm rotates this base too.
 
-    About the beam it twists, across it it bends; the base turns about the beam's middle line, ``depth`` below it.
+    The component along the beam causes torsion, the rest bending. The base rotates about the beam's centre line,
+    ``depth`` below it.
     Sizes: 2e6 Nm/rad, that is 28 urad from a stretched UR5 (an estimate).
     """
 
@@ -56,7 +56,7 @@ class PedestalCoupling(Effect):
             up = -to_here[:3, :3] @ other.gravity / np.linalg.norm(other.gravity)
             beam = to_here[:3, 3] - up * (to_here[:3, 3] @ up)
             length = np.linalg.norm(beam)
-            # bases above one another share a post, which has no direction to twist about
+            # for bases above one another no beam direction is defined
             along = beam / length if length > 1e-6 else np.zeros(3)
             moment = other.base_moment @ to_here[:3, :3].T
             twisting = (moment @ along)[:, None] * along
@@ -67,8 +67,8 @@ class PedestalCoupling(Effect):
 
 
 def pedestal_compliance(parameters: Parameters) -> Effect:
-    """``height`` [m]; ``bending`` (2) [Nm/rad] of the whole column about x and y of B; ``torsion`` [Nm/rad] about z."""
-    parameters.only("height", "bending", "torsion")
+    """Build the column. ``height`` [m]; ``bending`` (2) [Nm/rad] about x and y of B; ``torsion`` [Nm/rad] about z."""
+    parameters.require("height", "bending", "torsion")
     return PedestalCompliance(
         parameters.number("height", least=0.0),
         np.append(parameters.stiffnesses("bending", 2), parameters.stiffness("torsion")),
@@ -76,8 +76,8 @@ def pedestal_compliance(parameters: Parameters) -> Effect:
 
 
 def pedestal_coupling(parameters: Parameters) -> Effect:
-    """``bending``, ``torsion`` [Nm/rad] of the beam between the arms; ``depth`` [m] of its middle below the base."""
-    parameters.only("bending", "torsion", "depth")
+    """Build the beam. ``bending``, ``torsion`` [Nm/rad]; ``depth`` [m] of its centre line below the base."""
+    parameters.require("bending", "torsion", "depth")
     return PedestalCoupling(
         parameters.stiffness("bending"),
         parameters.stiffness("torsion"),

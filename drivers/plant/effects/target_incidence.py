@@ -1,4 +1,4 @@
-"""An SMR behind a cover glass, its mirrors not quite square: what it shows changes as it is looked at aslant."""
+"""Reflector error that depends on the angle of incidence: a cover glass, and mirrors that are not square."""
 
 from __future__ import annotations
 
@@ -12,31 +12,32 @@ from drivers.plant.effect import Effect, Parameters, Situation
 
 @dataclass(frozen=True, eq=False)
 class TargetIncidence(Effect):
-    """A plate of thickness d and index n before the corner; the mirrors' dihedral angles are off by ``dihedral``.
+    """A glass plate of thickness d and index n before the corner cube, whose dihedral angles are off by ``dihedral``.
 
-    At the incidence t the beam's optical path through the plate, less that through the same air, is
-    ``d (sqrt(n^2 - sin^2 t) - cos t)`` (Snell); at t = 0 it is set off with the reflector's constant. A wrong dihedral
-    angle sends the beam back aside by that times the distance, the more the more the corner is turned. Sizes: 2 to
-    20 um, larger for glass (estimates).
+    At incidence angle t the optical path through the plate, minus that through the same air, is
+    ``d (sqrt(n^2 - sin^2 t) - cos t)`` (Snell's law); its value at t = 0 is part of the reflector constant. A dihedral
+    error deflects the returned beam, in proportion to the distance and the sine of t. Sizes: 2 to 20 um, larger for
+    glass (estimates).
     """
 
     thickness: float
     index: float
     dihedral: float
 
-    def seen(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
         distance = np.linalg.norm(p_M, axis=1, keepdims=True)
         beam = p_M / distance
         cosine = -(beam * normal_M).sum(axis=1, keepdims=True)
         path = np.sqrt(self.index**2 - 1.0 + cosine**2) - cosine
         longer = self.thickness * (path - (self.index - 1.0))
-        aside = normal_M + cosine * beam  # across the beam, as long as the sine of the incidence
-        return p_M + longer * beam + self.dihedral * distance * aside
+        aside = normal_M + cosine * beam  # perpendicular to the beam, length sin(t)
+        apparent: Array = p_M + longer * beam + self.dihedral * distance * aside
+        return apparent
 
 
 def target_incidence(parameters: Parameters) -> Effect:
-    """``thickness`` of the glass [m], its ``index`` of refraction, ``dihedral`` [rad]."""
-    parameters.only("thickness", "index", "dihedral")
+    """Build target incidence. ``thickness`` of the glass [m], its ``index`` of refraction, ``dihedral`` [rad]."""
+    parameters.require("thickness", "index", "dihedral")
     return TargetIncidence(
         parameters.number("thickness", least=0.0),
         parameters.number("index", least=1.0),

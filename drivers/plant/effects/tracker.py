@@ -1,4 +1,4 @@
-"""What is wrong with the tracker: its idea of the air, its circles and axes, its distance zero."""
+"""Systematic errors of the tracker: scale, distance offset, circles and axes."""
 
 from __future__ import annotations
 
@@ -13,30 +13,31 @@ from drivers.plant.effects.transmission_error import cardan
 
 @dataclass(frozen=True, eq=False)
 class TrackerScale(Effect):
-    """The distance is counted in wavelengths of the air as the weather station has it, not as it is.
+    """Scale error of the distance from wrong air data: wavelengths are counted for the air of the weather station.
 
-    About 1 ppm per kelvin and 0.27 ppm per hectopascal, of opposite signs (Edlen). No plan at one station shows it.
+    About 1 ppm per kelvin and 0.27 ppm per hectopascal, of opposite signs (Edlen).
     """
 
     ppm: float
 
-    def seen(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
         return p_M * (1.0 + 1e-6 * self.ppm)
 
 
 @dataclass(frozen=True, eq=False)
 class TrackerDistanceOffset(Effect):
-    """The distance does not begin where the axes meet. Sizes: the makers permit 5 to 10 um."""
+    """Zero error of the distance from the intersection of the axes. Sizes: makers permit 5 to 10 um."""
 
     offset_m: float
 
-    def seen(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
-        return p_M * (1.0 + self.offset_m / np.linalg.norm(p_M, axis=1, keepdims=True))
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+        apparent: Array = p_M * (1.0 + self.offset_m / np.linalg.norm(p_M, axis=1, keepdims=True))
+        return apparent
 
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """A graduated circle with one head: ``eccentric`` by a share of its radius (once a turn), slanted (twice)."""
+    """A graduated circle with one head: ``eccentric`` by a fraction of its radius (1 cycle), inclined (2 cycles)."""
 
     eccentric: float
     eccentric_phase: float
@@ -44,7 +45,7 @@ class Circle:
     slant_phase: float
 
     def reading(self, angle: Array) -> Array:
-        """What is read at a true angle (n,): the centre of the circle sees the head from aside."""
+        """Return the reading at a true angle (n,)."""
         turned = angle + self.eccentric_phase
         read = angle + np.arctan2(self.eccentric * np.sin(turned), 1.0 - self.eccentric * np.cos(turned))
         return read + cardan(angle + self.slant_phase, np.array(self.slant))
@@ -52,19 +53,19 @@ class Circle:
 
 @dataclass(frozen=True, eq=False)
 class TrackerAngleError(Effect):
-    """Two circles that are off centre and slanted, and a transit axis that is not square to the standing axis.
+    """Eccentric and inclined circles, and a transit axis that is not perpendicular to the standing axis.
 
-    With the transit axis slanted by t, the beam at the elevation e of its own circle points to
-    ``(cos e, -sin t sin e, cos t sin e)`` in the standing axis' frame at azimuth 0; the angles at which it meets the
-    SMR follow from that. Sizes: makers permit 15 um and 6 um/m across the beam; second orders of 65 um at 7 m were
-    found in older trackers.
+    With the transit axis inclined by t, the beam at elevation e of its circle points to
+    ``(cos e, -sin t sin e, cos t sin e)`` in the standing axis' frame at azimuth 0; the circle angles of an SMR follow
+    from that. Sizes: makers permit 15 um and 6 um/m across the beam; second orders of 65 um at 7 m were found in older
+    trackers.
     """
 
     azimuth: Circle
     elevation: Circle
     transit: float
 
-    def seen(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
         x, y, z = p_M.T
         distance = np.linalg.norm(p_M, axis=1)
         steepest = np.cos(self.transit)
@@ -76,14 +77,14 @@ class TrackerAngleError(Effect):
 
 
 def tracker_scale(parameters: Parameters) -> Effect:
-    """``ppm``: how much longer distances are read, in parts per million."""
-    parameters.only("ppm")
+    """Build a scale error. ``ppm``: relative excess of measured distances, in parts per million."""
+    parameters.require("ppm")
     return TrackerScale(parameters.number("ppm"))
 
 
 def tracker_distance_offset(parameters: Parameters) -> Effect:
-    """``offset`` [m]: how much longer distances are read."""
-    parameters.only("offset")
+    """Build a distance offset. ``offset`` [m]: excess of measured distances."""
+    parameters.require("offset")
     return TrackerDistanceOffset(parameters.number("offset"))
 
 
@@ -95,11 +96,11 @@ def _circle(parameters: Parameters, key: str) -> Circle:
 
 
 def tracker_angle_error(parameters: Parameters) -> Effect:
-    """``azimuth``, ``elevation``: each (eccentric [m/m], its phase [rad], slant [rad], its phase); ``transit`` [rad].
+    """Build angle errors. ``azimuth``, ``elevation``: (eccentric [m/m], phase, slant, phase [rad]); ``transit`` [rad].
 
-    A slant of s reads up to ``s^2 / 4`` wrong, twice a turn.
+    A slant s causes an error of amplitude ``s^2 / 4`` with two cycles per revolution.
     """
-    parameters.only("azimuth", "elevation", "transit")
+    parameters.require("azimuth", "elevation", "transit")
     circles = _circle(parameters, "azimuth"), _circle(parameters, "elevation")
     transit = parameters.number("transit")
     if not abs(transit) < 0.1:

@@ -1,4 +1,4 @@
-"""Strain-wave drives that do not turn evenly: a few lines from couplings, or a curve as rough as its teeth."""
+"""Transmission error of strain-wave drives: a few spectral lines from couplings, or a broadband periodic curve."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from drivers.plant.mechanism import Deflection
 
 
 def cardan(angle: Array, slant: Array) -> Array:
-    """What leads or lags behind a universal joint at a shaft ``angle`` whose far side is slanted by ``slant`` [rad].
+    """Return the angle error of a universal joint at shaft ``angle`` with its output inclined by ``slant`` [rad].
 
-    ``tan(out) = tan(angle) / cos(slant)``: twice a turn, ``tan^2(slant / 2)`` high.
+    ``tan(out) = tan(angle) / cos(slant)``: two cycles per revolution, amplitude ``tan^2(slant / 2)``.
     """
     out: Array = np.arctan2(np.sin(angle), np.cos(angle) * np.cos(slant))
     return (out - angle + np.pi) % (2.0 * np.pi) - np.pi
@@ -22,12 +22,12 @@ def cardan(angle: Array, slant: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class StrainWaveGear(Effect):
-    """Motor, coupling, wave generator, gear of ratio N, output flange; each passes the turn on a little unevenly.
+    """Motor, coupling, wave generator, gear of ratio N and output flange, each with a periodic error.
 
-    The motor stands at N times the reported angle. The coupling to the wave generator is eccentric, by a share of its
-    radius (N cycles a turn of the joint, ``eccentric / N`` high), and slanted (2 N cycles); behind the gear the
-    output is slanted (2 cycles). Published spectra have lines at just these [secondary]; sizes are estimates, 20 to
-    60 urad.
+    The motor is at N times the reported angle. The coupling to the wave generator is eccentric by a fraction of its
+    radius (N cycles per revolution of the joint, amplitude ``eccentric / N``) and inclined (2 N cycles); behind the
+    gear the output is inclined (2 cycles). Published spectra have lines at these frequencies [secondary]; sizes are
+    estimates, 20 to 60 urad.
     """
 
     joints: np.ndarray
@@ -54,9 +54,9 @@ class StrainWaveGear(Effect):
 
 @dataclass(frozen=True, eq=False)
 class ErrorCurve(Effect):
-    """Each joint has a smooth periodic error of its own, as found on a joint turned slowly past an autocollimator.
+    """A smooth periodic error of each joint, like those measured with an autocollimator.
 
-    The curve passes through one random height per degree of a random process that holds only the wanted cycles.
+    The curve interpolates knots of a random process that contains only the configured range of cycles.
     """
 
     joints: np.ndarray
@@ -70,7 +70,7 @@ class ErrorCurve(Effect):
             first = np.floor(turn).astype(int)
             f = turn - first
             before, left, right, after = (row[(first + k) % knots] for k in (-1, 0, 1, 2))
-            # Catmull and Rom's cubic: smooth through its knots
+            # Catmull-Rom spline through the knots
             square = 2.0 * before - 5.0 * left + 4.0 * right - after
             cube = 3.0 * (left - right) + after - before
             offsets[:, joint] = left + 0.5 * f * (right - before + f * (square + f * cube))
@@ -78,6 +78,7 @@ class ErrorCurve(Effect):
 
 
 _KNOTS = 1440
+"""Knots per revolution: at least ten per cycle of the highest frequency allowed."""
 
 
 def _random_curve(rng: np.random.Generator, rms: float, lowest: int, highest: int) -> Array:
@@ -91,24 +92,24 @@ def _random_curve(rng: np.random.Generator, rms: float, lowest: int, highest: in
 
 
 def transmission_error(parameters: Parameters) -> Effect:
-    """``mode`` lines or curve, ``joints``: numbers from 1.
+    """Build transmission error. ``mode`` lines or curve, ``joints``: numbers from 1.
 
     lines: for each joint ``ratio``; ``eccentric`` [m/m] and ``coupling_slant`` [rad] of the wave generator's coupling,
     ``output_slant`` [rad], each with its phase (``eccentric_phase``, ``coupling_phase``, ``output_phase``) [rad].
-    curve: ``rms`` [rad] of each joint, ``seed``, ``lowest`` and ``highest`` cycles a turn.
+    curve: ``rms`` [rad] of each joint, ``seed``, ``lowest`` and ``highest`` cycles per revolution.
     """
     if parameters.choice("mode", "lines", "curve") == "curve":
-        parameters.only("mode", "joints", "rms", "seed", "lowest", "highest")
+        parameters.require("mode", "joints", "rms", "seed", "lowest", "highest")
         joints = parameters.joint_numbers("joints")
-        lowest, highest = parameters.whole("lowest", least=2), parameters.whole("highest", least=2)
+        lowest, highest = parameters.integer("lowest", least=2), parameters.integer("highest", least=2)
         if not lowest <= highest <= _KNOTS // 10:
             raise parameters.error("highest", f"must be from lowest, {lowest}, to {_KNOTS // 10}, not {highest}")
         sizes = parameters.numbers("rms", len(joints), least=0.0)
-        rng = np.random.default_rng(parameters.whole("seed", least=0))
+        rng = np.random.default_rng(parameters.integer("seed", least=0))
         return ErrorCurve(joints, np.array([_random_curve(rng, size, lowest, highest) for size in sizes]))
     slants = ("coupling_slant", "output_slant")
     phases = ("eccentric_phase", "coupling_phase", "output_phase")
-    parameters.only("mode", "joints", "ratio", "eccentric", *slants, *phases)
+    parameters.require("mode", "joints", "ratio", "eccentric", *slants, *phases)
     joints = parameters.joint_numbers("joints")
     count = len(joints)
     values = {key: parameters.numbers(key, count, least=0.0) for key in ("eccentric", *slants)}

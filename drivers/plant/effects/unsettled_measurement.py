@@ -1,4 +1,4 @@
-"""Readings taken before the joint has come to rest: the last of a step is still creeping in."""
+"""Readings taken before the joint has settled: a part of the last step decays exponentially."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from drivers.plant.mechanism import Deflection
 
 @dataclass(frozen=True, eq=False)
 class UnsettledMeasurement(Effect):
-    """A spring and a damper in parallel behind the drive: what a step leaves over dies away while the arm rests.
+    """A spring and a damper in parallel behind the drive (Kelvin-Voigt).
 
-    At the end of the step the joint is behind by ``fraction`` of it; while moving, and at rest for no time yet, all
-    of that is left. Sizes: an estimate, 5e-5 of a step of 1 rad.
+    At the end of a step the joint lags by ``fraction`` of it; the lag decays while the arm rests. During motion the
+    full lag applies. Sizes: an estimate, 5e-5 of a step of 1 rad.
     """
 
     fraction: Array
@@ -28,6 +28,6 @@ class UnsettledMeasurement(Effect):
 
 
 def unsettled_measurement(parameters: Parameters) -> Effect:
-    """Per joint: ``fraction`` of the last step that is left as the arm comes to rest, ``time_constant`` [s]."""
-    parameters.only("fraction", "time_constant")
+    """Build settling. Per joint: ``fraction`` of the last step missing at its end, ``time_constant`` [s]."""
+    parameters.require("fraction", "time_constant")
     return UnsettledMeasurement(parameters.numbers("fraction"), parameters.numbers("time_constant", above=0.0))

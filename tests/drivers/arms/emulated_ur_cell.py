@@ -1,4 +1,4 @@
-"""Two emulated UR controllers in a process of their own, and drivers for them with the real client."""
+"""Two emulated UR controllers in a separate process, and drivers for them with the real client."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def pause(seconds: float) -> None:
     threading.Event().wait(seconds)
 
 
-def mend(emulator: EmulatorProcess, name: str) -> None:
+def repair(emulator: EmulatorProcess, name: str) -> None:
     """Repair an arm as a person would: release stops, power on, end all faults."""
     control = emulator.control
     control(name, "fault", "*", "none")

@@ -1,4 +1,4 @@
-"""Motions in simulated time, what the arm refuses, its faults, its temperatures."""
+"""The simulated arm: motions, refusals, faults, temperatures."""
 
 from __future__ import annotations
 
@@ -57,18 +57,21 @@ def test_a_motion_is_straight_and_within_limits(start, goal, speed, acceleration
 
 def test_durations_are_those_of_a_trapezium_and_a_triangle():
     start, goal = np.zeros(2), np.array([2.0, -1.0])
-    assert travel(0.0, start, goal, np.ones(2), np.full(2, 2.0)).duration_s == pytest.approx(2.0 / 1.0 + 1.0 / 2.0)
-    assert travel(0.0, start, goal, np.full(2, 9.0), np.full(2, 2.0)).duration_s == pytest.approx(2.0)
+    for speed, duration_s in ((1.0, 2.0 / 1.0 + 1.0 / 2.0), (9.0, 2.0)):
+        motion = travel(0.0, start, goal, np.full(2, speed), np.full(2, 2.0))
+        assert motion is not None
+        assert motion.duration_s == pytest.approx(duration_s)
 
 
 @settings(max_examples=60, deadline=None)
 @given(goal=angles, speed=limits, acceleration=limits, share=st.floats(0.01, 0.99))
-def test_braking_goes_on_along_the_way_and_never_past_its_end(goal, speed, acceleration, share):
+def test_braking_follows_the_path_and_never_passes_its_end(goal, speed, acceleration, share):
     motion = travel(0.0, np.zeros(6), goal, speed, acceleration)
     if motion is None:
         return
     now = share * motion.duration_s
     rest = braked(motion, now, acceleration)
+    assert rest is not None
     q, velocity = motion.position(np.array([now]))[0], motion.velocity(np.array([now]))[0]
     assert rest.position(np.array([now]))[0] == pytest.approx(q, abs=1e-12)
     assert rest.velocity(np.array([now + 1e-9]))[0] == pytest.approx(velocity, abs=1e-6)
@@ -76,7 +79,8 @@ def test_braking_goes_on_along_the_way_and_never_past_its_end(goal, speed, accel
     end = rest.position(np.array([rest.end_s]))[0]
     assert (np.abs(end) <= np.abs(goal) + 1e-12).all()
     assert (np.abs(end) >= np.abs(q) - 1e-12).all()
-    again = braked(rest, now, acceleration)  # as when two things tell it to stop at the same time
+    again = braked(rest, now, acceleration)  # two stop commands at the same time
+    assert again is not None
     assert again.end_s == pytest.approx(rest.end_s, rel=1e-9)
     assert again.position(np.array([again.end_s]))[0] == pytest.approx(end, abs=1e-9)
 
@@ -108,7 +112,7 @@ def test_polling_the_state_sees_the_motion_end(arm):
     assert state.time_s == pytest.approx(2 * np.sqrt(0.3 / 2.0), abs=2 * CYCLE_S)
 
 
-def test_stop_brings_it_to_rest_on_its_way(plant, arm):
+def test_stop_brings_the_arm_to_rest_on_its_path(plant, arm):
     arm.start_move(np.full(6, 2.0), SPEED, ACCELERATION)
     plant.advance(1.0)
     arm.stop()
@@ -133,7 +137,7 @@ def test_stop_brings_it_to_rest_on_its_way(plant, arm):
         (np.ones(6), SPEED, np.full(6, np.inf), "acceleration of joint 1 is not a finite number"),
     ],
 )
-def test_what_is_outside_the_limits_moves_nothing(plant, arm, q, speed, acceleration, message):
+def test_a_goal_outside_the_limits_moves_nothing(plant, arm, q, speed, acceleration, message):
     with pytest.raises(LimitExceeded, match=f"arm left: .*{message}"):
         arm.start_move(q, speed, acceleration)
     assert not plant.moving("left")
@@ -199,7 +203,7 @@ def test_disconnecting_stops_the_arm_and_can_be_repeated(plant, arm):
         arm.state()
 
 
-def test_the_arm_says_who_it_is_and_what_it_carries(plant, arm):
+def test_the_arm_reports_its_identity_and_load(plant, arm):
     assert arm.name == "left"
     assert arm.identify().serial == "SIM-left"
     plant.set_payload("left", 2.5, np.zeros(3))

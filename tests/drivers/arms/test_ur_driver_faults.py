@@ -8,8 +8,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,12 +31,12 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     driven,
     emulated_cell,
-    mend,
     pause,
+    repair,
     until,
 )
 
-FAULTS: dict[str, tuple[tuple[object, ...], type[ArmError]]] = {
+FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
     "fin": (("drop", "rtde", "fin"), LinkLost),
     "rst": (("drop", "rtde", "rst"), LinkLost),
     "refused": (("drop", "rtde", "fin", 1.5), LinkLost),
@@ -51,13 +53,32 @@ def emulator() -> Iterator[EmulatorProcess]:
         yield started
 
 
-ARMS = ("left", "right")
-DURING = [(ARMS[number % 2], fault) for number, fault in enumerate(FAULTS)]
+Faults = dict[str, str]
+"""Arm -> its fault; arms with faults are tested in parallel."""
+DURING: list[Faults] = [
+    {"left": "fin", "right": "rst"},
+    {"left": "refused", "right": "silence"},
+    {"left": "all silent", "right": "protective"},
+    {"left": "emergency"},
+]
 # detecting a silent link takes seconds: one kind of silence before a motion, the other after one
-BEFORE = [(ARMS[(number + 1) % 2], fault) for number, fault in enumerate(FAULTS) if fault != "all silent"]
-AFTER = [(name, fault) for name, fault in DURING if fault != "silence"]
-BOTH = pytest.mark.parametrize("arm", ARMS, indirect=True)
-E_SERIES = pytest.mark.parametrize("arm", ["right"], indirect=True)
+BEFORE: list[Faults] = [
+    {"left": "rst", "right": "fin"},
+    {"left": "silence", "right": "refused"},
+    {"left": "protective", "right": "emergency"},
+]
+AFTER: list[Faults] = [
+    {"left": "fin", "right": "rst"},
+    {"left": "all silent", "right": "refused"},
+    {"left": "emergency", "right": "protective"},
+]
+
+
+def in_parallel(action: Callable[..., None], arguments: Iterable[tuple[Any, ...]]) -> None:
+    """Call ``action`` with each tuple of arguments at the same time; raise the first error."""
+    with ThreadPoolExecutor() as pool:
+        for future in [pool.submit(action, *values) for values in arguments]:
+            future.result()
 
 
 @pytest.fixture(scope="module")
@@ -66,14 +87,24 @@ def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
         yield {"left": left, "right": right}
 
 
+def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
+    repair(emulator, arm.name)
+    arm.connect()
+    go(arm, HOME)
+
+
 @pytest.fixture
-def arm(request: pytest.FixtureRequest, emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
-    """An arm without fault at HOME; the driver is the same for all tests, which leave it connected if they can."""
-    mend(emulator, request.param)
-    driver = drivers[request.param]
-    driver.connect()
-    go(driver, HOME)
-    return driver
+def arms(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> dict[str, UrArm]:
+    """Both arms, without fault and at HOME; the drivers are the same for all tests, which leave them connected."""
+    in_parallel(make_ready, [(emulator, arm) for arm in drivers.values()])
+    return drivers
+
+
+@pytest.fixture
+def arm(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
+    """The right arm, without fault and at HOME."""
+    make_ready(emulator, drivers["right"])
+    return drivers["right"]
 
 
 @pytest.fixture
@@ -81,7 +112,7 @@ def unconnected(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> Emulato
     """The controllers without clients, for tests that connect themselves."""
     for name, driver in drivers.items():
         driver.disconnect()
-        mend(emulator, name)
+        repair(emulator, name)
     return emulator
 
 
@@ -100,7 +131,7 @@ def go(arm: UrArm, q: np.ndarray) -> None:
 
 def go_again(emulator: EmulatorProcess, arm: UrArm) -> None:
     """After a person has repaired it, the next connect and a motion succeed."""
-    mend(emulator, arm.name)
+    repair(emulator, arm.name)
     assert_stays_at_rest(emulator, arm.name)
     moves = emulator.control(arm.name, "status")["moves"]
     arm.connect()
@@ -108,8 +139,12 @@ def go_again(emulator: EmulatorProcess, arm: UrArm) -> None:
     go(arm, HOME)
 
 
-@pytest.mark.parametrize(("arm", "fault"), DURING, indirect=["arm"])
-def test_a_fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+@pytest.mark.parametrize("faults", DURING, ids=str)
+def test_faults_during_a_motion(emulator: EmulatorProcess, arms: dict[str, UrArm], faults: Faults) -> None:
+    in_parallel(fault_during_a_motion, [(emulator, arms[name], fault) for name, fault in faults.items()])
+
+
+def fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     arm.start_move(FAR, SPEED, ACCELERATION)
     until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
     error = inject(emulator, arm.name, fault)
@@ -125,8 +160,12 @@ def test_a_fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: s
     go_again(emulator, arm)
 
 
-@pytest.mark.parametrize(("arm", "fault"), BEFORE, indirect=["arm"])
-def test_a_fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+@pytest.mark.parametrize("faults", BEFORE, ids=str)
+def test_faults_before_a_motion(emulator: EmulatorProcess, arms: dict[str, UrArm], faults: Faults) -> None:
+    in_parallel(fault_before_a_motion, [(emulator, arms[name], fault) for name, fault in faults.items()])
+
+
+def fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     moves = emulator.control(arm.name, "status")["moves"]
     error = inject(emulator, arm.name, fault)
     with pytest.raises(error, match=f"arm {arm.name}: "):
@@ -136,8 +175,12 @@ def test_a_fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: s
     go_again(emulator, arm)
 
 
-@pytest.mark.parametrize(("arm", "fault"), AFTER, indirect=["arm"])
-def test_a_fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+@pytest.mark.parametrize("faults", AFTER, ids=str)
+def test_faults_after_a_motion(emulator: EmulatorProcess, arms: dict[str, UrArm], faults: Faults) -> None:
+    in_parallel(fault_after_a_motion, [(emulator, arms[name], fault) for name, fault in faults.items()])
+
+
+def fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     go(arm, AWAY)
     error = inject(emulator, arm.name, fault)
     if error is LinkLost:
@@ -147,7 +190,7 @@ def test_a_fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: st
         until(lambda: not arm.state().ready, "the fault is seen")
         assert "stop: " in arm.state().reason
         # a person clears it before the application asks: it is recorded all the same
-        mend(emulator, arm.name)
+        repair(emulator, arm.name)
         assert not arm.state().ready
         with pytest.raises(error):
             arm.start_move(HOME, SPEED, ACCELERATION)
@@ -155,8 +198,11 @@ def test_a_fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: st
     go_again(emulator, arm)
 
 
-@BOTH
-def test_a_protective_stop_is_never_released_by_the_program(emulator: EmulatorProcess, arm: UrArm) -> None:
+def test_a_protective_stop_is_never_released_by_the_program(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
+    in_parallel(protective_stop_stays, [(emulator, arm) for arm in arms.values()])
+
+
+def protective_stop_stays(emulator: EmulatorProcess, arm: UrArm) -> None:
     emulator.control(arm.name, "protective", "travel", 0.3)
     arm.start_move(FAR, SPEED, ACCELERATION)
     with pytest.raises(ProtectiveStop, match="see what stopped it"):
@@ -170,7 +216,6 @@ def test_a_protective_stop_is_never_released_by_the_program(emulator: EmulatorPr
     go_again(emulator, arm)
 
 
-@E_SERIES
 def test_a_stop_on_the_pendant_ends_the_motion_and_the_job(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.start_move(FAR, SPEED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
@@ -196,20 +241,23 @@ def test_the_other_arm_goes_on_when_one_link_breaks(unconnected: EmulatorProcess
         go(right, HOME)
 
 
-@E_SERIES
-def test_a_worker_that_crashes_or_hangs_stops_the_arm(emulator: EmulatorProcess, arm: UrArm) -> None:
+def test_a_worker_that_crashes_or_hangs_stops_the_arm(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
+    signals = {"left": signal.SIGSEGV, "right": signal.SIGSTOP}
+    in_parallel(signal_worker, [(emulator, arms[name], number) for name, number in signals.items()])
+
+
+def signal_worker(emulator: EmulatorProcess, arm: UrArm, signal_number: signal.Signals) -> None:
     """The client may crash or hang when its link breaks at the wrong moment: signals simulate that."""
-    for signal_number, patience in ((signal.SIGSEGV, 5.0), (signal.SIGSTOP, 5.0)):
-        arm.start_move(FAR, SPEED, ACCELERATION)
-        until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
-        assert arm.worker_pid is not None
-        os.kill(arm.worker_pid, signal_number)
-        # the application has not looked yet: the controller stops the arm by itself
-        until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm", patience)
-        assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
-        with pytest.raises(LinkLost, match="seen at rest"):
-            arm.wait_settled(0.2)
-        go_again(emulator, arm)
+    arm.start_move(FAR, SPEED, ACCELERATION)
+    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+    assert arm.worker_pid is not None
+    os.kill(arm.worker_pid, signal_number)
+    # the application has not looked yet: the controller stops the arm by itself
+    until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm", 5.0)
+    assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
+    with pytest.raises(LinkLost, match="seen at rest"):
+        arm.wait_settled(0.2)
+    go_again(emulator, arm)
 
 
 APPLICATION = """
@@ -224,13 +272,12 @@ with driven(sys.argv[1]) as arm:
 """
 
 
-@pytest.mark.parametrize(
-    ("name", "both"), [("left", False), ("right", True)], ids=["application", "application and worker"]
-)
-def test_when_the_application_is_killed_the_arm_comes_to_rest(
-    unconnected: EmulatorProcess, name: str, both: bool
-) -> None:
-    emulator = unconnected
+def test_when_the_application_is_killed_the_arm_comes_to_rest(unconnected: EmulatorProcess) -> None:
+    in_parallel(kill_the_application, [(unconnected, "left", False), (unconnected, "right", True)])
+
+
+def kill_the_application(emulator: EmulatorProcess, name: str, with_worker: bool) -> None:
+    """Kill the application, with or without its worker process, during a motion."""
     with driven(name) as arm:
         arm.connect()
         go(arm, HOME)
@@ -242,7 +289,7 @@ def test_when_the_application_is_killed_the_arm_comes_to_rest(
         until(lambda: emulator.control(name, "status")["moving"], "the arm moves")
         pause(0.3)
         application.kill()
-        if both:
+        if with_worker:
             os.kill(worker, signal.SIGKILL)
         application.wait(PATIENT_S)
         until(lambda: not emulator.control(name, "status")["moving"], "the arm rests", 1.5)
@@ -264,8 +311,11 @@ def alive(pid: int) -> bool:
         return False
 
 
-@BOTH
-def test_stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
+def test_stop_from_another_thread(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
+    in_parallel(stop_from_another_thread, [(emulator, arm) for arm in arms.values()])
+
+
+def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.start_move(FAR, SPEED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     stopper = threading.Thread(target=arm.stop)
@@ -279,24 +329,47 @@ def test_stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None
     go(arm, HOME)
 
 
-def test_a_slow_program_start_is_waited_for_and_a_slower_one_is_reported(unconnected: EmulatorProcess) -> None:
-    emulator = unconnected
-    with driven("right") as arm:
-        emulator.control("right", "start-delay", 1.0)
-        arm.connect()
-        go(arm, AWAY)
-        arm.stop()
-        go(arm, HOME)  # the program is uploaded again
-        arm.disconnect()
-        emulator.control("right", "start-delay", 30.0)
-        with pytest.raises(ArmTimeout, match="did not start within 5 s"):
-            arm.connect()
-        mend(emulator, "right")
-        arm.connect()
-        go(arm, AWAY)
+def test_slow_and_late_starts_of_the_program(unconnected: EmulatorProcess) -> None:
+    in_parallel(start_program, [(unconnected, "left", "late"), (unconnected, "right", "slow")])
 
 
-@E_SERIES
+def start_program(emulator: EmulatorProcess, name: str, case: str) -> None:
+    with driven(name) as arm:
+        if case == "slow":
+            slow_start(emulator, arm)
+        else:
+            late_start(emulator, arm)
+    status = emulator.control(name, "status")
+    assert (status["runtime_state"], status["moving"]) == ("STOPPED", False)
+
+
+def slow_start(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """A slow start of the program is waited for, a slower one is reported."""
+    emulator.control(arm.name, "start-delay", 0.5)
+    arm.connect()
+    go(arm, AWAY)
+    arm.stop()
+    go(arm, HOME)  # the program is uploaded again
+    arm.disconnect()
+    emulator.control(arm.name, "start-delay", 30.0)
+    with pytest.raises(ArmTimeout, match="did not start within 5 s"):
+        arm.connect()
+    repair(emulator, arm.name)
+    arm.connect()
+    go(arm, AWAY)
+
+
+def late_start(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """A program that starts after the time limit is ended by the next connect."""
+    emulator.control(arm.name, "fault", "script", "silent")
+    with pytest.raises(ArmTimeout, match=f"arm {arm.name}: its control program did not start within 5 s"):
+        arm.connect()
+    emulator.control(arm.name, "fault", "script", "none")
+    until(lambda: emulator.control(arm.name, "status")["runtime_state"] == "PLAYING", "the program starts after all")
+    arm.connect()
+    assert arm.state().ready
+
+
 def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.start_move(AWAY, SPEED * 0.2, ACCELERATION)
     with pytest.raises(ArmTimeout):
@@ -307,7 +380,6 @@ def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, 
     go(arm, HOME)
 
 
-@E_SERIES
 def test_a_dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess, arm: UrArm) -> None:
     """Only the watchdog is left to stop the arm."""
     arm.start_move(FAR, SPEED, ACCELERATION)
@@ -328,7 +400,7 @@ def test_the_watchdogs_rate_is_the_settings(unconnected: EmulatorProcess) -> Non
     emulator = unconnected
     ways = []
     for hertz in (20.0, 1.0):
-        mend(emulator, "right")
+        repair(emulator, "right")
         with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=hertz)) as arm:
             arm.connect()
             go(arm, HOME)

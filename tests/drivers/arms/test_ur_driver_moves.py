@@ -26,7 +26,6 @@ from cellapp.trials.links import link_trials, travel_s
 from drivers.arms import ur_worker
 from drivers.arms.protocol import (
     ArmError,
-    ArmTimeout,
     JointLimits,
     LimitExceeded,
     LinkLost,
@@ -55,7 +54,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     driven,
     emulated_cell,
     expectation,
-    mend,
+    repair,
     until,
 )
 
@@ -85,7 +84,7 @@ def unconnected(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> Itera
         arm.disconnect()
     yield emulator
     for name, arm in connected.items():
-        mend(emulator, name)
+        repair(emulator, name)
         arm.connect()
 
 
@@ -382,20 +381,6 @@ def test_a_silent_host_is_reported_within_its_time_limit(unconnected: EmulatorPr
     assert_untouched(unconnected, "right")
 
 
-def test_a_program_that_starts_after_the_time_limit_is_ended(unconnected: EmulatorProcess) -> None:
-    unconnected.control("right", "fault", "script", "silent")
-    with driven("right") as arm:
-        with pytest.raises(ArmTimeout, match="arm right: its control program did not start within 5 s"):
-            arm.connect()
-        unconnected.control("right", "fault", "script", "none")
-        until(
-            lambda: unconnected.control("right", "status")["runtime_state"] == "PLAYING", "the program starts after all"
-        )
-        arm.connect()
-        assert arm.state().ready
-    assert_untouched(unconnected, "right")
-
-
 @pytest.mark.parametrize("closed", ["dashboard", "script", "rtde"])
 def test_a_closed_port_is_named(unconnected: EmulatorProcess, closed: str) -> None:
     unconnected.control("right", "fault", closed, "refuse")
@@ -453,7 +438,7 @@ def test_a_peer_that_is_not_an_rtde_server_is_refused(answer: bytes) -> None:
         assert not thread.is_alive()
 
 
-# -- delayed positions --------------------------------------------------------------------------------------------------
+# -- delayed positions ------------------------------------------------------------------------------------------------
 
 
 class DelayedClient:
@@ -508,7 +493,7 @@ class DelayedClient:
 
 @pytest.fixture
 def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Callable[..., list[dict[str, Any]]]]:
-    """The client, and a function that sends a request, lets the worker monitor for some seconds, returns its answers."""
+    """The client, and a function that sends a request, runs the worker for some seconds and returns its answers."""
     client, answers, now = DelayedClient(), io.BytesIO(), [1000.0]
     monkeypatch.setattr(ur_worker, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=client.tick))
     monkeypatch.setattr(ur_worker, "stop_program", lambda host, within_s: None)

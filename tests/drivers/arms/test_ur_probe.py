@@ -47,14 +47,14 @@ E_SERIES = personality("e-Series", "UR5", "20205501234")
 
 @contextmanager
 def open_port() -> Iterator[int]:
-    """A port that accepts connections and says nothing."""
+    """A port that accepts connections and sends nothing."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield server.getsockname()[1]
 
 
 @contextmanager
 def closed_port() -> Iterator[int]:
-    """A port that is taken, so that nobody else gets it, but does not listen."""
+    """A port that is bound but does not listen."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         yield taken.getsockname()[1]
@@ -135,7 +135,7 @@ def lost(dashboard_port: int, timeout_s: float = PATIENT_S, host: str = "127.0.0
     [(CB3, "3.15.8.106339", "UR10"), (E_SERIES, "5.11.1.1108318", "UR5e")],
     ids=["CB3", "e-Series"],
 )
-def test_a_controller_tells_who_and_how_it_is(controller: Personality, software: str, full_model: str) -> None:
+def test_identity_and_state_of_a_controller_are_probed(controller: Personality, software: str, full_model: str) -> None:
     with emulated(controller) as emulator:
         probe = ask(emulator)
     assert (probe.software, probe.series, probe.full_model) == (software, controller.series, full_model)
@@ -160,7 +160,7 @@ def test_only_questions_are_sent() -> None:
         assert {"PolyscopeVersion", "safetymode"} <= sent
 
 
-def test_states_other_than_ready_are_told_as_they_are() -> None:
+def test_states_other_than_ready_are_reported() -> None:
     with emulated(E_SERIES, remote_control=False) as emulator:
         emulator.control("arm", "protective", "now")
         probe = ask(emulator)
@@ -237,14 +237,14 @@ def test_other_open_ports_are_named_when_the_dashboard_is_closed() -> None:
     [
         (b"", "closed the connection before its greeting"),
         (b"Connected: Universal Robots Dashboard", "closed the connection before its greeting"),
-        (b"SSH-2.0-OpenSSH_9\r\n", "greets with 'SSH-2.0-OpenSSH_9'"),
-        (b"\x1b[2J\x00\n", "greets with '?[2J?'"),
+        (b"SSH-2.0-OpenSSH_9\r\n", "greeting is 'SSH-2.0-OpenSSH_9'"),
+        (b"\x1b[2J\x00\n", "greeting is '?[2J?'"),
         (b"\n\nConnected: Universal Robots Dashboard Server\n\nhello\n", "expected a PolyScope version"),
         (b"Connected: Universal Robots Dashboard Server\n", "before the answer to 'PolyscopeVersion'"),
         (b"Connected: Universal Robots Dashboard Server\n" + 5000 * b"5" + b"\n", "longer than 4096 bytes"),
     ],
 )
-def test_what_is_no_dashboard_is_refused(data: bytes, expected: str) -> None:
+def test_a_peer_that_is_not_a_dashboard_is_refused(data: bytes, expected: str) -> None:
     with dashboard_that_says(data) as port:
         assert expected in lost(port)
 

@@ -1,4 +1,4 @@
-"""The real ur_rtde client against the emulated controllers; it runs in a process of its own, as it must."""
+"""The real ur_rtde client, in a separate process because it holds the interpreter's lock, against the emulator."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_states_come_at_125_and_500_a_second(emulator: EmulatorProcess) -> None:
     assert new == pytest.approx(0.002, rel=0.3) or new > 0.002, "a busy machine may lose some"
 
 
-def test_a_protective_stop_and_the_way_back(emulator: EmulatorProcess) -> None:
+def test_a_protective_stop_and_its_release(emulator: EmulatorProcess) -> None:
     found = client(emulator, "protective_stop")
     assert (found["outcome"], found["refused"]) == (False, False)
     assert found["mode"] == "PROTECTIVE_STOP"
@@ -108,7 +108,7 @@ def test_a_protective_stop_and_the_way_back(emulator: EmulatorProcess) -> None:
     assert (found["still"], found["next"], found["moves"]) == (True, True, 2)
 
 
-def test_an_emergency_stop_and_the_way_back(emulator: EmulatorProcess) -> None:
+def test_an_emergency_stop_and_its_release(emulator: EmulatorProcess) -> None:
     assert client(emulator, "emergency_stop") == {"refused": False, "still": True, "next": True}
 
 
@@ -125,7 +125,7 @@ def test_an_arm_goes_on_when_the_link_is_cut(emulator: EmulatorProcess) -> None:
     assert found["gone"] == pytest.approx(0.5, abs=1e-9)
 
 
-def test_a_late_start_local_control_and_a_second_client_are_told_as_by_a_real_controller(
+def test_a_late_start_local_control_and_a_second_client_fail_as_on_a_real_controller(
     emulator: EmulatorProcess,
 ) -> None:
     assert "remote control" in client(emulator, "local_control")["error"]

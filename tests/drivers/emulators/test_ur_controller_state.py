@@ -1,4 +1,4 @@
-"""The emulated controller as a state machine: no sockets, no waiting; wall and cell time are counted by the test."""
+"""The emulated controller as a state machine: no sockets, no waiting; the test passes wall and cell time."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from drivers.emulators.ur_controller import ControllerConfig, FreeMotions, Series, personality, poses
 from drivers.emulators.ur_controller.control_script import ControlScript
-from drivers.emulators.ur_controller.controller import Controller, RobotMode, Runtime, SafetyMode
+from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.dashboard import answer
+from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.script import Upload
 
 READY, DONE = 1, 2
@@ -123,7 +124,7 @@ def test_a_command_that_stays_in_the_register_is_carried_out_once(bench: Bench) 
     assert (bench.controller.moves, bench.output(0)) == (1, DONE)
 
 
-def test_a_command_during_a_blocking_move_is_not_heard(bench: Bench) -> None:
+def test_a_command_during_a_blocking_move_is_ignored(bench: Bench) -> None:
     bench.write(MOVE, (*goal(bench, j1=1.0), 1.0, 2.0))
     bench.cycles(5)
     bench.write(END)
@@ -167,7 +168,7 @@ def test_a_second_move_takes_the_place_of_the_first(bench: Bench) -> None:
     assert bench.controller.moves == 2
 
 
-def test_steadiness_payload_and_tcp_are_told(bench: Bench) -> None:
+def test_steadiness_payload_and_tcp_are_reported(bench: Bench) -> None:
     bench.command(MOVE, (*goal(bench, j1=0.2), 1.0, 2.0))
     bench.command(STEADY)
     assert bench.output(1) == 0, "it has only just come to rest"
@@ -192,7 +193,7 @@ def test_steadiness_payload_and_tcp_are_told(bench: Bench) -> None:
         (9, (0.0,) * 8, "command 9 of ur_rtde is not emulated"),
     ],
 )
-def test_what_a_script_could_not_do_ends_the_program(command: int, doubles: tuple[float, ...], why: str) -> None:
+def test_an_impossible_request_ends_the_program(command: int, doubles: tuple[float, ...], why: str) -> None:
     bench = Bench()
     bench.start_script()
     bench.write(command, doubles)
@@ -233,7 +234,7 @@ def test_the_watchdog_stops_an_arm_whose_client_is_silent(hz: float) -> None:
     assert bench.controller.running, "a new program begins without a watchdog"
 
 
-def test_a_program_told_to_end_or_replaced_brakes_the_arm(bench: Bench) -> None:
+def test_ending_or_replacing_a_program_brakes_the_arm(bench: Bench) -> None:
     bench.command(MOVE, (*goal(bench, j1=2.0), 1.0, 2.0), argument=1)
     bench.until(lambda: bench.controller.q[0] > 0.3)
     bench.start_script()
@@ -371,7 +372,7 @@ def test_the_cell_may_go_faster_than_the_wall() -> None:
     assert took == pytest.approx(5.0 / 20.0, abs=2 * bench.controller.period_s)
 
 
-def test_local_control_refuses_what_comes_from_outside_on_the_e_series_only() -> None:
+def test_local_control_refuses_network_commands_on_the_e_series_only() -> None:
     local = Bench("e-Series", remote_control=False)
     assert not local.controller.upload(ControlScript(0, 0))
     assert answer(local.controller, "is in remote control") == "false"

@@ -1,4 +1,4 @@
-"""The emulated controller over plain sockets: protocol, faults on command, and a plant that moves behind it."""
+"""The emulated controller over plain sockets: protocol, faults on command, and a plant moved by it."""
 
 from __future__ import annotations
 
@@ -214,7 +214,7 @@ def test_packets_of_the_wrong_length_are_swallowed_or_end_the_link(keep: str) ->
     ("series", "asked_hz", "got_hz"),
     [("CB3", 500.0, 125), ("CB3", 125.0, 125), ("CB3", 10.0, 10), ("e-Series", 500.0, 500), ("e-Series", 60.0, 60)],
 )
-def test_the_stream_keeps_the_rate_asked_for_up_to_the_controllers_own(
+def test_the_stream_keeps_the_requested_rate_up_to_the_controllers_own(
     series: Series, asked_hz: float, got_hz: int
 ) -> None:
     bench = Bench(series)
@@ -265,6 +265,8 @@ def test_no_bytes_break_the_rtde_server(pieces: list[bytes]) -> None:
         session.received(struct.pack(">HB", 3 + len(piece), b"VvMOISPU"[kind % 8]) + piece)
         session.cycle()
     session.closed()
+    assert sent[0] == struct.pack(">HBB", 4, ord("V"), 1)
+    assert not server._owners, "a closed session keeps its inputs"
 
 
 # -- the other ports ---------------------------------------------------------------------------------------------------
@@ -377,7 +379,7 @@ def test_two_arms_move_the_plant_together(make_arm, make_plant) -> None:
         assert all(np.linalg.norm(after[name] - before[name]) > 0.05 for name in ("left", "right"))
 
 
-def test_what_a_plant_draws_depends_on_the_order_of_moves_alone(make_arm, make_plant) -> None:
+def test_random_draws_of_a_plant_depend_on_the_order_of_moves_only(make_arm, make_plant) -> None:
     """The same moves over the wire and without it end at the same places to the last digit, at any pace."""
 
     def cell():
@@ -453,7 +455,7 @@ def test_links_are_dropped_and_new_ones_refused_for_a_while(ending: str) -> None
         wait_for(back)
 
 
-def test_a_silent_port_says_nothing_and_comes_back_by_itself() -> None:
+def test_a_silent_port_sends_nothing_and_recovers_by_itself() -> None:
     with alone(CB3) as (server, control), Rtde(at(server, "old", "rtde")).agree() as client:
         client.outputs(["timestamp"])
         client.start()
@@ -499,7 +501,7 @@ def test_the_true_load_is_the_operators_and_the_believed_one_the_clients(make_ar
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("nobody", "status"), "no arm 'nobody'; there are old, new"),
+        (("nobody", "status"), "no arm 'nobody'; arms are old, new"),
         (("old", "dance"), "no command 'dance'"),
         (("old", "drop", "rtde"), "expected one of fin, rst"),
         (("old", "drop", "usb", "fin"), "expected one of dashboard, primary, script, rtde"),
@@ -562,7 +564,7 @@ def test_a_controller_that_makes_no_sense_is_refused(changes: dict[str, Any], wh
 
 
 def test_arms_and_plant_must_fit(make_arm, make_plant) -> None:
-    with pytest.raises(ValueError, match="the plant has no such arm; it has left"):
+    with pytest.raises(ValueError, match="not in the plant; its arms are left"):
         UrControllerServer([CB3], make_plant(make_arm()))
     with pytest.raises(ValueError, match="each with its own name"):
         UrControllerServer([CB3, CB3])
@@ -590,7 +592,7 @@ def test_waiting_for_the_cells_time(monkeypatch: pytest.MonkeyPatch) -> None:
         server.cell.wait(1.0)
 
 
-def test_an_emulator_in_a_process_of_its_own_ends_with_its_handle() -> None:
+def test_an_emulator_in_a_separate_process_ends_with_its_handle() -> None:
     with start_in_process([CB3], pace=2.0) as emulator:
         address = emulator.addresses.arms["old"]["dashboard"]
         assert talk(address, "get serial number")[1] == "20153012345"

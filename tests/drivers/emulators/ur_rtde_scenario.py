@@ -1,5 +1,6 @@
-"""What the real ur_rtde client does with controllers, in a process of its own: it holds the interpreter's lock while it
-connects, and may crash when a link breaks. Prints one line of JSON.
+"""Scenarios with the real ur_rtde client, run in a separate process; prints one line of JSON.
+
+The client holds the interpreter's lock while it connects, and may crash when a link breaks.
 
     python -m tests.drivers.emulators.ur_rtde_scenario SCENARIO CONTROL_PORT HOST...
 """
@@ -45,7 +46,7 @@ def moved(q: list[float], **steps: float) -> list[float]:
 
 
 def both_arms(control: Control, hosts: list[str]) -> dict[str, Any]:
-    """Connect to two arms and move them at once, blocking and asynchronously; everything else a driver asks for."""
+    """Connect to two arms and move them at once, blocking and asynchronously; use all other functions of a driver."""
     receives = [RTDEReceiveInterface(host) for host in hosts]
     commands = [RTDEControlInterface(host) for host in hosts]
     homes = [receive.getActualQ() for receive in receives]
@@ -141,7 +142,7 @@ def protective_stop(control: Control, hosts: list[str]) -> dict[str, Any]:
 
 
 def emergency_stop(control: Control, hosts: list[str]) -> dict[str, Any]:
-    """A button in the middle of a move, and the way back to work through the dashboard."""
+    """An emergency stop during a move, and recovery through the dashboard."""
     from dashboard_client import DashboardClient
 
     receive, command = RTDEReceiveInterface(hosts[0]), RTDEControlInterface(hosts[0])

@@ -1,4 +1,4 @@
-"""What may be said of a stop beside the joint angles, and what the cell makes of it."""
+"""Optional arguments of ``Plant.smr_positions`` and their effect."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DRIFT = {"shift": [1e-3, 0.0, 0.0], "turn": [0.0, 0.0, 1e-3], "law": "linear", "
 SOFT = {"joint_compliance": {"stiffness": [4e4] * 6}}
 
 
-def test_said_aloud_the_defaults_change_nothing(make_arm, make_plant):
+def test_explicit_defaults_change_nothing(make_arm, make_plant):
     effects = SOFT | {"backlash": {"play": [1e-4] * 6}, "base_drift": DRIFT}
     plant = make_plant(make_arm(payload_mass=3.0, payload_center=[0.1, 0.0, 0.05], effects=effects))
     plant.advance(100.0)
@@ -47,7 +47,7 @@ def test_each_stop_may_have_its_own_load(make_arm, make_plant):
     assert np.abs(hung.smr_positions("left", Q[[3]])[0] - found[3]).max() < 1e-11
 
 
-def test_the_last_step_tells_the_side_of_approach(make_arm, make_plant):
+def test_the_last_step_determines_the_approach(make_arm, make_plant):
     plant = make_plant(make_arm(effects={"backlash": {"play": [1e-4] * 6}}))
     step = np.random.default_rng(1).choice([-0.5, 0.5], (6, 6))
     told = plant.smr_positions("left", Q, last_step=step)
@@ -91,7 +91,7 @@ def test_true_masses_differ_by_a_share_and_move_nothing_else(make_arm, make_plan
     assert 0.005 * sag < np.linalg.norm(off - nominal, axis=1).max() < 0.4 * sag
 
 
-def test_shares_of_mass_have_the_size_asked_for(make_arm, make_plant):
+def test_mass_errors_have_the_configured_size(make_arm, make_plant):
     nominal = make_arm().masses
     shares = np.array(
         [

@@ -1,4 +1,4 @@
-"""The collision witness against distances found the slow way."""
+"""The collision monitor against distances from dense sampling."""
 
 from __future__ import annotations
 
@@ -48,13 +48,14 @@ def _capsules(arm, frames):
     return [((poses[f] @ [*s, 1.0])[:3], (poses[f] @ [*e, 1.0])[:3], r, f) for f, s, e, r in ends]
 
 
-def test_the_witness_sees_the_nearest_approach_of_a_motion(make_arm, make_config, dh_frames):
+def test_the_collision_monitor_finds_the_smallest_distance_of_a_motion(make_arm, make_config, dh_frames):
     left, right = make_arm(), make_arm("ur5", "right", 1.5)
     plant = Plant(make_config(left, right), watch_clearance=True)
     goals = {"left": np.array([0.9, -1.0, 1.2, 0.4, 0.3, 0.0]), "right": np.array([2.4, -0.7, 1.5, 0.0, 0.5, 0.0])}
     for name, goal in goals.items():
         plant.start_move(name, goal, SPEED, ACCELERATION)
-    motions = {name: plant._arm(name).motion for name in goals}
+    motions = {name: motion for name in goals if (motion := plant._arm(name).motion) is not None}
+    assert plant.clearance is not None
     while any(plant.moving(name) for name in goals):
         plant.advance(0.13)
     arms, floor = np.inf, np.inf
@@ -72,11 +73,13 @@ def test_the_witness_sees_the_nearest_approach_of_a_motion(make_arm, make_config
     assert 0.0 <= plant.clearance.arms_time_s <= 2.0
 
 
-def test_a_collision_on_the_way_between_two_safe_ends_is_seen(make_arm, make_config):
+def test_a_collision_between_two_safe_end_points_is_detected(make_arm, make_config):
     right = make_arm("ur5", "right", 1.5)  # at zero it reaches towards the left arm
     here, there = np.zeros((2, 6))
     here[0], there[0] = np.pi - 1.3, np.pi + 1.3
     plant, at_the_end = (Plant(make_config(make_arm(home=home), right), watch_clearance=True) for home in (here, there))
+    assert plant.clearance is not None
+    assert at_the_end.clearance is not None
     assert min(plant.clearance.arms_m, at_the_end.clearance.arms_m) > 0.1
     plant.start_move("left", there, SPEED, ACCELERATION)
     plant.advance(60.0)
@@ -86,11 +89,12 @@ def test_a_collision_on_the_way_between_two_safe_ends_is_seen(make_arm, make_con
 
 def test_the_floor_is_where_it_is_configured_and_a_fixed_base_is_not_counted(make_arm, make_config):
     plant = Plant(make_config(make_arm(home=np.zeros(6)), floor=0.3), watch_clearance=True)
+    assert plant.clearance is not None
     # stretched out flat the flange is lowest: d1 - d5 above the base at 0.5, its capsule's radius 0.05;
     # the capsule of the base itself is lower still
     assert plant.clearance.floor_m == pytest.approx(0.5 + 0.1273 - 0.1157 - 0.05 - 0.3)
     assert plant.clearance.arms_m == np.inf
 
 
-def test_the_witness_is_off_by_default(make_plant):
+def test_the_collision_monitor_is_off_by_default(make_plant):
     assert make_plant().clearance is None

@@ -1,4 +1,4 @@
-"""Hidden effects against what they stand for, and their parameters."""
+"""Hidden effects against their definitions, and their parameters."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def _go(plant, q):
     plant.advance(max(plant.rest_s("left") - plant.clock_s, 0.0))
 
 
-def test_the_eccentric_disc_reads_what_was_commanded(make_arm, make_plant):
-    """The head's reading, worked out forwards from the true shaft angle, is the angle that the controller reports."""
+def test_the_eccentric_disc_reads_the_commanded_angle(make_arm, make_plant):
+    """The head's reading, computed from the true shaft angle, is the angle that the controller reports."""
     e, r, phase = 4e-4, 0.02, 0.7  # far too large, so that a mere sine would be seen
     values = {"joints": [1], "eccentricity": [e], "radius": [r], "phase": [phase]}
     arm = make_arm(effects={"encoder_eccentricity": values})
@@ -73,7 +73,7 @@ def test_after_long_moves_the_batch_agrees_with_the_history(make_arm, make_plant
     assert np.abs(centred - plant.smr_positions("left", before[None], approach=np.ones((1, 6)))).max() > 1e-5
 
 
-def test_a_stop_on_the_way_counts_in_the_history(make_arm, make_plant):
+def test_an_interrupted_motion_counts_in_the_history(make_arm, make_plant):
     arm = make_arm(effects={"backlash": {"play": [1e-2] * 6}})
     plant, ideal = make_plant(arm), make_plant()
     plant.start_move("left", np.full(6, 1.0), **FAST)
@@ -91,8 +91,8 @@ def test_a_stop_on_the_way_counts_in_the_history(make_arm, make_plant):
 @pytest.mark.parametrize(
     ("effects", "message"),
     [
-        ({"gremlins": {}}, "arm left: there is no effect 'gremlins'; effects are backlash, base_drift"),
-        ({"backlash": {"plays": [0] * 6}}, "arm left, effect backlash: there is no parameter 'plays'; its .* are play"),
+        ({"gremlins": {}}, "arm left: unknown effect 'gremlins'; effects are backlash, base_drift"),
+        ({"backlash": {"plays": [0] * 6}}, "arm left, effect backlash: unknown parameter 'plays'; its .* are play"),
         ({"backlash": {}}, "arm left, effect backlash: parameter 'play' is missing"),
         ({"backlash": [1]}, "arm left, effect backlash: expected its parameters by name"),
         ({"backlash": {"play": [0] * 5}}, "play must be a list of 6 numbers"),
@@ -192,7 +192,7 @@ class _Pedestal(Effect):
 class _Refraction(Effect):
     """All points look a little farther away."""
 
-    def seen(self, p_M, normal_M, situation):
+    def apparent_position(self, p_M, normal_M, situation):
         return p_M * (1 + 1e-5)
 
 

@@ -1,4 +1,4 @@
-"""The true geometry: nominal without errors, and off by what was asked for with them."""
+"""True geometry: nominal without errors, and with errors of the configured sizes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_perfect_cell_is_its_dh_chain(make_arm, make_config, make_plant, dh_sm
     assert np.abs(found - dh_smr(make_config(arm), q)).max() < 1e-12
 
 
-def test_each_axis_is_displaced_and_tilted_across_itself_by_the_sizes_asked_for(make_arm):
+def test_each_axis_is_displaced_and_tilted_by_the_configured_sizes(make_arm):
     drawn = nominal(make_arm())
     errors = GeometryErrors(length=3e-4, angle=1e-3, smr=2e-3)
     cells = [with_errors(drawn, errors, np.random.default_rng(seed)) for seed in range(400)]
@@ -52,7 +52,7 @@ def test_each_axis_is_displaced_and_tilted_across_itself_by_the_sizes_asked_for(
     assert np.std([cell.smr - drawn.smr for cell in cells]) == pytest.approx(2e-3, rel=0.11)
 
 
-def test_base_errors_have_the_sizes_asked_for(make_arm, make_plant):
+def test_base_errors_have_the_configured_sizes(make_arm, make_plant):
     errors = GeometryErrors(base_length=5e-3, base_angle=4e-3)
     arm = make_arm()
     off = [inverse(arm.T_C_B) @ make_plant(arm, seed=s, errors=errors).true_T_C_B("left") for s in range(300)]
@@ -109,7 +109,7 @@ def test_rigid_is_the_rotation_vector_then_the_shift():
     assert np.abs(inverse(motion) @ motion - np.eye(4)).max() < 1e-14
 
 
-def test_a_configuration_of_the_wrong_shape_says_which(make_arm, make_config):
+def test_a_configuration_of_the_wrong_shape_is_named(make_arm, make_config):
     with pytest.raises(ValueError, match=r"arm left: masses has shape \(5,\), expected \(6,\)"):
         make_arm(masses=np.ones(5))
     with pytest.raises(ValueError, match="arm left: payload_center holds a value that is not a finite number"):

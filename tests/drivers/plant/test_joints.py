@@ -1,8 +1,9 @@
-"""Hidden effects of drives, encoders and bearings that no load causes."""
+"""Hidden effects of drives, encoders and bearings that do not depend on loads."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,8 @@ def _positions(make_arm, make_plant, effects, q=Q, **situation):
 def _offset(name, values, q, **situation):
     """Deflection by one effect at ``q`` (n, N)."""
     effect = FACTORIES[name](Parameters("left", name, values, q.shape[1]))
-    return effect.offset(SimpleNamespace(q=q, **situation), None)
+    inputs: Any = SimpleNamespace(q=q, **situation)
+    return effect.offset(inputs, None)
 
 
 def _sweep(joint, count=4096):
@@ -64,7 +66,7 @@ def test_from_afar_all_of_it_is_lost_and_without_a_side_none(make_arm, make_plan
     assert np.array_equal(_positions(make_arm, make_plant, {"backlash": TEETH}), make_plant().smr_positions("left", Q))
 
 
-def test_what_is_told_of_steps_agrees_with_steps_made(make_arm, make_plant):
+def test_given_steps_agree_with_executed_steps(make_arm, make_plant):
     effects = {
         "backlash": TEETH,
         "unsettled_measurement": {"fraction": [1e-4] * 6, "time_constant": [5.0] * 6},
@@ -96,7 +98,7 @@ def test_a_step_inside_simple_play_does_not_reach_its_edge(make_arm, make_plant)
 # -- creep -------------------------------------------------------------------------------------------------------------
 
 
-def test_what_a_step_leaves_over_dies_away_at_rest(make_arm, make_plant):
+def test_the_rest_of_a_step_decays_at_rest(make_arm, make_plant):
     values = {"fraction": [1e-4] * 6, "time_constant": [4.0] * 6}
     step = np.random.default_rng(0).uniform(-2, 2, (8, 6))
     for rest, left in ((0.0, 1.0), (4.0, np.exp(-1.0)), (4.0 * np.log(2.0), 0.5), (np.inf, 0.0)):
@@ -207,7 +209,7 @@ def test_two_lobes_tilt_the_axis_twice_a_turn_and_three_thrice():
         assert np.abs(one.links + between.links).max() < 1e-18  # half a lobe on, the other way
 
 
-def test_the_tilt_has_the_size_that_the_lobes_say_and_needs_only_its_own_joint():
+def test_the_tilt_follows_from_the_lobes_and_depends_on_its_own_joint_only():
     found = _offset("joint_axis_wobble", BEARING, _sweep(0))
     tilt = np.linalg.norm(found.base[:, 3:], axis=1)
     assert np.sqrt((tilt**2).mean()) == pytest.approx(tilt_of_two_lobes() * 2e-6 / 0.06)
@@ -244,7 +246,7 @@ def test_the_axis_of_joint_1_tilts_about_the_base(make_arm, make_plant):
         ),
     ],
 )
-def test_a_peculiar_law_turns_one_joint_by_others(make_arm, make_plant, name, values, joint, law):
+def test_an_uncatalogued_effect_rotates_one_joint_by_others(make_arm, make_plant, name, values, joint, law):
     joints = Q.copy()
     joints[:, joint] += law(Q)
     found = _positions(make_arm, make_plant, {name: values})

@@ -1,4 +1,4 @@
-"""Hidden effects that loads cause, against springs, beams and columns worked out by hand."""
+"""Hidden effects under load against analytic springs, beams and columns."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_a_weight_beside_the_beam_twists_it(make_arm):
     assert np.abs(turn[0]) == pytest.approx(5.0 * STANDARD_GRAVITY * aside * LENGTH / GJ, rel=1e-9)
 
 
-def test_its_own_weight_bends_the_beam_as_a_load_spread_along_it(make_arm):
+def test_own_weight_bends_the_beam_like_a_distributed_load(make_arm):
     arm = _only(make_arm, _2=(12.0, [LENGTH / 2, 0.0, 0.0]))
     shift, turn = _tip(arm)
     load = 12.0 * STANDARD_GRAVITY / LENGTH
@@ -225,14 +225,14 @@ def test_a_column_leans_with_its_weaker_side_and_an_upright_one_does_not_twist(m
     assert base[:, 4] == pytest.approx(posture.base_moment[:, 1] / 1e6)
 
 
-def test_the_leaning_arm_weighs_on_the_column_where_it_has_come_to(make_arm, make_plant):
+def test_the_column_carries_the_moment_of_the_deflected_arm(make_arm, make_plant):
     """With a column a thousand times too soft the moment of the deflected posture differs from the first one."""
     values = {"height": 1.0, "bending": [2e3, 2e3], "torsion": 2e3}
     plant = make_plant(make_arm(effects={"pedestal_compliance": values}))
     arm = plant._arm("left")
     plant.targets()
-    base = arm.bent.base
-    posture = Posture(arm.mechanism, plant.q("left")[None], arm.gravity, arm.bent)
+    base = arm.load_deflection.base
+    posture = Posture(arm.mechanism, plant.q("left")[None], arm.gravity, arm.load_deflection)
     again = _effect("pedestal_compliance", values).bend(SimpleNamespace(), posture).base
     first = (
         _effect("pedestal_compliance", values)
@@ -270,7 +270,7 @@ def plant_free(make_plant, make_arm, right):
     return make_plant(make_arm(), right)
 
 
-def test_which_way_the_other_base_is_turned_does_not_matter(make_arm, make_plant):
+def test_the_orientation_of_the_other_base_does_not_matter(make_arm, make_plant):
     values = COUPLING | {"bending": 1e6, "depth": 0.5}
     turned = make_arm("ur5", "right", 1.2).T_C_B @ np.diag([-1.0, -1.0, 1.0, 1.0])
     other = np.random.default_rng(2).uniform(-2, 2, (8, 6))
@@ -284,7 +284,7 @@ def test_which_way_the_other_base_is_turned_does_not_matter(make_arm, make_plant
 
 
 def test_the_beam_twists_and_bends_by_its_own_stiffness(make_arm, make_plant):
-    """The right arm reaches along the beam: that bends it and does not twist it; across, it is the other way round."""
+    """An arm stretched along the beam bends it without torsion; stretched across, it only twists it."""
     right = make_arm("ur5", "right", 1.2, centers_of_mass=np.zeros((6, 3)))
     free = plant_free(make_plant, make_arm, right)
     only_twist = make_plant(make_arm(effects={"pedestal_coupling": COUPLING | {"bending": np.inf}}), right)
@@ -294,7 +294,7 @@ def test_the_beam_twists_and_bends_by_its_own_stiffness(make_arm, make_plant):
         assert (np.abs(moved).max() > 3e-6) == larger
 
 
-def test_an_arm_alone_has_nobody_to_be_turned_by(make_arm, make_plant):
+def test_pedestal_coupling_does_nothing_to_a_single_arm(make_arm, make_plant):
     found = _positions(make_arm, make_plant, {"pedestal_coupling": COUPLING})
     assert np.array_equal(found, make_plant().smr_positions("left", Q))
 
@@ -341,6 +341,6 @@ def test_a_wrong_parameter_is_one_clear_error(make_arm, make_plant, effects, mes
         make_plant(make_arm(effects=effects))
 
 
-def test_too_soft_for_any_balance_is_said(make_arm, make_plant):
+def test_a_stiffness_without_equilibrium_is_refused(make_arm, make_plant):
     with pytest.raises(ValueError, match="arm left: the hidden effects reach no equilibrium"):
         _positions(make_arm, make_plant, {"payload_compliance": {"stiffness": [1.0] * 6}}, payload=np.full(8, 10.0))

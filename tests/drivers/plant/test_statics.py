@@ -1,4 +1,4 @@
-"""Gravity on the bodies, and joints that yield to it."""
+"""Gravity torques and elastic joints."""
 
 from __future__ import annotations
 

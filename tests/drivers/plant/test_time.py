@@ -1,4 +1,4 @@
-"""Hidden effects of time and warmth: what grows, walks, slips and sways."""
+"""Hidden effects of time and temperature: growth, drift, slip and sway."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _moved_base(make_plant, shares):
 # -- warmth ------------------------------------------------------------------------------------------------------------
 
 
-def test_an_arm_warmer_all_over_is_a_larger_arm(make_arm, make_plant):
+def test_a_uniformly_warmer_arm_is_larger(make_arm, make_plant):
     found = _positions(
         make_arm, make_plant, {"thermal_growth": GROWTH}, joints_c=np.full((5, 6), 30.0), air_c=np.full(5, 30.0)
     )
@@ -44,7 +44,7 @@ def test_at_the_reference_nothing_grows(make_arm, make_plant):
     assert np.abs(found - make_plant().smr_positions("left", Q)).max() < 1e-15
 
 
-def test_a_link_takes_its_share_of_its_two_joints_warmth(make_arm, make_plant):
+def test_a_link_takes_its_share_of_the_rise_of_its_two_joints(make_arm, make_plant):
     joints_c = np.full((5, 6), 20.0)
     joints_c[:, 2] += 12.0  # the elbow warms both beams by half
     found = _positions(make_arm, make_plant, {"thermal_growth": GROWTH}, joints_c=joints_c, air_c=np.full(5, 20.0))
@@ -81,7 +81,7 @@ def test_links_follow_a_jump_of_temperature_with_their_lag(make_arm, make_plant)
     assert grown == pytest.approx([0.0, 0.0, 1.0 - np.exp(-1.0), 1.0 - np.exp(-2.0), 1.0], abs=2e-3)
 
 
-def test_a_history_told_agrees_with_one_lived_through(make_arm, make_plant):
+def test_a_given_history_agrees_with_a_simulated_one(make_arm, make_plant):
     values = GROWTH | {"motor": 1e-6}
     lived = make_plant(make_arm(effects={"thermal_growth": values}), holding_k=10.0)
     told = make_plant(make_arm(effects={"thermal_growth": values}), holding_k=10.0)
@@ -131,13 +131,13 @@ TIMES = np.array([0.0, 500.0, 1000.0, 2000.0, 4000.0])
         ("creep", np.log(1.0 + TIMES / 1000.0)),
     ],
 )
-def test_the_base_walks_by_its_law(make_arm, make_plant, law, shares):
+def test_the_base_drifts_by_its_law(make_arm, make_plant, law, shares):
     values = {"shift": SHIFT, "turn": TURN, "law": law, "time": 1000.0}
     found = _positions(make_arm, make_plant, {"base_drift": values}, time_s=TIMES)
     assert np.abs(found - _moved_base(make_plant, shares)).max() < 1e-13
 
 
-def test_a_tracker_that_walks_sees_the_arm_walk_the_other_way(make_arm, make_plant):
+def test_a_drifting_tracker_sees_the_arm_drift_the_opposite_way(make_arm, make_plant):
     values = {"shift": SHIFT, "turn": TURN, "law": "exponential", "time": 1000.0}
     found = _positions(make_arm, make_plant, {"tracker_drift": values}, time_s=TIMES)
     p_M, share = make_plant().smr_positions("left", Q), (1.0 - np.exp(-TIMES / 1000.0))[:, None]
@@ -176,7 +176,7 @@ def test_the_floor_sways_with_its_period(make_arm, make_plant):
     assert np.abs(found - later).max() < 1e-13
 
 
-def test_a_draught_bends_the_beam_aside_and_level(make_arm, make_plant):
+def test_a_draught_deflects_the_beam_horizontally(make_arm, make_plant):
     values = {"angle": 2e-5, "period": 1800.0, "phase": 0.0}
     time_s = np.array([0.0, 450.0, 900.0, 1350.0, 1800.0])
     found = _positions(make_arm, make_plant, {"draught": values}, time_s=time_s)
@@ -196,9 +196,9 @@ WALK = {"shift": SHIFT, "turn": TURN, "law": "linear", "time": 100.0}
     [
         ({"thermal_growth": GROWTH | {"share": 1.5}}, "share must be from 0 to 1, not 1.5"),
         ({"thermal_growth": GROWTH | {"lag": 0.0}}, "lag must be greater than 0, not 0"),
-        ({"thermal_growth": GROWTH | {"heat": 1.0}}, r"no parameter 'heat'; .*lag, motor \(optional\), reference"),
+        ({"thermal_growth": GROWTH | {"heat": 1.0}}, r"unknown parameter 'heat'; .*lag, motor \(optional\), reference"),
         ({"joint_drift": {"drift": [1e-5] * 6}}, "parameter 'time_constant' is missing"),
-        ({"joint_drift": {"per_kelvin": [1e-5] * 6, "drift": [1e-5] * 6}}, "no parameter 'drift'"),
+        ({"joint_drift": {"per_kelvin": [1e-5] * 6, "drift": [1e-5] * 6}}, "unknown parameter 'drift'"),
         ({"base_drift": WALK | {"law": "random"}}, "law must be one of linear, exponential, creep, not 'random'"),
         ({"base_drift": WALK | {"time": -1}}, "time must be greater than 0, not -1"),
         ({"tracker_drift": WALK | {"shift": [0.0, 0.0]}}, "shift must be a list of 3 numbers"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +15,14 @@ P = np.random.default_rng(0).uniform(-1.0, 1.0, (30, 3)) * [2.0, 2.0, 1.0] + [0.
 NO_CIRCLE = [0.0, 0.0, 0.0, 0.0]
 
 
-def _seen(name, values, p_M=P, normal_M=None):
+SITUATION: Any = SimpleNamespace()
+"""These effects do not depend on the situation."""
+
+
+def _apparent(name, values, p_M=P, normal_M=None):
     effect = FACTORIES[name](Parameters("left", name, values, 6))
     normal_M = -p_M / np.linalg.norm(p_M, axis=1, keepdims=True) if normal_M is None else normal_M
-    return effect.seen(p_M, normal_M, SimpleNamespace())
+    return effect.apparent_position(p_M, normal_M, SITUATION)
 
 
 def _angles(p_M):
@@ -29,19 +34,19 @@ def _distance(p_M):
 
 
 def test_wrong_air_makes_all_distances_longer_by_the_same_share():
-    assert _distance(_seen("tracker_scale", {"ppm": 5.0})) == pytest.approx(_distance(P) * (1 + 5e-6), rel=1e-14)
-    assert _angles(_seen("tracker_scale", {"ppm": -5.0})) == pytest.approx(_angles(P), abs=1e-14)
+    assert _distance(_apparent("tracker_scale", {"ppm": 5.0})) == pytest.approx(_distance(P) * (1 + 5e-6), rel=1e-14)
+    assert _angles(_apparent("tracker_scale", {"ppm": -5.0})) == pytest.approx(_angles(P), abs=1e-14)
 
 
 def test_a_wrong_zero_makes_all_distances_longer_by_the_same_length():
-    seen = _seen("tracker_distance_offset", {"offset": -2e-5})
+    seen = _apparent("tracker_distance_offset", {"offset": -2e-5})
     assert _distance(seen) - _distance(P) == pytest.approx(np.full(30, -2e-5), abs=1e-14)
     assert _angles(seen) == pytest.approx(_angles(P), abs=1e-14)
 
 
-def test_a_perfect_instrument_reads_what_is():
+def test_a_perfect_instrument_has_no_error():
     values = {"azimuth": NO_CIRCLE, "elevation": NO_CIRCLE, "transit": 0.0}
-    assert np.abs(_seen("tracker_angle_error", values) - P).max() < 1e-14
+    assert np.abs(_apparent("tracker_angle_error", values) - P).max() < 1e-14
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -53,19 +58,19 @@ def test_an_eccentric_circle_is_read_once_a_turn_and_a_slanted_one_twice(axis):
         ([1e-5, 0.3, 0.0, 0.0], 1e-5 * np.sin(angle + 0.3)),
         ([0.0, 0.0, 8e-3, 0.7], 8e-3**2 / 4 * np.sin(2 * (angle + 0.7))),
     ):
-        seen = _seen("tracker_angle_error", clean | {key: circle})
+        seen = _apparent("tracker_angle_error", clean | {key: circle})
         assert _angles(seen)[axis] - angle == pytest.approx(expected, abs=2e-9)
         assert _angles(seen)[1 - axis] == pytest.approx(_angles(P)[1 - axis], abs=1e-14)
         assert _distance(seen) == pytest.approx(_distance(P), rel=1e-14)
 
 
 def test_circle_readings_of_an_eccentric_disc_satisfy_its_triangle():
-    """The head, seen from the centre of the disc, stands where the reading says, however far off the centre is."""
+    """The head's direction from the centre of the disc equals the reading, for any eccentricity."""
     e, phase = 0.2, 0.4
     azimuth = _angles(P)[0]
-    seen = _angles(_seen("tracker_angle_error", {"azimuth": [e, phase, 0, 0], "elevation": NO_CIRCLE, "transit": 0.0}))[
-        0
-    ]
+    seen = _angles(
+        _apparent("tracker_angle_error", {"azimuth": [e, phase, 0, 0], "elevation": NO_CIRCLE, "transit": 0.0})
+    )[0]
     centre = e * np.stack([np.cos(azimuth + phase), np.sin(azimuth + phase)])
     head = np.array([[1.0], [0.0]]) - centre
     assert np.exp(1j * (seen - azimuth)) == pytest.approx(np.exp(-1j * np.arctan2(head[1], head[0])))
@@ -73,7 +78,7 @@ def test_circle_readings_of_an_eccentric_disc_satisfy_its_triangle():
 
 def test_a_slanted_transit_axis_points_where_its_readings_turn_it():
     slant = 0.05
-    seen = _seen("tracker_angle_error", {"azimuth": NO_CIRCLE, "elevation": NO_CIRCLE, "transit": slant})
+    seen = _apparent("tracker_angle_error", {"azimuth": NO_CIRCLE, "elevation": NO_CIRCLE, "transit": slant})
     azimuth, elevation = _angles(seen)
     # turn the beam up about the level axis, slant that axis about the beam's level direction, turn to the azimuth
     beam = np.stack([np.cos(elevation), np.zeros(30), np.sin(elevation)])
@@ -84,7 +89,7 @@ def test_a_slanted_transit_axis_points_where_its_readings_turn_it():
 
 
 def test_a_slanted_transit_axis_shows_with_the_elevation():
-    seen = _seen("tracker_angle_error", {"azimuth": NO_CIRCLE, "elevation": NO_CIRCLE, "transit": 1e-5})
+    seen = _apparent("tracker_angle_error", {"azimuth": NO_CIRCLE, "elevation": NO_CIRCLE, "transit": 1e-5})
     azimuth, elevation = _angles(P)
     assert _angles(seen)[0] - azimuth == pytest.approx(1e-5 * np.tan(elevation), abs=1e-9)
 
@@ -101,26 +106,26 @@ def _turned(angle, about):
 
 
 def test_looked_at_squarely_glass_and_angles_show_nothing():
-    assert np.abs(_seen("target_incidence", GLASS | {"dihedral": 1e-5}) - P).max() < 1e-14
+    assert np.abs(_apparent("target_incidence", GLASS | {"dihedral": 1e-5}) - P).max() < 1e-14
 
 
-def test_aslant_the_path_through_the_glass_is_longer_as_snell_says():
+def test_the_path_through_the_glass_follows_snells_law():
     angle = np.linspace(0.0, 1.0, 30)
-    seen = _seen("target_incidence", GLASS, normal_M=_turned(angle, np.array([0.0, 0.0, 1.0])))
+    seen = _apparent("target_incidence", GLASS, normal_M=_turned(angle, np.array([0.0, 0.0, 1.0])))
     inside = np.arcsin(np.sin(angle) / 1.51)
     # path in the glass, its part along the beam's way in air taken off (optical), against the square one
     path = 3e-4 * (1.51 / np.cos(inside) - np.cos(angle - inside) / np.cos(inside))
     assert _distance(seen) - _distance(P) == pytest.approx(path - 3e-4 * 0.51, abs=1e-12)
     assert (np.diff(_distance(seen) - _distance(P)) > 0.0).all()
     assert _angles(seen) == pytest.approx(_angles(P), abs=1e-14)
-    other_side = _seen("target_incidence", GLASS, normal_M=_turned(angle, np.array([0.0, 1.0, 0.3])))
+    other_side = _apparent("target_incidence", GLASS, normal_M=_turned(angle, np.array([0.0, 1.0, 0.3])))
     assert _distance(other_side) == pytest.approx(_distance(seen), abs=1e-14)
 
 
-def test_a_wrong_dihedral_angle_sends_the_beam_aside_by_the_distance():
+def test_a_dihedral_error_deflects_the_beam_in_proportion_to_distance():
     angle = np.linspace(0.0, 0.6, 30)
     normal = _turned(angle, np.array([0.0, 0.0, 1.0]))
-    moved = _seen("target_incidence", GLASS | {"thickness": 0.0, "dihedral": 2e-6}, normal_M=normal) - P
+    moved = _apparent("target_incidence", GLASS | {"thickness": 0.0, "dihedral": 2e-6}, normal_M=normal) - P
     assert np.linalg.norm(moved, axis=1) == pytest.approx(2e-6 * _distance(P) * np.sin(angle), abs=1e-14)
     assert np.abs((moved * P).sum(axis=1)).max() < 1e-14
 
@@ -143,7 +148,7 @@ def test_in_the_cell_the_tracker_sees_the_arm_through_them(make_arm, make_plant)
         ({"tracker_scale": {"ppm": "5"}}, "ppm must be a number in SI units, not '5'"),
         (
             {"tracker_distance_offset": {"offset_m": 1e-5}},
-            "there is no parameter 'offset_m'; its parameters are offset",
+            "unknown parameter 'offset_m'; its parameters are offset",
         ),
         (
             {"tracker_angle_error": {"azimuth": [1e-5], "elevation": NO_CIRCLE, "transit": 0.0}},

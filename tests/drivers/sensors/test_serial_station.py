@@ -11,6 +11,7 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import pytest
 import serial
@@ -74,7 +75,7 @@ def listen() -> Iterator[Callable[..., SerialStation]]:
     """``listen(url, layout, **options)``: a connected station, disconnected at the end."""
     stations = []
 
-    def make(url: str, layout: LineFormat = STREAMED, **options: object) -> SerialStation:
+    def make(url: str, layout: LineFormat = STREAMED, **options: Any) -> SerialStation:
         station = SerialStation(url, layout, **({"timeout_s": LONG_S} | options))
         stations.append(station)
         station.connect()
@@ -108,21 +109,21 @@ def until(condition: Callable[[], bool]) -> None:
         ("Tdf= 3.0 'C P= **** hPa T= 20.0 'C", (20.0, None, None)),
     ],
 )
-def test_what_a_ptu300_prints(text: str, expected: tuple[float | None, ...]) -> None:
+def test_lines_of_a_ptu300(text: str, expected: tuple[float | None, ...]) -> None:
     values = parse_line(text, PTU)
     found = tuple(values.get(name) for name in ("temperature", "pressure", "humidity"))
     assert found == tuple(None if value is None else pytest.approx(value, abs=5e-3) for value in expected)
 
 
 @pytest.mark.parametrize("text", ["", ">", "send", "Tfrost= 36.0'C", "T= ***** 'C", "OK", "PTU300 / 1.05", "T= 21.4"])
-def test_what_is_no_reading(text: str) -> None:
+def test_lines_without_a_reading(text: str) -> None:
     assert parse_line(text, PTU) == {}
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("P= 1.0132 bars T= 20.0 'C", "pressure comes in 'bars'; known are hpa, mbar"),
+        ("P= 1.0132 bars T= 20.0 'C", "pressure has the unit 'bars'; known are hpa, mbar"),
         ("P= 1.0132 hPa T= 20.0 'C", r"pressure is 1.0132 hPa, which is not between 500 and 1100: is it in another"),
         ("P= 1013.2 hPa T= 68.2 'C", r"temperature is 68.2 degC, which is not between -10 and 50"),
         ("T= 20.0 'C RH= 138.0 %RH", "humidity is 138 %"),
@@ -133,7 +134,7 @@ def test_wrong_units_are_refused(text: str, message: str) -> None:
         parse_line(text, PTU)
 
 
-def test_a_format_of_ones_own() -> None:
+def test_a_custom_format() -> None:
     layout = LineFormat(
         r"(?P<temperature>\S+);(?P<object_temperature>\S+);(?P<pressure>\S+)",
         units={"temperature": "degF", "pressure": "kPa"},
@@ -141,18 +142,18 @@ def test_a_format_of_ones_own() -> None:
     assert parse_line("68.0;21.5;101.0", layout) == pytest.approx(
         {"temperature": 20.0, "object_temperature": 21.5, "pressure": 1010.0}
     )
-    with pytest.raises(ValueError, match="object_temperature is 'nan', which is no number"):
+    with pytest.raises(ValueError, match="object_temperature is 'nan', which is not a number"):
         parse_line("68.0;nan;101.0", layout)
 
 
 @pytest.mark.parametrize(
     ("pattern", "units", "message"),
     [
-        ("T=(", {}, "no regular expression"),
+        ("T=(", {}, "not a regular expression"),
         (r"T=(\d+)", {}, r"needs \(\?P<temperature>"),
         (r"(?P<temperature>\d+) (?P<wind>\d+)", {}, "may have humidity, humidity_unit"),
         (r"(?P<temperature>\d+)", {"temperature": "Rankine"}, "'temperature: Rankine' is not known; for temperature"),
-        (r"(?P<temperature>\d+)", {"wind": "m/s"}, "there is no such field"),
+        (r"(?P<temperature>\d+)", {"wind": "m/s"}, "unknown field"),
     ],
 )
 def test_a_bad_format_is_refused(pattern: str, units: dict[str, str], message: str) -> None:
@@ -193,7 +194,7 @@ def test_a_stale_reading_is_refused_and_silence_named(line: Line, listen: Callab
     clock = Clock()
     station = listen(line.path, now=clock, timeout_s=SHORT_S)
     line.say(b"\r\n" + LINE)
-    until(lambda: station._heard is not None)
+    until(lambda: station._newest is not None)
     assert station.read().age_s == 0.0
     clock.time_s += 61.0
     with pytest.raises(StaleReading, match=r"is 61 s old, more than 60 s: it is silent; check its power"):
@@ -220,12 +221,12 @@ def test_garbage_is_named_and_the_next_line_counts(line: Line, listen: Callable[
     station = listen(line.path, timeout_s=SHORT_S)
     line.say(b"\r\n" + bytes(range(128, 250)) + b"\r\nP= 1.0 bar\r\n" + b"x" * 5 * LONGEST_LINE + b"\r\n")
     line.say(b"P= 1.0132 hPa T= 20.0 'C\r\n")
-    until(lambda: "another unit" in station._trouble)
-    with pytest.raises(SensorLinkLost, match=r"lines that are no reading: .*1\.0132 hPa.*check format or pattern"):
+    until(lambda: "another unit" in station._last_bad_line)
+    with pytest.raises(SensorLinkLost, match=r"lines without a reading: .*1\.0132 hPa.*check format, units"):
         station.read()
-    assert len(station._trouble) < 300
+    assert len(station._last_bad_line) < 300
     line.say(LINE)
-    until(lambda: station._heard is not None)
+    until(lambda: station._newest is not None)
     assert station.read().temperature_c == 21.4
 
 
@@ -234,7 +235,7 @@ def test_a_line_without_end_is_not_kept(line: Line, listen: Callable[..., Serial
     line.say(b"\r\n")
     for _ in range(3):
         line.say(b"x" * LONGEST_LINE)
-    until(lambda: "a line without end" in station._trouble)
+    until(lambda: "a line without end" in station._last_bad_line)
     line.say(b"P= 1000.0 hPa T= 1.4 'C\r\n" + LINE)  # the rest of it is no reading either
     assert station.read().temperature_c == 21.4
 
@@ -244,7 +245,7 @@ def test_a_polled_station(line: Line, listen: Callable[..., SerialStation]) -> N
     assert line.hear() == b"send\r\n"
     line.say(b"send\r\n" + LINE.replace(b"21.4", b"1.4"))  # the first line end is only where lines begin
     assert line.hear() == b"send\r\n"
-    until(lambda: station._heard is not None)
+    until(lambda: station._newest is not None)
     line.say(LINE)
     until(lambda: station.read().temperature_c == 21.4)
 
@@ -259,19 +260,19 @@ def test_unplugged_and_plugged_in_again(
     link.symlink_to(first.path)
     station = listen(str(link), now=clock, timeout_s=SHORT_S)
     first.say(b"\r\n" + LINE)
-    until(lambda: station._heard is not None)
+    until(lambda: station._newest is not None)
     first.unplug()
     link.unlink()
-    until(lambda: bool(station._lost))
+    until(lambda: bool(station._link_error))
     assert station.read().temperature_c == 21.4  # still fresh
     clock.time_s += 61.0
     with pytest.raises(StaleReading, match=r"61 s old.*(link is lost|cannot be opened)"):
         station.read()
     second = Line()
     link.symlink_to(second.path)
-    until(lambda: not station._lost)
+    until(lambda: not station._link_error)
     second.say(b"\r\n" + LINE.replace(b"21.4", b"22.5"))
-    until(lambda: station._heard is not None and station._heard.values["temperature"] == 22.5)
+    until(lambda: station._newest is not None and station._newest.values["temperature"] == 22.5)
     assert station.read().age_s == 0.0
     station.disconnect()
     second.unplug()
@@ -350,7 +351,7 @@ def test_a_loop(listen: Callable[..., SerialStation]) -> None:
 @pytest.mark.parametrize(
     "url", ["/dev/there-is-no-such-port", "nonsense://x", "socket://127.0.0.1:1", "socket://nowhere"]
 )
-def test_what_cannot_be_opened(url: str) -> None:
+def test_ports_that_cannot_be_opened(url: str) -> None:
     with pytest.raises(SensorLinkLost, match=r"cannot be opened: \S"):
         SerialStation(url, STREAMED).connect()
 
@@ -371,7 +372,7 @@ def test_before_and_after(line: Line) -> None:
         station.read()
 
 
-def test_the_simulated_station_tells_the_plants_air(make_plant: Callable[..., Plant]) -> None:
+def test_the_simulated_station_reads_the_plants_air(make_plant: Callable[..., Plant]) -> None:
     plant = make_plant(temperature_c=23.0)
     sensor = SimulatedAirSensor(plant)
     with pytest.raises(SensorLinkLost, match="connect first"):

@@ -14,6 +14,7 @@ import re
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -167,7 +168,8 @@ class Event:
     """A .NET event: handlers are added and removed with += and -=, and called one by one on LMF's own thread."""
 
     def __init__(self, name: str, scene: Scene, events: queue.SimpleQueue[Any]) -> None:
-        self.name, self._room, self._events, self.handlers = name, scene, events, []
+        self.name, self._scene, self._events = name, scene, events
+        self.handlers: list[Callable[..., None]] = []
 
     def __iadd__(self, handler: Callable[..., None]) -> Event:
         self.handlers.append(handler)
@@ -180,12 +182,12 @@ class Event:
     def fire(self, *arguments: Any, by_property: bool = False) -> None:
         """Call the handlers and wait for them, as LMF's commands do."""
         if by_property and self.handlers:
-            self._room.violations.append(f"{self.name}: a property was set while a handler is subscribed: deadlock")
+            self._scene.violations.append(f"{self.name}: a property was set while a handler is subscribed: deadlock")
             return
         done = threading.Event()
         self._events.put((list(self.handlers), arguments, done))
         if not done.wait(HANDLER_S):
-            self._room.violations.append(f"{self.name}: a handler did not return at once")
+            self._scene.violations.append(f"{self.name}: a handler did not return at once")
 
 
 def deliver(events: queue.SimpleQueue[Any]) -> None:
@@ -257,7 +259,7 @@ class Value(Net):
         changed: Callable[[], None] = lambda: None,
         number: bool = False,
     ) -> None:
-        self._value, self._room, self._name, self._span, self._unit = value, scene, name, span, unit
+        self._value, self._scene, self._name, self._span, self._unit = value, scene, name, span, unit
         self._changed, self._number = changed, number
         self.seal()
 
@@ -272,7 +274,7 @@ class Value(Net):
             raise TypeError(f"'{type(value).__name__}' value cannot be converted to {type(self._value).__name__}")
         if self._span is not None and not self._span[0] <= value <= self._span[1]:
             raise ArgumentOutOfRangeException(f"{self._name}: {value} is not in {self._span}")
-        if self._room is not None and self._name in self._room.ignored_settings:
+        if self._scene is not None and self._name in self._scene.ignored_settings:
             return
         self._value = type(self._value)(value) if self._number else value
         self._changed()
@@ -283,13 +285,6 @@ class Value(Net):
 
 
 # -- the object tree --------------------------------------------------------------------------------------------------
-
-
-class Units(Net):
-    def __init__(self) -> None:
-        self._LengthUnit, self._AngleUnit = E["ELengthUnit"].Millimeter, E["EAngleUnit"].Degree
-        self._TemperatureUnit, self._PressureUnit = E["ETemperatureUnit"].Fahrenheit, E["EPressureUnit"].InHg
-        self.seal()
 
 
 def _plain_enumeration(name: str) -> property:
@@ -304,8 +299,16 @@ def _plain_enumeration(name: str) -> property:
     return property(read, write)
 
 
-for _name in ("LengthUnit", "AngleUnit", "TemperatureUnit", "PressureUnit"):
-    setattr(Units, _name, _plain_enumeration(_name))
+class Units(Net):
+    LengthUnit = _plain_enumeration("LengthUnit")
+    AngleUnit = _plain_enumeration("AngleUnit")
+    TemperatureUnit = _plain_enumeration("TemperatureUnit")
+    PressureUnit = _plain_enumeration("PressureUnit")
+
+    def __init__(self) -> None:
+        self._LengthUnit, self._AngleUnit = E["ELengthUnit"].Millimeter, E["EAngleUnit"].Degree
+        self._TemperatureUnit, self._PressureUnit = E["ETemperatureUnit"].Fahrenheit, E["EPressureUnit"].InHg
+        self.seal()
 
 
 class Settings(Net):
@@ -353,7 +356,9 @@ class ContinuousTimeProfile(Profile):
 
 class Collection(Net):
     def __init__(self, items: list[Any]) -> None:
-        self._items, self.Selected, self.PreSelected = items, None, None
+        self._items = items
+        self.Selected: Any = None
+        self.PreSelected: Any = None
         self.seal()
 
     @property
@@ -450,7 +455,7 @@ class StationaryMeasurement3D(Net):
         position = Net()
         sigma = scene.precision_m / math.sqrt(3.0) / scale
         for axis, number in enumerate(numbers, start=1):
-            value = StatisticValue(lambda n=float(number): n, lambda: name, lambda: sigma)
+            value = StatisticValue(partial(float, number), lambda: name, lambda: sigma)
             setattr(position, f"Coordinate{axis}", value)
         position.CoordinateType = tracker.Settings.CoordinateType
         position.IsFace2 = tracker.face2
@@ -527,7 +532,7 @@ class InclinationSensor(Net):
 
         self.InclinedToGravity = Value(persistent.get("gravity", False), changed=keep)
         self.Monitoring = Monitoring(tracker)
-        self.CurrentInclinationToGravity = None
+        self.CurrentInclinationToGravity: Any = None
         self.seal()
 
     def GetInclinationToGravity(self) -> None:
@@ -651,10 +656,10 @@ class Connection:
     """``LMF.Tracker.Connection``."""
 
     def __init__(self, scene: Scene) -> None:
-        self._room = scene
+        self._scene = scene
 
     def Connect(self, address: str) -> Tracker:
-        scene = self._room
+        scene = self._scene
         scene.command("Connect")
         simulated = "simulator" in address.casefold()
         if simulated and _SIMULATOR.fullmatch(address.casefold()) is None:
@@ -673,13 +678,13 @@ class TrackerFinder:
     """``LMF.Tracker.TrackerFinder``."""
 
     def __init__(self, scene: Scene) -> None:
-        self._room = scene
+        self._scene = scene
         self._found = Collection([])
 
     def Refresh(self) -> None:
-        self._room.command("Refresh")
+        self._scene.command("Refresh")
         found = []
-        for address, model, serial in self._room.network:
+        for address, model, serial in self._scene.network:
             info = Net()
             info.IPAddress, info.Type, info.SerialNumber = address, model, serial
             found.append(info)

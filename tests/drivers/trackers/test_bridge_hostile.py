@@ -1,4 +1,4 @@
-"""Whoever else speaks to the bridge, and however badly: the client that holds the tracker goes on measuring."""
+"""Damaged lines, slow, silent and hostile clients: the client that holds the tracker goes on measuring."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def bridge(make_plant):
 
 
 @pytest.fixture
-def guarded(make_plant):
+def bridge_with_token(make_plant):
     with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, hello_s=0.5, line_s=0.5, token=TOKEN) as served:
         yield served
 
@@ -43,7 +43,7 @@ def holder(bridge, **options):
 
 
 class Raw:
-    """A connection that says what it likes."""
+    """A connection that sends arbitrary bytes."""
 
     def __init__(self, bridge):
         self._link = socket.create_connection((bridge.host, bridge.port), WAIT_S)
@@ -60,13 +60,13 @@ class Raw:
     def send(self, data):
         self._link.sendall(data)
 
-    def say(self, word, **fields):
+    def send_command(self, word, **fields):
         self.number += 1
         self.send(wire.encode(self.number, word, fields))
         return self
 
-    def hear(self):
-        """The next line, None when the bridge has hung up."""
+    def next_line(self):
+        """Return the next line; None if the bridge has hung up."""
         try:
             raw = self._lines.readline()
         except ConnectionError:
@@ -74,19 +74,19 @@ class Raw:
         return wire.decode(raw) if raw else None
 
     def ask(self, word, **fields):
-        """The answer to a command; what else is said meanwhile is passed over."""
-        self.say(word, **fields)
+        """Send a command and return its answer; skip other lines."""
+        self.send_command(word, **fields)
         for _ in range(10_000):
-            line = self.hear()
+            line = self.next_line()
             if line is None or (line.sequence == self.number and line.word != "wait"):
                 return line
-        raise AssertionError("it does not stop talking")
+        raise AssertionError("the answer did not come")
 
     def hung_up(self):
-        return any(self.hear() is None for _ in range(1000))
+        return any(self.next_line() is None for _ in range(1000))
 
 
-def lets_in(raw):
+def open_session(raw):
     assert raw.ask("sync", nonce="0123456789").fields["holding"] == "0"
     assert raw.ask("hello", protocol="1", client="a-raw-client").word == "ok"
     assert raw.ask("prepare").word == "ok"
@@ -99,7 +99,7 @@ def measures(raw, id_):
 
 
 def mutated(count, rng):
-    """Lines that were right once."""
+    """Yield damaged copies of valid lines."""
     good = [
         wire.encode(5, "measure", {"id": "a-measurement", "x": "1.5", "y": "2.0", "z": "-0.3", "averaging": "1.0"}),
         wire.encode(6, "hello", {"protocol": "1", "client": "another-client"}),
@@ -136,13 +136,13 @@ def is_garbled(raw):
 def test_ten_thousand_damaged_lines_leave_the_holder_where_it_was(bridge):
     rng = np.random.default_rng(0)
     with Raw(bridge) as raw:
-        lets_in(raw)
+        open_session(raw)
         first = measures(raw, "measurement-1")
         done = bridge.tracker.measured
         sent = 0
         for line in mutated(10_000, rng):
             parts = line.split(b"\n")[:-1]
-            if all(is_garbled(part) or not part for part in parts):  # the others happen to be right
+            if all(is_garbled(part) or not part for part in parts):  # the others happen to be valid
                 raw.send(line)
                 sent += 1
         assert sent > 9000
@@ -155,7 +155,7 @@ def test_ten_thousand_damaged_lines_leave_the_holder_where_it_was(bridge):
 
 
 def test_ten_thousand_damaged_answers_leave_the_client_alive(make_plant):
-    """A relay that damages what the bridge says for a while: errors are clear, and the next good command works."""
+    """A relay damages answers for a while: the client recovers and no measurement is lost or doubled."""
     rng = np.random.default_rng(1)
     with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}) as bridge, ExitStack() as stack:
         noise = list(mutated(10_000, rng))
@@ -222,7 +222,7 @@ def test_ten_thousand_damaged_answers_leave_the_client_alive(make_plant):
         thread.join(WAIT_S)
 
 
-def test_a_client_that_hears_only_nonsense_says_so():
+def test_a_client_that_receives_only_garbage_reports_a_lost_link():
     rng = np.random.default_rng(2)
     with socket.create_server(("127.0.0.1", 0)) as listening:
 
@@ -251,9 +251,9 @@ def test_a_client_that_hears_only_nonsense_says_so():
 
 def test_a_huge_line_is_refused_and_forgotten(bridge):
     with Raw(bridge) as raw:
-        lets_in(raw)
+        open_session(raw)
         raw.send(b"x" * 3_000_000)
-        line = raw.hear()
+        line = raw.next_line()
         assert (line.sequence, line.fields["kind"]) == (0, "garbled")
         assert "longer than 2048 bytes" in line.fields["text"]
         raw.send(b"\n")
@@ -271,50 +271,50 @@ def test_a_slow_sender_is_cut_off_and_disturbs_nobody(bridge):
 
 def test_a_holder_that_does_not_finish_its_line_keeps_the_tracker(bridge):
     with Raw(bridge) as raw:
-        lets_in(raw)
+        open_session(raw)
         raw.send(b"7 meas")
-        line = raw.hear()
+        line = raw.next_line()
         assert "not finished within 0.5 s" in line.fields["text"]
         assert measures(raw, "measurement-1").word == "ok"
 
 
-def test_two_hundred_connections_do_not_get_in_the_way(bridge):
+def test_two_hundred_connections_do_not_disturb_the_holder(bridge):
     with holder(bridge) as tracker, ExitStack() as stack:
         crowd = [stack.enter_context(Raw(bridge)) for _ in range(200)]
         for raw in crowd[::3]:
             try:
                 raw.send(b"GET / HTTP/1.1\r\n\r\n")
             except ConnectionError:
-                continue  # it has been thrown out already
+                continue  # the bridge has dropped it already
         for _ in range(5):
             assert tracker.measure(NEST, 1.0).averaging_s == 1.0
         assert len(bridge._links.links) < 80
-        bridge.fault("drop")  # and who lost its link finds its way back through the crowd
+        bridge.fault("drop")  # the holder reconnects in spite of the crowd
         assert tracker.measure(NEST, 1.0).averaging_s == 1.0
         assert all(raw.hung_up() for raw in crowd)
 
 
-def test_who_does_not_introduce_itself_gets_nothing(guarded):
-    with holder(guarded, token=TOKEN) as tracker:
-        with Raw(guarded) as raw:
+def test_a_client_without_session_gets_nothing(bridge_with_token):
+    with holder(bridge_with_token, token=TOKEN) as tracker:
+        with Raw(bridge_with_token) as raw:
             for word in ("measure", "halt", "bye", "identify", "prepare", "ping", "nonsense", "auth"):
                 answer = raw.ask(word, id="0123456789")
                 assert (answer.word, answer.fields["kind"]) == ("error", "no-session")
             assert raw.hung_up()
-        assert guarded.tracker.measured == 0
+        assert bridge_with_token.tracker.measured == 0
         tracker.measure(NEST, 1.0)
-    assert guarded.tracker.measured == 1
+    assert bridge_with_token.tracker.measured == 1
 
 
-def test_the_token_cannot_be_talked_around(guarded):
+def test_the_token_cannot_be_circumvented(bridge_with_token):
     client = "a-raw-client"
 
     def challenge(raw, name=client):
         return raw.ask("hello", protocol="1", client=name).fields["nonce"]
 
-    with holder(guarded, token=TOKEN) as tracker:
+    with holder(bridge_with_token, token=TOKEN) as tracker:
         for case in ("wrong", "empty", "replayed", "other client", "the server's own", "without a challenge"):
-            with Raw(guarded) as raw, Raw(guarded) as other:
+            with Raw(bridge_with_token) as raw, Raw(bridge_with_token) as other:
                 nonce = challenge(raw)
                 proofs = {
                     "wrong": wire.proof("wrong horse battery staple", "client", client, nonce, "mine-mine"),
@@ -331,7 +331,7 @@ def test_the_token_cannot_be_talked_around(guarded):
                 answer = target.ask("auth", nonce="mine-mine", proof=proofs[case])
                 assert answer is None or answer.word == "error", case
                 assert target.ask("measure", id="0123456789") is None or case == "without a challenge"
-        assert guarded.tracker.measured == 0
+        assert bridge_with_token.tracker.measured == 0
         tracker.measure(NEST, 1.0)
 
 
@@ -355,7 +355,7 @@ def test_the_token_cannot_be_talked_around(guarded):
 )
 def test_a_whole_line_that_makes_no_sense_is_answered_and_harmless(bridge, word, fields, kind, text):
     with Raw(bridge) as raw:
-        lets_in(raw)
+        open_session(raw)
         answer = raw.ask(word, **fields)
         assert (answer.word, answer.fields["kind"]) == ("error", kind)
         assert text in answer.fields["text"]
@@ -373,7 +373,7 @@ def test_a_measurement_needs_a_prepared_tracker(bridge):
 
 def test_a_client_that_never_reads_loses_its_link_but_not_the_bridge(bridge):
     with Raw(bridge) as deaf:
-        lets_in(deaf)
+        open_session(deaf)
         line = wire.encode(99, "identify") + wire.encode(98, "sync", {"nonce": "0123456789"})
         deaf._link.settimeout(WAIT_S)
         try:
@@ -382,7 +382,7 @@ def test_a_client_that_never_reads_loses_its_link_but_not_the_bridge(bridge):
         except OSError:
             pass
         else:
-            pytest.fail("it was never cut off")
+            pytest.fail("the bridge never dropped it")
         with holder(bridge) as tracker:
             assert tracker.measure(NEST, 1.0).averaging_s == 1.0
 
@@ -397,7 +397,7 @@ def test_faults_are_commanded_from_another_connection(bridge):
 
 def test_results_are_kept_for_a_while_not_for_ever(bridge):
     with Raw(bridge) as raw:
-        lets_in(raw)
+        open_session(raw)
         first = measures(raw, "measurement-0")
         for number in range(1, 64):
             measures(raw, f"measurement-{number}")

@@ -1,10 +1,11 @@
-"""The bridge from end to end, over TCP and over a serial cable: what is asked for comes, once, whatever happens."""
+"""The bridge from end to end, over TCP and a serial cable: every measurement is delivered exactly once."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,8 +32,8 @@ from drivers.trackers.protocol import (
     WrongTarget,
 )
 from drivers.trackers.simulated import Imperfections, SimulatedTracker
-from tests.drivers.ptys import serial_cable
 from tests.drivers.trackers.fake_lmf import Scene
+from tests.drivers.trackers.virtual_serial_cable import serial_cable
 
 TOKEN = "correct horse battery staple"
 QUICK_S = 0.3
@@ -40,8 +41,9 @@ NEST = np.array([1.5, 2.0, -0.3])
 
 
 @contextmanager
-def client(url, **options) -> Iterator[BridgeTracker]:
-    tracker = BridgeTracker(url, **({"timeout_s": QUICK_S, "preparation": Preparation()} | options))
+def client(url: str, **options: Any) -> Iterator[BridgeTracker]:
+    values: dict[str, Any] = {"timeout_s": QUICK_S, "preparation": Preparation()}
+    tracker = BridgeTracker(url, **(values | options))
     tracker.connect()
     try:
         yield tracker
@@ -52,7 +54,7 @@ def client(url, **options) -> Iterator[BridgeTracker]:
 @contextmanager
 def over(kind, plant, **options):
     """An emulated bridge and a client, over ``tcp`` or a ``serial`` cable."""
-    values = {"nests": {"n": NEST}, "reboot_s": 0.2, "slow_s": 1.5 * QUICK_S} | options
+    values: dict[str, Any] = {"nests": {"n": NEST}, "reboot_s": 0.2, "slow_s": 1.5 * QUICK_S} | options
     if kind == "tcp":
         with TrackerBridgeEmulator(plant, **values) as bridge, client(bridge.url) as tracker:
             yield bridge, tracker
@@ -66,7 +68,7 @@ def over(kind, plant, **options):
 
 
 @pytest.mark.parametrize("kind", ["tcp", "serial"])
-def test_the_bridge_gives_what_the_tracker_itself_gives(kind, make_plant):
+def test_the_bridge_returns_the_trackers_own_results(kind, make_plant):
     def all_of(tracker, plant):
         smr = plant.targets()[0].p_M
         tracker.prepare(Preparation(temperature_c=25.0))
@@ -102,7 +104,7 @@ def test_a_fault_neither_loses_nor_doubles_a_measurement(kind, fault, make_plant
         after = tracker.measure(NEST, 1.0)
         assert before.time_s < point.time_s < after.time_s
         assert np.abs(point.p_M - NEST).max() < 1e-3
-        # only what a restarted bridge forgot has been made anew
+        # only a restarted bridge, which has lost its results, measures again
         assert bridge.tracker.measured == (4 if fault == "reboot" else 3)
         assert tracker.unmet() == []
 
@@ -117,7 +119,7 @@ def test_several_faults_one_after_the_other(make_plant):
             bridge.fault("earthquake")
 
 
-def test_what_the_tracker_refuses_arrives_as_what_it_is(make_arm, make_plant):
+def test_errors_of_the_tracker_keep_their_class(make_arm, make_plant):
     plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
     with over("tcp", plant, wrong_target_m=0.02) as (bridge, tracker):
         with pytest.raises(TargetLost, match="no SMR within 100 mm"):
@@ -149,7 +151,7 @@ def test_a_setting_that_the_tracker_does_not_have_is_refused(make_plant):
         tracker = BridgeTracker(bridge.url, timeout_s=QUICK_S, preparation=Preparation(reflector="SMR 0.5 in"))
         with pytest.raises(NotReady, match=r"no reflector 'SMR 0.5 in'; it has 'simulated 1.5 in'.* in the profile"):
             tracker.connect()
-        with client(bridge.url) as other:  # nobody holds it any more
+        with client(bridge.url) as other:  # the tracker is free again
             with pytest.raises(ValueError, match="no reflector"):
                 other.prepare(Preparation(reflector="SMR 0.5 in"))
             other.prepare(Preparation(reflector="simulated 1.5 in"))
@@ -168,7 +170,7 @@ def test_one_client_at_a_time(make_plant):
                 first.measure(NEST, 1.0)
 
 
-def test_who_is_silent_for_long_loses_the_tracker_and_is_told(make_plant):
+def test_a_silent_client_loses_the_tracker_to_another(make_plant):
     with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, idle_s=0.0) as bridge, client(bridge.url) as first:
         first.measure(NEST, 1.0)
         threading.Event().wait(0.05)
@@ -182,7 +184,7 @@ def test_who_is_silent_for_long_loses_the_tracker_and_is_told(make_plant):
 def test_the_token_lets_in_and_keeps_out(kind, make_plant, caplog):
     caplog.set_level("DEBUG")
     with serial_cable() as (theirs, ours):
-        serial_end = {"port": None, "serial_url": theirs} if kind == "serial" else {}
+        serial_end: dict[str, Any] = {"port": None, "serial_url": theirs} if kind == "serial" else {}
         with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, token=TOKEN, **serial_end) as bridge:
             url = ours if kind == "serial" else bridge.url
             with pytest.raises(TrackerRefused, match="it asks for a token; name it in the profile"):
@@ -214,19 +216,19 @@ def test_a_bridge_that_does_not_know_the_token_is_not_trusted(make_plant):
         ({"token": "with a\ttabulator in it"}, "at least 16 printable ASCII characters"),
     ],
 )
-def test_no_door_is_left_open_by_mistake(options, why, make_plant):
+def test_addresses_beyond_loopback_need_a_good_token(options, why, make_plant):
     with pytest.raises(ValueError, match=why):
         TrackerBridgeEmulator(make_plant(), **options)
 
 
-def test_a_port_in_use_is_said(make_plant):
+def test_a_port_in_use_is_reported(make_plant):
     with TrackerBridgeEmulator(make_plant()) as bridge:
         other = TrackerBridgeEmulator(make_plant(), port=bridge.port)
         with pytest.raises(OSError, match=f"cannot listen at 127.0.0.1 port {bridge.port}"):
             other.open()
 
 
-def test_nobody_there(make_plant):
+def test_no_bridge_at_the_address(make_plant):
     with TrackerBridgeEmulator(make_plant()) as bridge:
         url = bridge.url
     tracker = BridgeTracker(url, timeout_s=QUICK_S)
@@ -271,11 +273,11 @@ def test_a_serial_port_that_is_silent_or_babbles():
             thread.join(10.0)
 
 
-# -- a tracker that takes its time -------------------------------------------------------------------------------------
+# -- a slow tracker ---------------------------------------------------------------------------------------------------
 
 
 class SlowTracker:
-    """Measures when it is let; halts when told so."""
+    """A tracker whose measurement ends when the test allows it, or with ``halt``."""
 
     def __init__(self):
         self.begun, self.may_end, self.halted = threading.Event(), threading.Event(), threading.Event()
@@ -300,10 +302,10 @@ class SlowTracker:
         self.begun.set()
         for _ in range(200):
             if self.may_end.wait(0.05):
-                return made(expected_M)
+                return point_at(expected_M)
             if self.halted.is_set():
                 raise Halted("slow: it was told to halt")
-        raise AssertionError("nobody let it end")
+        raise AssertionError("the test did not end the measurement")
 
     measure_two_face = measure
 
@@ -317,12 +319,12 @@ class SlowTracker:
         self.threads.add(threading.get_ident())
 
 
-def made(p_M):
+def point_at(p_M):
     return Point(np.array(p_M), np.eye(3) * 1e-10, 5.0, 1.0, None)
 
 
 def in_thread(act):
-    """Start ``act`` in a thread; its outcome when it ends."""
+    """Start ``act`` in a thread; return a function that waits for its result or error."""
     outcome = []
 
     def run():
@@ -354,7 +356,7 @@ def test_a_slow_tracker_is_waited_for_longer_than_the_link_may_be_silent():
     assert len(slow.threads) == 1
 
 
-def test_halt_ends_what_is_under_way():
+def test_halt_ends_the_running_measurement():
     slow = SlowTracker()
     with TrackerService(slow) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
@@ -362,10 +364,10 @@ def test_halt_ends_what_is_under_way():
         tracker.halt()
         assert isinstance(outcome(), Halted)
         slow.may_end.set()
-        assert tracker.measure(NEST, 1.0).time_s == 5.0  # and says nothing about what comes after
+        assert tracker.measure(NEST, 1.0).time_s == 5.0  # the halt does not affect the next measurement
 
 
-def test_a_client_that_comes_back_gets_the_measurement_that_was_under_way():
+def test_a_client_that_reconnects_gets_the_running_measurement():
     slow = SlowTracker()
     with TrackerService(slow) as bridge, client(bridge.url) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
@@ -373,6 +375,7 @@ def test_a_client_that_comes_back_gets_the_measurement_that_was_under_way():
         dropped = threading.Event()
 
         def drop():
+            assert bridge._holder is not None
             bridge._links.drop(bridge._holder, "a test cuts the link", at_once=True)
             dropped.set()
 
@@ -383,7 +386,7 @@ def test_a_client_that_comes_back_gets_the_measurement_that_was_under_way():
     assert slow.calls == 1
 
 
-def test_a_tracker_that_never_ends_is_halted_and_the_client_told():
+def test_a_tracker_that_never_ends_is_halted_and_the_client_gets_a_timeout():
     slow = SlowTracker()
     with TrackerService(slow, command_s=0.3, recover_s=0.0) as bridge, client(bridge.url) as tracker:
         with pytest.raises(TrackerTimeout, match=r"did not finish 'measure' within 0\.3 s; it was told to halt"):
@@ -392,7 +395,7 @@ def test_a_tracker_that_never_ends_is_halted_and_the_client_told():
         assert tracker.identify().model == "slow"
 
 
-def test_a_mistake_in_a_driver_is_not_the_end_of_the_bridge():
+def test_a_defect_in_a_driver_does_not_end_the_bridge():
     class Broken(SlowTracker):
         def measure(self, expected_M, averaging_s):
             raise KeyError("a mistake")
@@ -404,7 +407,7 @@ def test_a_mistake_in_a_driver_is_not_the_end_of_the_bridge():
         assert tracker.identify().model == "slow"
 
 
-def test_a_tracker_that_cannot_be_reached_is_said():
+def test_a_tracker_that_cannot_be_reached_is_reported():
     class Away(SlowTracker):
         def connect(self):
             raise TrackerLinkLost("no tracker at 192.168.0.1")
@@ -415,7 +418,7 @@ def test_a_tracker_that_cannot_be_reached_is_said():
             tracker.connect()
 
 
-def test_a_tracker_of_leicas_is_served_alike():
+def test_a_leica_tracker_is_served():
     scene = Scene(targets={"left": NEST, "right": NEST + 1.0}, initialised=False)
     lmf = LmfTracker(LmfSettings(address="192.168.0.1"), load=lambda library: scene.lmf())
     with TrackerService(lmf) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
@@ -430,11 +433,11 @@ def test_a_tracker_of_leicas_is_served_alike():
     assert scene.violations == []
 
 
-# -- a plant that others move ------------------------------------------------------------------------------------------
+# -- a plant with a shared clock ---------------------------------------------------------------------------------------
 
 
-class Moving:
-    """Advances a plant as the controllers' emulator does: in a thread, under a lock, faster than real time."""
+class AdvancedPlant:
+    """Advances a plant like the controllers' emulator: in a thread, under a lock, faster than real time."""
 
     def __init__(self, plant, pace):
         self.plant, self.pace = plant, pace
@@ -461,7 +464,7 @@ def test_the_tracker_of_a_shared_plant_waits_for_the_plants_clock(make_plant):
     alone = make_plant(noise=True)
     direct = SimulatedTracker(alone, nests={"n": NEST})
     direct.connect()
-    with Moving(plant, 20.0) as cell:
+    with AdvancedPlant(plant, 20.0) as cell:
         clock = threading.Condition(cell.lock)
         with TrackerBridgeEmulator(plant, clock=clock, nests={"n": NEST}) as bridge, client(bridge.url) as tracker:
             with cell.lock:
@@ -469,14 +472,14 @@ def test_the_tracker_of_a_shared_plant_waits_for_the_plants_clock(make_plant):
             points = [tracker.measure(NEST, 1.0) for _ in range(3)]
             with cell.lock:
                 assert plant.clock_s >= before + 4.5
-    # the same order of measurements gives the same readings, whatever the wall's clock did
+    # the same order of measurements gives the same readings, independent of wall time
     assert np.array_equal([p.p_M for p in points], [direct.measure(NEST, 1.0).p_M for _ in range(3)])
 
 
-def test_an_arm_that_moves_or_blocks_the_beam_while_others_let_time_pass(make_plant):
+def test_an_arm_that_moves_or_blocks_the_beam_on_a_shared_clock(make_plant):
     plant = make_plant()
     here = plant.targets()[0].p_M
-    with Moving(plant, 5.0) as cell:
+    with AdvancedPlant(plant, 5.0) as cell:
         clock = threading.Condition(cell.lock)
         with TrackerBridgeEmulator(plant, clock=clock) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
             began = threading.Event()

@@ -1,4 +1,4 @@
-"""The LMF driver against a stand-in with LMF's names and rules; the rules are checked after every test."""
+"""The LMF driver against a stand-in with LMF's names and rules; every test also checks the rules."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.trackers.lmf import MEASURING_S, FoundTracker, LmfTracker, find_trackers
+from drivers.trackers.lmf import MEASURING_S, LmfTracker
+from drivers.trackers.lmf_finder import FoundTracker, find_trackers
 from drivers.trackers.lmf_objects import LmfMissing, load_lmf
 from drivers.trackers.lmf_results import ErrorLaw
 from drivers.trackers.lmf_settings import LmfSettings
@@ -73,7 +74,7 @@ def tree(scene: Scene) -> Any:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="what it says elsewhere")
-def test_elsewhere_than_on_windows_it_says_so() -> None:
+def test_other_systems_than_windows_are_refused() -> None:
     with pytest.raises(LmfMissing, match=r"LMF needs Windows and the extra cellapp\[lmf\]; this is linux"):
         load_lmf("LMF.Tracker.Connection")
     with pytest.raises(LmfMissing, match="tracker-bridge"):
@@ -82,7 +83,7 @@ def test_elsewhere_than_on_windows_it_says_so() -> None:
         find_trackers()
 
 
-def test_on_windows_without_pythonnet_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_windows_without_pythonnet_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setitem(sys.modules, "clr", None)
     with pytest.raises(LmfMissing, match=r"pip install cellapp\[lmf\]"):
@@ -102,7 +103,7 @@ def test_simulators_of_lmf(tracker: Callable[..., LmfTracker], scene: Scene, add
 
 
 @pytest.mark.parametrize("address", ["simulator", "AT961Simulator", "AT960Simulator#", "my-simulator-pc"])
-def test_what_is_no_simulator(address: str) -> None:
+def test_invalid_names_of_simulators(address: str) -> None:
     with pytest.raises(ValueError, match="names are like AT960LRSimulator"):
         LmfSettings(address=address)
 
@@ -149,7 +150,7 @@ def test_accuracy_as_a_number(tracker: Callable[..., LmfTracker], scene: Scene) 
     assert tree(scene).Measurement.Profiles.Selected.Accuracy.Value == int(E["EAccuracy"].Precise)
 
 
-def test_what_lmf_keeps_is_set_too(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
+def test_settings_that_lmf_keeps_are_set_too(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
     scene.persistent.update(gravity=True, meteo=E["EMeteoSource"].ManualMeteo, busy=True)
     tracker()
     assert tree(scene).InclinationSensor.InclinedToGravity.Value is False
@@ -181,7 +182,7 @@ def test_a_setting_that_does_not_take(tracker: Callable[..., LmfTracker], scene:
     scene.ignored_settings = {"reflector"}
     with pytest.raises(TrackerError, match="did not take the reflector"):
         tracker(Preparation(reflector="RedRingReflector15"))
-    assert scene.connected == []  # a driver that gives up lets the tracker go
+    assert scene.connected == []  # after a failed connect the tracker is released
 
 
 def test_air_by_hand(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
@@ -294,7 +295,7 @@ def test_notices(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
 def test_a_point(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
     driver = tracker()
     first, second = driver.measure(LEFT + 0.004, 1.0), driver.measure(RIGHT, 1.0)
-    assert first.p_M == pytest.approx(LEFT, abs=1e-12)  # metres, whatever LMF's defaults are
+    assert first.p_M == pytest.approx(LEFT, abs=1e-12)  # metres, independent of LMF's defaults
     assert second.p_M == pytest.approx(RIGHT, abs=1e-12)
     assert first.precision_M == pytest.approx(np.full(3, 4e-6 / math.sqrt(3.0)))
     assert (first.temperature_c, first.pressure_hpa, first.humidity_percent) == (21.5, 1009.0, 41.0)
@@ -307,12 +308,12 @@ def test_a_point(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
     assert driver.notices()[-1] == "Head moved (LMF 8)"
 
 
-def test_a_time_of_ones_own(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
+def test_averaging_time_set_by_the_caller(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
     driver = tracker(stationary="time")
     assert driver.measure(LEFT, 2.5).averaging_s == 2.5
     profile = tree(scene).Measurement.Profiles.Selected
     assert type(profile).__name__ == "CustomStationaryMeasurementProfile"
-    assert profile.Time.Value == 2500.0  # as its unit says
+    assert profile.Time.Value == 2500.0  # in the unit that LMF reports
     driver.measure(LEFT, 0.5)
     assert profile.Time.Value == 500.0
     with pytest.raises(TrackerError, match=r"pointing and searching failed: : 10\.0 is not in"):
@@ -444,7 +445,7 @@ def test_warnings_of_lmf_come_with_the_point(tracker: Callable[..., LmfTracker],
     assert "temperature applied to the point reads 200, which is not plausible" in point.quality
 
 
-def test_other_coordinates_than_asked_for(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
+def test_other_units_than_configured(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
     driver = tracker()
     settings = tree(scene).Settings
     settings.Units.LengthUnit = E["ELengthUnit"].Millimeter  # another program on the same LMF
@@ -487,7 +488,7 @@ def test_a_measurement_that_never_ends(
 def test_halt(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
     driver = tracker()
     driver.halt()
-    assert driver.unmet() == []  # harmless when nothing is under way
+    assert driver.unmet() == []  # harmless without a running measurement
     assert driver.measure(LEFT, 1.0).p_M == pytest.approx(LEFT)
     scene.hanging = {"MeasureStationary"}
 

@@ -1,6 +1,8 @@
-"""Noise, field of view, and which SMR is locked."""
+"""The simulated tracker: noise, field of view, choice of the SMR."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +61,7 @@ def test_the_noise_is_half_the_permissible_error_along_and_across_the_beam(make_
     assert covariance[7] == pytest.approx(expected, rel=1e-12, abs=1e-24)
 
 
-def test_averaging_longer_is_quieter_and_its_covariance_says_so(make_plant):
+def test_longer_averaging_reduces_noise_and_covariance(make_plant):
     plant = make_plant(noise=True)
     p = np.tile([0.5, 3.0, 0.2], (5000, 1))
     short, wide = plant.measure_positions(p, np.random.default_rng(0))
@@ -167,7 +169,7 @@ def test_a_moving_target_is_unstable_a_moving_neighbour_is_not(make_arm, make_pl
     assert tracker.measure(here, 1.0).p_M == pytest.approx(_smr(plant, "left"))
 
 
-def test_what_keeps_it_from_measuring_is_said(make_plant):
+def test_unmet_preconditions_are_reported(make_plant):
     plant = make_plant()
     tracker = SimulatedTracker(plant)
     with pytest.raises(TrackerLinkLost, match="connect first"):
@@ -243,7 +245,7 @@ def test_an_arm_hides_its_own_smr(make_plant):
     tracker.measure(_smr(plant), 1.0)
 
 
-def test_what_crosses_the_beam_while_it_measures_breaks_it(make_arm, make_plant):
+def test_an_arm_that_crosses_the_beam_breaks_it(make_arm, make_plant):
     plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
     (start, end), _ = _capsule_of(plant, "right")
     behind = 1.3 * 0.5 * (start + end)
@@ -324,7 +326,7 @@ def test_refraction_is_that_of_the_published_table():
 
 
 def test_refraction_that_is_not_corrected_scales_the_cell(make_plant):
-    true = {"pressure_hpa": 940.0, "humidity_percent": 30.0}
+    true: dict[str, Any] = {"pressure_hpa": 940.0, "humidity_percent": 30.0}
     plant = make_plant(temperature_c=28.0)
     distance = np.linalg.norm(NEST)
 
@@ -350,7 +352,7 @@ def test_refraction_that_is_not_corrected_scales_the_cell(make_plant):
     assert point.quality == ()
 
 
-def test_the_two_faces_show_what_averaging_does_not(make_plant):
+def test_two_faces_show_errors_that_averaging_does_not(make_plant):
     plant = make_plant()
     wrong = Imperfections(collimation_rad=2e-5, index_rad=1e-5)
     tracker = _ready(plant, wrong, nests={"n": NEST})
@@ -367,7 +369,7 @@ def test_the_two_faces_show_what_averaging_does_not(make_plant):
     assert (perfect.across_m, perfect.along_m) == (0.0, 0.0)
 
 
-def test_the_level_tells_that_it_was_bumped(make_plant):
+def test_the_level_shows_that_the_tracker_was_moved(make_plant):
     tracker = _ready(make_plant(), Imperfections(tilt_rad=(1e-3, 2e-3)))
     assert tracker.inclination() == Inclination((1e-3, 2e-3), 0.0, 15e-6)
     assert not tracker.inclination().moved
@@ -419,7 +421,7 @@ def test_settings_it_does_not_have_are_refused(make_plant):
             Preparation(**bad)
 
 
-def test_an_smr_too_far_from_where_one_was_expected_is_refused_where_asked_for(make_arm, make_plant):
+def test_an_smr_too_far_from_its_prediction_is_refused_if_configured(make_arm, make_plant):
     plant = make_plant(make_arm(), make_arm("ur10", "right", 0.06))
     tracker = _ready(plant, wrong_target_m=0.03)
     left = _smr(plant, "left")
@@ -429,7 +431,7 @@ def test_an_smr_too_far_from_where_one_was_expected_is_refused_where_asked_for(m
         tracker.measure(left, 1.0)
 
 
-def test_nests_tell_what_was_read_and_what_was_not(make_plant):
+def test_nests_return_points_and_errors(make_plant):
     plant = make_plant()
     nests = {"floor": NEST, "wall": np.array([0.8, 3.0, 0.1]), "gone": np.array([2.3, 2.0, -0.4])}
     tracker = _ready(plant, nests={name: nests[name] for name in ("floor", "wall")})

@@ -1,4 +1,4 @@
-"""A serial cable without hardware: two pseudo terminals and a thread that carries bytes between them."""
+"""A serial cable without hardware: two pseudo terminals and a thread that copies bytes between them."""
 
 from __future__ import annotations
 

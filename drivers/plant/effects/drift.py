@@ -1,4 +1,4 @@
-"""What does not stay where it stands: the base walks or slips, the SMR's seat slips, the tracker warms up."""
+"""Drifts and steps of the base, the tracker and the SMR's seat."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _LAWS = ("linear", "exponential", "creep")
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """How far something has gone at a time: 1 at ``time`` if linear, towards 1 if exponential; creep slows for ever.
+    """Course of a drift over time: linear (1 at ``time``), exponential (towards 1), or logarithmic creep.
 
-    Creep is logarithmic, ``log(1 + t / time)``, as of a joint that beds in under a constant load.
+    Creep is ``log(1 + t / time)``, as of a bolted joint that settles under a constant load.
     """
 
     law: str
     time: float
 
     def share(self, time_s: Array) -> Array:
-        """Share (n,) of the whole way at times (n,) [s]."""
+        """Return the share (n,) of the full drift at times (n,) [s]."""
         t = np.maximum(time_s, 0.0) / self.time
         shares: Array = {"linear": t, "exponential": -np.expm1(-t), "creep": np.log1p(t)}[self.law]
         return shares
@@ -33,7 +33,7 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class BaseDrift(Effect):
-    """The base walks away from where it stood at time 0. Sizes: 10 to 50 um in a run (an estimate)."""
+    """The base drifts from its pose at time 0. Sizes: 10 to 50 um in a run (an estimate)."""
 
     twist: Array
     course: Course
@@ -44,21 +44,21 @@ class BaseDrift(Effect):
 
 @dataclass(frozen=True, eq=False)
 class TrackerDrift(Effect):
-    """The tracker itself moves, in its own frame, as it warms up: what stands still seems to move the other way.
+    """The tracker drifts in its own frame as it warms up, so that points at rest appear to move the opposite way.
 
-    A published warm-up error is tenths of a millimetre within two hours; 10 to 40 um are left after it (an estimate).
+    A published warm-up error is tenths of a millimetre within two hours; 10 to 40 um remain afterwards (an estimate).
     """
 
     twist: Array
     course: Course
 
-    def seen(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
         return carry(rigid(-self.course.share(situation.time_s)[:, None] * self.twist), p_M)
 
 
 @dataclass(frozen=True, eq=False)
 class BaseStep(Effect):
-    """A bolt slips: from ``time`` on the base stands elsewhere. Sizes: 10 to 50 um (an estimate)."""
+    """The base slips at ``time`` to another pose. Sizes: 10 to 50 um (an estimate)."""
 
     twist: Array
     time: float
@@ -69,7 +69,7 @@ class BaseStep(Effect):
 
 @dataclass(frozen=True, eq=False)
 class TargetSlip(Effect):
-    """The SMR's seat slips: from ``time`` on it sits elsewhere on the flange. Sizes: 20 to 200 um (an estimate)."""
+    """The SMR's seat slips at ``time`` on the flange. Sizes: 20 to 200 um (an estimate)."""
 
     shift: Array
     time: float
@@ -88,24 +88,24 @@ def _course(parameters: Parameters) -> Course:
 
 
 def base_drift(parameters: Parameters) -> Effect:
-    """``shift`` (3) [m] and ``turn`` (3) [rad] in B; ``law`` linear, exponential or creep; ``time`` [s] it takes."""
-    parameters.only("shift", "turn", "law", "time")
+    """Build base drift: ``shift`` (3) [m], ``turn`` (3) [rad] in B; ``law`` linear, exponential, creep; ``time``."""
+    parameters.require("shift", "turn", "law", "time")
     return BaseDrift(_twist(parameters), _course(parameters))
 
 
 def tracker_drift(parameters: Parameters) -> Effect:
-    """As ``base_drift``, but of the tracker, in M."""
-    parameters.only("shift", "turn", "law", "time")
+    """Build tracker drift; parameters as of ``base_drift``, in M."""
+    parameters.require("shift", "turn", "law", "time")
     return TrackerDrift(_twist(parameters), _course(parameters))
 
 
 def base_step(parameters: Parameters) -> Effect:
-    """``shift`` (3) [m] and ``turn`` (3) [rad] in B at ``time`` [s]."""
-    parameters.only("shift", "turn", "time")
+    """Build a base step. ``shift`` (3) [m] and ``turn`` (3) [rad] in B at ``time`` [s]."""
+    parameters.require("shift", "turn", "time")
     return BaseStep(_twist(parameters), parameters.number("time"))
 
 
 def target_slip(parameters: Parameters) -> Effect:
-    """``shift`` (3) in the flange frame [m] at ``time`` [s]."""
-    parameters.only("shift", "time")
+    """Build a target slip. ``shift`` (3) in the flange frame [m] at ``time`` [s]."""
+    parameters.require("shift", "time")
     return TargetSlip(parameters.numbers("shift", 3), parameters.number("time"))

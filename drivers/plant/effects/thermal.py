@@ -1,4 +1,4 @@
-"""What warmth does to an arm: links grow, joint zeros walk away."""
+"""Thermal effects: growth of links and housings, drift of joint zeros."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from drivers.plant.lines import carry, inverse
 from drivers.plant.mechanism import Deflection
 
 _REFERENCE_C = 20.0
-"""At which the arm has its ideal shape, where nothing else is said [degC]."""
+"""Default temperature at which the arm has its ideal shape [degC]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ThermalGrowth(Effect):
-    """Each link is a tube between two joints that warm it, and follows with a lag; each housing grows with its motor.
+    """Each link is a tube heated by the joints at its ends, with a first-order lag; each housing grows with its motor.
 
-    The tube tends to the air's temperature and a share of how much warmer the joints at its ends are on the average.
-    Aluminium: 23e-6/K; 0.6 m and 5 to 10 K make 70 to 140 um a link. The memory is the temperature of the tubes, NaN
-    until it is known: then they begin settled.
+    The tube's steady temperature is that of the air plus a share of the mean rise of the two joints. Aluminium:
+    23e-6/K; 0.6 m and 5 to 10 K give 70 to 140 um per link. The memory is the temperature of the tubes; NaN stands for
+    the steady state.
     """
 
     expansion: float
@@ -30,22 +30,23 @@ class ThermalGrowth(Effect):
     motor: float
     reference: float
 
-    def _surroundings(self, air_c: Array, joints_c: Array) -> Array:
-        """What the tubes' temperatures (n, N) tend to."""
+    def _steady_temperature(self, air_c: Array, joints_c: Array) -> Array:
+        """Return the steady temperatures (n, N) of the tubes [degC]."""
         ends = 0.5 * (joints_c + np.concatenate([joints_c[:, 1:], joints_c[:, -1:]], axis=1))
-        return air_c[:, None] + self.share * (ends - air_c[:, None])
+        steady: Array = air_c[:, None] + self.share * (ends - air_c[:, None])
+        return steady
 
-    def begin(self, q: Array) -> Array | None:
+    def initial_memory(self, q: Array) -> Array | None:
         return np.full_like(q, np.nan)
 
-    def warmed(self, memory: Array | None, air_c: float, joints_c: Array, duration_s: float) -> Array | None:
+    def memory_after_time(self, memory: Array | None, air_c: float, joints_c: Array, duration_s: float) -> Array | None:
         assert memory is not None
-        end = self._surroundings(np.array([air_c]), joints_c[None])
+        end = self._steady_temperature(np.array([air_c]), joints_c[None])
         settled = np.isnan(memory)
         return np.where(settled, end, end + (memory - end) * np.exp(-duration_s / self.lag))
 
-    def remembered(self, situation: Situation) -> Array | None:
-        ends = self._surroundings(situation.air_c, situation.joints_c)
+    def assumed_memory(self, situation: Situation) -> Array | None:
+        ends = self._steady_temperature(situation.air_c, situation.joints_c)
         order = np.argsort(situation.time_s, kind="stable")
         left = np.exp(-np.diff(situation.time_s[order]) / self.lag)
         if not (left < 1.0).any():
@@ -59,7 +60,7 @@ class ThermalGrowth(Effect):
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
         assert memory is not None
-        now = self._surroundings(situation.air_c, situation.joints_c)
+        now = self._steady_temperature(situation.air_c, situation.joints_c)
         tubes = np.where(np.isnan(memory), now, memory)
         arm = situation.mechanism
         home = inverse(arm.frames[1:])
@@ -72,11 +73,11 @@ class ThermalGrowth(Effect):
 
 
 def thermal_growth(parameters: Parameters) -> Effect:
-    """Of all links: ``expansion`` [1/K], ``share`` of the joints' warmth that reaches them (0 to 1), ``lag`` [s].
+    """Build thermal growth. ``expansion`` [1/K], ``share`` (0 to 1) of the joints' rise in a link, ``lag`` [s].
 
     Optional: ``motor``, growth of each joint's housing along its axis [m/K]; ``reference`` [degC], 20 by default.
     """
-    parameters.only("expansion", "share", "lag", optional=("motor", "reference"))
+    parameters.require("expansion", "share", "lag", optional=("motor", "reference"))
     share = parameters.number("share", least=0.0)
     if share > 1.0:
         raise parameters.error("share", f"must be from 0 to 1, not {share:g}")
@@ -91,7 +92,7 @@ def thermal_growth(parameters: Parameters) -> Effect:
 
 @dataclass(frozen=True, eq=False)
 class WarmUp(Effect):
-    """Each joint's encoder runs warm by itself after it is switched on at time 0, and takes its zero along.
+    """The zero of each joint's encoder drifts as it warms up after switching on at time 0.
 
     Published drift of a small industrial arm was removable to 90 % by a model of its temperatures; 20 to 50 urad and
     an hour are estimates.
@@ -106,7 +107,7 @@ class WarmUp(Effect):
 
 @dataclass(frozen=True, eq=False)
 class ReadingHeadBracket(Effect):
-    """Each joint's reading head stands on a bracket that grows as the joint warms: ``per_kelvin`` of angle."""
+    """The bracket of each joint's reading head grows with the joint temperature: ``per_kelvin`` [rad/K]."""
 
     per_kelvin: Array
     reference: float
@@ -116,14 +117,14 @@ class ReadingHeadBracket(Effect):
 
 
 def joint_drift(parameters: Parameters) -> Effect:
-    """Per joint ``drift`` [rad] in the end and ``time_constant`` [s]; or ``per_kelvin`` [rad/K] of joint temperature.
+    """Build joint drift. Per joint final ``drift`` [rad] and ``time_constant`` [s]; or ``per_kelvin`` [rad/K].
 
-    Optional with the latter: ``reference`` [degC], 20 by default, where the zeros are right.
+    Optional with the latter: ``reference`` [degC], 20 by default, at which the zeros are correct.
     """
-    if parameters.together("per_kelvin"):
-        parameters.only("per_kelvin", optional=("reference",))
+    if parameters.all_or_none("per_kelvin"):
+        parameters.require("per_kelvin", optional=("reference",))
         return ReadingHeadBracket(
             parameters.numbers("per_kelvin"), parameters.number("reference", default=_REFERENCE_C)
         )
-    parameters.only("drift", "time_constant")
+    parameters.require("drift", "time_constant")
     return WarmUp(parameters.numbers("drift"), parameters.numbers("time_constant", above=0.0))
