@@ -57,6 +57,7 @@ def test_the_same_seed_gives_the_same_network(trained):
     q, training = trained
     noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
     again = train_network(q, bend(q) + noise, seed=3, shapes=SMALL, iterations=80)
+    assert again.network is not None
     assert json.dumps(again.network.as_dict()) == json.dumps(training.network.as_dict())
 
 
@@ -85,6 +86,7 @@ def test_the_spread_grows_where_data_are_missing(trained):
     training = train_network(q[~gap], bend(q[~gap]), seed=3, shapes=SMALL[1:], iterations=80)
     new = poses(500, seed=6)
     inside = (new[:, 1] > 0.4) & (new[:, 1] < 1.2)
+    assert training.network is not None
     spread = np.linalg.norm(training.network.spread(new), axis=1)
     assert np.median(spread[inside]) > 1.2 * np.median(spread[~inside])
     # and it is of the size of the error it stands for

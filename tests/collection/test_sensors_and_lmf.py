@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -184,10 +184,7 @@ def scene(monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     """LMF's stand-in behind the profile's driver."""
     scene = Scene(targets={"left": np.array([3.0, 0.4, -0.2])}, network=(("192.168.0.7", "AT960", "750123"),))
 
-    def tracker(*given: Any, **named: Any) -> LmfTracker:
-        return LmfTracker(*given, load=lambda library: scene.lmf(), **named)
-
-    monkeypatch.setattr("drivers.trackers.lmf.LmfTracker", tracker)
+    monkeypatch.setattr("drivers.trackers.lmf.LmfTracker", partial(LmfTracker, load=lambda library: scene.lmf()))
     yield scene
     assert scene.violations == []
     assert scene.connected == []

@@ -25,9 +25,21 @@ from drivers.arms.ur_rtde_reader import UrSample
 from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrControllerServer, personality
 from drivers.findings import Finding
 from drivers.plant import Plant
+from tests.commissioning.free_ports import on_free_ports
 
 PROFILES = Path(__file__).parents[2] / "profiles"
 PATIENT_S = 10.0
+SAMPLE = UrSample(
+    time_s=10.0,
+    q=(0.0, -1.57, 0.0, -1.57, 0.0, 0.0),
+    qd=(0.0,) * 6,
+    robot_mode="RUNNING",
+    safety_mode="NORMAL",
+    program="STOPPED",
+    speed_fraction=1.0,
+    payload_kg=0.35,
+    payload_center_m=(0.015, 0.0, 0.03),
+)
 READY = UrProbe(
     host="192.168.0.10",
     greeting="Connected: Universal Robots Dashboard Server",
@@ -45,17 +57,7 @@ READY = UrProbe(
     kinematics_note="not asked",
     limits=JointLimits(np.tile([-6.2832, 6.2832], (6, 1)), np.full(6, 3.15), np.full(6, 40.0)),
     tcp=(0.0, 0.0, 0.06, 0.0, 0.0, 0.0),
-    sample=UrSample(
-        time_s=10.0,
-        q=(0.0, -1.57, 0.0, -1.57, 0.0, 0.0),
-        qd=(0.0,) * 6,
-        robot_mode="RUNNING",
-        safety_mode="NORMAL",
-        program="STOPPED",
-        speed_fraction=1.0,
-        payload_kg=0.35,
-        payload_center_m=(0.015, 0.0, 0.03),
-    ),
+    sample=SAMPLE,
 )
 
 
@@ -156,10 +158,9 @@ CALIBRATED = UrKinematics(
 )
 
 
-def state(**changes: object) -> UrProbe:
+def reporting(sample: UrSample) -> UrProbe:
     """The ready controller, its arm in another state."""
-    assert READY.sample is not None
-    return replace(READY, sample=replace(READY.sample, **changes))
+    return replace(READY, sample=sample)
 
 
 def tight(high: float = 6.2832, speed: float = 3.15) -> UrProbe:
@@ -190,11 +191,16 @@ def tight(high: float = 6.2832, speed: float = 3.15) -> UrProbe:
         (replace(READY, program_running=True), "program", "failed", ["a program runs"]),
         (replace(READY, ports={30004: False}), "port 30004", "failed", ["firewall"]),
         (replace(READY, sample=None, sample_note="port 30004: silent"), "state", "failed", ["30004: silent"]),
-        (state(qd=(0.0, 0.1, 0.0, 0.0, 0.0, 0.0)), "state", "failed", ["the arm moves"]),
-        (state(speed_fraction=0.4), "state", "warning", ["slider stands at 40%"]),
-        (state(payload_kg=0.2), "payload", "failed", ["0.200 kg", "0.350 kg", "pendant"]),
-        (state(payload_center_m=(0.015, 0.0, 0.05)), "payload", "failed", ["50.0] mm", "30.0] mm"]),
-        (state(payload_kg=None), "payload", "warning", ["does not report", "0.350 kg"]),
+        (reporting(replace(SAMPLE, qd=(0.0, 0.1, 0.0, 0.0, 0.0, 0.0))), "state", "failed", ["the arm moves"]),
+        (reporting(replace(SAMPLE, speed_fraction=0.4)), "state", "warning", ["slider stands at 40%"]),
+        (reporting(replace(SAMPLE, payload_kg=0.2)), "payload", "failed", ["0.200 kg", "0.350 kg", "pendant"]),
+        (
+            reporting(replace(SAMPLE, payload_center_m=(0.015, 0.0, 0.05))),
+            "payload",
+            "failed",
+            ["50.0] mm", "30.0] mm"],
+        ),
+        (reporting(replace(SAMPLE, payload_kg=None)), "payload", "warning", ["does not report", "0.350 kg"]),
         (READY, "TCP", "ok", ["60.0] mm", "not stated in the profile"]),
         (replace(READY, limits=None), "joint limits", "warning", ["pendant"]),
         (tight(high=2.0), "joint limits", "failed", ["joint 3", "114.6", "150.0", "speed_scale"]),
@@ -277,11 +283,6 @@ def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
 
 
 # -- emulate ----------------------------------------------------------------------------------------------------------
-
-
-def on_free_ports(profile: Profile) -> list[EmulatedArm]:
-    free = {f"{name}_port": 0 for name in FREE_PORTS}
-    return [replace(arm, **free) for arm in emulated_arms(profile)]
 
 
 def test_simulated_arms_are_stood_in_for_on_addresses_of_their_own(twin: Profile) -> None:

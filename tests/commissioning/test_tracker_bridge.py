@@ -7,7 +7,6 @@ import os
 import sys
 import threading
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +25,7 @@ from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.bridge_token import read_token
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerRefused
+from tests.commissioning.free_ports import on_free_ports
 from tests.twin import PROFILES, small_twin, write_profile
 
 PATIENT_S = 30.0
@@ -221,8 +221,6 @@ def test_the_wire_profiles_are_the_twin_behind_the_wire() -> None:
 
 def test_arms_and_tracker_are_emulated_together() -> None:
     profile = behind(small_twin(), "socket://127.0.0.1:50960")
-    free = {name: 0 for name in ("dashboard_port", "primary_port", "script_port", "rtde_port")}
-    arms = [replace(arm, **free) for arm in emulated_arms(profile)]
     cancel = CancelToken()
     where: list[EmulatedTracker] = []
 
@@ -236,7 +234,9 @@ def test_arms_and_tracker_are_emulated_together() -> None:
 
     before = threading.active_count()
     anywhere = EmulatedTracker("127.0.0.1", 0)
-    emulate(profile, cancel, announced, arms, pace=20.0, tracker=anywhere, announce_tracker=where.append)
+    emulate(
+        profile, cancel, announced, on_free_ports(profile), pace=20.0, tracker=anywhere, announce_tracker=where.append
+    )
     assert where
     assert threading.active_count() == before
 

@@ -23,6 +23,7 @@ from cellapp.results import ArmVerification, ErrorSummary, MeasuredTarget, Verif
 from cellapp.run import RunFile
 from cellapp.run.stages import read_results
 from cellapp.safety.cell_bodies import home_positions
+from drivers.plant import Clearance
 from tests.twin import PROFILES, plant_of, small_twin
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -50,6 +51,13 @@ def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return opened
 
 
+def clearance_of(cell: Cell) -> Clearance:
+    """Smallest distances during the motions of a watched cell."""
+    clearance = plant_of(cell).clearance
+    assert clearance is not None
+    return clearance
+
+
 def test_compensated_targets_are_met_to_the_trackers_noise(
     run: RunFile, model: CellModel, commands: tuple[Command, ...], cells: list[Any]
 ) -> None:
@@ -67,8 +75,8 @@ def test_compensated_targets_are_met_to_the_trackers_noise(
     left_mm = [target.compensated_mm for target in found.targets if target.arm == "left"]
     assert found.arms["left"].compensated_mm.mean == pytest.approx(np.mean([mm for mm in left_mm if mm is not None]))
     (cell,) = cells
-    assert plant_of(cell).clearance.arms_m > 0.0
-    assert plant_of(cell).clearance.floor_m > 0.0
+    assert clearance_of(cell).arms_m > 0.0
+    assert clearance_of(cell).floor_m > 0.0
     for name, home in home_positions(run.profile).items():
         np.testing.assert_array_equal(plant_of(cell).q(name), home)
     assert (heard[0].done, heard[-1].done, heard[-1].total) == (0, len(TARGETS), len(TARGETS))
@@ -104,7 +112,7 @@ def test_a_way_that_the_gate_refuses_is_noted_and_nothing_moves(
     assert "refused to move: arm left: comes nearer to the floor" in found.targets[0].note
     assert found.targets[0].compensated_mm is None
     assert found.targets[1].compensated_mm is not None
-    assert plant_of(cells[0]).clearance.floor_m > 0.0
+    assert clearance_of(cells[0]).floor_m > 0.0
 
 
 def test_without_verification_nothing_is_measured_and_an_earlier_one_is_kept(run: RunFile) -> None:

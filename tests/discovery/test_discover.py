@@ -69,6 +69,7 @@ def discovered(folder, plan, effects, **seeds):
     with measured_run(folder, plan, effects, **seeds) as run:
         found = calibrated_and_searched(run)
         calibrated = read_results(run).calibrate
+        assert calibrated is not None
         return calibrated, found.arms, calibrated.with_effects(discover_result(found)).as_object()
 
 
@@ -82,7 +83,7 @@ def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan):
         for discovery in found.values():
             assert names(discovery) == set()
             assert discovery.verdict == "nothing missing"
-            assert discovery.after_mm == pytest.approx(discovery.noise_floor_mm, rel=0.25)
+            assert discovery.after.rms == pytest.approx(discovery.noise_floor_mm, rel=0.25)
 
 
 @pytest.mark.parametrize("seed", [7, 1, 30])
@@ -104,8 +105,8 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
     }
     for discovery in (left, right):
         assert discovery.verdict == "explained"
-        assert discovery.after_mm < 1.2 * discovery.noise_floor_mm
-        assert discovery.after_mm < 0.4 * discovery.before_mm
+        assert discovery.after.rms < 1.2 * discovery.noise_floor_mm
+        assert discovery.after.rms < 0.4 * discovery.before.rms
         for finding in discovery.accepted:
             assert finding.p_value < 0.01
             assert finding.heldout_after_mm < finding.heldout_before_mm
@@ -119,7 +120,7 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
     assert np.hypot(amplitude["cos1q1"], amplitude["sin1q1"]) == pytest.approx(2.0e-6 / 0.025, rel=0.1)
     for name, discovery in found.items():
         shown = stored["arms"][name]["validate"]
-        assert shown["effects"]["position_mm"]["rms"] == pytest.approx(discovery.after_mm)
+        assert shown["effects"]["position_mm"]["rms"] == pytest.approx(discovery.after.rms)
         assert shown["effects"]["position_mm"]["mean"] < shown["geometry"]["position_mm"]["mean"]
         assert calibration.arms[name].best_stage == "geometry"
         assert {term.slug for term in discovery.model.effects} == names(discovery)
@@ -165,8 +166,8 @@ def test_every_effect_with_a_visible_size_is_named(plan, slug):
     assert found.verdict in ("explained", "ambiguous")
     # a free curve of 40 cycles has some hundred coefficients, which three hundred readings leave uncertain
     dense = any(finding.term.law.name == "curve" for finding in found.accepted)
-    assert found.after_mm < (1.4 if dense else 1.15) * found.noise_floor_mm
-    assert found.steps[0].heldout_mm == found.before_mm > found.after_mm
+    assert found.after.rms < (1.4 if dense else 1.15) * found.noise_floor_mm
+    assert found.steps[0].heldout_mm == found.before.rms > found.after.rms
 
 
 @pytest.mark.parametrize("noise", [Noise("heavy"), Noise(repeatability=8e-6)], ids=["heavy tails", "repeatability"])
@@ -194,7 +195,7 @@ def test_what_the_library_lacks_is_called_unknown_and_described(plan, slug, chan
     assert description.channel == channel
     assert set(description.variables) == variables
     assert channel in found.sentence
-    assert found.after_mm < 1.15 * found.noise_floor_mm
+    assert found.after.rms < 1.15 * found.noise_floor_mm
     # it is part of the model from then on, as a data-driven term
     assert found.model.effects[0].note == description.sentence
     text = CellModel(arms={"left": found.model}).to_json()
@@ -229,11 +230,14 @@ def test_look_alikes_that_the_data_cannot_distinguish_are_an_answer_set(plan):
 
 def test_effects_that_the_data_cannot_show_are_listed(plan):
     found = blind(plan, {}, seed=2)
-    invisible = {entry["effect"]: entry for entry in found.invisible}
+    invisible = {entry.effect: entry for entry in found.invisible}
     assert "tracker_scale" in invisible
-    seen = {entry["effect"]: entry for entry in found.not_found}
-    assert seen["backlash"]["smallest_seen_rms_mm"] < 0.02
-    assert seen["pedestal_coupling"]["visible_share"] > 0.9
+    seen = {entry.effect: entry for entry in found.not_found}
+    smallest_mm, visible = seen["backlash"].smallest_seen_rms_mm, seen["pedestal_coupling"].visible_share
+    assert smallest_mm is not None
+    assert smallest_mm < 0.02
+    assert visible is not None
+    assert visible > 0.9
     assert set(invisible) | set(seen) == set(EFFECTS) - {"unknown"}
 
 
@@ -242,14 +246,14 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
     with import_csv(profile, ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv", tmp_path / "run") as run:
         discovery = calibrated_and_searched(run).arms["left"]
         inside = np.median(run.readings("left").q, axis=0)[None]
-    invisible = {entry["effect"]: entry for entry in discovery.invisible}
+    invisible = {entry.effect: entry for entry in discovery.invisible}
     for slug in ("backlash", "friction_windup", "base_step", "payload_compliance"):
-        assert invisible[slug]["reason"].startswith("not testable: ")
-        assert invisible[slug]["smallest_seen"] is None
+        assert invisible[slug].reason.startswith("not testable: ")
+        assert invisible[slug].smallest_seen is None
     periodic = next(f for f in discovery.accepted if f.term.slug == "transmission_error")
     assert periodic.term.law.name == "curve"
     assert {1, 2, 3, 4, 5} <= set(periodic.joints)
-    assert discovery.after_mm < 0.4 * discovery.before_mm
+    assert discovery.after.rms < 0.4 * discovery.before.rms
     # what is left is five times the tracker's noise, so the verdict must not be "explained"
     assert discovery.verdict == "unknown effect"
     # beyond the trained range the uncertainty grows

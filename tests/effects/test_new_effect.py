@@ -7,15 +7,16 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from cellapp.reporting.findings import accepted_table
 
 from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.outcome import Discovery
+from cellapp.discovery.record import arm_result
 from cellapp.effects import EFFECTS, EffectTerm, registered, term_from_json, term_to_json
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import ArmModel
 from cellapp.model.nominal import bodies_of, nominal_arm
 from cellapp.profile import load_profile
+from cellapp.reporting.discovery_tables import accepted_table
 from cellapp.run import Readings
 from tests.arms import STATION
 from tests.effects.toy_effect import FORM, GRID, SOFTENING, ToySag
@@ -71,9 +72,10 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
     sags = dict(zip(accepted.term.names, accepted.term.values.tolist(), strict=True))
     assert sags["sag1"] == pytest.approx(TRUE_SAG[0], rel=0.1)
     assert sags["sag2"] == pytest.approx(TRUE_SAG[1], rel=0.1)
-    table = accepted_table("left", discovery.as_dict())
+    table = accepted_table("left", arm_result(discovery))
     assert table is not None
-    (row,) = (dict(zip(table.columns, row, strict=True)) for row in table.rows)
+    titles = [column.title for column in table.columns]
+    (row,) = (dict(zip(titles, row, strict=True)) for row in table.rows)
     assert row["effect"] == ToySag.title
     assert row["law"] == f"{FORM.words}, softening from {softening:.3g} kg on"
 

@@ -94,7 +94,7 @@ def test_every_bit_of_a_stop_comes_back(data: st.DataObject, tmp_path_factory: p
 
     def optional(shape: int | tuple[int, ...]) -> np.ndarray | None:
         values = column(shape)
-        return None if np.all(np.isnan(values)) or data.draw(st.booleans()) else values
+        return None if bool(np.isnan(values).all()) or data.draw(st.booleans()) else values
 
     half = optional((n, 6))
     covariance = None

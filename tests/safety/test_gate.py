@@ -180,7 +180,7 @@ def test_arms_that_reach_for_each_other(twin: CellBodies) -> None:
             if reason:
                 assert reason == "arms left and right: come nearer than 50 mm"
                 ends = {name: predicted_end(cell, name, q) for name, q in stretched.items()}
-                refused.append((ends["left"] @ way > 0.5, ends["right"] @ way < -0.5))
+                refused.append((bool(ends["left"] @ way > 0.5), bool(ends["right"] @ way < -0.5)))
     assert refused == [(True, True)]
 
 

@@ -41,10 +41,10 @@ def test_cycles_hold_the_middle_of_the_power():
     values = [-amplitudes.get(k, 0.0) * 1e-6 if sine else 0.0 for k, sine in waves]
     found = dominant_cycles([*columns, wave_column(0, 2, False)], np.array([*values, 4e-6]))
     assert list(found) == ["1", "2"]
-    assert found["1"] == {"from": 2, "to": 2, "peak": 2, "rms_urad": pytest.approx(4.0 / math.sqrt(2.0))}
-    assert (found["2"]["from"], found["2"]["to"], found["2"]["peak"]) == (5, 9, 6)
-    assert found["2"]["rms_urad"] == pytest.approx(math.sqrt((1 + 100 + 144 + 64 + 1) / 2.0))
-    json.dumps(found)
+    written = json.loads(found["1"].model_dump_json(by_alias=True))
+    assert written == {"from": 2, "to": 2, "peak": 2, "rms_urad": pytest.approx(4.0 / math.sqrt(2.0))}
+    assert (found["2"].first, found["2"].last, found["2"].peak) == (5, 9, 6)
+    assert found["2"].rms_urad == pytest.approx(math.sqrt((1 + 100 + 144 + 64 + 1) / 2.0))
 
 
 def test_what_is_no_wave_has_no_cycles():

@@ -15,12 +15,12 @@ def test_urdf_origins_make_the_same_arm():
     for rows in (UR10, SEVEN):
         geometry = true_geometry(at_station(rows, OFF_AXIS), rng, length=5e-3, angle=0.02)
         joints = urdf_joints(geometry)
-        assert [joint["type"] for joint in joints] == ["revolute"] * len(rows) + ["fixed"]
+        assert [joint.type for joint in joints] == ["revolute"] * len(rows) + ["fixed"]
         for q in rng.uniform(-3, 3, (5, len(rows))):
             T = geometry.T_M_B()
             for joint, angle in zip(joints, [*q, 0.0], strict=True):
-                roll, pitch, yaw = joint["rpy_rad"]
-                T = T @ transform(rotation_zyx(yaw, pitch, roll), joint["xyz_m"])
+                roll, pitch, yaw = joint.rpy_rad
+                T = T @ transform(rotation_zyx(yaw, pitch, roll), joint.xyz_m)
                 T = T @ transform(rotation_z(angle), np.zeros(3))
             np.testing.assert_allclose(
                 T[:3, :3] @ geometry.tool + T[:3, 3], smr_positions(geometry, q[None])[0], atol=1e-12
@@ -31,10 +31,10 @@ def test_ur_deltas_say_what_they_lose():
     nominal = at_station(UR10, OFF_AXIS)
     identified = true_geometry(nominal, np.random.default_rng(1))
     deltas = ur_deltas(nominal, identified)
-    np.testing.assert_allclose(deltas["delta_a_m"], identified.rows[:, 2] - nominal.rows[:, 2])
-    assert set(deltas["lost"]["beta_rad"]) == {"beta2", "beta3"}
-    lost = deltas["lost"]["position_mm"]
-    assert 0.05 < lost["rms"] < lost["max"] < 10.0
+    np.testing.assert_allclose(deltas.delta_a_m, identified.rows[:, 2] - nominal.rows[:, 2])
+    assert set(deltas.lost.beta_rad) == {"beta2", "beta3"}
+    lost = deltas.lost.position_mm
+    assert 0.05 < lost.rms < lost.max < 10.0
     plain = ur_deltas(nominal, nominal)
-    assert plain["lost"]["beta_rad"] == {}
-    assert plain["lost"]["position_mm"]["max"] == 0.0
+    assert plain.lost.beta_rad == {}
+    assert plain.lost.position_mm.max == 0.0
