@@ -13,7 +13,6 @@ from drivers.plant.effects import FACTORIES
 from drivers.plant.mechanism import STANDARD_GRAVITY, Posture, nominal
 
 Q = np.random.default_rng(7).uniform(-2.5, 2.5, (8, 6))
-NONE = [np.inf] * 6
 DOWN = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 
 

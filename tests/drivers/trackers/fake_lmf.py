@@ -22,7 +22,6 @@ import numpy as np
 from drivers.trackers.lmf_objects import Lmf
 
 HANDLER_S = 0.5
-EVENT_S = 5.0
 _SIMULATOR = re.compile(r"(at930|at960|at40[123]|at500|ats600)(lr|mr)?simulator(#\d+)?")
 
 
