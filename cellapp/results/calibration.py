@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from cellapp.results.base import STAGES, ErrorSummary, Estimate, Method, Provenance, Record, Result, Stage, StageErrors
-from cellapp.results.discovery import DiscoverResult
+
+if TYPE_CHECKING:
+    from cellapp.results.discovery import DiscoverResult  # which imports this module
 
 
 class Scatter(Record):
