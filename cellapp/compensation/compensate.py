@@ -29,6 +29,8 @@ _SAME_RAD = 1e-12
 """Joint change at which that iteration ends: far below any controller's resolution."""
 _AIMING_ROUNDS = 5
 """Rounds of correcting the target for what the residual network adds; its slope makes each gain two decades."""
+_TIE_DECIMALS = 6
+"""Motions that agree to 1 urad are equal: a solution of the inverse is not known better."""
 _SAME_M = 3e-10
 """Position error at which that iteration ends: far below the tracker's noise."""
 
@@ -148,7 +150,7 @@ def _compensate_arm(profile: Profile, model: CellModel, name: str, targets: Sequ
     solutions = _nominal_solutions(profile, arm, cell.arms[name].limits, nominal_M, T_nominal[:3, :3] @ rotation_B)
     commands = []
     for k, target in enumerate(targets):
-        nearest_first = np.argsort(np.abs(solutions[k] - homes[name]).max(axis=1), kind="stable")
+        nearest_first = _nearest_first(solutions[k], homes[name])
         command = Command(target, None, None, None, None, "out of reach")
         for q in solutions[k][nearest_first]:
             q_compensated, refusal = _compensated(
@@ -160,6 +162,15 @@ def _compensate_arm(profile: Profile, model: CellModel, name: str, targets: Sequ
             command = Command(target, None, None, None, None, refusal)
         commands.append(command)
     return commands
+
+
+def _nearest_first(solutions: Array, home: Array) -> np.ndarray:
+    """Order of solutions (m, N) [rad]: the smallest largest joint motion from ``home`` (N,) first, then the least sum.
+
+    Mirrored branches often tie in the largest motion; rounding keeps rounding errors from choosing among them.
+    """
+    motion = np.abs(solutions - home)
+    return np.lexsort((motion.sum(axis=1).round(_TIE_DECIMALS), motion.max(axis=1).round(_TIE_DECIMALS)))
 
 
 def _nominal_solutions(

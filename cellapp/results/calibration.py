@@ -1,0 +1,136 @@
+"""Result of ``calibrate``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Literal
+
+from cellapp.results.base import STAGES, ErrorSummary, Estimate, Method, Provenance, Record, Result, Stage, StageErrors
+
+if TYPE_CHECKING:
+    from cellapp.results.discovery import DiscoverResult  # which imports this module
+
+
+class Scatter(Record):
+    """Root of chi-square per degree of freedom; ``meaning`` says against what."""
+
+    value: float
+    meaning: str
+
+
+class NetworkTrial(Record):
+    """A network shape that was compared on left-out folds of the training split."""
+
+    inputs: Literal["sincos", "angles"]
+    hidden: tuple[int, ...]
+    turning: bool = False
+    left_out_rms_mm: float
+
+
+class NetworkResult(Record):
+    """How the residual network was trained; ``without_rms_mm`` is the left-out error without any network."""
+
+    used: bool
+    inputs: Literal["sincos", "angles"]
+    hidden: tuple[int, ...]
+    turning: bool = False
+    left_out_rms_mm: float
+    without_rms_mm: float
+    tried: tuple[NetworkTrial, ...] = ()
+
+
+class Repeatability(Record):
+    """Position repeatability of repeated stops [mm]: mean distance from the barycentre, and RP of ISO 9283."""
+
+    mean: float
+    rp: float
+    n: int
+
+
+class ArmCalibrationResult(Record):
+    """Calibration of one arm.
+
+    ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
+    those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
+    uncertainty, ``tracker_mm`` the rms length of the stated noise.
+    """
+
+    identified: Mapping[str, Estimate]
+    rank: int
+    parameter_set: str
+    merged: Mapping[str, Mapping[str, float]]
+    iterations: int
+    converged: bool
+    message: str
+    condition: float | None
+    observability: Mapping[str, float | None]
+    scatter: Scatter
+    excess_mm: float | None = None
+    degrees_of_freedom: int
+    splits: Mapping[str, int]
+    tracker_mm: float | None = None
+    repeatability_mm: Repeatability | None = None
+    network: NetworkResult | None = None
+    validate_: Mapping[Stage, StageErrors]
+
+    @property
+    def best_stage(self) -> Stage:
+        """The last stage that was computed."""
+        return next(stage for stage in reversed(STAGES) if stage in self.validate_)
+
+
+class PairEstimate(Estimate):
+    """A parameter of the inter-base transform; ``by_tracker`` is its value from the common tracker frame."""
+
+    by_tracker: float | None = None
+
+
+class PairHeldOut(Record):
+    """Errors of each held-out stop [mm]: cooperative, and absolute by arm."""
+
+    configuration: tuple[int, ...]
+    cooperative_mm: tuple[float, ...]
+    position_mm: Mapping[str, tuple[float, ...]]
+
+
+class PairMethodResult(Record):
+    """Cooperative errors of one method on held-out stops, with the transform that the profile chose and with both."""
+
+    cooperative_mm: ErrorSummary
+    transform: str | None = None
+    by_transform_mm: Mapping[str, ErrorSummary] = {}
+    identified: Mapping[str, PairEstimate] = {}
+    iterations: int | None = None
+    converged: bool | None = None
+    splits: Mapping[str, int] = {}
+    held_out: PairHeldOut | None = None
+
+
+class CalibrateResult(Result):
+    """``calibrate``: every arm, the pair by method, notes."""
+
+    schema_: Literal["cellapp-calibrate"] = "cellapp-calibrate"
+    version: Literal[1] = 1
+    arms: Mapping[str, ArmCalibrationResult]
+    pair: Mapping[Method, PairMethodResult]
+    notes: tuple[str, ...]
+    provenance: Provenance
+
+    def with_effects(self, found: DiscoverResult) -> CalibrateResult:
+        """This result with the stage ``effects`` of a discovery beside the others, for showing them together."""
+        arms = {
+            name: arm
+            if name not in found.arms
+            else arm.model_copy(update={"validate_": {**arm.validate_, **found.arms[name].validate_}})
+            for name, arm in self.arms.items()
+        }
+        return self.model_copy(update={"arms": arms, "pair": {**self.pair, **found.pair}})
+
+    def without_effects(self) -> CalibrateResult:
+        """This result without the stage ``effects``, which older versions wrote into it."""
+        arms = {
+            name: arm.model_copy(update={"validate_": {k: v for k, v in arm.validate_.items() if k != "effects"}})
+            for name, arm in self.arms.items()
+        }
+        pair = {method: entry for method, entry in self.pair.items() if method != "effects"}
+        return self.model_copy(update={"arms": arms, "pair": pair})

@@ -1,0 +1,51 @@
+"""Results of the verbs up to the readings: plan, collect, import, export."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from cellapp.results.base import Result
+
+
+class PlanResult(Result):
+    """``plan``: number of planned stops of each arm."""
+
+    schema_: Literal["cellapp-plan"] = "cellapp-plan"
+    version: Literal[1] = 1
+    run: str
+    stops: Mapping[str, int]
+
+
+class CollectResult(Result):
+    """``collect``: number of stored stops, and notes for the operator."""
+
+    schema_: Literal["cellapp-collect"] = "cellapp-collect"
+    version: Literal[1] = 1
+    stops: int
+    notes: tuple[str, ...]
+
+
+class ImportResult(Result):
+    """``import``: number of readings of each arm."""
+
+    schema_: Literal["cellapp-import"] = "cellapp-import"
+    version: Literal[1] = 1
+    run: str
+    readings: Mapping[str, int]
+    notes: tuple[str, ...]
+
+
+class ExportResult(Result):
+    """``export``: the files that were written.
+
+    ``ur_lost_rms_mm`` maps each arm to the rms position error of UR's D-H deltas, which lack the Hayati angles.
+    """
+
+    schema_: Literal["cellapp-export"] = "cellapp-export"
+    version: Literal[1] = 1
+    csv: str | None = None
+    readings: Mapping[str, int] | None = None
+    geometry: str | None = None
+    ur_lost_rms_mm: Mapping[str, float] | None = None
+    omitted_when_none = frozenset({"csv", "readings", "geometry", "ur_lost_rms_mm"})

@@ -1,0 +1,258 @@
+"""Result of ``discover``, with proposed stops."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import Field
+
+from cellapp.results.base import Estimate, Method, Record, Result, Stage, StageErrors, Verdict
+from cellapp.results.calibration import PairMethodResult
+
+
+class BeforeAfter(Record):
+    """A number before and after."""
+
+    before: float
+    after: float
+
+
+class GapStep(Record):
+    """Held-out rms error after one step of the search."""
+
+    what: str
+    effect: str
+    heldout_mm: float
+
+
+class LawRecord(Record):
+    """The law by which an effect acts, with its constants."""
+
+    name: str
+    constants: Mapping[str, float]
+
+
+class Place(Record):
+    """Where an effect acts: joints (from 1) or frames; channel and variables of a data-driven term."""
+
+    joints: tuple[int, ...]
+    acts_on: tuple[str, ...]
+    channel: str | None = None
+    variables: tuple[str, ...] | None = None
+    omitted_when_none = frozenset({"channel", "variables"})
+
+
+class Evidence(Record):
+    """Score, p-value corrected for the whole search, held-out rms error without and with the effect."""
+
+    statistic: float
+    corrected_p: float
+    heldout_mm: BeforeAfter
+
+
+class RunnerUp(Record):
+    """Another effect that explains nearly as much; ``told_apart`` says whether these data rule it out."""
+
+    effect: str
+    statistic: float
+    told_apart: bool
+
+
+class Correlation(Record):
+    """The geometric parameter that an effect is most correlated with."""
+
+    parameter: str
+    correlation: float
+
+
+class CycleBand(Record):
+    """Middle 80 % of the power of a periodic error in cycles a turn, its strongest line, and its rms."""
+
+    first: int = Field(validation_alias="from", serialization_alias="from")
+    last: int = Field(validation_alias="to", serialization_alias="to")
+    peak: int
+    rms_urad: float
+
+
+class TermDescription(Record):
+    """A data-driven term in words and, where one fits as well, as a formula (empty where none does).
+
+    ``curve`` are points (variable, value of the term) in SI units, for terms of one variable.
+    """
+
+    channel: str
+    variables: tuple[str, ...]
+    size_um: float
+    formula: str
+    gain_over_curve: float | None
+    curve: tuple[tuple[float, float], ...] = ()
+    sentence: str
+
+
+class AcceptedEffect(Record):
+    """An effect that discovery added to the model, with its evidence."""
+
+    effect: str
+    title: str
+    law: LawRecord
+    where: Place
+    parameters: Mapping[str, Estimate]
+    evidence: Evidence
+    answer_set: tuple[str, ...]
+    runners_up: tuple[RunnerUp, ...]
+    correlated_with: Correlation | None
+    cycles: Mapping[str, CycleBand] | None = None
+    description: TermDescription | None = None
+    omitted_when_none = frozenset({"cycles", "description"})
+
+    @property
+    def indistinguishable(self) -> tuple[str, ...]:
+        """Effects that would explain these data as well."""
+        return tuple(slug for slug in self.answer_set if slug != self.effect)
+
+    @property
+    def ruled_out(self) -> tuple[str, ...]:
+        """Effects nearly as good that these data rule out."""
+        return tuple(rival.effect for rival in self.runners_up if rival.told_apart)
+
+
+class SmallestSize(Record):
+    """The smallest value of a parameter that the search would have found."""
+
+    value: float
+    unit: str
+
+
+class AbsentEffect(Record):
+    """An effect that was not found, or that these data cannot show, and from which size it would have been seen."""
+
+    effect: str
+    reason: str
+    visible_share: float | None = None
+    smallest_seen: Mapping[str, SmallestSize] | None = None
+    smallest_seen_rms_mm: float | None = None
+    omitted_when_none = frozenset({"visible_share"})
+
+
+class CurveRecord(Record):
+    """A curve at equal steps of x, with its standard deviation."""
+
+    x: tuple[float, ...]
+    value: tuple[float, ...]
+    band: tuple[float, ...]
+
+
+class Picture(Record):
+    """Points of one effect at one place: measured with all else removed, computed, and the standard deviation."""
+
+    title: str
+    effect: str
+    x_label: str
+    y_label: str
+    x: tuple[float, ...]
+    measured: tuple[float, ...]
+    computed: tuple[float, ...]
+    band: tuple[float, ...] = ()
+    curve: CurveRecord | None = None
+
+
+class PredictedUncertainty(Record):
+    """Predicted standard deviation of a coordinate over held-out configurations [mm]."""
+
+    median: float
+    largest: float
+
+
+class HeldOutPosition(Record):
+    """Held-out position error [mm]."""
+
+    mean: float
+    rms: float
+    median: float
+    max: float
+
+
+class HeldOutBeforeAfter(Record):
+    """Held-out position error with the geometry alone and with what was found [mm]."""
+
+    before: HeldOutPosition
+    after: HeldOutPosition
+
+
+class ArmDiscoveryResult(Record):
+    """Discovery in the data of one arm; ``heldout_mm`` are rms errors on stops that the search did not see.
+
+    ``validate`` has the held-out errors of the model with what was found; it is empty where nothing was.
+    ``network_mm`` is the rms correction of a residual network trained before and after the effects were added.
+    ``scatter`` is the root of chi-square per degree of freedom of what is left, ``omnibus_p`` its p-value.
+    """
+
+    noise_floor_mm: float | None
+    heldout_mm: BeforeAfter
+    heldout_position_mm: HeldOutBeforeAfter | None = None
+    seconds: float | None = None
+    steps: tuple[GapStep, ...]
+    threshold: float
+    omnibus_p: float | None
+    scatter: float | None
+    accepted: tuple[AcceptedEffect, ...]
+    invisible: tuple[AbsentEffect, ...]
+    not_found: tuple[AbsentEffect, ...]
+    network_mm: BeforeAfter | None = None
+    uncertainty_mm: PredictedUncertainty | None = None
+    pictures: tuple[Picture, ...] = ()
+    validate_: Mapping[Stage, StageErrors] = {}
+    verdict: Verdict
+    sentence: str
+
+
+class Discrimination(Record):
+    """Non-centrality of the test between two models: now, with the proposed stops, with as many random ones."""
+
+    now: float
+    proposed: float
+    random: float
+
+
+class ProposalQuestion(Record):
+    """One question that proposed stops shall answer; ``against`` None asks whether the effect is there at all."""
+
+    effect: str
+    against: str | None
+    needed: float
+    discrimination: Discrimination
+    gain_over_random: float
+
+
+class ProposedStop(Record):
+    """One proposed stop of one arm: joint positions, start of the last leg [rad], rest before the measurement [s]."""
+
+    configuration: int
+    arm: str
+    q: tuple[float, ...]
+    via: tuple[float, ...] | None
+    dwell_s: float | None
+
+
+class Proposal(Record):
+    """Further stops that would answer what discovery left open, and what they are worth."""
+
+    count: int
+    written: bool
+    first_configuration: int | None
+    arms: Mapping[str, tuple[ProposalQuestion, ...]]
+    stops: tuple[ProposedStop, ...]
+    notes: tuple[str, ...]
+    advice: tuple[str, ...]
+
+
+class DiscoverResult(Result):
+    """``discover``: every arm; ``pair`` are the cooperative errors with the effects that were found."""
+
+    schema_: Literal["cellapp-discover"] = "cellapp-discover"
+    version: Literal[1] = 1
+    arms: Mapping[str, ArmDiscoveryResult]
+    pair: Mapping[Method, PairMethodResult] = {}
+    proposal: Proposal | None = None
+    omitted_when_none = frozenset({"proposal"})

@@ -1,0 +1,131 @@
+"""Results of a whole run: ``run``, ``report`` and ``show``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from cellapp.results.base import Record, Result, StageName
+from cellapp.results.calibration import CalibrateResult
+from cellapp.results.discovery import DiscoverResult
+from cellapp.results.targets import CompensateResult, VerifyResult
+
+
+class RunResults(Result):
+    """The current results of a run, each None where that verb has not run.
+
+    ``calibrate`` has the stage ``effects`` of the discovery as long as that holds. ``out_of_date`` maps the name of a
+    result that no longer holds to the reason. Such a result is still there, so that it can be shown with its mark; it
+    is None where this version cannot read what is stored.
+    """
+
+    schema_: str = "cellapp-results"
+    version: int = 1
+    run: str
+    calibrate: CalibrateResult | None = None
+    discover: DiscoverResult | None = None
+    compensate: CompensateResult | None = None
+    push: VerifyResult | None = None
+    verify: VerifyResult | None = None
+    out_of_date: Mapping[StageName, str] = {}
+    omitted_when_none = frozenset({"calibrate", "discover", "compensate", "push", "verify"})
+
+
+class WholeRunResult(RunResults):
+    """``run``: the folder, the results of every step, and notes for the operator."""
+
+    schema_: Literal["cellapp-run"] = "cellapp-run"
+    version: Literal[1] = 1
+    notes: tuple[str, ...] = ()
+
+
+class ReportResult(RunResults):
+    """``report``: the page and the results that it shows."""
+
+    schema_: Literal["cellapp-report"] = "cellapp-report"
+    version: Literal[1] = 1
+    page: str
+
+
+class ArmState(Record):
+    """How much of one arm's plan is measured, and in which splits."""
+
+    type: str
+    planned: int
+    measured: int
+    splits: Mapping[str, int]
+
+
+class StageState(Record):
+    """One stored stage: when and by which version it was stored, what it rests on, and whether that still holds.
+
+    ``number`` is 0 for results of versions that did not record a basis; ``out_of_date`` is the reason, None where the
+    stage holds; ``superseded`` says that a later stage of the same name exists.
+    """
+
+    number: int
+    name: StageName
+    written: str
+    program: str
+    digest: str
+    rests_on: tuple[str, ...]
+    superseded: bool = False
+    out_of_date: str | None = None
+
+
+class OverviewResult(Result):
+    """``show``: the state of a run and the command that comes next (empty if none)."""
+
+    schema_: Literal["cellapp-overview"] = "cellapp-overview"
+    version: Literal[1] = 1
+    run: str
+    profile: str
+    arms: Mapping[str, ArmState]
+    stages: tuple[StageState, ...]
+    in_force: StageName | None
+    next_step: str
+
+
+class HistoryResult(Result):
+    """``show DIR history``: every stage that was ever stored, oldest first."""
+
+    schema_: Literal["cellapp-history"] = "cellapp-history"
+    version: Literal[1] = 1
+    run: str
+    stages: tuple[StageState, ...]
+
+
+class LogLine(Record):
+    """One line of a run's log; ``written`` is UTC, ``time_s`` seconds since the run began where it was measured."""
+
+    number: int
+    written: str
+    time_s: float | None
+    level: str
+    text: str
+
+
+class LogResult(Result):
+    """``show DIR log``: lines of the run's log, oldest first."""
+
+    schema_: Literal["cellapp-log"] = "cellapp-log"
+    version: Literal[1] = 1
+    run: str
+    lines: tuple[LogLine, ...]
+
+
+class PlannedStop(Record):
+    """One planned stop: joint positions of every arm [rad], whether it was measured."""
+
+    configuration: int
+    measured: bool
+    q: Mapping[str, tuple[float, ...]]
+
+
+class StopsResult(Result):
+    """``show DIR plan``: every planned stop."""
+
+    schema_: Literal["cellapp-stops"] = "cellapp-stops"
+    version: Literal[1] = 1
+    run: str
+    stops: tuple[PlannedStop, ...]

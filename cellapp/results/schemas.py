@@ -1,0 +1,57 @@
+"""JSON schemas of the results."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cellapp.results.base import Result
+from cellapp.results.calibration import CalibrateResult
+from cellapp.results.collection import CollectResult, ExportResult, ImportResult, PlanResult
+from cellapp.results.commissioning import DoctorResult, EmulateResult, TrackerBridgeResult
+from cellapp.results.discovery import DiscoverResult
+from cellapp.results.run import HistoryResult, LogResult, OverviewResult, ReportResult, StopsResult, WholeRunResult
+from cellapp.results.targets import CompensateResult, VerifyResult
+
+VERB_RESULTS: tuple[type[Result], ...] = (
+    PlanResult,
+    CollectResult,
+    ImportResult,
+    ExportResult,
+    DoctorResult,
+    CalibrateResult,
+    DiscoverResult,
+    CompensateResult,
+    VerifyResult,
+    ReportResult,
+    WholeRunResult,
+    EmulateResult,
+    TrackerBridgeResult,
+    OverviewResult,
+    HistoryResult,
+    LogResult,
+    StopsResult,
+)
+"""Every result of a verb, for the exported JSON schemas."""
+
+
+def json_schemas(results: tuple[type[Result], ...] = VERB_RESULTS) -> dict[str, dict[str, Any]]:
+    """JSON Schema (2020-12) of each result, by the name that its JSON objects carry under ``schema``.
+
+    As ``--json`` writes NaN and infinity as null, every number may be null.
+    """
+    return {_schema_name(result): _nullable_numbers(result.model_json_schema()) for result in results}
+
+
+def _schema_name(result: type[Result]) -> str:
+    return str(result.model_fields["schema_"].default)
+
+
+def _nullable_numbers(schema: Any) -> Any:
+    if isinstance(schema, list):
+        return [_nullable_numbers(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    changed = {key: _nullable_numbers(part) for key, part in schema.items()}
+    if changed.get("type") == "number":
+        changed["type"] = ["number", "null"]
+    return changed
