@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import os
+
+# One thread of linear algebra: most matrices here are small, and a second thread makes them slower on two cores.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import shutil
 from pathlib import Path
 
