@@ -276,4 +276,5 @@ def test_the_pure_computation_needs_no_run_file(plan):
     known = circumstances_of_arms(models, readings)
     alone = discover_arm(profile, "left", models["left"], readings["left"], known=known["left"])
     assert set(found) == {"left", "right"}
-    assert arm_result(found["left"]) == arm_result(alone)
+    together, single = (arm_result(one).model_copy(update={"seconds": None}) for one in (found["left"], alone))
+    assert together == single
