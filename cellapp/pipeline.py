@@ -6,12 +6,15 @@ The command line and the terminal application call these functions. Nothing else
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+
+from threadpoolctl import threadpool_limits
 
 from cellapp.calibration.calibrate import calibrate_readings, missing_splits, provenance_of
 from cellapp.calibration.record import calibrate_result
@@ -68,6 +71,12 @@ from cellapp.run.stages import (
 )
 
 R = TypeVar("R", bound=RunResults)
+
+
+def _one_blas_thread() -> AbstractContextManager[object]:
+    """Linear algebra in one thread: the matrices are small, and threads that wait for one another on a busy computer
+    made a search eight times slower than one thread is."""
+    return threadpool_limits(limits=1, user_api="blas")
 
 
 def default_folder(profile_name: str) -> Path:
@@ -194,7 +203,8 @@ def calibrate_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken
         On request; nothing is stored then.
     """
     notes = draw_missing_splits(run)
-    calibration = calibrate_readings(run.profile, _readings(run), listener, cancel)
+    with _one_blas_thread():
+        calibration = calibrate_readings(run.profile, _readings(run), listener, cancel)
     result = calibrate_result(replace(calibration, notes=(*notes, *calibration.notes)))
     _append_with_model(run, CALIBRATE, result, calibration.model, basis_of(run))
     stages = read_stages(run)
@@ -252,7 +262,8 @@ def propose_after(
 ) -> Proposal:
     """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose_stops``."""
     readings = _readings(run)
-    proposed = propose_stops(run.profile, found.model, readings, found.arms, count, listener, cancel, effort)
+    with _one_blas_thread():
+        proposed = propose_stops(run.profile, found.model, readings, found.arms, count, listener, cancel, effort)
     if why := _not_driven(run):
         note = f"{why}: the stops are listed only; measure them, then import them with the earlier readings"
         return proposal_result(proposed, None, (*proposed.notes, note))
@@ -368,7 +379,8 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
             f"{run.path}: an older version of cellapp calibrated this run and may have changed that calibration since;"
             " run 'cellapp calibrate' again"
         )
-    found = discover_cell(run.profile, _model(run, calibrated), _readings(run), listener, cancel)
+    with _one_blas_thread():
+        found = discover_cell(run.profile, _model(run, calibrated), _readings(run), listener, cancel)
     result = discover_result(found)
     model = replace(found.model, provenance=provenance_of(run.profile).model_dump())
     _append_with_model(run, DISCOVER, result, model, basis_of(run, {CALIBRATE: calibrated.digest}))
