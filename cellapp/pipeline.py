@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-
 from threadpoolctl import threadpool_limits
 
 from cellapp.calibration.calibrate import calibrate_readings, missing_splits, provenance_of
@@ -76,7 +75,8 @@ R = TypeVar("R", bound=RunResults)
 def _one_blas_thread() -> AbstractContextManager[object]:
     """Linear algebra in one thread: the matrices are small, and threads that wait for one another on a busy computer
     made a search eight times slower than one thread is."""
-    return threadpool_limits(limits=1, user_api="blas")
+    limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
+    return limits
 
 
 def default_folder(profile_name: str) -> Path:
