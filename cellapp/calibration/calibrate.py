@@ -12,7 +12,6 @@ from importlib.metadata import version
 import numpy as np
 
 import cellapp
-from cellapp.calibration.cooperative import PairCalibration, calibrate_pair
 from cellapp.calibration.evaluation import evaluate, repeatability
 from cellapp.calibration.identification import (
     Identification,
@@ -20,9 +19,10 @@ from cellapp.calibration.identification import (
     identify_with_excess,
     start_from_nominal,
 )
-from cellapp.calibration.residual import SHAPES, Shape, Training, train_network
+from cellapp.calibration.network_training import SHAPES, Shape, Training, train_network
+from cellapp.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.calibration.splits import draw_splits
-from cellapp.calibration.station import station_change
+from cellapp.calibration.station_change import station_change
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import Geometry, smr_positions
 from cellapp.kinematics.transforms import Array

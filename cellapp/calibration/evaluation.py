@@ -1,4 +1,4 @@
-"""Errors of a model on held-out readings: absolute, distance and cooperative."""
+"""Error statistics of a model on held-out readings: position errors, ISO 9283 distance errors, repeatability."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cellapp.calibration.linear import solve_psd
 from cellapp.design.information import SMALLEST
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.kinematics.transforms import Array
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import CandidateLaw
-from cellapp.discovery.data import ArmData
 from cellapp.discovery.formulas import formulas
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.search.scan import LawScan

@@ -10,16 +10,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.calibration.circumstances import circumstances, circumstances_of_arms
-from cellapp.calibration.cooperative import calibrate_pair
-from cellapp.discovery.data import ArmData
+from cellapp.calibration.measurement_conditions import circumstances, circumstances_of_arms
+from cellapp.calibration.pair_calibration import calibrate_pair
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.describe import describe
 from cellapp.discovery.detectability import detectability
 from cellapp.discovery.held_out import HeldOut
 from cellapp.discovery.joint_fit import JointFit, fit_terms
 from cellapp.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
 from cellapp.discovery.pictures.cycles import dominant_cycles
-from cellapp.discovery.pictures.of_terms import pictures
+from cellapp.discovery.pictures.term_pictures import pictures
 from cellapp.discovery.remaining_network import with_network
 from cellapp.discovery.search.comparison import scatter
 from cellapp.discovery.search.state import SearchResult

@@ -13,14 +13,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.calibration.curves import MAX_CYCLES, curve_standard_deviation
+from cellapp.calibration.curve_prior import MAX_CYCLES, curve_standard_deviation
 from cellapp.calibration.identification import Identification, identify
 from cellapp.calibration.normal_equations import EffectColumns
 from cellapp.calibration.weights import excess_variance, with_excess
 from cellapp.design.information import NuisanceProjector
+from cellapp.discovery.arm_data import ArmData, whitening
 from cellapp.discovery.candidates import CandidateLaw, whitened_displacements
-from cellapp.discovery.data import ArmData, whitening
-from cellapp.discovery.residual import ProjectedResidual
+from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.terms import ModelTerms, TermLayout, curve_prior_of, prior_sd
 from cellapp.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.calibration.circumstances import circumstances_of_arms
+from cellapp.calibration.measurement_conditions import circumstances_of_arms
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.proposal.arm_candidates import ArmCandidates, ArmHypotheses
 from cellapp.discovery.proposal.candidate_poses import Effort, candidate_poses

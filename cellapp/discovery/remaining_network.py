@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.calibration.residual import train_network
+from cellapp.calibration.network_training import train_network
 from cellapp.discovery.held_out import HeldOut
 from cellapp.discovery.outcome import Discovery, GapStep
 from cellapp.effects import Circumstances

@@ -14,8 +14,8 @@ import numpy as np
 
 from cellapp.effects.column import Channel, place_name
 from cellapp.effects.context import EffectContext, varies
-from cellapp.effects.history import times_known
 from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import times_known
 from cellapp.kinematics.transforms import Array
 
 _ROUNDING = 1e-6

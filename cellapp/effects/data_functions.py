@@ -17,8 +17,8 @@ from cellapp.effects.data_driven import (
     Variable,
     data_driven_form,
 )
-from cellapp.effects.history import filled, span
 from cellapp.effects.law import Constant, Law
+from cellapp.effects.time_functions import filled, span
 from cellapp.kinematics.transforms import Array
 
 ORDER = 4

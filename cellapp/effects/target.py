@@ -9,8 +9,8 @@ import numpy as np
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
-from cellapp.effects.history import ONSET_FORM, after_onset, no_onset, onset_laws
 from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import ONSET_FORM, after_onset, no_onset, onset_laws
 
 _MOST_SLIP = 1e-2
 """Bound [m]: a target that slipped by a centimetre has fallen off."""

@@ -9,7 +9,8 @@ import numpy as np
 from cellapp.effects.column import Channel, EffectColumn, joint_column, shift_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.effect import Effect
-from cellapp.effects.history import (
+from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import (
     FIRST,
     LAST,
     LINEAR_FORM,
@@ -23,7 +24,6 @@ from cellapp.effects.history import (
     warm_up,
     warm_up_laws,
 )
-from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.kinematics.transforms import Array
 
 LAGS = (150.0, 400.0, 900.0, 2000.0, 4500.0)

@@ -9,8 +9,8 @@ import numpy as np
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.effect import Effect
-from cellapp.effects.history import filled
 from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import filled
 from cellapp.kinematics.transforms import Array
 
 TIME_CONSTANTS = tuple(np.geomspace(0.3, 30.0, 8).tolist())

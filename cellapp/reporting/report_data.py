@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from cellapp.calibration.circumstances import circumstances_of_arms
 from cellapp.calibration.evaluation import position_errors
+from cellapp.calibration.measurement_conditions import circumstances_of_arms
 from cellapp.effects import Circumstances
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions

@@ -24,9 +24,9 @@ from pydantic import ValidationError
 
 import cellapp
 from cellapp import __version__
-from cellapp.calibration.circumstances import circumstances_of_arms
+from cellapp.calibration.measurement_conditions import circumstances_of_arms
 from cellapp.discovery.discover import discover_arm
-from cellapp.discovery.record import arm_result
+from cellapp.discovery.result import arm_result
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.errors import CellappError, CheckFailed, InputError
 from cellapp.model import CellModel

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from cellapp.calibration.calibrate import calibrate_arm
-from cellapp.calibration.circumstances import circumstances_of_arms
+from cellapp.calibration.measurement_conditions import circumstances_of_arms
 from cellapp.collection.cell import build_plant, plant_arm
 from cellapp.discovery.discover import discover_arm, discover_cell
-from cellapp.discovery.record import arm_result, discover_result
+from cellapp.discovery.result import arm_result, discover_result
 from cellapp.effects import EFFECTS, Circumstances
 from cellapp.errors import InputError
 from cellapp.model import CellModel

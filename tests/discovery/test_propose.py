@@ -20,7 +20,7 @@ from cellapp.discovery.outcome import CellDiscovery
 from cellapp.discovery.proposal.approaches import DWELLS_S, STEPS_RAD
 from cellapp.discovery.proposal.candidate_poses import Effort
 from cellapp.discovery.propose import Proposal
-from cellapp.discovery.record import proposal_result
+from cellapp.discovery.result import proposal_result
 from cellapp.pipeline import append_proposed_stops, propose_after
 from cellapp.planning.plan import plan_stops
 from cellapp.planning.stop_conditions import STOP_CONDITIONS_RESULT, StopConditions, read_stop_conditions

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.effects import EFFECTS, Circumstances, TemperatureRecord
-from cellapp.effects.history import lagged
+from cellapp.effects.time_functions import lagged
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, transform
 from tests.effects.cell import EYE, by_name, chain, context_of, knowing, shifts, slope
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.terms import UNKNOWN, ModelTerm
 from cellapp.effects import EFFECTS, DriverVariable
 from cellapp.effects.data_driven import Quantity, Variable, data_driven_form

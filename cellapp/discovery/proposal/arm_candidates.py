@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.design.discrimination import HOPELESS, Discrimination, SequentialDesign, joint_gains
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.proposal.approaches import Approaches, all_approaches
 from cellapp.discovery.proposal.candidate_design import CandidateDesign, joined_context
 from cellapp.discovery.proposal.candidate_poses import CandidatePoses, Effort
 from cellapp.discovery.proposal.hypotheses import Hypothesis, refitted_discovery
-from cellapp.discovery.proposal.open_questions import open_hypotheses
+from cellapp.discovery.proposal.open_hypotheses import open_hypotheses
 from cellapp.effects import Circumstances, DriverVariable
 from cellapp.kinematics.statics import base_moment
 from cellapp.kinematics.transforms import Array

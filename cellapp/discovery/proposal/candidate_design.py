@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from cellapp.discovery.arm_data import ArmData, whitening
 from cellapp.discovery.candidates import whitened_displacements
-from cellapp.discovery.data import ArmData, whitening
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.effects import EFFECTS, Circumstances, EffectContext, Law
 from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian

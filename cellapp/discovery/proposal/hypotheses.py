@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.calibration.curves import CurvePrior
+from cellapp.calibration.curve_prior import CurvePrior
 from cellapp.design.discrimination import Discrimination
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, refit
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.proposal.candidate_design import CandidateDesign

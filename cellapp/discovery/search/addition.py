@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from cellapp.calibration.identification import TooFewReadings
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
-from cellapp.discovery.data import ArmData
 from cellapp.discovery.joint_fit import fit_terms
-from cellapp.discovery.residual import ProjectedResidual
+from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.search.comparison import floor_reached
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SearchProblem, SearchState, SearchStep

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
-from cellapp.discovery.data import ArmData
 from cellapp.discovery.search.comparison import best_state, floor_reached
 from cellapp.discovery.search.joint_curves import with_joint_curves
 from cellapp.discovery.search.scan import LawScan

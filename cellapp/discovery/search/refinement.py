@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cellapp.calibration.curves import MAX_CYCLES
+from cellapp.calibration.curve_prior import MAX_CYCLES
 from cellapp.discovery.candidates import CandidateLaw, LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.search.addition import within_bounds

@@ -4,8 +4,8 @@ A law is a group of columns in blocks. Its score is
 
     score = -N ln(1 - R^2) - k ln N - 2 ln T,   N = 3 n coordinates, k visible columns, T laws of its kind tried:
 
-the gain of the Bayesian information criterion (see ``residual``) less the price of choosing among T onsets or time
-constants (a uniform prior over them, on the scale of twice the log likelihood).
+the gain of the Bayesian information criterion (see ``discovery.projected_residual``) less the price of choosing among T
+onsets or time constants (a uniform prior over them, on the scale of twice the log likelihood).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cellapp.design.information import SMALLEST, NuisanceProjector, visible_norms, visible_root
 from cellapp.discovery.candidates import Block, CandidateLaw, LawScore
-from cellapp.discovery.residual import MOST_SHARE, ProjectedResidual
+from cellapp.discovery.projected_residual import MOST_SHARE, ProjectedResidual
 from cellapp.discovery.search.block_selection import BlockSelection
 from cellapp.effects import Law
 from cellapp.kinematics.transforms import Array

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import fit_terms, refit, reweighted
 from cellapp.discovery.search.addition import addition
 from cellapp.discovery.search.comparison import best_state, floor_reached, names_dominate

@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from cellapp.design.information import VISIBLE, detectable_size
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, fit_terms
 from cellapp.discovery.outcome import Discovery
+from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.proposal.hypotheses import Hypothesis, RivalLaw
-from cellapp.discovery.residual import ProjectedResidual
 from cellapp.discovery.search.scan import LawScan, choice_price
 from cellapp.discovery.terms import UNKNOWN, ModelTerm, with_term
 from cellapp.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law

@@ -19,9 +19,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.calibration.circumstances import circumstances
 from cellapp.calibration.evaluation import position_errors, summarise
-from cellapp.calibration.pair import PairIdentification, distances, identify_pair
+from cellapp.calibration.inter_base_transform import PairIdentification, distances, identify_pair
+from cellapp.calibration.measurement_conditions import circumstances
 from cellapp.effects import Circumstances
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import Array, apply, invert, register

@@ -7,7 +7,8 @@ from collections.abc import Collection
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
-from cellapp.effects.history import (
+from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import (
     FIRST,
     LAST,
     LINEAR_FORM,
@@ -22,7 +23,6 @@ from cellapp.effects.history import (
     warm_up,
     warm_up_laws,
 )
-from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.kinematics.transforms import Array
 
 _COMPONENTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn_x", "rad"), ("turn_y", "rad"), ("turn_z", "rad"))

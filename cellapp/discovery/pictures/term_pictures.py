@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.pictures.axes import axes_of
 from cellapp.discovery.pictures.picture import PeriodicCurve, Picture, PictureData, make_picture, rounded

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from cellapp.calibration.residual import Shape, train_network
+from cellapp.calibration.network_training import Shape, train_network
 from cellapp.model import ResidualNetwork
 from cellapp.model.network import network_inputs, rotate_about_z
 

@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from cellapp.calibration.circumstances import circumstances
-from cellapp.discovery.data import ArmData
+from cellapp.calibration.measurement_conditions import circumstances
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import fit_terms
 from cellapp.discovery.pictures.cycles import dominant_cycles
-from cellapp.discovery.pictures.of_terms import pictures
-from cellapp.discovery.record import picture_result
+from cellapp.discovery.pictures.term_pictures import pictures
+from cellapp.discovery.result import picture_result
 from cellapp.discovery.terms import ModelTerm
 from cellapp.effects import EFFECTS, EffectColumn, Wave, joint_column
 from cellapp.kinematics.chain import parameter_names, smr_positions

@@ -6,9 +6,9 @@ import math
 from typing import cast
 
 from cellapp.calibration.calibrate import ArmCalibration, Calibration
-from cellapp.calibration.cooperative import PairCalibration, PairMethod
-from cellapp.calibration.pair import PAIR_NAMES
-from cellapp.calibration.residual import Shape, Training
+from cellapp.calibration.inter_base_transform import PAIR_NAMES
+from cellapp.calibration.network_training import Shape, Training
+from cellapp.calibration.pair_calibration import PairCalibration, PairMethod
 from cellapp.kinematics.transforms import zyx_angles
 from cellapp.results import (
     ArmCalibrationResult,
