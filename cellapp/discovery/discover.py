@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.calibration.measurement_conditions import circumstances, circumstances_of_arms
+from cellapp.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.calibration.pair_calibration import calibrate_pair
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.describe import describe
@@ -26,7 +26,7 @@ from cellapp.discovery.search.state import SearchResult
 from cellapp.discovery.search.stepwise import refit_to_all, search
 from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, without_term
 from cellapp.discovery.verdict import verdict
-from cellapp.effects import EFFECTS, Circumstances
+from cellapp.effects import EFFECTS, MeasurementConditions
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
@@ -74,18 +74,20 @@ def discover_cell(
 def _discover_arms(
     profile: Profile, model: CellModel, readings: Mapping[str, Readings], listener: Listener, cancel: CancelToken
 ) -> dict[str, Discovery]:
-    known = circumstances_of_arms(model.arms, readings)
+    conditions = conditions_of_arms(model.arms, readings)
     found: dict[str, Discovery] = {}
     for done, (name, arm) in enumerate(model.arms.items()):
         listener(Progress("discover", done, len(model.arms), f"arm {name}"))
         cancel.check()
-        found[name] = discover_arm(profile, name, arm, readings[name], cancel, known=known[name])
+        found[name] = discover_arm(profile, name, arm, readings[name], cancel, conditions=conditions[name])
     if profile.network.kind != "mlp":
         return found
     listener(Progress("discover", len(model.arms), len(model.arms), "residual networks beside the effects"))
     with ThreadPoolExecutor(max_workers=2) as pool:  # torch works outside the interpreter lock
         tasks = {
-            name: pool.submit(with_network, profile, model.arms[name], discovery, readings[name], known[name], cancel)
+            name: pool.submit(
+                with_network, profile, model.arms[name], discovery, readings[name], conditions[name], cancel
+            )
             for name, discovery in found.items()
         }
         return {name: task.result() for name, task in tasks.items()}
@@ -98,17 +100,17 @@ def discover_arm(
     readings: Readings,
     cancel: CancelToken | None = None,
     *,
-    known: Circumstances | None = None,
+    conditions: MeasurementConditions | None = None,
 ) -> Discovery:
     """Discover on all splits but ``validate``, and show the gap on that.
 
-    ``known`` are the circumstances of the stops; without, those that the arm's own readings state.
+    ``conditions`` are those of ``readings``; the default is derived from the readings of this arm alone.
     """
     started = time.perf_counter()
     cancel = cancel or CancelToken()
-    known = known or circumstances(readings)
-    held_out = HeldOut.of(readings, known)
-    found, fitted = _searched(profile, model, readings, known, cancel)
+    conditions = conditions or measurement_conditions(readings)
+    held_out = HeldOut.of(readings, conditions)
+    found, fitted = _searched(profile, model, readings, conditions, cancel)
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(found.fit.model)
     floor_mm = held_out.noise_floor_mm()
     accepted = _accepted_effects(found, held_out, after.rms)
@@ -139,7 +141,7 @@ def discover_arm(
 
 
 def _searched(
-    profile: Profile, model: ArmModel, readings: Readings, known: Circumstances, cancel: CancelToken
+    profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions, cancel: CancelToken
 ) -> tuple[SearchResult, int | None]:
     """The search among at most ``_MOST_SEARCHED`` readings; and the number that its outcome was then fitted to."""
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
@@ -148,10 +150,10 @@ def _searched(
         generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
         some = np.sort(generator.permutation(rows)[:_MOST_SEARCHED])
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
-    found = search(ArmData.of(profile, model, readings.take(some), known.take(some)), slugs, cancel)
+    found = search(ArmData.of(profile, model, readings.take(some), conditions.take(some)), slugs, cancel)
     if len(some) == len(rows) or not found.fit.terms:
         return found, None
-    return refit_to_all(found, ArmData.of(profile, model, readings.take(rows), known.take(rows))), len(rows)
+    return refit_to_all(found, ArmData.of(profile, model, readings.take(rows), conditions.take(rows))), len(rows)
 
 
 def _gap_steps(

@@ -56,7 +56,7 @@ class Backlash(Effect):
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Constant; saturating where steps are known."""
-        if not varies(context.known.step):
+        if not varies(context.conditions.step):
             return [CONSTANT.law()]
         medians = np.median(np.abs(context.step), axis=0).tolist()
         typical = {TYPICAL_STEP.key(j): size for j, size in enumerate(medians)}
@@ -73,7 +73,7 @@ class Backlash(Effect):
 def _step_sizes(context: EffectContext, law: Law) -> Array:
     """Size of each joint's last step (n, N) [rad]; the run's median where unknown."""
     typical = np.array([law.constants.get(TYPICAL_STEP.key(j), np.inf) for j in range(context.joints)])
-    step = context.known.step
+    step = context.conditions.step
     if step is None:
         return np.broadcast_to(typical, context.q.shape)
     return np.where(np.isnan(step), typical, np.abs(step))

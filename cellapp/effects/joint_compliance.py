@@ -108,10 +108,10 @@ class PayloadCompliance(Effect):
 
     def untestable(self, context: EffectContext) -> str:
         """Needs a payload that varies."""
-        known = context.known.payload_kg
-        if known is None or not np.isfinite(known).all():
+        payload_kg = context.conditions.payload_kg
+        if payload_kg is None or not np.isfinite(payload_kg).all():
             return "no payloads"
-        return "" if varies(known) else "payload does not vary"
+        return "" if varies(payload_kg) else "payload does not vary"
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint."""

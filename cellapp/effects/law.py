@@ -67,7 +67,7 @@ class NeighbouringPauses:
 
     def nearby(self, value: float, context: EffectContext, shrink: float) -> list[float]:
         """Middles of the pauses [s]."""
-        times = np.sort(np.asarray(context.known.time_s))
+        times = np.sort(np.asarray(context.conditions.time_s))
         pauses = (times[1:] + times[:-1]) / 2.0
         place = int(np.searchsorted(pauses, value))
         last = len(pauses) - self.margin

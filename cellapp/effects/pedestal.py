@@ -102,26 +102,26 @@ class PedestalCoupling(Effect):
 
     def untestable(self, context: EffectContext) -> str:
         """Needs another arm that moves."""
-        known = context.known.other_moment_M
-        if known is None or not np.isfinite(known).all():
+        moment_M = context.conditions.other_moment_M
+        if moment_M is None or not np.isfinite(moment_M).all():
             return "no readings of the other arm"
-        return "" if varies(known) else "the other arm did not move"
+        return "" if varies(moment_M) else "the other arm did not move"
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Isotropic; general tilt; shifts too."""
-        known = context.known.other_moment_M
-        if known is None:
+        moment_M = context.conditions.other_moment_M
+        if moment_M is None:
             return []
-        means = _in_base(context, known).mean(axis=0).tolist()
+        means = _in_base(context, moment_M).mean(axis=0).tolist()
         constants = {constant.name: mean for constant, mean in zip(MEAN_MOMENT, means, strict=True)}
         return [form.law(constants) for form in self.forms]
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One, four or ten columns in one block; zero, as at the run's mean, where the other arm is unknown."""
         axes = horizontal_axes(context)
-        known = context.known.other_moment_M
+        moment_M = context.conditions.other_moment_M
         mean = np.array([law.constants[constant.name] for constant in MEAN_MOMENT])
-        in_base = filled(None if known is None else _in_base(context, known), mean, len(context)) - mean
+        in_base = filled(None if moment_M is None else _in_base(context, moment_M), mean, len(context)) - mean
         moments = in_base @ axes.T
         tilts = [context.twist_shift(0, None, axis) for axis in axes]
         if law.form == OTHER_ISOTROPIC:

@@ -98,14 +98,14 @@ class ThermalGrowth(Effect):
 
     def untestable(self, context: EffectContext) -> str:
         """Needs temperatures or times."""
-        known = context.known
-        if varies(known.air_c) or varies(known.joints_c) or times_known(context):
+        conditions = context.conditions
+        if varies(conditions.air_c) or varies(conditions.joints_c) or times_known(context):
             return ""
         return "no temperatures and no times"
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Those whose temperatures or times are known."""
-        air_c, joints_c = context.known.air_c, context.known.joints_c
+        air_c, joints_c = context.conditions.air_c, context.conditions.joints_c
         laws = list[Law]()
         if air_c is not None and varies(air_c):
             mean = {MEAN_AIR.name: float(air_c.mean())}
@@ -113,7 +113,7 @@ class ThermalGrowth(Effect):
         if joints_c is not None and varies(joints_c):
             means = joint_means(joints_c)
             laws += [JOINTS.law(means), JOINTS_LINKS.law(means)]
-            if context.known.record is not None and times_known(context):
+            if context.conditions.record is not None and times_known(context):
                 air = air_c if air_c is not None and varies(air_c) else joints_c.mean(axis=1)
                 constants = {**means, MEAN_AIR.name: float(np.nanmean(air))}
                 laws += [
@@ -165,17 +165,17 @@ def _lagged_temperatures(context: EffectContext, law: Law, joints: Array, air: A
 
     Without lag where the record of the run, or the time of a stop, is unknown.
     """
-    known = context.known
+    conditions = context.conditions
     ends = _at_links(joints - air[:, None])
-    if known.record is None or known.time_s is None:
+    if conditions.record is None or conditions.time_s is None:
         return ends, air
-    record = known.record
+    record = conditions.record
     air_then = record.air_c - law.constants[MEAN_AIR.name]
     ends_then = _at_links(record.joints_c - _means(context, law) - air_then[:, None])
     behind = lagged(np.column_stack([ends_then, air_then]), record.time_s, law.constants[LAG.name])
     order = np.argsort(record.time_s, kind="stable")
-    timed = np.isfinite(known.time_s)
-    at = known.time_s[timed]
+    timed = np.isfinite(conditions.time_s)
+    at = conditions.time_s[timed]
     now = np.column_stack([np.interp(at, record.time_s[order], one[order]) for one in behind.T])
     ends[timed], air[timed] = now[:, :-1], now[:, -1]
     return ends, air
@@ -217,13 +217,13 @@ class JointDrift(Effect):
 
     def untestable(self, context: EffectContext) -> str:
         """Needs times or temperatures of the joints."""
-        if times_known(context) or varies(context.known.joints_c):
+        if times_known(context) or varies(context.conditions.joints_c):
             return ""
         return "no times and no joint temperatures"
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Those whose times or temperatures are known."""
-        joints_c = context.known.joints_c
+        joints_c = context.conditions.joints_c
         laws = [LINEAR_FORM.law(span(context)), *warm_up_laws(context)] if times_known(context) else []
         if joints_c is not None and varies(joints_c):
             laws.append(ZERO_BY_TEMPERATURE.law(joint_means(joints_c)))
@@ -253,13 +253,13 @@ def _means(context: EffectContext, law: Law) -> Array:
 def _above_mean_air(context: EffectContext, law: Law) -> Array:
     """Air temperature relative to the run's mean (n,) [K], 0 where unknown."""
     mean = law.constants[MEAN_AIR.name]
-    return filled(context.known.air_c, mean, len(context)) - mean
+    return filled(context.conditions.air_c, mean, len(context)) - mean
 
 
 def _above_mean_joints(context: EffectContext, law: Law) -> Array:
     """Joint temperatures relative to their means of the run (n, N) [K], 0 where unknown."""
     means = _means(context, law)
-    return np.asarray(filled(context.known.joints_c, means, len(context)) - means)
+    return np.asarray(filled(context.conditions.joints_c, means, len(context)) - means)
 
 
 def _at_links(joints: Array) -> Array:

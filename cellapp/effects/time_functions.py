@@ -35,15 +35,15 @@ ONSET_FORM = LawForm("onset", "at once", (ONSET,))
 
 def span(context: EffectContext) -> dict[str, float]:
     """Constants ``FIRST`` and ``LAST`` of a run; empty where times are unknown."""
-    known = context.known.time_s
-    if known is None or not np.isfinite(known).any():
+    time_s = context.conditions.time_s
+    if time_s is None or not np.isfinite(time_s).any():
         return {}
-    return {FIRST.name: float(np.nanmin(known)), LAST.name: float(np.nanmax(known))}
+    return {FIRST.name: float(np.nanmin(time_s)), LAST.name: float(np.nanmax(time_s))}
 
 
 def times(context: EffectContext, constants: Mapping[str, float]) -> Array:
     """Times (n,) [s]; the end of the fitted run where unknown."""
-    return filled(context.known.time_s, constants[LAST.name], len(context))
+    return filled(context.conditions.time_s, constants[LAST.name], len(context))
 
 
 def linear(context: EffectContext, law: Law) -> Array:
@@ -66,10 +66,10 @@ def warm_up_laws(context: EffectContext, form: LawForm = WARM_UP_FORM) -> list[L
 
 def onset_laws(context: EffectContext) -> list[Law]:
     """Laws of a sudden change between two readings; the onsets are spread over the run."""
-    known = context.known.time_s
-    if known is None or not np.isfinite(known).all():
+    time_s = context.conditions.time_s
+    if time_s is None or not np.isfinite(time_s).all():
         return []
-    ordered = np.sort(known)
+    ordered = np.sort(time_s)
     before, after = ordered[ONSET_MARGIN - 1 : -ONSET_MARGIN], ordered[ONSET_MARGIN : len(ordered) - ONSET_MARGIN + 1]
     onsets = ((before + after) / 2.0)[before < after]
     if len(onsets) > ONSETS_MOST:
@@ -79,7 +79,7 @@ def onset_laws(context: EffectContext) -> list[Law]:
 
 def after_onset(context: EffectContext, law: Law) -> Array:
     """1 after the onset, else 0 (n,); 1 where the time is unknown."""
-    return (filled(context.known.time_s, np.inf, len(context)) >= law.constants[ONSET.name]).astype(np.float64)
+    return (filled(context.conditions.time_s, np.inf, len(context)) >= law.constants[ONSET.name]).astype(np.float64)
 
 
 def no_onset(context: EffectContext) -> str:
@@ -91,8 +91,8 @@ def no_onset(context: EffectContext) -> str:
 
 def times_known(context: EffectContext) -> bool:
     """Whether all times are known and not one moment."""
-    known = context.known.time_s
-    return known is not None and len(known) > 0 and bool(np.isfinite(known).all()) and float(np.ptp(known)) > 0.0
+    time_s = context.conditions.time_s
+    return time_s is not None and len(time_s) > 0 and bool(np.isfinite(time_s).all()) and float(np.ptp(time_s)) > 0.0
 
 
 def lagged(values: Array, time_s: Array, lag_s: float) -> Array:

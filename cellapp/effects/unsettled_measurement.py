@@ -55,11 +55,11 @@ class UnsettledMeasurement(Effect):
 
     def untestable(self, context: EffectContext) -> str:
         """Needs the last steps."""
-        return "" if varies(context.known.step) else "no last steps"
+        return "" if varies(context.conditions.step) else "no last steps"
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Without dwell; decaying with it, for time constants that leave something at the shortest dwell."""
-        dwell = context.known.dwell_s
+        dwell = context.conditions.dwell_s
         if dwell is None or not varies(dwell):
             return [STEP.law()]
         shortest, typical = float(dwell.min()), float(np.median(dwell))
@@ -72,7 +72,7 @@ class UnsettledMeasurement(Effect):
         left: Array | float = 1.0
         largest = _MOST_STEP_LAG
         if law.form == CREEP:
-            dwell = filled(context.known.dwell_s, law.constants[TYPICAL_DWELL.name], len(context))
+            dwell = filled(context.conditions.dwell_s, law.constants[TYPICAL_DWELL.name], len(context))
             left, largest = np.exp(-dwell / law.constants[SETTLING_TIME.name])[:, None], _MOST_CREEP_LAG
         behind = -context.step * left
         return [

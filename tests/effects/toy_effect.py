@@ -34,7 +34,7 @@ class ToySag(Effect):
 
     def untestable(self, context: EffectContext) -> str:
         """Needs a payload that varies."""
-        return "" if varies(context.known.payload_kg) else "payload does not vary"
+        return "" if varies(context.conditions.payload_kg) else "payload does not vary"
 
     def laws(self, context: EffectContext) -> list[Law]:
         """One for each softening to try."""

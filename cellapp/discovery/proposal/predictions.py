@@ -88,19 +88,19 @@ def _load_advice(
     prediction: PredictedDiscrimination,
 ) -> list[str]:
     """Advice on another payload at every second stop, where the stops do not decide and the run had but one."""
-    known = arm.conditions.known
+    conditions = arm.run.conditions
     depends = any(DriverVariable.PAYLOAD in EFFECTS[slug].variables for slug in hypothesis.effects)
     decided = bool(hypothesis.against) and prediction.proposed >= prediction.needed
-    if not depends or decided or varies(known.payload_kg):
+    if not depends or decided or varies(conditions.payload_kg):
         return []
     bodies = hypothesis.data.model.bodies
-    present = last_known(known.payload_kg, 1)
+    present = last_known(conditions.payload_kg, 1)
     now_kg = bodies.payload_mass if present is None else float(present[0])
     steps = round(_LOAD_SHARE * float(bodies.masses.sum()) / _LEAST_LOAD_STEP_KG)
     more_kg = max(steps * _LEAST_LOAD_STEP_KG, _LEAST_LOAD_STEP_KG)
     load_kg: Array = now_kg + more_kg * (np.arange(len(pose)) % 2).astype(np.float64)
-    q, circumstances = arm.conditions.candidates(poses, arm.approaches, pose, approach, load_kg)
-    design = CandidateDesign.of(hypothesis.data, hypothesis.fit, q, circumstances)
+    q, expected = arm.run.candidates(poses, arm.approaches, pose, approach, load_kg)
+    design = CandidateDesign.of(hypothesis.data, hypothesis.fit, q, expected)
     loaded = _least(hypothesis.discriminations(design), np.arange(len(pose)))
     if loaded < _WORTH_A_LOAD * prediction.proposed:
         return []

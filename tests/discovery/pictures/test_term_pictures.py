@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from cellapp.calibration.measurement_conditions import circumstances
+from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import fit_terms
 from cellapp.discovery.pictures.cycles import dominant_cycles
@@ -70,7 +70,7 @@ def made(bend, *terms, off_axis_m=0.1):
         sigma_m=np.full(N, SIGMA_M),
     )
     model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=UP)
-    data = ArmData.of(profile, model, readings, circumstances(readings))
+    data = ArmData.of(profile, model, readings, measurement_conditions(readings))
     fit = fit_terms(data, tuple(terms))
     found = pictures(data, fit)
     for picture in found:
