@@ -41,7 +41,7 @@ class CalibratedArm(Protocol):
         """The calibrated model, with its residual network if it has one."""
 
     @property
-    def tracker_trained(self) -> ResidualNetwork | None:
+    def tracker_frame_network(self) -> ResidualNetwork | None:
         """The network trained in the tracker frame."""
 
 
@@ -167,7 +167,7 @@ def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> di
         return apply(np.asarray(invert(arm.model.geometry.T_M_B())), p_M)
 
     def wrong_frame(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
-        network = arm.tracker_trained
+        network = arm.tracker_frame_network
         p_B = geometry_only(arm, r, conditions)
         return p_B if network is None else np.asarray(p_B + network.correct(r.q))
 

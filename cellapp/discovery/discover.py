@@ -44,7 +44,7 @@ class _PairArm:
     """An arm for the calibration of the pair after discovery."""
 
     model: ArmModel
-    tracker_trained: None = None
+    tracker_frame_network: None = None
 
 
 def discover_cell(

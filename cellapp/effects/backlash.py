@@ -52,7 +52,7 @@ class Backlash(Effect):
 
     def untestable(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
-        return no_reversal(context)
+        return missing_for_lost_motion(context)
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Constant; saturating where steps are known."""
@@ -104,7 +104,7 @@ class FrictionWindup(Effect):
 
     def untestable(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
-        return no_reversal(context)
+        return missing_for_lost_motion(context)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint, or two; zero where the side of approach is unknown."""
@@ -117,8 +117,8 @@ class FrictionWindup(Effect):
         return columns
 
 
-def no_reversal(context: EffectContext) -> str:
-    """Why lost motion cannot be seen; empty when some joint was approached from both sides."""
+def missing_for_lost_motion(context: EffectContext) -> str:
+    """What the readings lack to show lost motion; empty if some joint was approached from both sides."""
     if not context.approach.any():
         return "no approach signs"
     both = (context.approach > 0.0).any(axis=0) & (context.approach < 0.0).any(axis=0)

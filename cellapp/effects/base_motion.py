@@ -16,7 +16,7 @@ from cellapp.effects.time_functions import (
     WARM_UP_FORM,
     after_onset,
     linear,
-    no_onset,
+    missing_for_onset,
     onset_laws,
     span,
     times_known,
@@ -93,7 +93,7 @@ class BaseStep(Effect):
 
     def untestable(self, context: EffectContext) -> str:
         """Needs times."""
-        return no_onset(context)
+        return missing_for_onset(context)
 
     def laws(self, context: EffectContext) -> list[Law]:
         """One for each onset."""

@@ -10,7 +10,7 @@ from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
-from cellapp.effects.time_functions import ONSET_FORM, after_onset, no_onset, onset_laws
+from cellapp.effects.time_functions import ONSET_FORM, after_onset, missing_for_onset, onset_laws
 
 _MOST_SLIP = 1e-2
 """Bound [m]: a target that slipped by a centimetre has fallen off."""
@@ -36,7 +36,7 @@ class TargetSlip(Effect):
 
     def untestable(self, context: EffectContext) -> str:
         """Needs times."""
-        return no_onset(context)
+        return missing_for_onset(context)
 
     def laws(self, context: EffectContext) -> list[Law]:
         """One for each onset."""

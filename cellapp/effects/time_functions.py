@@ -82,8 +82,8 @@ def after_onset(context: EffectContext, law: Law) -> Array:
     return (filled(context.conditions.time_s, np.inf, len(context)) >= law.constants[ONSET.name]).astype(np.float64)
 
 
-def no_onset(context: EffectContext) -> str:
-    """Why no onset can be looked for; empty when it can."""
+def missing_for_onset(context: EffectContext) -> str:
+    """What the readings lack to search for an onset; empty if nothing."""
     if not times_known(context):
         return "no times"
     return "" if onset_laws(context) else f"fewer than {2 * ONSET_MARGIN} readings"

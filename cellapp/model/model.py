@@ -33,7 +33,7 @@ from cellapp.kinematics.chain import (
 )
 from cellapp.kinematics.statics import Bodies
 from cellapp.kinematics.transforms import Array
-from cellapp.model.network import ResidualNetwork
+from cellapp.model.network import ResidualNetwork, network_from_json, network_to_json
 
 Signs = NDArray[np.float64] | NDArray[np.int8]
 _SCHEMA = "cellapp-calibration"
@@ -313,7 +313,7 @@ def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
         },
         "up_M": arm.up_M.tolist(),
         "effects": [term_to_json(term) for term in arm.effects],
-        "network": None if arm.network is None else arm.network.as_dict(),
+        "network": None if arm.network is None else network_to_json(arm.network),
         "identified": list(arm.identified),
         "covariance": None if arm.covariance is None else arm.covariance.tolist(),
         "smr_normal": None if arm.smr_normal is None else arm.smr_normal.tolist(),
@@ -333,7 +333,7 @@ def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
         ),
         up_M=np.array(content["up_M"], dtype=np.float64),
         effects=tuple(term_from_json(entry, EFFECTS) for entry in content["effects"]),
-        network=None if content["network"] is None else ResidualNetwork.from_dict(content["network"]),
+        network=None if content["network"] is None else network_from_json(content["network"]),
         identified=tuple(content["identified"]),
         covariance=None if content["covariance"] is None else np.array(content["covariance"], dtype=np.float64),
         smr_normal=None

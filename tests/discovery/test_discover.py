@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -70,7 +71,7 @@ def discovered(folder, plan, effects, **seeds):
         found = calibrated_and_searched(run)
         calibrated = read_results(run).calibrate
         assert calibrated is not None
-        return calibrated, found.arms, calibrated.with_effects(discover_result(found)).as_object()
+        return calibrated, found.arms, json.loads(calibrated.with_effects(discover_result(found)).to_json())
 
 
 def names(discovery):

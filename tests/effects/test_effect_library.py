@@ -32,7 +32,7 @@ CURVE = PERIODIC.law("curve", {"cycles": 12.0, "length2": 0.3, "amplitude2": 1e-
 GEAR = PERIODIC.law("gear", {"ratio": 50.0}, 209)
 NAMED += [("transmission_error", CURVE), ("transmission_error", GEAR)]
 WHOLE = [law for law in dictionary(CONTEXT) if "period_s" not in law.constants]
-SWAYS = [law for law in dictionary(CONTEXT) if "period_s" in law.constants]
+OSCILLATIONS = [law for law in dictionary(CONTEXT) if "period_s" in law.constants]
 CHANNELS = {channel.name: channel for channel in channels(6)}
 VARIABLES = {variable.name: variable for variable in variables(CONTEXT)}
 
@@ -42,7 +42,7 @@ def data_driven_laws():
     ways, names = list(CHANNELS), list(VARIABLES)
     meeting = {f"{ways[k % len(ways)]}|{names[k % len(names)]}" for k in range(max(len(ways), len(names)))}
     sampled = [law for law in WHOLE if law.name in meeting]
-    sampled += SWAYS[::173]
+    sampled += OSCILLATIONS[::173]
     several = [VARIABLES[name] for name in ("q2", "other q3", "time", "torque2", "payload", "azimuth")]
     sampled += pairs(CONTEXT, CHANNELS["tool y"], several)[::2]
     sampled += pairs(CONTEXT, CHANNELS["base shift"], [VARIABLES[name] for name in ("q1", "q5", "elevation")])
@@ -216,8 +216,8 @@ def test_data_driven_terms_have_names_of_their_own():
         for variable in VARIABLES:
             parts = [name for axis in "xyz" for name in named[f"{channel} {axis}|{variable}"]]
             assert named[f"{channel}|{variable}"] == parts
-    swaying = {column.name for law in SWAYS for column in EFFECTS["unknown"].columns(CONTEXT, law)}
-    assert not swaying & set(names)
+    oscillating = {column.name for law in OSCILLATIONS for column in EFFECTS["unknown"].columns(CONTEXT, law)}
+    assert not oscillating & set(names)
 
 
 @pytest.mark.parametrize("slug", [slug for slug in EFFECTS if slug != "unknown"])

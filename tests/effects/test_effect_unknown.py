@@ -167,7 +167,7 @@ def test_a_vector_is_its_three_directions_in_one_block(channel):
         np.testing.assert_array_equal(shifts(column), shifts(parts[name]))
 
 
-def test_a_sway_has_one_of_the_periods_that_the_run_resolves():
+def test_an_oscillation_has_one_of_the_periods_that_the_run_resolves():
     time = CONDITIONS.time_s
     run_s = time[-1] - time[0]
     laws = [law for law in dictionary(CONTEXT) if law.name == "tool|time" and "period_s" in law.constants]
@@ -325,7 +325,7 @@ def test_pairs_of_one_channel_are_of_all_variables_and_of_all_channels_of_joint_
 
 
 def test_a_curve_of_one_variable_can_be_found_again():
-    """A sag of |sin q5| and a 47 minute sway are fitted to 15 % of their size."""
+    """A sag of |sin q5| and an oscillation of 47 minutes are fitted to 15 % of their size."""
     context = context_of(300, seed=8)
     time_s: Any = context.conditions.time_s
     for channel, variable, truth in (
