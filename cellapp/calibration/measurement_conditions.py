@@ -39,7 +39,7 @@ def measurement_conditions(readings: Readings, other: tuple[ArmModel, Readings] 
             other_q[present] = theirs.q[match[present]]
     return MeasurementConditions(
         approach=approach,
-        step=_filled(readings.step, _steps(readings)),
+        step=_with_derived_steps(readings.step, _steps(readings)),
         dwell_s=readings.dwell_s,
         time_s=time_s,
         payload_kg=readings.payload_kg,
@@ -63,7 +63,7 @@ def conditions_of_arms(
     return found
 
 
-def _filled(logged: Array | None, derived: Array | None) -> Array | None:
+def _with_derived_steps(logged: Array | None, derived: Array | None) -> Array | None:
     """Logged steps, with derived ones in rows without a log (readings of a version that did not log steps)."""
     if logged is None or derived is None:
         return derived if logged is None else logged

@@ -2,7 +2,7 @@
 
     nominal    published chains; bases registered to the tracker
     method_1   identified geometry alone
-    method_2   geometry and a network trained in the tracker frame, its output wrongly added in the base frame
+    method_2   geometry and a network trained in the tracker frame; its output is added in the base frame: wrong
     proposed   geometry and a network in the base frame (Bai et al. 2023)
     effects    geometry and the named effects
 
@@ -115,7 +115,9 @@ def calibrate_pair(
         ]
     notes = []
     if len(learn) < profile.splits.pair_identify or len(held_out) < profile.splits.pair_validate:
-        notes.append(f"pair: {len(learn)} stops to identify and {len(held_out)} to validate are fewer than asked for")
+        notes.append(
+            f"pair: {len(learn)} stops to identify and {len(held_out)} to validate are fewer than the profile requires"
+        )
     both = (left, right)
     measured = np.linalg.norm(left.p_M - right.p_M, axis=1)
     models = [arm.model for arm in arms.values()]

@@ -1,4 +1,4 @@
-"""Readings of one arm for discovery: what effects may depend on, their columns, and the weights in use."""
+"""Readings of one arm for discovery, with measurement conditions, columns of effects, and weights."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from cellapp.run import Readings, stated_uncertainty
 class ArmData:
     """Readings of one arm, their measurement conditions, and the weights in use.
 
-    The parameter set is fixed once. Chosen anew in each joint refit, it could let redundant directions in through an
-    effect.
+    The parameter set is fixed once: if each joint refit selected it again, an effect could make redundant directions
+    appear identifiable.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class ArmData:
 
     @classmethod
     def of(cls, profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> ArmData:
-        """With the weights that the readings state."""
+        """Take the weights from the stated uncertainty, and select the geometric parameters."""
         geometry_only = replace(model, effects=(), network=None)
         found = identify(
             geometry_only.geometry,
@@ -69,7 +69,7 @@ class ArmData:
 
     @cached_property
     def context(self) -> EffectContext:
-        """What effects may depend on, at the geometry of ``model``."""
+        """Quantities that effects depend on, at the geometry of ``model``."""
         return replace(self.model.context(self.readings.q, conditions=self.conditions), q_actual=self.true_q)
 
     def at(self, model: ArmModel) -> ArmData:

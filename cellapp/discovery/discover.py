@@ -33,8 +33,8 @@ from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings
 
 _MOST_SEARCHED = 600
-"""Readings that are searched at most: the cost of a search grows with them, while effects of the noise's size show in
-some hundred. What is found is then fitted to all readings."""
+"""Largest number of readings to search: the cost grows with it, and some hundred readings show effects of the size of
+the noise. The accepted terms are then fitted to all readings."""
 _SUBSET_SEED = 0x5EA
 """Beside the profile's seed: the draw of these readings is then independent of all other draws."""
 
@@ -102,7 +102,7 @@ def discover_arm(
     *,
     conditions: MeasurementConditions | None = None,
 ) -> Discovery:
-    """Discover on all splits but ``validate``, and show the gap on that.
+    """Search the identify and train splits for effects, and evaluate the models on the validate split.
 
     ``conditions`` are those of ``readings``; the default is derived from the readings of this arm alone.
     """
@@ -110,7 +110,7 @@ def discover_arm(
     cancel = cancel or CancelToken()
     conditions = conditions or measurement_conditions(readings)
     held_out = HeldOut.of(readings, conditions)
-    found, fitted = _searched(profile, model, readings, conditions, cancel)
+    found, fitted = _search_and_refit(profile, model, readings, conditions, cancel)
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(found.fit.model)
     floor_mm = held_out.noise_floor_mm()
     accepted = _accepted_effects(found, held_out, after.rms)
@@ -140,10 +140,10 @@ def discover_arm(
     )
 
 
-def _searched(
+def _search_and_refit(
     profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions, cancel: CancelToken
 ) -> tuple[SearchResult, int | None]:
-    """The search among at most ``_MOST_SEARCHED`` readings; and the number that its outcome was then fitted to."""
+    """Search at most ``_MOST_SEARCHED`` readings, then fit to all; also the number of all readings if it is larger."""
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
     some = rows
     if len(rows) > _MOST_SEARCHED:

@@ -23,7 +23,7 @@ _STEP_WIDTHS = (0.1, 0.2, 0.4, 0.8)
 _PAIR_STEP_WIDTHS = (0.3, 0.6, 1.0, 1.6)
 """Widths of a smooth step of two angles [rad]."""
 _PAIR_FACTORS = ((1, 1), (1, -1), (1, 0.5), (0.5, 1), (1, -0.5), (0.5, -1), (2, 1), (1, 2))
-"""Factors of two variables in one argument: sums and differences as of coupled joints, and half and double ones."""
+"""Factors of two variables in one argument: sums and differences, as for coupled joints, with factors 1, 2 and 1/2."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Readings that the search does not see: the validate split, on which the gap between model and data is shown."""
+"""Held-out readings (the validate split), on which the error of a model is evaluated."""
 
 from __future__ import annotations
 

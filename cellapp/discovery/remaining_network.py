@@ -1,4 +1,4 @@
-"""Residual network beside the accepted effects: how much it still corrects, and a model for what stays unknown."""
+"""Residual network after discovery: size of its remaining correction, and a model of what has no name."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cellapp.results import BeforeAfter
 from cellapp.run import Readings
 
 _READINGS_A_FOLD = 2
-"""Readings that each fold of a network's training needs: with one there is no scatter to judge it by."""
+"""Readings that each fold of a network's training needs: one reading has no scatter."""
 
 
 def with_network(

@@ -50,7 +50,7 @@ class Backlash(Effect):
     variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
     forms = (CONSTANT, SATURATING)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
         return missing_for_lost_motion(context)
 
@@ -102,7 +102,7 @@ class FrictionWindup(Effect):
     )
     forms = (LOAD, BOTH)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
         return missing_for_lost_motion(context)
 

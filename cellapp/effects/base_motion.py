@@ -15,10 +15,10 @@ from cellapp.effects.time_functions import (
     ONSET_FORM,
     WARM_UP_FORM,
     after_onset,
-    linear,
     missing_for_onset,
     onset_laws,
-    span,
+    run_fraction,
+    run_span,
     times_known,
     warm_up,
     warm_up_laws,
@@ -55,7 +55,7 @@ class BaseDrift(Effect):
     variables = frozenset({DriverVariable.TIME})
     forms = (LINEAR_FORM, WARM_UP_FORM, QUADRATIC)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
         return "" if times_known(context) else "no times"
 
@@ -63,14 +63,14 @@ class BaseDrift(Effect):
         """Linear; warming up; quadratic."""
         if not times_known(context):
             return []
-        run = span(context)
+        run = run_span(context)
         return [LINEAR_FORM.law(run), *warm_up_laws(context), QUADRATIC.law(run)]
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Six columns, twelve for the quadratic law; the end of the run where the time is unknown."""
         if law.form == WARM_UP_FORM:
             return _twist(self.slug, context, warm_up(context, law))
-        along = linear(context, law)
+        along = run_fraction(context, law)
         columns = _twist(self.slug, context, along)
         if law.form == QUADRATIC:
             columns += _twist(self.slug, context, 4.0 * along * (1.0 - along), "_bow")
@@ -91,7 +91,7 @@ class BaseStep(Effect):
     variables = frozenset({DriverVariable.TIME})
     forms = (ONSET_FORM,)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
         return missing_for_onset(context)
 

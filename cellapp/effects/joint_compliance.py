@@ -52,7 +52,7 @@ class JointCompliance(Effect):
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
         return "" if np.abs(context.torques).max(initial=0.0) > _ROUNDING else "gravity turns no joint (no masses)"
 
@@ -106,7 +106,7 @@ class PayloadCompliance(Effect):
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs a payload that varies."""
         payload_kg = context.conditions.payload_kg
         if payload_kg is None or not np.isfinite(payload_kg).all():

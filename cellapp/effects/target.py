@@ -34,7 +34,7 @@ class TargetSlip(Effect):
     variables = frozenset({DriverVariable.TIME})
     forms = (ONSET_FORM,)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
         return missing_for_onset(context)
 
@@ -72,7 +72,7 @@ class TargetIncidence(Effect):
     variables = frozenset({DriverVariable.INCIDENCE})
     forms = (RADIAL, LATERAL)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs the SMR viewing direction."""
         return "the SMR viewing direction is not known" if context.smr_normal is None else ""
 

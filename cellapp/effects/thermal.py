@@ -16,13 +16,13 @@ from cellapp.effects.time_functions import (
     LINEAR_FORM,
     WARM_UP_FORM,
     WARM_UP_TIME,
-    filled,
     lagged,
-    linear,
-    span,
+    run_fraction,
+    run_span,
     times_known,
     warm_up,
     warm_up_laws,
+    with_default,
 )
 from cellapp.kinematics.transforms import Array
 
@@ -96,7 +96,7 @@ class ThermalGrowth(Effect):
     variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {DriverVariable.JOINT_ANGLE}
     forms = (AIR, AIR_LINKS, JOINTS, JOINTS_LINKS, CONDUCTION, CONDUCTION_LINKS, WARM_UP, WARM_UP_LINKS)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs temperatures or times."""
         conditions = context.conditions
         if varies(conditions.air_c) or varies(conditions.joints_c) or times_known(context):
@@ -215,7 +215,7 @@ class JointDrift(Effect):
     variables = _OF_TIME | _OF_AIR | _OF_JOINTS
     forms = (LINEAR_FORM, WARM_UP_FORM, ZERO_BY_TEMPERATURE)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs times or temperatures of the joints."""
         if times_known(context) or varies(context.conditions.joints_c):
             return ""
@@ -224,7 +224,7 @@ class JointDrift(Effect):
     def laws(self, context: EffectContext) -> list[Law]:
         """Those whose times or temperatures are known."""
         joints_c = context.conditions.joints_c
-        laws = [LINEAR_FORM.law(span(context)), *warm_up_laws(context)] if times_known(context) else []
+        laws = [LINEAR_FORM.law(run_span(context)), *warm_up_laws(context)] if times_known(context) else []
         if joints_c is not None and varies(joints_c):
             laws.append(ZERO_BY_TEMPERATURE.law(joint_means(joints_c)))
         return laws
@@ -235,7 +235,7 @@ class JointDrift(Effect):
         if law.form == ZERO_BY_TEMPERATURE:
             drifted, unit, largest = _above_mean_joints(context, law), "rad/K", _MOST_DRIFT_PER_KELVIN
         else:
-            along = linear(context, law) if law.form == LINEAR_FORM else warm_up(context, law)
+            along = run_fraction(context, law) if law.form == LINEAR_FORM else warm_up(context, law)
             drifted = np.tile(along[:, None], context.joints)
         return [joint_column(f"drift{j + 1}", unit, j, drifted[:, j], -largest, largest) for j in range(context.joints)]
 
@@ -253,13 +253,13 @@ def _means(context: EffectContext, law: Law) -> Array:
 def _above_mean_air(context: EffectContext, law: Law) -> Array:
     """Air temperature relative to the run's mean (n,) [K], 0 where unknown."""
     mean = law.constants[MEAN_AIR.name]
-    return filled(context.conditions.air_c, mean, len(context)) - mean
+    return with_default(context.conditions.air_c, mean, len(context)) - mean
 
 
 def _above_mean_joints(context: EffectContext, law: Law) -> Array:
     """Joint temperatures relative to their means of the run (n, N) [K], 0 where unknown."""
     means = _means(context, law)
-    return np.asarray(filled(context.conditions.joints_c, means, len(context)) - means)
+    return np.asarray(with_default(context.conditions.joints_c, means, len(context)) - means)
 
 
 def _at_links(joints: Array) -> Array:

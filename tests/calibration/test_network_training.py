@@ -111,7 +111,7 @@ def test_the_file_keeps_every_bit_and_needs_no_torch(trained):
     assert result.stdout.strip() == f"{training.network.correct(np.zeros((1, 6))).tolist()} False"
 
 
-def test_what_the_inputs_are():
+def test_network_inputs():
     q = np.array([[0.0, np.pi / 2.0], [1.0, -1.0]])
     low, high = q.min(axis=0), q.max(axis=0)
     np.testing.assert_allclose(network_inputs("sincos", low, high, q)[0], [1.0, 0.0, 0.0, 1.0], atol=1e-12)

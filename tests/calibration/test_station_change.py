@@ -1,4 +1,4 @@
-"""A station that changed half-way is noticed, and where; one that did not is not accused."""
+"""Detection of a moved station: found where it moved, no false alarm where it did not."""
 
 from __future__ import annotations
 

@@ -172,7 +172,7 @@ def test_every_effect_with_a_visible_size_is_named(plan, slug):
 
 
 @pytest.mark.parametrize("noise", [Noise("heavy"), Noise(repeatability=8e-6)], ids=["heavy tails", "repeatability"])
-def test_other_noise_than_stated_is_given_no_name(plan, noise):
+def test_noise_other_than_stated_is_not_named_as_an_effect(plan, noise):
     for seed in (31, 32):
         found = blind(plan, {}, seed, noise)
         assert names(found) == set()
@@ -188,7 +188,7 @@ def test_other_noise_than_stated_is_given_no_name(plan, noise):
         ("draught", "tracker azimuth", {"time"}),
     ],
 )
-def test_what_the_library_lacks_is_called_unknown_and_described(plan, slug, channel, variables):
+def test_an_effect_outside_the_library_is_called_unknown_and_described(plan, slug, channel, variables):
     found = blind(plan, {slug: drawn(slug, 5)}, seed=5)
     assert found.verdict == "unknown effect"
     assert names(found) == {"unknown"}

@@ -42,5 +42,5 @@ def test_an_oscillation_in_time_has_its_period() -> None:
     assert best.text == "c sin(2 pi time / 20 min + phase)"
 
 
-def test_what_does_not_vary_has_no_formula() -> None:
+def test_a_constant_variable_has_no_formula() -> None:
     assert formulas([Variable(Quantity.PAYLOAD)], [np.zeros(5)]) == []

@@ -130,7 +130,7 @@ def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path) -> 
         assert all(
             one == StopConditions() or one.via is None for stop in proposal.stops for one in stop.conditions.values()
         )
-        assert any("another load would tell" in advice for advice in proposal.advice)
+        assert any("another load would distinguish" in advice for advice in proposal.advice)
         seen = [answer for answer in proposal.predictions if answer.arm == "right"]
         assert seen, "where nothing was found the stops make the faintest effects more visible"
         assert all(answer.against == "" and answer.proposed > answer.random for answer in seen)

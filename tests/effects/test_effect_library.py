@@ -290,8 +290,8 @@ def test_the_independent_chain_agrees_with_the_arm():
     ],
 )
 def test_missing_data_are_reported(slug, conditions, words):
-    assert EFFECTS[slug].untestable(under(CONTEXT, conditions)) == words
-    assert EFFECTS[slug].untestable(CONTEXT) == ""
+    assert EFFECTS[slug].missing_data(under(CONTEXT, conditions)) == words
+    assert EFFECTS[slug].missing_data(CONTEXT) == ""
 
 
 def test_missing_properties_of_an_arm_are_reported():
@@ -300,21 +300,21 @@ def test_missing_properties_of_an_arm_are_reported():
         bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=0.0),
         conditions=NOTHING,
     )
-    assert EFFECTS["joint_compliance"].untestable(weightless) == "gravity turns no joint (no masses)"
-    assert EFFECTS["link_bending"].untestable(weightless) == "no masses"
-    assert EFFECTS["pedestal_compliance"].untestable(weightless) == "no masses"
+    assert EFFECTS["joint_compliance"].missing_data(weightless) == "gravity turns no joint (no masses)"
+    assert EFFECTS["link_bending"].missing_data(weightless) == "no masses"
+    assert EFFECTS["pedestal_compliance"].missing_data(weightless) == "no masses"
     blind = replace(CONTEXT, smr_normal=None)
-    assert EFFECTS["target_incidence"].untestable(blind) == "the SMR viewing direction is not known"
+    assert EFFECTS["target_incidence"].missing_data(blind) == "the SMR viewing direction is not known"
     always = ("encoder_eccentricity", "transmission_error", "joint_axis_wobble", "tracker_scale", "tracker_angle_error")
     for slug in (*always, "tracker_distance_offset"):
-        assert EFFECTS[slug].untestable(under(CONTEXT, NOTHING)) == ""
+        assert EFFECTS[slug].missing_data(under(CONTEXT, NOTHING)) == ""
 
 
 def test_few_readings_have_no_onset():
     few = rows_of(CONTEXT, np.arange(15))
-    assert EFFECTS["base_step"].untestable(few) == "fewer than 16 readings"
+    assert EFFECTS["base_step"].missing_data(few) == "fewer than 16 readings"
     assert EFFECTS["base_step"].laws(few) == []
-    assert EFFECTS["base_step"].untestable(rows_of(CONTEXT, np.arange(16))) == ""
+    assert EFFECTS["base_step"].missing_data(rows_of(CONTEXT, np.arange(16))) == ""
 
 
 def test_laws_follow_what_is_known():

@@ -132,7 +132,7 @@ def test_links_follow_their_joints_and_the_air_and_housings_grow():
 
 @pytest.mark.parametrize("name", ["conduction", "conduction_links"])
 def test_the_record_of_a_run_gives_link_temperatures_at_any_stop(name):
-    """Regardless of what the stops themselves know, and of the order of the record."""
+    """Independent of the conditions of the stops themselves, and of the order of the record."""
     law = laws("thermal_growth", name, RUN)[2]
     conditions, rows = RUN_CONDITIONS, np.array([41, 5, 20])
     mixed = np.random.default_rng(4).permutation(60)
@@ -187,7 +187,7 @@ TWISTS = {
 
 
 @pytest.mark.parametrize("way", TWISTS)
-def test_a_base_drifts_and_steps(way):
+def test_base_drift_and_step(way):
     twisted = each_row(TWISTS[way], RUN)
     time = RUN_CONDITIONS.time_s
     along = ((time - time[0]) / (time[-1] - time[0]))[:, None]

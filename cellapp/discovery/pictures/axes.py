@@ -1,4 +1,4 @@
-"""Horizontal axis of a term's picture: the variable that the term depends on most plainly, with its label and unit."""
+"""Horizontal axis of a term's picture: the main variable of the term, with its label and unit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Candidate stops of one arm: poses times approaches, the hypotheses they shall decide, and the design so far."""
+"""Candidate stops of one arm (poses times approaches), the hypotheses to decide, and the design so far."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def last_known(values: Array | None, m: int) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class ArmHypotheses:
-    """What further stops of one arm shall decide, the approaches that this needs, and how many poses fit in memory."""
+    """Hypotheses for further stops of one arm, the approaches that they need, and the largest number of poses."""
 
     run: RunConditions
     hypotheses: tuple[Hypothesis, ...]
@@ -237,7 +237,7 @@ class ArmCandidates:
         return poses.q[self.name][pose] - step if step.any() else None
 
     def stop_conditions(self, poses: CandidatePoses, pose: int, approach: int) -> StopConditions:
-        """What collection is asked for at a candidate."""
+        """Approach and dwell that the collection has to realise at a candidate."""
         return StopConditions(self.start_of_last_step(poses, pose, approach), float(self.approaches.dwells[approach]))
 
 

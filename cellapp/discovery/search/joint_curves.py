@@ -51,7 +51,7 @@ def with_joint_curves(problem: SearchProblem, state: SearchState) -> SearchState
 
 
 def _add_curves(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with the curves that its residual asks for."""
+    """Add curves to the joints whose residual needs them; None where no curve passes."""
     found = _curve_prior(problem, state.data, state.fit.terms)
     if found is None:
         return None
@@ -71,7 +71,7 @@ def _add_curves(problem: SearchProblem, state: SearchState) -> SearchState | Non
 def _curve_prior(
     problem: SearchProblem, data: ArmData, terms: tuple[ModelTerm, ...]
 ) -> tuple[CurvePrior, float] | None:
-    """Prior of the curves of the joints that need one, and its score; None where they do not pay."""
+    """Prior of the curves of the joints that need one, and its score; None if the evidence does not pass."""
     # in units of the stated uncertainty, as the noise of the curves is a factor on it
     fit = fit_terms(replace(data, sigma=data.stated), terms)
     residual = fit.projector.project(fit.residual)

@@ -1,6 +1,6 @@
 """Refining an effect that is in the model: another law of it, further joints, or sharp lines beside a free curve.
 
-Before a second effect is named, the law of the first is refined: what an imperfect law leaves over can look like
+The law of the first effect is refined before a second one is named: the residual of an imperfect law can look like
 another effect.
 """
 
