@@ -16,7 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cellapp.calibration.calibrate import calibrate_readings, missing_splits, provenance_of
-from cellapp.calibration.record import calibrate_result
+from cellapp.calibration.result import calibrate_result
 from cellapp.collection.cell import Cell
 from cellapp.collection.collect import collect_run
 from cellapp.collection.controllers import check_controllers
@@ -27,7 +27,7 @@ from cellapp.discovery.discover import discover_cell
 from cellapp.discovery.outcome import CellDiscovery
 from cellapp.discovery.proposal.candidate_poses import Effort
 from cellapp.discovery.propose import ProposedStop, propose_stops
-from cellapp.discovery.record import discover_result, proposal_result
+from cellapp.discovery.result import discover_result, proposal_result
 from cellapp.errors import InputError
 from cellapp.exports.geometry import geometry_export
 from cellapp.model import CellModel

@@ -12,7 +12,6 @@ from importlib.metadata import version
 import numpy as np
 
 import cellapp
-from cellapp.calibration.cooperative import PairCalibration, calibrate_pair
 from cellapp.calibration.evaluation import evaluate, repeatability
 from cellapp.calibration.identification import (
     Identification,
@@ -20,9 +19,10 @@ from cellapp.calibration.identification import (
     identify_with_excess,
     start_from_nominal,
 )
-from cellapp.calibration.residual import SHAPES, Shape, Training, train_network
+from cellapp.calibration.network_training import SHAPES, Shape, Training, train_network
+from cellapp.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.calibration.splits import draw_splits
-from cellapp.calibration.station import station_change
+from cellapp.calibration.station_change import station_change
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import Geometry, smr_positions
 from cellapp.kinematics.transforms import Array
@@ -58,7 +58,7 @@ class ArmCalibration:
         Rms length of the stated noise [mm].
     training : Training or None
         How the residual network was trained.
-    tracker_trained : ResidualNetwork or None
+    tracker_frame_network : ResidualNetwork or None
         The same network trained in the tracker frame, the counter-example of Bai et al. (2023).
     """
 
@@ -70,7 +70,7 @@ class ArmCalibration:
     repeatability: Repeatability | None
     tracker_mm: float | None
     training: Training | None = None
-    tracker_trained: ResidualNetwork | None = None
+    tracker_frame_network: ResidualNetwork | None = None
 
 
 @dataclass(frozen=True)
@@ -261,11 +261,11 @@ def train_arm(
     if training.network is None:
         return replace(arm, training=training)
     # the same layers, in a frame that does not rotate with joint 1: the tracker frame has no relation to that axis
-    in_tracker = train(left_M, (replace(training.shape, turning=False),)).network
+    in_tracker = train(left_M, (replace(training.shape, rotates_with_joint_1=False),)).network
     model = replace(arm.model, network=training.network)
     computed = model.predict(held_out.q, held_out.approach, held_out.payload_kg)
     stages: dict[Stage, StageErrors] = {**arm.validate, "network": evaluate(held_out.p_M, computed)}
-    return replace(arm, model=model, validate=stages, training=training, tracker_trained=in_tracker)
+    return replace(arm, model=model, validate=stages, training=training, tracker_frame_network=in_tracker)
 
 
 def rms_length_mm(sigma: Array) -> float:

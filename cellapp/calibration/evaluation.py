@@ -1,4 +1,4 @@
-"""Errors of a model on held-out readings: absolute, distance and cooperative."""
+"""Error statistics of a model on held-out readings: position errors, ISO 9283 distance errors, repeatability."""
 
 from __future__ import annotations
 
@@ -48,18 +48,13 @@ def position_errors(measured: Array, computed: Array) -> Array:
 
 
 def distance_errors(measured: Array, computed: Array) -> Array:
-    """ISO 9283 distance error of all pairs of points of one arm, ``|d_M - d_C|``, shape (n (n - 1) / 2,) [m]."""
-    return np.asarray(_all_distances(measured, computed)[np.triu_indices(len(measured), 1)])
-
-
-def _all_distances(measured: Array, computed: Array) -> Array:
-    """Distance error of every pair of points, shape (n, n) [m]."""
+    """ISO 9283 distance error ``|d_M - d_C|`` of every pair of points (n, 3) of one arm, shape (n, n) [m]."""
     return np.asarray(np.abs(cdist(measured, measured) - cdist(computed, computed)))
 
 
 def distance_summary(measured: Array, computed: Array) -> ErrorSummary:
     """Statistics of the distance errors of all pairs; the bootstrap resamples points, as pairs share points."""
-    errors = _all_distances(measured, computed)
+    errors = distance_errors(measured, computed)
     n = len(measured)
     weights = _resampled(n)
     total = np.einsum("sn,sn->s", weights @ errors, weights)

@@ -21,7 +21,7 @@ _FIRST_DAMPING = 1e-4
 _NO_DAMPING = 1e-6
 """Damping below this changes a step by less than a millionth, and is dropped."""
 _MOST_DAMPING = 1e8
-"""Steps so much shorter than a Gauss-Newton step change nothing: no descent direction is left."""
+"""Largest damping. Steps are then 1e-8 of a Gauss-Newton step: no descent direction is left."""
 _ROUNDING = 1e-9
 """A relative rise of the objective by less than this is rounding of its sum, not a worse fit."""
 _NEGLIGIBLE_STEP = 1e-7

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, Literal
+from functools import cached_property, partial
+from typing import Literal
 
 import numpy as np
 
@@ -43,6 +43,7 @@ SetName = Literal["auto", "paper", "full"]
 _EXCESS_ROUNDS = 6
 """Rounds of identification and excess variance; the variance settles to a percent in two or three."""
 _EXCESS_SETTLED = 0.01
+"""Relative change of the excess variance at which the rounds end: weights then change by less than 1 %."""
 _LEAST_WEIGHT = 1e-3
 """Points with a smaller robust weight do not count as degrees of freedom."""
 
@@ -227,13 +228,23 @@ def identify(
 
 
 def identify_with_excess(
-    start: Geometry, q: Array, p_M: Array, *, sigma: Array | None, **settings: Any
+    start: Geometry,
+    q: Array,
+    p_M: Array,
+    *,
+    sigma: Array | None,
+    parameter_set: SetName | ParameterSet = "auto",
+    prior_sigma: Mapping[str, float] | None = None,
+    robust: RobustName = "none",
+    tolerance: float = 1e-8,
+    max_iterations: int = 50,
 ) -> tuple[Identification, float]:
     """``identify`` with weights that include the scatter beyond the stated uncertainty.
 
     Unmodelled physics leaves residuals far above the uncertainty of the tracker. Weights from the tracker's uncertainty
     alone would then let the few readings with the smallest one dominate. The excess variance is estimated from the
-    residuals, added to the stated one, and the identification repeated until it settles.
+    residuals, added to the stated one, and the identification repeated until it settles. Arguments are those of
+    ``identify``; the mean of the priors is ``start``.
 
     Returns
     -------
@@ -242,19 +253,27 @@ def identify_with_excess(
     excess : float
         Excess standard deviation of a coordinate [m].
     """
-    settings = {"prior_mean": start, **settings}
-    found = identify(start, q, p_M, sigma=sigma, **settings)
+    fit = partial(
+        identify,
+        q=q,
+        p_M=p_M,
+        prior_sigma=prior_sigma,
+        prior_mean=start,
+        robust=robust,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+    )
+    found = fit(start, sigma=sigma, parameter_set=parameter_set)
     if sigma is None:
         return found, 0.0
     tau_squared = 0.0
-    settings["parameter_set"] = found.parameter_set
     for _ in range(_EXCESS_ROUNDS):
         before = tau_squared
         tau_squared = excess_variance(found.residuals, sigma, found.degrees_of_freedom)
         if abs(tau_squared - before) <= _EXCESS_SETTLED * tau_squared:
             break
         earlier = found
-        found = identify(earlier.geometry, q, p_M, sigma=with_excess(sigma, tau_squared), **settings)
+        found = fit(earlier.geometry, sigma=with_excess(sigma, tau_squared), parameter_set=earlier.parameter_set)
         found = replace(found, iterations=earlier.iterations + found.iterations, steps=(*earlier.steps, *found.steps))
     return found, math.sqrt(tau_squared)
 

@@ -1,7 +1,7 @@
 """Solving with symmetric positive semi-definite matrices: Cholesky where that is accurate, else truncated eigenvalues.
 
 Least squares with columns ``X`` (d, p) and prior precisions ``P`` needs ``G = X^T X + P``. Redundant parameters make G
-singular. One policy decides in every module:
+singular. All modules use this rule:
 
 1. Factor ``G = L L^T``. ``L_ii^2 / G_ii`` is the share of column i that columns 1 to i - 1 do not explain (the
    *tolerance* of regression, the inverse of the variance inflation factor). It does not depend on the columns' units.

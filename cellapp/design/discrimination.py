@@ -27,11 +27,11 @@ _RIDGE = 1e-11
 """Added to the diagonal of the scaled normal matrix (unit columns): makes directions that the run does not determine
 nearly free, with an inverse accurate to five digits."""
 HOPELESS = 0.02
-"""A comparison is left aside while all remaining stops together would add less than this share of the lambda it needs:
-stops spent on it would be lost for the others."""
+"""A comparison is ignored while all remaining stops together would add less than this share of the lambda it needs:
+stops for it would be lost to the others."""
 _MAXIMIN_POWER = 3.0
-"""Weight (lambda / least lambda)^-power of each comparison: at 3 a comparison twice as far along counts an eighth, so
-that the worst one leads as in a maximin design, but ties are still broken by the others."""
+"""Weight (lambda / least lambda)^-power of each comparison: at 3, twice the lambda (relative to its need) has an
+eighth of the weight. The worst one dominates, as in a maximin design; the others break ties."""
 _LAMBDA_OFFSET = 1e-3
 """Added to lambda over its need before that ratio is taken, as lambda is zero where nothing discriminates yet."""
 
@@ -85,7 +85,7 @@ class Discrimination:
         signals = self.candidate_signals[:, chosen].reshape(len(self.run_signals), -1)
         moment = scaled.run @ self.run_signals.T + columns @ signals.T
         eta = cho_solve(cho_factor(scaled.gram + columns @ columns.T, lower=True), moment)
-        # by the residual: the difference of two large squares would lose it
+        # from the residual: the difference of two large sums of squares would lose precision
         left = float(np.sum((self.run_signals - eta.T @ scaled.run) ** 2) + np.sum((signals - eta.T @ columns) ** 2))
         return (left + float(np.einsum("pk,p,pk->", eta, scaled.prior, eta))) / len(self.run_signals)
 
@@ -157,7 +157,7 @@ def joint_gains(designs: Sequence[SequentialDesign], needed: Sequence[float], st
     needed : sequence of float
         Lambda that each needs.
     stops_left : int
-        Stops still to be chosen: comparisons that these cannot bring on are left aside.
+        Stops still to be chosen: comparisons that these cannot decide are ignored.
     """
     gains = [design.gains() / need for design, need in zip(designs, needed, strict=True)]
     reached = [design.noncentrality / need for design, need in zip(designs, needed, strict=True)]

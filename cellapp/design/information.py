@@ -22,8 +22,8 @@ from cellapp.calibration.linear import orthonormal_basis
 from cellapp.kinematics.transforms import Array
 
 VISIBLE = 1e-3
-"""Least share, in norm, of a direction that the nuisance parameters must leave for it to count as visible. Geometry
-errors of 0.1 mm to 1 mm explain the rest; what is left of it, below 1 um, is less than a laser tracker resolves."""
+"""Least share (in norm) of a direction that the nuisance parameters must leave for it to count as visible. If geometry
+errors of 0.1 mm to 1 mm explain the rest, the visible part is below 1 um: a laser tracker does not resolve it."""
 SMALLEST = 1e-300
 """Guards divisions by a norm of zero; far below any datum, above the smallest float."""
 

@@ -1,4 +1,4 @@
-"""Does a term predict readings that were left out of the fit? K-fold cross-validation, linear about a joint fit.
+"""K-fold cross-validation of a new term on left-out readings, linear about a joint fit.
 
 Each fold is predicted by the least-squares solution of the others (with priors),
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cellapp.calibration.linear import solve_psd
 from cellapp.design.information import SMALLEST
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.kinematics.transforms import Array
 

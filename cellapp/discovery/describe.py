@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import CandidateLaw
-from cellapp.discovery.data import ArmData
 from cellapp.discovery.formulas import formulas
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.search.scan import LawScan
@@ -26,7 +26,7 @@ _AS_GOOD = 0.95
 
 @dataclass(frozen=True)
 class Description:
-    """Description of an effect that has no name.
+    """Description of a data-driven term.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Description:
     variables : tuple of str
         What it depends on.
     size_um : float
-        Rms displacement of the SMR, without what the geometry can follow.
+        Rms displacement of the SMR, without the part that the other parameters can explain [um].
     formula : str
         Short formula; empty where none explains the effect as well as the curve.
     gain : float, optional
@@ -70,9 +70,9 @@ def describe(data: ArmData, fit: JointFit, number: int) -> Description:
 
 
 def _visible_rms(fit: JointFit, number: int) -> float:
-    """Rms displacement [m] by a term, without what all else in the model can follow.
+    """Rms displacement [m] by a term, without the part that the other parameters of the model can explain.
 
-    A slow drift could hold any amount of what the base pose takes back.
+    That part is arbitrary: a shift of the base pose cancels a constant in a slow drift.
     """
     visible = fit.residual_without(number).projector.project(fit.signal(number)).reshape(3, -1)
     moved = np.linalg.solve(fit.white.transpose(2, 0, 1), visible.T[:, :, None])[..., 0]

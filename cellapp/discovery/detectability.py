@@ -1,4 +1,4 @@
-"""Which effects these data cannot show at all, and from which size on they would have shown the others."""
+"""Detectability: effects that these data cannot show, and the smallest size at which they would show the others."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cellapp.results import AbsentEffect, SmallestSize
 
 _BARELY_VISIBLE = 0.03
 """Visible share below which an effect is reported as invisible under this plan: it would need to be 30 times as large
-as one that geometry cannot follow."""
+as one that the geometry cannot imitate."""
 _MOST_SIZES = 40
 """Parameters of one effect whose smallest sizes are reported: all joints and axes, but not hundreds of lines."""
 
@@ -36,9 +36,9 @@ class _Detectable:
 def detectability(
     found: SearchResult, accepted: Iterable[str]
 ) -> tuple[tuple[AbsentEffect, ...], tuple[AbsentEffect, ...]]:
-    """Effects that the data cannot show, and those that they could have shown and did not, with their smallest sizes.
+    """Effects that the data cannot show, and effects that were not found, with their smallest detectable sizes.
 
-    Those that were ``accepted`` are left out.
+    ``accepted`` effects are left out.
     """
     others = [slug for slug in EFFECTS if slug not in set(accepted) and slug != UNKNOWN]
     scan, white = found.scan, found.geometry_only.white
@@ -49,7 +49,7 @@ def detectability(
     invisible: list[AbsentEffect] = []
     not_found: list[AbsentEffect] = []
     for slug in others:
-        if lacking := EFFECTS[slug].untestable(found.data.context):
+        if lacking := EFFECTS[slug].missing_data(found.data.context):
             invisible.append(AbsentEffect(effect=slug, reason=f"not testable: {lacking}"))
             continue
         one = _detectable(scan, slug, found.threshold)

@@ -10,31 +10,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.calibration.circumstances import circumstances, circumstances_of_arms
-from cellapp.calibration.cooperative import calibrate_pair
-from cellapp.discovery.data import ArmData
+from cellapp.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
+from cellapp.calibration.pair_calibration import calibrate_pair
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.describe import describe
 from cellapp.discovery.detectability import detectability
 from cellapp.discovery.held_out import HeldOut
 from cellapp.discovery.joint_fit import JointFit, fit_terms
 from cellapp.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
 from cellapp.discovery.pictures.cycles import dominant_cycles
-from cellapp.discovery.pictures.of_terms import pictures
+from cellapp.discovery.pictures.term_pictures import pictures
 from cellapp.discovery.remaining_network import with_network
 from cellapp.discovery.search.comparison import scatter
 from cellapp.discovery.search.state import SearchResult
 from cellapp.discovery.search.stepwise import refit_to_all, search
 from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, without_term
 from cellapp.discovery.verdict import verdict
-from cellapp.effects import EFFECTS, Circumstances
+from cellapp.effects import EFFECTS, MeasurementConditions
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.run import Readings
 
 _MOST_SEARCHED = 600
-"""Readings that are searched at most: the cost of a search grows with them, while effects of the noise's size show in
-some hundred. What is found is then fitted to all readings."""
+"""Largest number of readings to search: the cost grows with it, and some hundred readings show effects of the size of
+the noise. The accepted terms are then fitted to all readings."""
 _SUBSET_SEED = 0x5EA
 """Beside the profile's seed: the draw of these readings is then independent of all other draws."""
 
@@ -44,7 +44,7 @@ class _PairArm:
     """An arm for the calibration of the pair after discovery."""
 
     model: ArmModel
-    tracker_trained: None = None
+    tracker_frame_network: None = None
 
 
 def discover_cell(
@@ -74,18 +74,20 @@ def discover_cell(
 def _discover_arms(
     profile: Profile, model: CellModel, readings: Mapping[str, Readings], listener: Listener, cancel: CancelToken
 ) -> dict[str, Discovery]:
-    known = circumstances_of_arms(model.arms, readings)
+    conditions = conditions_of_arms(model.arms, readings)
     found: dict[str, Discovery] = {}
     for done, (name, arm) in enumerate(model.arms.items()):
         listener(Progress("discover", done, len(model.arms), f"arm {name}"))
         cancel.check()
-        found[name] = discover_arm(profile, name, arm, readings[name], cancel, known=known[name])
+        found[name] = discover_arm(profile, name, arm, readings[name], cancel, conditions=conditions[name])
     if profile.network.kind != "mlp":
         return found
     listener(Progress("discover", len(model.arms), len(model.arms), "residual networks beside the effects"))
     with ThreadPoolExecutor(max_workers=2) as pool:  # torch works outside the interpreter lock
         tasks = {
-            name: pool.submit(with_network, profile, model.arms[name], discovery, readings[name], known[name], cancel)
+            name: pool.submit(
+                with_network, profile, model.arms[name], discovery, readings[name], conditions[name], cancel
+            )
             for name, discovery in found.items()
         }
         return {name: task.result() for name, task in tasks.items()}
@@ -98,17 +100,17 @@ def discover_arm(
     readings: Readings,
     cancel: CancelToken | None = None,
     *,
-    known: Circumstances | None = None,
+    conditions: MeasurementConditions | None = None,
 ) -> Discovery:
-    """Discover on all splits but ``validate``, and show the gap on that.
+    """Search the identify and train splits for effects, and evaluate the models on the validate split.
 
-    ``known`` are the circumstances of the stops; without, those that the arm's own readings state.
+    ``conditions`` are those of ``readings``; the default is derived from the readings of this arm alone.
     """
     started = time.perf_counter()
     cancel = cancel or CancelToken()
-    known = known or circumstances(readings)
-    held_out = HeldOut.of(readings, known)
-    found, fitted = _searched(profile, model, readings, known, cancel)
+    conditions = conditions or measurement_conditions(readings)
+    held_out = HeldOut.of(readings, conditions)
+    found, fitted = _search_and_refit(profile, model, readings, conditions, cancel)
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(found.fit.model)
     floor_mm = held_out.noise_floor_mm()
     accepted = _accepted_effects(found, held_out, after.rms)
@@ -138,20 +140,20 @@ def discover_arm(
     )
 
 
-def _searched(
-    profile: Profile, model: ArmModel, readings: Readings, known: Circumstances, cancel: CancelToken
+def _search_and_refit(
+    profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions, cancel: CancelToken
 ) -> tuple[SearchResult, int | None]:
-    """The search among at most ``_MOST_SEARCHED`` readings; and the number that its outcome was then fitted to."""
+    """Search at most ``_MOST_SEARCHED`` readings, then fit to all; also the number of all readings if it is larger."""
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
     some = rows
     if len(rows) > _MOST_SEARCHED:
         generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
         some = np.sort(generator.permutation(rows)[:_MOST_SEARCHED])
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
-    found = search(ArmData.of(profile, model, readings.take(some), known.take(some)), slugs, cancel)
+    found = search(ArmData.of(profile, model, readings.take(some), conditions.take(some)), slugs, cancel)
     if len(some) == len(rows) or not found.fit.terms:
         return found, None
-    return refit_to_all(found, ArmData.of(profile, model, readings.take(rows), known.take(rows))), len(rows)
+    return refit_to_all(found, ArmData.of(profile, model, readings.take(rows), conditions.take(rows))), len(rows)
 
 
 def _gap_steps(

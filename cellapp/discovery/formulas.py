@@ -11,7 +11,7 @@ from cellapp.effects.data_driven import Quantity, Variable
 from cellapp.kinematics.transforms import Array
 
 _PERIOD_COUNTS = np.arange(0.5, 24.25, 0.25)
-"""Numbers of periods of a sway in the run, in quarters: finer than a run of few periods resolves."""
+"""Numbers of periods of an oscillation in the run, in steps of a quarter: finer than a run of few periods resolves."""
 _DECAY_SHARES = (0.05, 0.1, 0.2, 0.4, 0.8)
 """Time constants of a decay as shares of the run: below, too few stops are in it; above, it is a straight line."""
 _HARMONICS = 8
@@ -23,7 +23,7 @@ _STEP_WIDTHS = (0.1, 0.2, 0.4, 0.8)
 _PAIR_STEP_WIDTHS = (0.3, 0.6, 1.0, 1.6)
 """Widths of a smooth step of two angles [rad]."""
 _PAIR_FACTORS = ((1, 1), (1, -1), (1, 0.5), (0.5, 1), (1, -0.5), (0.5, -1), (2, 1), (1, 2))
-"""Factors of two variables in one argument: sums and differences as of coupled joints, and half and double ones."""
+"""Factors of two variables in one argument: sums and differences, as for coupled joints, with factors 1, 2 and 1/2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ def formulas(variables: Sequence[Variable], values: Sequence[Array]) -> list[For
 
 
 def _of_time(t: Array) -> Iterator[Formula]:
-    """Sways and decays."""
+    """Oscillations and decays."""
     run_s = float(np.ptp(t)) or 1.0
     for count in _PERIOD_COUNTS:
         period = run_s / float(count)

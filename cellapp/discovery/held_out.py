@@ -1,4 +1,4 @@
-"""Readings that the search does not see: the validate split, on which the gap between model and data is shown."""
+"""Held-out readings (the validate split), on which the error of a model is evaluated."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from cellapp.calibration.calibrate import rms_length_mm
 from cellapp.calibration.evaluation import evaluate, position_errors
-from cellapp.effects import Circumstances
+from cellapp.effects import MeasurementConditions
 from cellapp.model import ArmModel
 from cellapp.results import HeldOutPosition, PredictedUncertainty, StageErrors
 from cellapp.run import Readings, stated_uncertainty
@@ -17,16 +17,16 @@ from cellapp.run import Readings, stated_uncertainty
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Held-out readings of one arm and the circumstances of their stops."""
+    """Held-out readings of one arm and their measurement conditions."""
 
     readings: Readings
-    known: Circumstances
+    conditions: MeasurementConditions
 
     @classmethod
-    def of(cls, readings: Readings, known: Circumstances) -> HeldOut:
+    def of(cls, readings: Readings, conditions: MeasurementConditions) -> HeldOut:
         """The validate split."""
         rows = readings.in_split("validate")
-        return cls(readings.take(rows), known.take(rows))
+        return cls(readings.take(rows), conditions.take(rows))
 
     def __len__(self) -> int:
         return len(self.readings)
@@ -37,7 +37,7 @@ class HeldOut:
 
     def position_mm(self, model: ArmModel) -> HeldOutPosition:
         """Statistics of the position error of a model."""
-        computed = model.predict(self.readings.q, known=self.known)
+        computed = model.predict(self.readings.q, conditions=self.conditions)
         errors = position_errors(self.readings.p_M, computed) * 1e3
         return HeldOutPosition(
             mean=float(errors.mean()),
@@ -48,7 +48,7 @@ class HeldOut:
 
     def evaluate(self, model: ArmModel) -> StageErrors:
         """Position and distance errors of a model."""
-        return evaluate(self.readings.p_M, model.predict(self.readings.q, known=self.known))
+        return evaluate(self.readings.p_M, model.predict(self.readings.q, conditions=self.conditions))
 
     def noise_floor_mm(self) -> float:
         """Rms length of the stated noise; NaN where the readings state none."""

@@ -1,4 +1,4 @@
-"""Joint fit of geometry and effect terms, linearised there for everything that is compared with it.
+"""Joint fit of geometry and effect terms, and its linearisation.
 
 With W the whitening, the rows of the design are W [J, A]: derivatives of the SMR position by the geometric parameters
 and by those of the terms. The residual y and these rows define the linear models of scan, review and proposals.
@@ -13,14 +13,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.calibration.curves import MAX_CYCLES, curve_standard_deviation
+from cellapp.calibration.curve_prior import MAX_CYCLES, curve_standard_deviation
 from cellapp.calibration.identification import Identification, identify
 from cellapp.calibration.normal_equations import EffectColumns
 from cellapp.calibration.weights import excess_variance, with_excess
 from cellapp.design.information import NuisanceProjector
+from cellapp.discovery.arm_data import ArmData, whitening
 from cellapp.discovery.candidates import CandidateLaw, whitened_displacements
-from cellapp.discovery.data import ArmData, whitening
-from cellapp.discovery.residual import ProjectedResidual
+from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.terms import ModelTerms, TermLayout, curve_prior_of, prior_sd
 from cellapp.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
@@ -35,8 +35,8 @@ _EXCESS_CHANGE = 0.02
 _CURVE_POINTS = 180
 """Points of a curve's standard deviation over a turn: one in 2 degrees, below the shortest period (3.6)."""
 _BOUND_ERRORS = 4.0
-"""Standard errors by which a value may pass its physical bound: chance does so in one of 30 000 cases, and the value
-of a joint that hardly feels an effect may well come out negative."""
+"""Standard errors by which a value may exceed its physical bound: chance does so in one of 30 000 cases. The estimate
+of a joint that an effect hardly loads is often negative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class JointFit:
     by_joint : array, shape (3, N, n)
         Whitened derivatives of the SMR position by the joints.
     rows : array, shape (p, 3 n)
-        Whitened derivatives by all that was fitted.
+        Whitened derivatives with respect to all fitted parameters.
     precision : array, shape (p,)
         Prior precisions, zero without a prior.
     residual : array, shape (3 n,)
@@ -80,7 +80,7 @@ class JointFit:
 
     @cached_property
     def projector(self) -> NuisanceProjector:
-        """Onto the complement of all that was fitted."""
+        """Projector onto the complement of all fitted parameters."""
         return NuisanceProjector.of(self.rows, self.precision)
 
     @cached_property
@@ -89,7 +89,7 @@ class JointFit:
         return ProjectedResidual(self.projector, self.residual)
 
     def residual_without(self, term: int) -> ProjectedResidual:
-        """What a model without one term would leave, in the complement of that model's parameters."""
+        """Residual of the model without one term, in the complement of that model's parameters."""
         if term not in self._behind:
             kept = self.layout.all_but(term)
             projector = NuisanceProjector.of(self.rows[kept], self.precision[kept])
@@ -97,7 +97,7 @@ class JointFit:
         return self._behind[term]
 
     def removed_square(self, term: int) -> float:
-        """Sum of squares of what a term alone explains: its signal in the complement of all else."""
+        """Sum of squares that only this term explains: its signal in the complement of all other parameters."""
         return float(np.sum(self.residual_without(term).projector.project(self.signal(term)) ** 2))
 
     def term_rows(self, term: int) -> Array:
@@ -113,12 +113,12 @@ class JointFit:
         return self.columns[self.layout.columns(term)]
 
     def signal(self, term: int) -> Array:
-        """What a term predicts, whitened (3 n,)."""
+        """Displacement that a term predicts, whitened (3 n,)."""
         return np.asarray(self.term_values(term) @ self.term_rows(term))
 
     @cached_property
     def target(self) -> Array:
-        """Residual plus what terms with priors predict, whitened (3 n,): what linear refits with these priors fit."""
+        """Residual plus prediction of the terms with priors, whitened (3 n,): data of linear refits with priors."""
         first = self.layout.geometric
         with_prior = np.flatnonzero(self.precision[first:] > 0.0)
         if not len(with_prior):
@@ -133,7 +133,7 @@ class JointFit:
 
     def candidates(self, data: ArmData, slugs: Sequence[str]) -> list[CandidateLaw]:
         """All laws of some effects that the data allow to test."""
-        testable = [slug for slug in slugs if not EFFECTS[slug].untestable(data.context)]
+        testable = [slug for slug in slugs if not EFFECTS[slug].missing_data(data.context)]
         return [self.candidate(data, slug, law) for slug in testable for law in EFFECTS[slug].laws(data.context)]
 
     def displacements(self, columns: Sequence[EffectColumn]) -> Array:
@@ -184,9 +184,9 @@ def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
 
 
 def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
-    """The data with weights that include what a model with ``terms`` leaves beyond the stated uncertainty.
+    """Return the data with weights that include the excess scatter of a model with ``terms``.
 
-    Free curves bring a noise of their own, which the evidence of their prior found.
+    With free curves the noise is the one that maximised the evidence of their prior.
     """
     if data.stated is None:
         return data
@@ -268,10 +268,10 @@ def _precision(
     """Prior precisions (p,) of all that was fitted; those of the geometry only beside a stated uncertainty."""
     precision = np.zeros(layout.total)
     if data.sigma is not None:
-        beliefs = prior_sigmas(data.model.nominal, data.profile.calibration.priors)
+        prior_sd_by_name = prior_sigmas(data.model.nominal, data.profile.calibration.priors)
         for row, name in enumerate(found.names[: layout.geometric]):
-            if name in beliefs:
-                precision[row] = 1.0 / beliefs[name] ** 2
+            if name in prior_sd_by_name:
+                precision[row] = 1.0 / prior_sd_by_name[name] ** 2
     sd = prior_sd(terms, columns)
     if sd is not None:
         precision[layout.geometric :] = 1.0 / sd**2

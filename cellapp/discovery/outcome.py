@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from cellapp.calibration.cooperative import PairCalibration
+from cellapp.calibration.pair_calibration import PairCalibration
 from cellapp.discovery.describe import Description
 from cellapp.discovery.pictures.picture import Picture
 from cellapp.discovery.search.state import Rival

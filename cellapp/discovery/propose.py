@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.calibration.circumstances import circumstances_of_arms
+from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.proposal.arm_candidates import ArmCandidates, ArmHypotheses
 from cellapp.discovery.proposal.candidate_poses import Effort, candidate_poses
@@ -76,9 +76,9 @@ def propose_stops(
     rng = np.random.default_rng([profile.seed, _PROPOSAL_SEED, max(len(arm) for arm in readings.values())])
     listener(Progress("propose", 0, count, "candidates"))
     poses, notes = candidate_poses(profile, readings, effort, rng, cancel)
-    known = circumstances_of_arms(model.arms, readings)
+    conditions = conditions_of_arms(model.arms, readings)
     hypotheses = [
-        ArmHypotheses.of(profile, name, model, readings[name], known[name], found[name], poses, count, effort, rng)
+        ArmHypotheses.of(profile, name, model, readings[name], conditions[name], found[name], poses, count, effort, rng)
         for name in model.arms
     ]
     if not any(arm.hypotheses for arm in hypotheses):

@@ -1,4 +1,4 @@
-"""Residual network beside the accepted effects: how much it still corrects, and a model for what stays unknown."""
+"""Residual network after discovery: size of its remaining correction, and a model of what has no name."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.calibration.residual import train_network
+from cellapp.calibration.network_training import train_network
 from cellapp.discovery.held_out import HeldOut
 from cellapp.discovery.outcome import Discovery, GapStep
-from cellapp.effects import Circumstances
+from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, ResidualNetwork
 from cellapp.profile import Profile
@@ -18,7 +18,7 @@ from cellapp.results import BeforeAfter
 from cellapp.run import Readings
 
 _READINGS_A_FOLD = 2
-"""Readings that each fold of a network's training needs: with one there is no scatter to judge it by."""
+"""Readings that each fold of a network's training needs: one reading has no scatter."""
 
 
 def with_network(
@@ -26,18 +26,18 @@ def with_network(
     calibrated: ArmModel,
     discovery: Discovery,
     readings: Readings,
-    known: Circumstances,
+    conditions: MeasurementConditions,
     cancel: CancelToken,
 ) -> Discovery:
     """The outcome with the corrections of a network before and after the accepted effects.
 
     The network joins the model only where an effect stays unknown and it makes held-out errors smaller.
     """
-    held_out = HeldOut.of(readings, known)
+    held_out = HeldOut.of(readings, conditions)
     network = discovery.model.network
     if discovery.accepted:
         rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
-        network = _train(profile, discovery.model, readings.take(rows), known.take(rows), cancel)
+        network = _train(profile, discovery.model, readings.take(rows), conditions.take(rows), cancel)
     q = held_out.readings.q
     corrections = BeforeAfter(before=_correction_mm(calibrated.network, q), after=_correction_mm(network, q))
     discovery = replace(discovery, network_mm=corrections)
@@ -57,12 +57,12 @@ def with_network(
 
 
 def _train(
-    profile: Profile, model: ArmModel, readings: Readings, known: Circumstances, cancel: CancelToken
+    profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions, cancel: CancelToken
 ) -> ResidualNetwork | None:
     """A network for the residuals of ``model``; None where it does not predict left-out readings better than none."""
     if len(readings) < _READINGS_A_FOLD * profile.network.folds:
         return None
-    residual_M = readings.p_M - model.predict(readings.q, known=known)
+    residual_M = readings.p_M - model.predict(readings.q, conditions=conditions)
     return train_network(
         readings.q,
         residual_M @ model.geometry.T_M_B()[:3, :3],

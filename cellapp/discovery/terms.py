@@ -10,7 +10,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.calibration.curves import MAX_CYCLES, CurvePrior, spectrum_variances
+from cellapp.calibration.curve_prior import MAX_CYCLES, CurvePrior, spectrum_variances
 from cellapp.effects import EffectColumn, Law
 from cellapp.kinematics.transforms import Array
 

@@ -41,11 +41,11 @@ def verdict(
     closed = _gap_closed(floor_mm, after_mm, held_out, scatter)
     if not closed and (accepted or scatter.ratio > _UNSTRUCTURED):
         found = f"{names} found{' (or a look-alike)' if ambiguous else ''}, but " if accepted else ""
-        return "unknown effect", f"{found}more is missing than the library knows; {gap}"
+        return "unknown effect", f"{found}the library does not explain all of the error; {gap}"
     if not accepted:
         return "nothing missing", gap if closed else f"{_unstructured(scatter)}; {gap}"
     if ambiguous:
-        return "ambiguous", f"{names}, or {_rivals(ambiguous)}: these data do not tell them apart; {gap}"
+        return "ambiguous", f"{names}, or {_rivals(ambiguous)}: these data cannot distinguish them; {gap}"
     return "explained", f"{names}; {gap}"
 
 

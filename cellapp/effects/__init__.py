@@ -1,7 +1,7 @@
 """The library of physical effects. A new effect is one file and one line in ``registry``."""
 
 from cellapp.effects.column import Channel, EffectColumn, Wave, joint_column, shift_column
-from cellapp.effects.context import Circumstances, EffectContext, TemperatureRecord, varies
+from cellapp.effects.context import EffectContext, MeasurementConditions, TemperatureRecord, varies
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import (
     FIXED,
@@ -21,7 +21,6 @@ __all__ = [
     "FIXED",
     "SCALED",
     "Channel",
-    "Circumstances",
     "Constant",
     "Displacement",
     "DriverVariable",
@@ -31,6 +30,7 @@ __all__ = [
     "EffectTerm",
     "Law",
     "LawForm",
+    "MeasurementConditions",
     "NeighbouringPauses",
     "Scaled",
     "TemperatureRecord",

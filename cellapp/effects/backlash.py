@@ -50,13 +50,13 @@ class Backlash(Effect):
     variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
     forms = (CONSTANT, SATURATING)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
-        return no_reversal(context)
+        return missing_for_lost_motion(context)
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Constant; saturating where steps are known."""
-        if not varies(context.known.step):
+        if not varies(context.conditions.step):
             return [CONSTANT.law()]
         medians = np.median(np.abs(context.step), axis=0).tolist()
         typical = {TYPICAL_STEP.key(j): size for j, size in enumerate(medians)}
@@ -73,7 +73,7 @@ class Backlash(Effect):
 def _step_sizes(context: EffectContext, law: Law) -> Array:
     """Size of each joint's last step (n, N) [rad]; the run's median where unknown."""
     typical = np.array([law.constants.get(TYPICAL_STEP.key(j), np.inf) for j in range(context.joints)])
-    step = context.known.step
+    step = context.conditions.step
     if step is None:
         return np.broadcast_to(typical, context.q.shape)
     return np.where(np.isnan(step), typical, np.abs(step))
@@ -102,9 +102,9 @@ class FrictionWindup(Effect):
     )
     forms = (LOAD, BOTH)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
-        return no_reversal(context)
+        return missing_for_lost_motion(context)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint, or two; zero where the side of approach is unknown."""
@@ -117,8 +117,8 @@ class FrictionWindup(Effect):
         return columns
 
 
-def no_reversal(context: EffectContext) -> str:
-    """Why lost motion cannot be seen; empty when some joint was approached from both sides."""
+def missing_for_lost_motion(context: EffectContext) -> str:
+    """What the readings lack to show lost motion; empty if some joint was approached from both sides."""
     if not context.approach.any():
         return "no approach signs"
     both = (context.approach > 0.0).any(axis=0) & (context.approach < 0.0).any(axis=0)

@@ -1,4 +1,4 @@
-"""The quantities that effects depend on: what is known about each stop, and what follows from the arm model."""
+"""The quantities that effects depend on: the conditions of each reading, and what follows from the arm model."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class TemperatureRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Circumstances:
-    """Logged quantities of n stops besides the joint positions; None, or NaN in a row, where unknown.
+class MeasurementConditions:
+    """Conditions of n readings besides the joint positions; None, or NaN in a row, where unknown.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Circumstances:
     other_q: Array | None = None
     record: TemperatureRecord | None = None
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Circumstances:
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> MeasurementConditions:
         """Select some of the stops; the temperature record stays whole."""
         taken: dict[str, Any] = {k: v[rows] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         return replace(self, **taken)
@@ -74,7 +74,7 @@ class EffectContext:
     ----------
     q : array, shape (n, N)
         Joint positions from the controller [rad].
-    known : Circumstances
+    conditions : MeasurementConditions
     geometry : Geometry
         The chain, with its base in the tracker frame.
     bodies : Bodies
@@ -88,7 +88,7 @@ class EffectContext:
     """
 
     q: Array
-    known: Circumstances
+    conditions: MeasurementConditions
     geometry: Geometry
     bodies: Bodies
     up_M: Array
@@ -111,14 +111,14 @@ class EffectContext:
     @cached_property
     def approach(self) -> Array:
         """Sign of each joint's last motion (n, N), 0 where unknown."""
-        known = self.known.approach
-        return np.zeros(self.q.shape) if known is None else np.nan_to_num(np.asarray(known, dtype=np.float64))
+        approach = self.conditions.approach
+        return np.zeros(self.q.shape) if approach is None else np.nan_to_num(np.asarray(approach, dtype=np.float64))
 
     @cached_property
     def step(self) -> Array:
         """Each joint's last motion (n, N) with its sign [rad], 0 where unknown."""
-        known = self.known.step
-        return np.zeros(self.q.shape) if known is None else np.nan_to_num(np.asarray(known, dtype=np.float64))
+        step = self.conditions.step
+        return np.zeros(self.q.shape) if step is None else np.nan_to_num(np.asarray(step, dtype=np.float64))
 
     @cached_property
     def payload_kg(self) -> Array:
@@ -128,7 +128,7 @@ class EffectContext:
     @cached_property
     def loads(self) -> GravityLoads:
         """Nominal bodies and payload in the tracker frame."""
-        return gravity_loads(self.frames, self.bodies, self.up_M, self.known.payload_kg)
+        return gravity_loads(self.frames, self.bodies, self.up_M, self.conditions.payload_kg)
 
     @cached_property
     def torques(self) -> Array:

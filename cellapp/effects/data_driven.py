@@ -14,8 +14,8 @@ import numpy as np
 
 from cellapp.effects.column import Channel, place_name
 from cellapp.effects.context import EffectContext, varies
-from cellapp.effects.history import times_known
 from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import times_known
 from cellapp.kinematics.transforms import Array
 
 _ROUNDING = 1e-6
@@ -152,12 +152,12 @@ class Variable:
 
     def values(self, context: EffectContext) -> Array:
         """Values (n,); NaN where unknown."""
-        known, unknown = context.known, np.full(len(context), np.nan)
+        conditions, unknown = context.conditions, np.full(len(context), np.nan)
         match self.quantity:
             case Quantity.JOINT_ANGLE:
                 return np.asarray(context.q[:, self.joint])
             case Quantity.OTHER_JOINT_ANGLE:
-                return unknown if known.other_q is None else np.asarray(known.other_q[:, self.joint])
+                return unknown if conditions.other_q is None else np.asarray(conditions.other_q[:, self.joint])
             case Quantity.TORQUE:
                 return np.asarray(context.torques[:, self.joint])
             case Quantity.STEP:
@@ -173,11 +173,11 @@ class Variable:
             case Quantity.INCIDENCE:
                 return _incidence(context)
             case Quantity.TIME:
-                logged = known.time_s
+                logged = conditions.time_s
             case Quantity.DWELL:
-                logged = known.dwell_s
+                logged = conditions.dwell_s
             case Quantity.TEMPERATURE:
-                logged = known.air_c
+                logged = conditions.air_c
         return unknown if logged is None else logged
 
 
@@ -191,23 +191,23 @@ def _incidence(context: EffectContext) -> Array:
 
 def variables(context: EffectContext) -> tuple[Variable, ...]:
     """The variables that are known at all stops and vary."""
-    known = context.known
+    conditions = context.conditions
 
     def per_joint(quantity: Quantity, values: Array, least: float = 0.0) -> list[Variable]:
         return [Variable(quantity, j) for j in range(values.shape[1]) if np.ptp(values[:, j]) > least]
 
     found = per_joint(Quantity.JOINT_ANGLE, context.q)
-    if known.other_q is not None and varies(known.other_q):
-        found += per_joint(Quantity.OTHER_JOINT_ANGLE, known.other_q)
+    if conditions.other_q is not None and varies(conditions.other_q):
+        found += per_joint(Quantity.OTHER_JOINT_ANGLE, conditions.other_q)
     if times_known(context):
         found.append(Variable(Quantity.TIME))
     found += per_joint(Quantity.TORQUE, context.torques, _ROUNDING)
-    if varies(known.step):
+    if varies(conditions.step):
         found += per_joint(Quantity.STEP, context.step)
     optional = (
-        (Quantity.DWELL, known.dwell_s),
-        (Quantity.PAYLOAD, known.payload_kg),
-        (Quantity.TEMPERATURE, known.air_c),
+        (Quantity.DWELL, conditions.dwell_s),
+        (Quantity.PAYLOAD, conditions.payload_kg),
+        (Quantity.TEMPERATURE, conditions.air_c),
     )
     found += [Variable(quantity) for quantity, values in optional if varies(values)]
     seen = [Quantity.RANGE, Quantity.AZIMUTH, Quantity.ELEVATION]

@@ -1,4 +1,4 @@
-"""Functions of the variables of data-driven laws, and the constants that they take from a run."""
+"""Basis functions of data-driven laws, and the constants that they take from a run."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from cellapp.effects.data_driven import (
     Variable,
     data_driven_form,
 )
-from cellapp.effects.history import filled, span
 from cellapp.effects.law import Constant, Law
+from cellapp.effects.time_functions import run_span, with_default
 from cellapp.kinematics.transforms import Array
 
 ORDER = 4
@@ -34,7 +34,7 @@ def run_constants(context: EffectContext, variable: Variable) -> dict[str, float
     if variable.is_joint_angle:
         return {"order": float(ORDER)}
     if variable.quantity is Quantity.TIME:
-        first, last = span(context).values()
+        first, last = run_span(context).values()
         return {"order": float(TIME_ORDER), "low": first, "high": last, "typical": last}
     values = variable.values(context)
     center = {}
@@ -102,7 +102,7 @@ def _unit(context: EffectContext, variable: Variable, constants: Mapping[str, fl
     if variable.quantity is Quantity.AZIMUTH:
         values = _about(values, constants["center"])
     low, high = constants["low"], constants["high"]
-    return np.clip((filled(values, constants["typical"], len(context)) - low) / (high - low), 0.0, 1.0)
+    return np.clip((with_default(values, constants["typical"], len(context)) - low) / (high - low), 0.0, 1.0)
 
 
 def _of_time(context: EffectContext, time: Variable, constants: Mapping[str, float]) -> dict[str, Array]:

@@ -1,4 +1,4 @@
-"""What every effect declares and computes.
+"""Base class of all effects: their declarations and columns.
 
 An effect is one subclass of ``Effect`` in one file, and one line in ``registry``. It declares its words, the variables
 it depends on, its look-alikes and the forms of its law; it computes columns that are linear in its parameters.
@@ -17,12 +17,12 @@ from cellapp.effects.law import DriverVariable, Law, LawForm
 
 
 class Effect(ABC):
-    """A physical effect under its name in the field."""
+    """A physical effect."""
 
     slug: ClassVar[str]
-    """Its name in reports and JSON."""
+    """Identifier in JSON and results."""
     title: ClassVar[str]
-    """Its name for people."""
+    """Name in reports."""
     look_alikes: ClassVar[tuple[str, ...]] = ()
     """Slugs of effects that data may not distinguish from it."""
     variables: ClassVar[frozenset[DriverVariable]]
@@ -30,8 +30,8 @@ class Effect(ABC):
     forms: ClassVar[tuple[LawForm, ...]]
     """All forms of its law, the simplest first."""
 
-    def untestable(self, context: EffectContext) -> str:
-        """What the data lack to look for it at all, in words ("no approach signs"); empty if nothing."""
+    def missing_data(self, context: EffectContext) -> str:
+        """Reason why the data cannot show the effect at all ("no approach signs"); empty if they can."""
         return ""
 
     def laws(self, context: EffectContext) -> list[Law]:
@@ -44,7 +44,7 @@ class Effect(ABC):
 
     @abstractmethod
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """Columns of a law, the same ones for any data; with ``names`` at least those."""
+        """Columns of a law, the same set for any data; ``names`` requests columns that are made only on request."""
 
     def form(self, name: str) -> LawForm:
         """The form of this name; the simplest one for an empty name. Raises ``ValueError`` if there is none."""

@@ -52,7 +52,7 @@ class JointCompliance(Effect):
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
         return "" if np.abs(context.torques).max(initial=0.0) > _ROUNDING else "gravity turns no joint (no masses)"
 
@@ -106,12 +106,12 @@ class PayloadCompliance(Effect):
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs a payload that varies."""
-        known = context.known.payload_kg
-        if known is None or not np.isfinite(known).all():
+        payload_kg = context.conditions.payload_kg
+        if payload_kg is None or not np.isfinite(payload_kg).all():
             return "no payloads"
-        return "" if varies(known) else "payload does not vary"
+        return "" if varies(payload_kg) else "payload does not vary"
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint."""

@@ -14,7 +14,7 @@ from cellapp.effects.context import EffectContext
 
 
 class DriverVariable(Enum):
-    """A quantity that effects depend on. Two effects that share one may imitate each other."""
+    """A quantity that effects depend on; effects that share one may be confounded."""
 
     JOINT_ANGLE = "q"
     TORQUE = "torque"
@@ -31,7 +31,7 @@ class DriverVariable(Enum):
 
 
 class Tuning(Protocol):
-    """How the search moves a constant to where the law explains most."""
+    """Rule by which the search tunes a constant."""
 
     def nearby(self, value: float, context: EffectContext, shrink: float) -> list[float]:
         """Values to try next to ``value``; ``shrink`` (1 and below) scales the step down as the search closes in."""
@@ -67,7 +67,7 @@ class NeighbouringPauses:
 
     def nearby(self, value: float, context: EffectContext, shrink: float) -> list[float]:
         """Middles of the pauses [s]."""
-        times = np.sort(np.asarray(context.known.time_s))
+        times = np.sort(np.asarray(context.conditions.time_s))
         pauses = (times[1:] + times[:-1]) / 2.0
         place = int(np.searchsorted(pauses, value))
         last = len(pauses) - self.margin

@@ -9,8 +9,8 @@ import numpy as np
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.effect import Effect
-from cellapp.effects.history import filled
 from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import with_default
 from cellapp.kinematics.transforms import Array
 
 _LARGEST = 1e-5
@@ -55,7 +55,7 @@ class PedestalCompliance(Effect):
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
     forms = (OWN_ISOTROPIC, OWN_TILT, OWN_PIVOT)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
         return "" if np.abs(context.loads.beyond(0)[1]).max(initial=0.0) > _WEIGHTLESS else "no masses"
 
@@ -100,28 +100,28 @@ class PedestalCoupling(Effect):
     variables = frozenset({DriverVariable.OTHER_ARM})
     forms = (OTHER_ISOTROPIC, OTHER_TILT, OTHER_GENERAL)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs another arm that moves."""
-        known = context.known.other_moment_M
-        if known is None or not np.isfinite(known).all():
+        moment_M = context.conditions.other_moment_M
+        if moment_M is None or not np.isfinite(moment_M).all():
             return "no readings of the other arm"
-        return "" if varies(known) else "the other arm did not move"
+        return "" if varies(moment_M) else "the other arm did not move"
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Isotropic; general tilt; shifts too."""
-        known = context.known.other_moment_M
-        if known is None:
+        moment_M = context.conditions.other_moment_M
+        if moment_M is None:
             return []
-        means = _in_base(context, known).mean(axis=0).tolist()
+        means = _in_base(context, moment_M).mean(axis=0).tolist()
         constants = {constant.name: mean for constant, mean in zip(MEAN_MOMENT, means, strict=True)}
         return [form.law(constants) for form in self.forms]
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One, four or ten columns in one block; zero, as at the run's mean, where the other arm is unknown."""
         axes = horizontal_axes(context)
-        known = context.known.other_moment_M
+        moment_M = context.conditions.other_moment_M
         mean = np.array([law.constants[constant.name] for constant in MEAN_MOMENT])
-        in_base = filled(None if known is None else _in_base(context, known), mean, len(context)) - mean
+        in_base = with_default(None if moment_M is None else _in_base(context, moment_M), mean, len(context)) - mean
         moments = in_base @ axes.T
         tilts = [context.twist_shift(0, None, axis) for axis in axes]
         if law.form == OTHER_ISOTROPIC:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from cellapp.effects.backlash import Backlash, FrictionWindup
-from cellapp.effects.base import BaseDrift, BaseStep
+from cellapp.effects.base_motion import BaseDrift, BaseStep
 from cellapp.effects.effect import Effect
 from cellapp.effects.joint_axis_wobble import JointAxisWobble
 from cellapp.effects.joint_compliance import JointCompliance, PayloadCompliance

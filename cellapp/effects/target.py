@@ -9,8 +9,8 @@ import numpy as np
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
-from cellapp.effects.history import ONSET_FORM, after_onset, no_onset, onset_laws
 from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import ONSET_FORM, after_onset, missing_for_onset, onset_laws
 
 _MOST_SLIP = 1e-2
 """Bound [m]: a target that slipped by a centimetre has fallen off."""
@@ -34,9 +34,9 @@ class TargetSlip(Effect):
     variables = frozenset({DriverVariable.TIME})
     forms = (ONSET_FORM,)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
-        return no_onset(context)
+        return missing_for_onset(context)
 
     def laws(self, context: EffectContext) -> list[Law]:
         """One for each onset."""
@@ -72,7 +72,7 @@ class TargetIncidence(Effect):
     variables = frozenset({DriverVariable.INCIDENCE})
     forms = (RADIAL, LATERAL)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs the SMR viewing direction."""
         return "the SMR viewing direction is not known" if context.smr_normal is None else ""
 

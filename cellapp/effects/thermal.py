@@ -9,21 +9,21 @@ import numpy as np
 from cellapp.effects.column import Channel, EffectColumn, joint_column, shift_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.effect import Effect
-from cellapp.effects.history import (
+from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import (
     FIRST,
     LAST,
     LINEAR_FORM,
     WARM_UP_FORM,
     WARM_UP_TIME,
-    filled,
     lagged,
-    linear,
-    span,
+    run_fraction,
+    run_span,
     times_known,
     warm_up,
     warm_up_laws,
+    with_default,
 )
-from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.kinematics.transforms import Array
 
 LAGS = (150.0, 400.0, 900.0, 2000.0, 4500.0)
@@ -96,16 +96,16 @@ class ThermalGrowth(Effect):
     variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {DriverVariable.JOINT_ANGLE}
     forms = (AIR, AIR_LINKS, JOINTS, JOINTS_LINKS, CONDUCTION, CONDUCTION_LINKS, WARM_UP, WARM_UP_LINKS)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs temperatures or times."""
-        known = context.known
-        if varies(known.air_c) or varies(known.joints_c) or times_known(context):
+        conditions = context.conditions
+        if varies(conditions.air_c) or varies(conditions.joints_c) or times_known(context):
             return ""
         return "no temperatures and no times"
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Those whose temperatures or times are known."""
-        air_c, joints_c = context.known.air_c, context.known.joints_c
+        air_c, joints_c = context.conditions.air_c, context.conditions.joints_c
         laws = list[Law]()
         if air_c is not None and varies(air_c):
             mean = {MEAN_AIR.name: float(air_c.mean())}
@@ -113,7 +113,7 @@ class ThermalGrowth(Effect):
         if joints_c is not None and varies(joints_c):
             means = joint_means(joints_c)
             laws += [JOINTS.law(means), JOINTS_LINKS.law(means)]
-            if context.known.record is not None and times_known(context):
+            if context.conditions.record is not None and times_known(context):
                 air = air_c if air_c is not None and varies(air_c) else joints_c.mean(axis=1)
                 constants = {**means, MEAN_AIR.name: float(np.nanmean(air))}
                 laws += [
@@ -165,17 +165,17 @@ def _lagged_temperatures(context: EffectContext, law: Law, joints: Array, air: A
 
     Without lag where the record of the run, or the time of a stop, is unknown.
     """
-    known = context.known
+    conditions = context.conditions
     ends = _at_links(joints - air[:, None])
-    if known.record is None or known.time_s is None:
+    if conditions.record is None or conditions.time_s is None:
         return ends, air
-    record = known.record
+    record = conditions.record
     air_then = record.air_c - law.constants[MEAN_AIR.name]
     ends_then = _at_links(record.joints_c - _means(context, law) - air_then[:, None])
     behind = lagged(np.column_stack([ends_then, air_then]), record.time_s, law.constants[LAG.name])
     order = np.argsort(record.time_s, kind="stable")
-    timed = np.isfinite(known.time_s)
-    at = known.time_s[timed]
+    timed = np.isfinite(conditions.time_s)
+    at = conditions.time_s[timed]
     now = np.column_stack([np.interp(at, record.time_s[order], one[order]) for one in behind.T])
     ends[timed], air[timed] = now[:, :-1], now[:, -1]
     return ends, air
@@ -215,16 +215,16 @@ class JointDrift(Effect):
     variables = _OF_TIME | _OF_AIR | _OF_JOINTS
     forms = (LINEAR_FORM, WARM_UP_FORM, ZERO_BY_TEMPERATURE)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs times or temperatures of the joints."""
-        if times_known(context) or varies(context.known.joints_c):
+        if times_known(context) or varies(context.conditions.joints_c):
             return ""
         return "no times and no joint temperatures"
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Those whose times or temperatures are known."""
-        joints_c = context.known.joints_c
-        laws = [LINEAR_FORM.law(span(context)), *warm_up_laws(context)] if times_known(context) else []
+        joints_c = context.conditions.joints_c
+        laws = [LINEAR_FORM.law(run_span(context)), *warm_up_laws(context)] if times_known(context) else []
         if joints_c is not None and varies(joints_c):
             laws.append(ZERO_BY_TEMPERATURE.law(joint_means(joints_c)))
         return laws
@@ -235,7 +235,7 @@ class JointDrift(Effect):
         if law.form == ZERO_BY_TEMPERATURE:
             drifted, unit, largest = _above_mean_joints(context, law), "rad/K", _MOST_DRIFT_PER_KELVIN
         else:
-            along = linear(context, law) if law.form == LINEAR_FORM else warm_up(context, law)
+            along = run_fraction(context, law) if law.form == LINEAR_FORM else warm_up(context, law)
             drifted = np.tile(along[:, None], context.joints)
         return [joint_column(f"drift{j + 1}", unit, j, drifted[:, j], -largest, largest) for j in range(context.joints)]
 
@@ -253,13 +253,13 @@ def _means(context: EffectContext, law: Law) -> Array:
 def _above_mean_air(context: EffectContext, law: Law) -> Array:
     """Air temperature relative to the run's mean (n,) [K], 0 where unknown."""
     mean = law.constants[MEAN_AIR.name]
-    return filled(context.known.air_c, mean, len(context)) - mean
+    return with_default(context.conditions.air_c, mean, len(context)) - mean
 
 
 def _above_mean_joints(context: EffectContext, law: Law) -> Array:
     """Joint temperatures relative to their means of the run (n, N) [K], 0 where unknown."""
     means = _means(context, law)
-    return np.asarray(filled(context.known.joints_c, means, len(context)) - means)
+    return np.asarray(with_default(context.conditions.joints_c, means, len(context)) - means)
 
 
 def _at_links(joints: Array) -> Array:

@@ -25,8 +25,8 @@ class TrackerScale(Effect):
     """All distances read too long or too short: ``dP = k u``, k in m/m, u from the tracker to the SMR.
 
     Refractive index: 1 ppm/K and 0.27 ppm/hPa of opposite signs (published); 1 to 10 ppm of 3 m are 3 to 30 um. It is
-    the same as one common scale error of all lengths of the arm, so one arm alone cannot show it: a scale bar in view
-    can. Visible only where lengths of the arm are held by a prior.
+    equivalent to a common scale error of all lengths of the arm, so that one arm alone cannot show it; a scale bar can.
+    Visible only where lengths of the arm are held by a prior.
     """
 
     slug = "tracker_scale"
@@ -41,7 +41,7 @@ class TrackerScale(Effect):
 
 
 class TrackerDistanceOffset(Effect):
-    """All distances read too long by the same: ``dP = k u / rho``, k in m.
+    """A constant error of all distances: ``dP = k u / rho``, k in m.
 
     Home distance or the absolute distance meter's zero: permissible errors are 5 and 10 um for a tracker of this class
     (maker's manual). Only 12 % is visible, the rest is a shift of the base: short and long distances, or the target

@@ -98,7 +98,7 @@ def dictionary(context: EffectContext) -> list[Law]:
     """
     constants = {one: run_constants(context, one) for one in variables(context)}
     chosen = channels(context.joints)
-    # a straight line beside the curve: a few stops far from the others do not mislead it
+    # A straight line is tried too: unlike a curve it is not misled by a few stops far from the others.
     straight = {
         one: {**values, "order": 1.0}
         for one, values in constants.items()
@@ -112,12 +112,14 @@ def dictionary(context: EffectContext) -> list[Law]:
     ]
     time = Variable(Quantity.TIME)
     if time in constants:
-        terms += [_law(channel, (time,), sway) for sway in _sways(constants[time], len(context)) for channel in chosen]
+        terms += [
+            _law(channel, (time,), one) for one in _single_periods(constants[time], len(context)) for channel in chosen
+        ]
     return terms
 
 
-def _sways(ends: Mapping[str, float], stops: int) -> list[dict[str, float]]:
-    """Constants for one period each, from two spans of the run to a dozen stops."""
+def _single_periods(ends: Mapping[str, float], stops: int) -> list[dict[str, float]]:
+    """Constants of laws with one period each, from twice the duration of the run to a dozen stops."""
     run_s = ends["high"] - ends["low"]
     shortest = _STOPS_PER_PERIOD * run_s / max(stops, _FEWEST)
     periods = np.geomspace(2.0 * run_s, shortest, _PERIODS).tolist()

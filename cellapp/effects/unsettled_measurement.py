@@ -9,8 +9,8 @@ import numpy as np
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.effect import Effect
-from cellapp.effects.history import filled
 from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import with_default
 from cellapp.kinematics.transforms import Array
 
 TIME_CONSTANTS = tuple(np.geomspace(0.3, 30.0, 8).tolist())
@@ -53,13 +53,13 @@ class UnsettledMeasurement(Effect):
     variables = frozenset({DriverVariable.STEP, DriverVariable.DWELL})
     forms = (STEP, CREEP)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs the last steps."""
-        return "" if varies(context.known.step) else "no last steps"
+        return "" if varies(context.conditions.step) else "no last steps"
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Without dwell; decaying with it, for time constants that leave something at the shortest dwell."""
-        dwell = context.known.dwell_s
+        dwell = context.conditions.dwell_s
         if dwell is None or not varies(dwell):
             return [STEP.law()]
         shortest, typical = float(dwell.min()), float(np.median(dwell))
@@ -72,7 +72,7 @@ class UnsettledMeasurement(Effect):
         left: Array | float = 1.0
         largest = _MOST_STEP_LAG
         if law.form == CREEP:
-            dwell = filled(context.known.dwell_s, law.constants[TYPICAL_DWELL.name], len(context))
+            dwell = with_default(context.conditions.dwell_s, law.constants[TYPICAL_DWELL.name], len(context))
             left, largest = np.exp(-dwell / law.constants[SETTLING_TIME.name])[:, None], _MOST_CREEP_LAG
         behind = -context.step * left
         return [

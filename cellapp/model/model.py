@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from cellapp.effects import (
     EFFECTS,
-    Circumstances,
     Displacement,
     EffectContext,
     EffectTerm,
+    MeasurementConditions,
     displacement,
     term_from_json,
     term_to_json,
@@ -33,7 +33,7 @@ from cellapp.kinematics.chain import (
 )
 from cellapp.kinematics.statics import Bodies
 from cellapp.kinematics.transforms import Array
-from cellapp.model.network import ResidualNetwork
+from cellapp.model.network import ResidualNetwork, network_from_json, network_to_json
 
 Signs = NDArray[np.float64] | NDArray[np.int8]
 _SCHEMA = "cellapp-calibration"
@@ -57,7 +57,7 @@ class ArmModel:
     effects : tuple of EffectTerm
         Effects that discovery found.
     network : ResidualNetwork or None
-        Correction of the remaining residual, in the base frame B.
+        Correction of the residual that geometry and effects leave, in the base frame B.
     identified : tuple of str, length k
         Names of the identified parameters, effects last.
     covariance : array, shape (k, k), or None
@@ -82,36 +82,37 @@ class ArmModel:
         q: Array,
         approach: Signs | None = None,
         payload_kg: Array | None = None,
-        known: Circumstances | None = None,
+        conditions: MeasurementConditions | None = None,
     ) -> EffectContext:
         """Variables that effects depend on, at configurations ``q`` (n, N) [rad].
 
-        ``known`` replaces ``approach`` (n, N) and ``payload_kg`` (n,), and adds times, temperatures and the other arm.
+        ``conditions`` replaces ``approach`` (n, N) and ``payload_kg`` (n,); it also holds times, temperatures and the
+        state of the other arm.
         """
-        if known is None:
-            known = Circumstances(approach=approach, payload_kg=payload_kg)
+        if conditions is None:
+            conditions = MeasurementConditions(approach=approach, payload_kg=payload_kg)
         return EffectContext(
             q=q,
-            known=known,
+            conditions=conditions,
             geometry=self.geometry,
             bodies=self.bodies,
             up_M=self.up_M,
             smr_normal=self.smr_normal,
         )
 
-    def moved(
+    def effect_displacement(
         self,
         q: Array,
         approach: Signs | None = None,
         payload_kg: Array | None = None,
-        known: Circumstances | None = None,
+        conditions: MeasurementConditions | None = None,
     ) -> Displacement:
-        """Displacement by all known effects when the controller reads ``q`` (n, N)."""
-        context = self.context(q, approach, payload_kg, known)
+        """Displacement by all effects of the model where the controller reads ``q`` (n, N) [rad]."""
+        context = self.context(q, approach, payload_kg, conditions)
         moved = displacement(self.effects, EFFECTS, context)
         if not moved.joints.any():
             return moved
-        # loads act at the actual joint positions: a few mrad off, which changes them by some parts in a thousand
+        # Gravity acts at the actual joint positions, a few mrad off: the loads change by some parts in a thousand.
         return displacement(self.effects, EFFECTS, replace(context, q_actual=q + moved.joints))
 
     def true_joints(
@@ -119,25 +120,25 @@ class ArmModel:
         q: Array,
         approach: Signs | None = None,
         payload_kg: Array | None = None,
-        known: Circumstances | None = None,
+        conditions: MeasurementConditions | None = None,
     ) -> Array:
         """True joint positions (n, N) [rad] where the controller reads ``q`` (n, N) [rad]; see ``context``."""
-        return q if not self.effects else q + self.moved(q, approach, payload_kg, known).joints
+        return q if not self.effects else q + self.effect_displacement(q, approach, payload_kg, conditions).joints
 
     def predict(
         self,
         q: Array,
         approach: Signs | None = None,
         payload_kg: Array | None = None,
-        known: Circumstances | None = None,
+        conditions: MeasurementConditions | None = None,
     ) -> Array:
         """SMR positions (n, 3) in the tracker frame [m] where the controller reads ``q`` (n, N) [rad].
 
         ``approach`` (n, N) are the signs of each joint's last motion, ``payload_kg`` (n,) the payload; unknown if not
-        given. ``known`` replaces both, see ``context``.
+        given. ``conditions`` replaces both, see ``context``.
         """
         if self.effects:
-            moved = self.moved(q, approach, payload_kg, known)
+            moved = self.effect_displacement(q, approach, payload_kg, conditions)
             p_M = smr_positions(self.geometry, q + moved.joints) + moved.shift_M
         else:
             p_M = smr_positions(self.geometry, q)
@@ -169,7 +170,7 @@ class ArmModel:
         return flange_poses(self.geometry, self.true_joints(q))
 
     def in_base(self) -> ArmModel:
-        """The same arm with its base at the origin, so that it predicts positions in the base frame B."""
+        """Return the arm with its base at the origin, so that it predicts positions in the base frame B."""
         rotation = self.geometry.T_M_B()[:3, :3]
         return replace(
             self,
@@ -205,10 +206,10 @@ class CellModel:
         q: Array,
         approach: Signs | None = None,
         payload_kg: Array | None = None,
-        known: Circumstances | None = None,
+        conditions: MeasurementConditions | None = None,
     ) -> Array:
         """SMR positions (n, 3) of one arm in the tracker frame [m] at joint positions ``q`` (n, N) [rad]."""
-        return self.arms[arm].predict(np.asarray(q, dtype=np.float64), approach, payload_kg, known)
+        return self.arms[arm].predict(np.asarray(q, dtype=np.float64), approach, payload_kg, conditions)
 
     def to_json(self) -> str:
         """JSON text with floats in their shortest exact form."""
@@ -312,7 +313,7 @@ def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
         },
         "up_M": arm.up_M.tolist(),
         "effects": [term_to_json(term) for term in arm.effects],
-        "network": None if arm.network is None else arm.network.as_dict(),
+        "network": None if arm.network is None else network_to_json(arm.network),
         "identified": list(arm.identified),
         "covariance": None if arm.covariance is None else arm.covariance.tolist(),
         "smr_normal": None if arm.smr_normal is None else arm.smr_normal.tolist(),
@@ -332,7 +333,7 @@ def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
         ),
         up_M=np.array(content["up_M"], dtype=np.float64),
         effects=tuple(term_from_json(entry, EFFECTS) for entry in content["effects"]),
-        network=None if content["network"] is None else ResidualNetwork.from_dict(content["network"]),
+        network=None if content["network"] is None else network_from_json(content["network"]),
         identified=tuple(content["identified"]),
         covariance=None if content["covariance"] is None else np.array(content["covariance"], dtype=np.float64),
         smr_normal=None

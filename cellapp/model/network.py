@@ -1,4 +1,4 @@
-"""The trained residual network as a part of the model; evaluating it needs no torch.
+"""Residual network of an arm model: evaluation with numpy alone, and its JSON form.
 
 A committee of small multilayer perceptrons (tanh, linear output) maps joint positions to the residual of the SMR
 position. The mean of the members is the correction, their standard deviation its uncertainty. Outside the trained joint
@@ -31,7 +31,7 @@ class ResidualNetwork:
         Trained joint ranges [rad].
     margin : array, shape (N,)
         Distance outside the ranges over which the correction fades to zero [rad].
-    turning : bool
+    rotates_with_joint_1 : bool
         Whether the members' output frame rotates with joint 1 about z. Effects of gravity and gears do not depend on
         joint 1 in that frame. The correction is rotated back.
     scale : float
@@ -44,19 +44,19 @@ class ResidualNetwork:
     low: Array
     high: Array
     margin: Array
-    turning: bool
+    rotates_with_joint_1: bool
     scale: float
     members: tuple[Layers, ...]
 
     def correct(self, q: Array) -> Array:
         """Correction of the SMR position at ``q`` (n, N) [rad], shape (n, 3) [m], in the frame of its training."""
         correction = self._each(q).mean(axis=0) * self._fade(q)
-        return rotate_about_z(correction, q[:, 0]) if self.turning else np.asarray(correction)
+        return rotate_about_z(correction, q[:, 0]) if self.rotates_with_joint_1 else np.asarray(correction)
 
     def spread(self, q: Array) -> Array:
         """Standard deviation of the members at ``q`` (n, N) [rad], shape (n, 3) [m]."""
         each = self._each(q)
-        if self.turning:
+        if self.rotates_with_joint_1:
             each = np.array([rotate_about_z(member, q[:, 0]) for member in each])
         return np.asarray(each.std(axis=0, ddof=1) * self._fade(q))
 
@@ -76,44 +76,43 @@ class ResidualNetwork:
         each = np.where(beyond < 1.0, 0.5 * (1.0 + np.cos(np.pi * np.minimum(beyond, 1.0))), 0.0)
         return np.asarray(each.prod(axis=1)[:, None])
 
-    def as_dict(self) -> dict[str, Any]:
-        """The JSON object; floats are exact."""
-        return {
-            "inputs": self.inputs,
-            "low": self.low.tolist(),
-            "high": self.high.tolist(),
-            "margin": self.margin.tolist(),
-            "turning_with_joint_1": self.turning,
-            "scale_m": self.scale,
-            "activation": "tanh",
-            "members": [
-                [{"weights": weights.tolist(), "offsets": offsets.tolist()} for weights, offsets in layers]
-                for layers in self.members
-            ],
-        }
 
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> ResidualNetwork:
-        """Read what ``as_dict`` made. Raises ``KeyError``, ``ValueError`` or ``TypeError`` for anything else."""
-        if content["inputs"] not in ("angles", "sincos") or content["activation"] != "tanh":
-            raise ValueError(
-                f"unknown inputs '{content['inputs']}' or activation '{content['activation']}' of the network"
+def network_to_json(network: ResidualNetwork) -> dict[str, Any]:
+    """JSON object of a network; floats are exact."""
+    return {
+        "inputs": network.inputs,
+        "low": network.low.tolist(),
+        "high": network.high.tolist(),
+        "margin": network.margin.tolist(),
+        "turning_with_joint_1": network.rotates_with_joint_1,
+        "scale_m": network.scale,
+        "activation": "tanh",
+        "members": [
+            [{"weights": weights.tolist(), "offsets": offsets.tolist()} for weights, offsets in layers]
+            for layers in network.members
+        ],
+    }
+
+
+def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
+    """Read what ``network_to_json`` wrote; any other content raises ``KeyError``, ``ValueError`` or ``TypeError``."""
+    if content["inputs"] not in ("angles", "sincos") or content["activation"] != "tanh":
+        raise ValueError(f"unknown inputs '{content['inputs']}' or activation '{content['activation']}' of the network")
+    return ResidualNetwork(
+        inputs=content["inputs"],
+        low=np.array(content["low"], dtype=np.float64),
+        high=np.array(content["high"], dtype=np.float64),
+        margin=np.array(content["margin"], dtype=np.float64),
+        rotates_with_joint_1=bool(content["turning_with_joint_1"]),
+        scale=float(content["scale_m"]),
+        members=tuple(
+            tuple(
+                (np.array(layer["weights"], dtype=np.float64), np.array(layer["offsets"], dtype=np.float64))
+                for layer in layers
             )
-        return cls(
-            inputs=content["inputs"],
-            low=np.array(content["low"], dtype=np.float64),
-            high=np.array(content["high"], dtype=np.float64),
-            margin=np.array(content["margin"], dtype=np.float64),
-            turning=bool(content["turning_with_joint_1"]),
-            scale=float(content["scale_m"]),
-            members=tuple(
-                tuple(
-                    (np.array(layer["weights"], dtype=np.float64), np.array(layer["offsets"], dtype=np.float64))
-                    for layer in layers
-                )
-                for layers in content["members"]
-            ),
-        )
+            for layers in content["members"]
+        ),
+    )
 
 
 def rotate_about_z(vectors: Array, angles: Array) -> Array:

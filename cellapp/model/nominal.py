@@ -1,4 +1,4 @@
-"""Quantities of the mathematics from a profile: nominal geometry, masses, direction of gravity, priors."""
+"""Model inputs from a profile: nominal geometry, masses, direction of gravity, prior standard deviations."""
 
 from __future__ import annotations
 

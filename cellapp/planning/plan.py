@@ -86,7 +86,7 @@ def draw_stops(
     for _ in range(count * _TRIES_PER_STOP):
         cancel.check()
         q = {name: pool.draw() for name, pool in pools.items()}
-        if all_seen(cell, q) and not refuse_stop(cell, q):
+        if all_smrs_visible(cell, q) and not refuse_stop(cell, q):
             found.append(q)
             if len(found) == count:
                 return {name: np.array([stop[name] for stop in found]) for name in cell.arms}
@@ -123,13 +123,13 @@ def rolled_stops(
         for name, q in rolled.items():
             low, high = cell.arms[name].limits[-1]
             q[-1] = np.clip(q[-1] + rng.uniform(-math.pi, math.pi), low, high)
-        if all_seen(cell, rolled) and not refuse_stop(cell, rolled):
+        if all_smrs_visible(cell, rolled) and not refuse_stop(cell, rolled):
             source.append(k)
             kept.append(rolled)
     return {name: np.array([stop[name] for stop in kept]) for name in stops}, np.array(source, dtype=np.intp)
 
 
-def all_seen(cell: CellBodies, q: Mapping[str, Array]) -> bool:
+def all_smrs_visible(cell: CellBodies, q: Mapping[str, Array]) -> bool:
     """Whether the tracker sees the SMRs of all arms at one stop, arm -> q (N,) [rad]."""
     for name in q:
         others = {other: value[None] for other, value in q.items() if other != name}
@@ -148,7 +148,7 @@ def _next_stop(
     refusal = ""
     for _ in range(_TRIES_PER_STOP):
         q = {name: pool.draw() for name, pool in pools.items()}
-        if not all_seen(cell, q):
+        if not all_smrs_visible(cell, q):
             refusal = "an arm hides the other's SMR from the tracker"
             continue
         refusal = refuse_motion(cell, here, q)

@@ -26,7 +26,7 @@ LONGEST_DWELL_S = 600.0
 
 @dataclass(frozen=True, eq=False)
 class StopConditions:
-    """How one arm approaches a stop and how long it rests there.
+    """Approach of one arm to a stop, and its dwell time there.
 
     Attributes
     ----------

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from cellapp.calibration.circumstances import circumstances_of_arms
 from cellapp.calibration.evaluation import position_errors
-from cellapp.effects import Circumstances
+from cellapp.calibration.measurement_conditions import conditions_of_arms
+from cellapp.effects import MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import Array
@@ -80,14 +80,14 @@ class ReportData:
     @cached_property
     def held_out(self) -> Mapping[str, HeldOutArm]:
         """The held-out readings of each arm with the predictions of every stage."""
-        circumstances = circumstances_of_arms(self.model.arms, self.readings)
-        return {name: self._held_out_arm(name, circumstances[name]) for name in self.calibrated.arms}
+        conditions = conditions_of_arms(self.model.arms, self.readings)
+        return {name: self._held_out_arm(name, conditions[name]) for name in self.calibrated.arms}
 
-    def _held_out_arm(self, name: str, circumstances: Circumstances) -> HeldOutArm:
+    def _held_out_arm(self, name: str, conditions: MeasurementConditions) -> HeldOutArm:
         rows = self.readings[name].in_split("validate")
         return HeldOutArm(
             readings=self.readings[name].take(rows),
-            circumstances=circumstances.take(rows),
+            conditions=conditions.take(rows),
             calibrated=self.calibrated.arms[name],
             discovered=None if self.discovered is None else self.discovered.arms[name],
         )
@@ -98,7 +98,7 @@ class HeldOutArm:
     """Held-out readings of one arm and the models that predict them."""
 
     readings: Readings
-    circumstances: Circumstances
+    conditions: MeasurementConditions
     calibrated: ArmModel
     discovered: ArmModel | None
 
@@ -133,7 +133,7 @@ class HeldOutArm:
         return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3
 
     def _predict(self, model: ArmModel) -> Array:
-        return model.predict(self.readings.q, known=self.circumstances)
+        return model.predict(self.readings.q, conditions=self.conditions)
 
 
 def read_report_data(run: RunFile) -> ReportData:

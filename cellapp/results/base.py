@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, ValidationError, model_serializer
@@ -55,11 +54,6 @@ class Result(Record):
 
     schema_: str
     version: int
-
-    def as_object(self) -> dict[str, Any]:
-        """The JSON object as plain data."""
-        content: dict[str, Any] = json.loads(self.to_json())
-        return content
 
     def to_json(self, *, indent: int | None = None) -> str:
         """The JSON text; floats are written in their shortest exact form."""

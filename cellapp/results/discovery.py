@@ -125,7 +125,7 @@ class SmallestSize(Record):
 
 
 class AbsentEffect(Record):
-    """An effect that was not found, or that these data cannot show, and from which size it would have been seen."""
+    """An effect that was not found or that these data cannot show; sizes from which it would have been found."""
 
     effect: str
     reason: str
@@ -208,7 +208,7 @@ class ArmDiscoveryResult(Record):
 
 
 class Discrimination(Record):
-    """Non-centrality of the test between two models: now, with the proposed stops, with as many random ones."""
+    """Non-centrality of the test between two models: now, with the proposed stops, with equally many random ones."""
 
     now: float
     proposed: float
@@ -216,7 +216,7 @@ class Discrimination(Record):
 
 
 class ProposalQuestion(Record):
-    """One question that proposed stops shall answer; ``against`` None asks whether the effect is there at all."""
+    """One question that proposed stops answer; ``against`` None asks whether the effect exists at all."""
 
     effect: str
     against: str | None
@@ -226,7 +226,7 @@ class ProposalQuestion(Record):
 
 
 class ProposedStop(Record):
-    """One proposed stop of one arm: joint positions, start of the last leg [rad], rest before the measurement [s]."""
+    """One proposed stop of one arm: joint positions, start of the last step [rad], dwell before the measurement [s]."""
 
     configuration: int
     arm: str
@@ -236,7 +236,7 @@ class ProposedStop(Record):
 
 
 class Proposal(Record):
-    """Further stops that would answer what discovery left open, and what they are worth."""
+    """Further stops that answer what discovery left open, and their predicted discrimination."""
 
     count: int
     written: bool

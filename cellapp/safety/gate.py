@@ -30,12 +30,12 @@ _BEAM_RADIUS = 0.02
 _SELF_CLEARANCE = 0.01
 """Clearance of an arm from itself [m]; smaller than from others, as its shape is known better than its base."""
 _ACCEPTANCE_MARGIN = math.radians(3.0)
-"""Taken off the SMR's acceptance angle: base and flange are not known exactly before calibration."""
+"""Subtracted from the SMR's acceptance angle: base and flange are not known exactly before calibration."""
 _STEPS = (0.02, 0.04)
 """Smallest and largest spacing of samples on a path [m]; between them it is half the clearance."""
 _EVERY = 2
-"""Only every second of the samples that are checked against the floor and the arm itself is checked against other arms,
-where all pairs of samples count; the coarser spacing is added to the clearance."""
+"""Stride of the samples that are checked against other arms, where all pairs of samples are compared. Floor and self
+checks use all samples. The coarser spacing is added to the clearance."""
 _PAIRS_AT_ONCE = 20_000
 """Pairs of capsules per batch: some MB of memory, and an early end at the first collision."""
 _ROUNDING_RAD = 1e-9
@@ -107,7 +107,7 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
     coarse = {name: path.thinned() for name, path in paths.items()}
     for first, second in combinations(coarse, 2):
         deviation = coarse[first].deviation + coarse[second].deviation
-        if not _apart(coarse[first].bodies, coarse[second].bodies, cell.clearance + deviation):
+        if not _keeps_clearance(coarse[first].bodies, coarse[second].bodies, cell.clearance + deviation):
             return f"arms {first} and {second}: come nearer than {cell.clearance * 1e3:.0f} mm"
     return ""
 
@@ -183,7 +183,7 @@ def _sample_path(arm: ArmBodies, start: Array, target: Array, spacing: float) ->
 def _refuse_values(arm: ArmBodies, start: Array, target: Array) -> str:
     """Reason why an arm must not move between two joint vectors; only the target must be inside the limits."""
     if len(arm.radius) == 0:
-        return "has no bodies, so that no collision can be foreseen; add capsules to its type"
+        return "has no bodies, so that collisions cannot be checked; add capsules to its type"
     joints = arm.geometry.joints
     for q in (start, target):
         if q.shape != (joints,):
@@ -213,7 +213,7 @@ def _refuse_alone(cell: CellBodies, path: _Path) -> str:
     return ""
 
 
-def _apart(first: Placed, second: Placed, clearance: float) -> bool:
+def _keeps_clearance(first: Placed, second: Placed, clearance: float) -> bool:
     """Whether all samples of one arm keep the clearance [m] from all samples of the other."""
     # Extent along the line between the bases: only bodies that reach past the other arm's nearest one can meet it.
     along = second.start[0, 0] - first.start[0, 0]

@@ -24,9 +24,9 @@ from pydantic import ValidationError
 
 import cellapp
 from cellapp import __version__
-from cellapp.calibration.circumstances import circumstances_of_arms
+from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.discovery.discover import discover_arm
-from cellapp.discovery.record import arm_result
+from cellapp.discovery.result import arm_result
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.errors import CellappError, CheckFailed, InputError
 from cellapp.model import CellModel
@@ -125,11 +125,11 @@ def judge_run(folder: Path, source: str) -> None:
         calibrated = read_stages(run).current[CALIBRATE]
         model = CellModel.from_json(calibrated.model or "", str(folder))
         readings = {name: run.readings(name) for name in model.arms}
-        known = circumstances_of_arms(model.arms, readings)
+        conditions = conditions_of_arms(model.arms, readings)
         arms = {}
         for name, arm in model.arms.items():
             wall_s, cpu_s = time.perf_counter(), time.process_time()
-            found = discover_arm(run.profile, name, arm, readings[name], known=known[name])
+            found = discover_arm(run.profile, name, arm, readings[name], conditions=conditions[name])
             arms[name] = StoredFindings(
                 seconds=time.perf_counter() - wall_s,
                 cpu_seconds=time.process_time() - cpu_s,

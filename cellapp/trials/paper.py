@@ -143,8 +143,8 @@ def _at_other_station(arm: ArmCalibration, readings: Readings) -> dict[str, floa
     errors = {"geometry": mean_mm(apply(T_M_B, p_B))}
     if arm.model.network is not None:
         errors["base_frame"] = mean_mm(apply(T_M_B, p_B + arm.model.network.correct(q)))
-    if arm.tracker_trained is not None:
-        errors["tracker_frame"] = mean_mm(apply(T_M_B, p_B) + arm.tracker_trained.correct(q))
+    if arm.tracker_frame_network is not None:
+        errors["tracker_frame"] = mean_mm(apply(T_M_B, p_B) + arm.tracker_frame_network.correct(q))
     return errors
 
 

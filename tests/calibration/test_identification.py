@@ -1,4 +1,4 @@
-"""Known truth is recovered within its own stated uncertainty, on any arm, with any noise, and trouble is said."""
+"""Identification recovers simulated arms within the stated uncertainty and reports failures."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_identifiable_set_has_the_rank_of_the_jacobian(rows, tool, rank):
     assert set(chosen.columns) | set(chosen.dropped) == set(columns)
 
 
-def test_merged_parameters_do_what_their_shares_say():
+def test_a_dropped_parameter_has_the_effect_of_its_shares():
     geometry = at_station(UR10, OFF_AXIS)
     q = np.random.default_rng(0).uniform(-3, 3, (100, 6))
     chosen = auto_set(geometry, q)
@@ -95,7 +95,7 @@ def test_a_parameter_set_without_alpha5_cannot_reach_the_noise():
     assert identify(start, q, p_M, parameter_set="paper").scale > 1.3 * identify(start, q, p_M).scale
 
 
-def test_anisotropic_covariances_weigh_as_they_should():
+def test_anisotropic_covariances_are_used_as_weights():
     rng = np.random.default_rng(0)
     nominal = at_station(UR10, OFF_AXIS)
     truth = true_geometry(nominal, rng)
@@ -118,7 +118,7 @@ def test_anisotropic_covariances_weigh_as_they_should():
 
 
 @pytest.mark.parametrize("robust", ["huber", "tukey"])
-def test_outliers_are_weighed_down(robust):
+def test_robust_weights_reject_outliers(robust):
     nominal, truth, q, p_M = measured(UR10, OFF_AXIS, seed=5, n=200)
     rng = np.random.default_rng(6)
     bad = rng.choice(200, 20, replace=False)
@@ -135,7 +135,7 @@ def test_outliers_are_weighed_down(robust):
     assert np.median(kept.weights[bad]) < 0.2 < np.median(np.delete(kept.weights, bad))
 
 
-def test_priors_hold_what_the_data_cannot_tell():
+def test_priors_determine_what_the_data_do_not():
     # nine readings, 27 parameters, 27 coordinates: without priors any noise is fitted
     nominal, truth, q, p_M = measured(UR10, OFF_AXIS, seed=7, n=9)
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
@@ -200,7 +200,7 @@ def test_too_few_readings_are_refused_with_the_number_needed():
         identify(start, q, p_M, parameter_set="paper")
 
 
-def test_not_converging_is_said():
+def test_failure_to_converge_is_reported():
     nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=13, n=100)
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
     found = identify(start, q, p_M, max_iterations=1)
@@ -230,7 +230,7 @@ def test_the_scatter_is_that_of_the_noise_for_a_scara_with_two_parallel_axes():
     assert chi2.cdf(squares, found.degrees_of_freedom) == pytest.approx(0.5, abs=0.499)
 
 
-def test_a_plant_of_another_make_is_fitted_to_below_a_nanometre_without_noise():
+def test_the_noise_free_plant_is_fitted_to_below_a_nanometre():
     # the truth is lines in space displaced and tilted, not a table: the model must be complete
     for seed in range(3):
         plant = plant_of(UR5, OFF_AXIS, errors=GeometryErrors(0.3e-3, 1e-3, 5e-3, 5e-3, 1e-3), seed=seed)

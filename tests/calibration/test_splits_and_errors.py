@@ -1,4 +1,4 @@
-"""Splits never leak and never depend on order; errors are those of the definitions."""
+"""Splits are disjoint and do not depend on the order of readings; error statistics follow their definitions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def interval_of_mean(summary: ErrorSummary) -> tuple[float, float]:
 
 
 @given(st.integers(2, 600), st.integers(1, 300), st.integers(0, 300), st.one_of(st.none(), st.integers(1, 300)))
-def test_sizes_fit_and_every_use_gets_something(n, identify, train, validate):
+def test_split_sizes_fit_and_neither_identify_nor_validate_is_empty(n, identify, train, validate):
     sizes = split_sizes(n, identify, train, validate)
     assert sizes.identify + sizes.train + sizes.validate <= n
     assert sizes.identify >= 1
@@ -48,9 +48,14 @@ def test_the_draw_depends_on_the_numbers_and_the_seed_alone(numbers, seed):
     assert draw_splits(ordered, 2, 1, 1, seed) == draw_splits(shuffled, 2, 1, 1, seed)
 
 
-def test_another_seed_draws_otherwise():
+def test_another_seed_gives_another_draw():
     numbers = np.arange(400)
     assert draw_splits(numbers, 100, 200, 100, 0)[0] != draw_splits(numbers, 100, 200, 100, 1)[0]
+
+
+def of_pairs(errors):
+    """Each pair once, from a symmetric matrix (n, n)."""
+    return errors[np.triu_indices(len(errors), 1)]
 
 
 def test_errors_on_a_worked_example():
@@ -58,7 +63,7 @@ def test_errors_on_a_worked_example():
     computed = np.array([[0.0, 0, 0], [1.003, 0.004, 0], [0, 1.0, 0]])
     np.testing.assert_allclose(position_errors(measured, computed), [0, 0.005, 0], atol=1e-12)
     expected = [np.hypot(1.003, 0.004) - 1.0, 0.0, abs(np.hypot(1.003, 0.996) - np.sqrt(2.0))]
-    np.testing.assert_allclose(distance_errors(measured, computed), expected, atol=1e-12)
+    np.testing.assert_allclose(of_pairs(distance_errors(measured, computed)), expected, atol=1e-12)
     summary = summarise(np.array([0.001, -0.003]))
     assert (summary.mean, summary.max, summary.n) == pytest.approx((2.0, 3.0, 2))
     assert summary.rms == pytest.approx(np.sqrt(5.0))
@@ -74,7 +79,7 @@ def test_a_rigid_motion_changes_no_distance(seed):
     assert distance_errors(p, p @ rotation.T + rng.normal(size=3)).max() < 1e-12
 
 
-def test_the_bootstrap_interval_holds_the_mean_about_as_often_as_it_says():
+def test_the_bootstrap_interval_of_the_mean_has_its_stated_coverage():
     held = 0
     for seed in range(300):
         errors = np.random.default_rng(seed).exponential(1e-3, 100)
@@ -83,7 +88,7 @@ def test_the_bootstrap_interval_holds_the_mean_about_as_often_as_it_says():
     assert 0.90 < held / 300 < 0.98
 
 
-def test_distances_share_points_and_their_interval_knows_it():
+def test_the_interval_of_distance_errors_accounts_for_shared_points():
     rng = np.random.default_rng(0)
     measured = rng.normal(size=(60, 3))
     computed = measured + rng.normal(0.0, 1e-3, (60, 3))
@@ -91,7 +96,7 @@ def test_distances_share_points_and_their_interval_knows_it():
     assert summary.n == 60 * 59 // 2
     low, high = interval_of_mean(summary)
     assert low < summary.mean < high
-    as_if_independent = interval_of_mean(summarise(distance_errors(measured, computed)))
+    as_if_independent = interval_of_mean(summarise(of_pairs(distance_errors(measured, computed))))
     assert high - low > 1.5 * (as_if_independent[1] - as_if_independent[0])
     assert summary.p50 is not None
     assert summary.p95 is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import sys
@@ -253,7 +254,7 @@ def test_a_hundred_measurements_with_a_fault_every_five(caplog: pytest.LogCaptur
     assert set(trial.faults) == set(ALL_FAULTS)
     assert all(count == 2 for count in trial.faults.values())
     assert seen == list(range(101))
-    assert trial.as_object()["schema"] == "cellapp-trials-bridge"
+    assert json.loads(trial.to_json())["schema"] == "cellapp-trials-bridge"
 
 
 def test_a_trial_is_cancelled_between_measurements() -> None:

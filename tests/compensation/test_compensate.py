@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from typing import Any
 
@@ -161,7 +162,7 @@ def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) ->
     high = run.profile.model_copy(update={"plan": run.profile.plan.model_copy(update={"floor": 0.05})})
     refusals = [command.refusal for command in compensate(high, model, TARGETS)]
     assert any("nearer to the floor" in refusal for refusal in refusals)
-    entry = compensate_result(refused[-1:]).as_object()["targets"]
+    entry = json.loads(compensate_result(refused[-1:]).to_json())["targets"]
     assert entry == [{"name": "it", "arm": "left", "refusal": "out of reach", "q_nominal": None, "q_compensated": None}]
 
 

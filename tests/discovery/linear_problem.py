@@ -8,7 +8,7 @@ import numpy as np
 
 from cellapp.design.information import NuisanceProjector
 from cellapp.discovery.candidates import CandidateLaw, LawScore
-from cellapp.discovery.residual import ProjectedResidual
+from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.search.scan import LawScan
 from cellapp.effects import Channel, EffectColumn, LawForm
 

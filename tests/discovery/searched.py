@@ -1,4 +1,4 @@
-"""Calibrate a run and search it, with the objects of discovery and not only their results."""
+"""Calibrate and search a run in memory; returns the objects of discovery."""
 
 from __future__ import annotations
 

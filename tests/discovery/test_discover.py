@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +10,11 @@ import numpy as np
 import pytest
 
 from cellapp.calibration.calibrate import calibrate_arm
-from cellapp.calibration.circumstances import circumstances_of_arms
+from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.collection.cell import build_plant, plant_arm
 from cellapp.discovery.discover import discover_arm, discover_cell
-from cellapp.discovery.record import arm_result, discover_result
-from cellapp.effects import EFFECTS, Circumstances
+from cellapp.discovery.result import arm_result, discover_result
+from cellapp.effects import EFFECTS, MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.model import CellModel
 from cellapp.pipeline import discover_run
@@ -70,7 +71,7 @@ def discovered(folder, plan, effects, **seeds):
         found = calibrated_and_searched(run)
         calibrated = read_results(run).calibrate
         assert calibrated is not None
-        return calibrated, found.arms, calibrated.with_effects(discover_result(found)).as_object()
+        return calibrated, found.arms, json.loads(calibrated.with_effects(discover_result(found)).to_json())
 
 
 def names(discovery):
@@ -131,8 +132,8 @@ def blind(plan, effects, seed, noise=None):
     profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": effects}, seed)
     readings = blind_readings(profile, plan, seed, noise)
     models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
-    known = circumstances_of_arms(models, readings)
-    return discover_arm(profile, "left", models["left"], readings["left"], known=known["left"])
+    conditions = conditions_of_arms(models, readings)
+    return discover_arm(profile, "left", models["left"], readings["left"], conditions=conditions["left"])
 
 
 def drawn(slug, seed):
@@ -171,7 +172,7 @@ def test_every_effect_with_a_visible_size_is_named(plan, slug):
 
 
 @pytest.mark.parametrize("noise", [Noise("heavy"), Noise(repeatability=8e-6)], ids=["heavy tails", "repeatability"])
-def test_other_noise_than_stated_is_given_no_name(plan, noise):
+def test_noise_other_than_stated_is_not_named_as_an_effect(plan, noise):
     for seed in (31, 32):
         found = blind(plan, {}, seed, noise)
         assert names(found) == set()
@@ -187,7 +188,7 @@ def test_other_noise_than_stated_is_given_no_name(plan, noise):
         ("draught", "tracker azimuth", {"time"}),
     ],
 )
-def test_what_the_library_lacks_is_called_unknown_and_described(plan, slug, channel, variables):
+def test_an_effect_outside_the_library_is_called_unknown_and_described(plan, slug, channel, variables):
     found = blind(plan, {slug: drawn(slug, 5)}, seed=5)
     assert found.verdict == "unknown effect"
     assert names(found) == {"unknown"}
@@ -201,8 +202,8 @@ def test_what_the_library_lacks_is_called_unknown_and_described(plan, slug, chan
     text = CellModel(arms={"left": found.model}).to_json()
     back = CellModel.from_json(text).arms["left"]
     q = plan["left"][:5]
-    known = Circumstances(time_s=np.full(5, 9000.0))
-    np.testing.assert_array_equal(back.predict(q, known=known), found.model.predict(q, known=known))
+    conditions = MeasurementConditions(time_s=np.full(5, 9000.0))
+    np.testing.assert_array_equal(back.predict(q, conditions=conditions), found.model.predict(q, conditions=conditions))
 
 
 def test_look_alikes_that_the_data_cannot_distinguish_are_an_answer_set(plan):
@@ -273,8 +274,8 @@ def test_the_pure_computation_needs_no_run_file(plan):
     readings = blind_readings(profile, plan, 2)
     models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
     found = discover_cell(profile, CellModel(arms=models), readings).arms
-    known = circumstances_of_arms(models, readings)
-    alone = discover_arm(profile, "left", models["left"], readings["left"], known=known["left"])
+    conditions = conditions_of_arms(models, readings)
+    alone = discover_arm(profile, "left", models["left"], readings["left"], conditions=conditions["left"])
     assert set(found) == {"left", "right"}
     together, single = (arm_result(one).model_copy(update={"seconds": None}) for one in (found["left"], alone))
     assert together == single

@@ -33,7 +33,7 @@ def test_the_formula_that_made_a_curve_explains_all_of_it(variables, shape, text
     assert explained(best.values, shape(x, y)) == pytest.approx(1.0)
 
 
-def test_a_sway_in_time_has_its_period() -> None:
+def test_an_oscillation_in_time_has_its_period() -> None:
     t = np.linspace(0.0, 6000.0, 300)
     best = max(
         formulas([Variable(Quantity.TIME)], [t]),
@@ -42,5 +42,5 @@ def test_a_sway_in_time_has_its_period() -> None:
     assert best.text == "c sin(2 pi time / 20 min + phase)"
 
 
-def test_what_does_not_vary_has_no_formula() -> None:
+def test_a_constant_variable_has_no_formula() -> None:
     assert formulas([Variable(Quantity.PAYLOAD)], [np.zeros(5)]) == []

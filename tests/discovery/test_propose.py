@@ -20,7 +20,7 @@ from cellapp.discovery.outcome import CellDiscovery
 from cellapp.discovery.proposal.approaches import DWELLS_S, STEPS_RAD
 from cellapp.discovery.proposal.candidate_poses import Effort
 from cellapp.discovery.propose import Proposal
-from cellapp.discovery.record import proposal_result
+from cellapp.discovery.result import proposal_result
 from cellapp.pipeline import append_proposed_stops, propose_after
 from cellapp.planning.plan import plan_stops
 from cellapp.planning.stop_conditions import STOP_CONDITIONS_RESULT, StopConditions, read_stop_conditions
@@ -130,7 +130,7 @@ def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path) -> 
         assert all(
             one == StopConditions() or one.via is None for stop in proposal.stops for one in stop.conditions.values()
         )
-        assert any("another load would tell" in advice for advice in proposal.advice)
+        assert any("another load would distinguish" in advice for advice in proposal.advice)
         seen = [answer for answer in proposal.predictions if answer.arm == "right"]
         assert seen, "where nothing was found the stops make the faintest effects more visible"
         assert all(answer.against == "" and answer.proposed > answer.random for answer in seen)

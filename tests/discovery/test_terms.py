@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellapp.calibration.curves import CurvePrior, spectrum_variances
+from cellapp.calibration.curve_prior import CurvePrior, spectrum_variances
 from cellapp.discovery.terms import ModelTerm, TermLayout, has_curves, prior_sd, with_term, without_term
 from cellapp.effects import EffectColumn, Wave, joint_column
 from cellapp.effects.periodic import CURVE

@@ -9,22 +9,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.effects import Circumstances, EffectColumn, EffectContext, TemperatureRecord
+from cellapp.effects import EffectColumn, EffectContext, MeasurementConditions, TemperatureRecord
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from cellapp.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.profile import load_profile
 from tests.arms import Array, true_geometry
 
 TWIN = Path(__file__).parents[2] / "profiles" / "twin.yaml"
-NOTHING = Circumstances()
+NOTHING = MeasurementConditions()
 NORMAL = np.array([0.6, 0.0, 0.8])
 EYE = np.eye(3)
 
 
-def known_of(rng: np.random.Generator, n: int, joints: int = 6) -> Circumstances:
+def conditions_of(rng: np.random.Generator, n: int, joints: int = 6) -> MeasurementConditions:
     """All quantities known, and varying, at the n stops of a run."""
     step = rng.uniform(-1.0, 1.0, (n, joints))
-    known = Circumstances(
+    conditions = MeasurementConditions(
         approach=np.sign(step),
         step=step,
         dwell_s=rng.uniform(0.5, 5.0, n),
@@ -35,13 +35,15 @@ def known_of(rng: np.random.Generator, n: int, joints: int = 6) -> Circumstances
         other_moment_M=np.column_stack([rng.normal(0.0, 30.0, (n, 2)), np.zeros(n)]),
         other_q=rng.uniform(-2.0, 2.0, (n, joints)),
     )
-    assert known.time_s is not None
-    assert known.joints_c is not None
-    assert known.air_c is not None
-    return replace(known, record=TemperatureRecord(known.time_s, known.joints_c, known.air_c))
+    assert conditions.time_s is not None
+    assert conditions.joints_c is not None
+    assert conditions.air_c is not None
+    return replace(conditions, record=TemperatureRecord(conditions.time_s, conditions.joints_c, conditions.air_c))
 
 
-def context_of(n: int = 40, seed: int = 0, arm: str = "left", known: Circumstances | None = None) -> EffectContext:
+def context_of(
+    n: int = 40, seed: int = 0, arm: str = "left", conditions: MeasurementConditions | None = None
+) -> EffectContext:
     """An arm of the twin with geometric errors (Hayati angles too) and a tilted base, at n random stops."""
     profile = load_profile(TWIN)
     owner = profile.arms[arm]
@@ -52,7 +54,7 @@ def context_of(n: int = 40, seed: int = 0, arm: str = "left", known: Circumstanc
     T_M_B = np.linalg.inv(pose_matrix(profile.tracker.pose)) @ pose_matrix(owner.base) @ aslant
     return EffectContext(
         q=rng.uniform(-2.5, 2.5, (n, 6)),
-        known=known_of(rng, n) if known is None else known,
+        conditions=conditions_of(rng, n) if conditions is None else conditions,
         geometry=true_geometry(nominal_arm(owner).with_T_M_B(T_M_B), np.random.default_rng(99)),
         bodies=bodies_of(owner),
         up_M=up_in_tracker(profile),
@@ -60,14 +62,14 @@ def context_of(n: int = 40, seed: int = 0, arm: str = "left", known: Circumstanc
     )
 
 
-def knowing(context: EffectContext, known: Circumstances) -> EffectContext:
-    """The same stops with other circumstances."""
-    return replace(context, known=known)
+def under(context: EffectContext, conditions: MeasurementConditions) -> EffectContext:
+    """The same stops under other measurement conditions."""
+    return replace(context, conditions=conditions)
 
 
 def rows_of(context: EffectContext, rows: NDArray[np.intp]) -> EffectContext:
     """Some of the stops."""
-    return replace(context, q=context.q[rows], known=context.known.take(rows))
+    return replace(context, q=context.q[rows], conditions=context.conditions.take(rows))
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ def test_tuning_follows_the_declarations() -> None:
 
 
 def test_an_onset_moves_to_neighbouring_pauses() -> None:
-    time_s = CONTEXT.known.time_s
+    time_s = CONTEXT.conditions.time_s
     assert time_s is not None
     pauses = (time_s[1:] + time_s[:-1]) / 2.0
     tuning = NeighbouringPauses(reach=2, margin=7)

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.effects import EFFECTS, Circumstances, Wave
+from cellapp.effects import EFFECTS, MeasurementConditions, Wave
 from cellapp.effects.periodic import LINES_MAX
-from tests.effects.cell import by_name, chain, context_of, knowing, offsets
+from tests.effects.cell import by_name, chain, context_of, offsets, under
 
 GRAVITY = 9.80665
 CONTEXT = context_of(12)
-KNOWN: Any = CONTEXT.known
+CONDITIONS: Any = CONTEXT.conditions
 
 
 def laws(slug, name, context=CONTEXT):
@@ -54,7 +54,7 @@ def torques(masses, payload):
 
 
 def test_compliance_follows_the_torque_of_arm_and_payload():
-    expected = torques(CONTEXT.bodies.masses, KNOWN.payload_kg)
+    expected = torques(CONTEXT.bodies.masses, CONDITIONS.payload_kg)
     assert np.abs(expected).max() > 50.0
     found = columns("joint_compliance", EFFECTS["joint_compliance"].law("linear"))
     for j in range(6):
@@ -62,7 +62,7 @@ def test_compliance_follows_the_torque_of_arm_and_payload():
 
 
 def test_payload_compliance_follows_the_torque_of_the_payload_alone():
-    expected = torques(np.zeros(6), KNOWN.payload_kg)
+    expected = torques(np.zeros(6), CONDITIONS.payload_kg)
     found = columns("payload_compliance", EFFECTS["payload_compliance"].law())
     for j in range(6):
         np.testing.assert_allclose(offsets(found[f"payload_compliance{j + 1}"]), expected[:, j], atol=1e-5)
@@ -72,7 +72,7 @@ def test_moments_are_the_torque_body_by_body_and_sum_to_all():
     found = columns("joint_compliance", EFFECTS["joint_compliance"].law("linear"))
     assert [name for name in found if name.startswith("moment5")] == ["moment5_5", "moment5_6"]
     for i in range(6):
-        expected = torques(np.where(np.arange(6) == i, CONTEXT.bodies.masses, 0.0), KNOWN.payload_kg * (i == 5))
+        expected = torques(np.where(np.arange(6) == i, CONTEXT.bodies.masses, 0.0), CONDITIONS.payload_kg * (i == 5))
         for j in range(i + 1):
             np.testing.assert_allclose(offsets(found[f"moment{j + 1}_{i + 1}"]), expected[:, j], atol=1e-5)
     for j in range(6):
@@ -112,7 +112,7 @@ def test_loads_and_bodies_only_refine_a_stiffness(name):
     loads = {f"load{j}" for j in range(1, 7)}
     softer = {f"soft{j}" for j in range(1, 7)} if name == "two_slope" else set()
     assert set(found) - main == moments | loads | softer
-    load = torques(np.zeros(6), KNOWN.payload_kg)
+    load = torques(np.zeros(6), CONDITIONS.payload_kg)
     for j in range(6):
         column = found[f"load{j + 1}"]
         assert (column.block, column.joint) == (f"load {j + 1}", j)
@@ -204,7 +204,7 @@ def test_a_joint_lags_half_the_play():
     found = columns("backlash", EFFECTS["backlash"].law("constant"))
     for j in range(6):
         column = found[f"half_play{j + 1}"]
-        np.testing.assert_array_equal(offsets(column), -KNOWN.approach[:, j])
+        np.testing.assert_array_equal(offsets(column), -CONDITIONS.approach[:, j])
         assert (column.lower, column.unit) == (0.0, "rad")
 
 
@@ -212,19 +212,19 @@ def test_hysteresis_saturates_with_the_step():
     found = laws("backlash", "saturating")
     assert [law.constants["width"] for law in found] == [0.02, 0.05, 0.1, 0.2, 0.4, 0.8]
     assert {law.tried for law in found} == {6}
-    step = KNOWN.step[:, 2]
+    step = CONDITIONS.step[:, 2]
     np.testing.assert_allclose(
         offsets(columns("backlash", found[3])["half_play3"]), -np.sign(step) * np.tanh(np.abs(step) / 0.2)
     )
-    only_signs = knowing(CONTEXT, Circumstances(approach=KNOWN.approach))
-    typical = np.median(np.abs(KNOWN.step[:, 2]))
+    only_signs = under(CONTEXT, MeasurementConditions(approach=CONDITIONS.approach))
+    typical = np.median(np.abs(CONDITIONS.step[:, 2]))
     np.testing.assert_allclose(
         offsets(columns("backlash", found[3], only_signs)["half_play3"]), -np.sign(step) * np.tanh(typical / 0.2)
     )
 
 
 def test_an_unknown_approach_is_no_lost_motion():
-    nothing_known = knowing(CONTEXT, Circumstances())
+    nothing_known = under(CONTEXT, MeasurementConditions())
     for slug in ("backlash", "friction_windup", "unsettled_measurement"):
         for law in EFFECTS[slug].laws(CONTEXT):
             for column in columns(slug, law, nothing_known).values():
@@ -232,7 +232,7 @@ def test_an_unknown_approach_is_no_lost_motion():
 
 
 def test_friction_winds_up_with_the_load():
-    signs, load = KNOWN.approach[:, 1], np.abs(CONTEXT.torques[:, 1])
+    signs, load = CONDITIONS.approach[:, 1], np.abs(CONTEXT.torques[:, 1])
     both = columns("friction_windup", EFFECTS["friction_windup"].law("both"))
     assert both["dry2"].block == both["windup2"].block == "joint 2"
     np.testing.assert_allclose(offsets(both["dry2"]), -signs)
@@ -243,7 +243,7 @@ def test_friction_winds_up_with_the_load():
 
 
 def test_an_unsettled_joint_lags_behind_its_motion():
-    step, dwell = KNOWN.step[:, 0], KNOWN.dwell_s
+    step, dwell = CONDITIONS.step[:, 0], CONDITIONS.dwell_s
     np.testing.assert_allclose(
         offsets(columns("unsettled_measurement", EFFECTS["unsettled_measurement"].law("step"))["lag1"]), -step
     )
@@ -252,17 +252,17 @@ def test_an_unsettled_joint_lags_behind_its_motion():
     for law in found:
         expected = -step * np.exp(-dwell / law.constants["tau_s"])
         np.testing.assert_allclose(offsets(columns("unsettled_measurement", law)["lag1"]), expected)
-    no_dwell = knowing(CONTEXT, Circumstances(step=KNOWN.step))
+    no_dwell = under(CONTEXT, MeasurementConditions(step=CONDITIONS.step))
     np.testing.assert_allclose(
         offsets(columns("unsettled_measurement", found[-1], no_dwell)["lag1"]), -step * np.exp(-np.median(dwell) / 30.0)
     )
 
 
 def test_creep_that_is_over_before_any_reading_is_not_tried():
-    patient = replace(CONTEXT.known, dwell_s=KNOWN.dwell_s + 20.0)
+    patient = replace(CONTEXT.conditions, dwell_s=CONDITIONS.dwell_s + 20.0)
     quick, slow = (
         laws("unsettled_measurement", "creep"),
-        laws("unsettled_measurement", "creep", knowing(CONTEXT, patient)),
+        laws("unsettled_measurement", "creep", under(CONTEXT, patient)),
     )
     assert len(quick) == quick[0].tried == 8
     assert 0 < len(slow) == slow[0].tried < 8
@@ -270,7 +270,7 @@ def test_creep_that_is_over_before_any_reading_is_not_tried():
 
 
 def test_joint_zeros_drift():
-    time = KNOWN.time_s
+    time = CONDITIONS.time_s
     (law,) = laws("joint_drift", "linear")
     column = columns("joint_drift", law)["drift4"]
     assert (column.unit, column.joint) == ("rad", 3)
@@ -280,7 +280,7 @@ def test_joint_zeros_drift():
         np.testing.assert_allclose(offsets(columns("joint_drift", law)["drift4"]), expected)
     (law,) = laws("joint_drift", "joint_temperature")
     column = columns("joint_drift", law)["drift4"]
-    joints_c = KNOWN.joints_c[:, 3]
+    joints_c = CONDITIONS.joints_c[:, 3]
     assert column.unit == "rad/K"
     np.testing.assert_allclose(offsets(column), joints_c - joints_c.mean())
 
@@ -288,8 +288,8 @@ def test_joint_zeros_drift():
 @given(late=st.floats(0.0, 1e6))
 def test_after_the_run_a_drift_is_constant(late):
     (law,) = laws("joint_drift", "linear")
-    last = float(KNOWN.time_s[-1])
-    context = replace(CONTEXT, q=CONTEXT.q[:1], known=Circumstances(time_s=np.array([last + late])))
+    last = float(CONDITIONS.time_s[-1])
+    context = replace(CONTEXT, q=CONTEXT.q[:1], conditions=MeasurementConditions(time_s=np.array([last + late])))
     assert offsets(columns("joint_drift", law, context)["drift1"])[0] == 1.0
-    now = replace(context, known=Circumstances())
+    now = replace(context, conditions=MeasurementConditions())
     assert offsets(columns("joint_drift", law, now)["drift1"])[0] == 1.0

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.effects import EFFECTS, Channel, Circumstances, EffectTerm, Law, displacement
+from cellapp.effects import EFFECTS, Channel, EffectTerm, Law, MeasurementConditions, displacement
 from cellapp.effects.data_driven import channels, data_driven_form, variables
 from cellapp.effects.unknown import dictionary, pairs
-from tests.effects.cell import NOTHING, by_name, chain, context_of, knowing, rows_of
+from tests.effects.cell import NOTHING, by_name, chain, context_of, rows_of, under
 
 CONTEXT = context_of()
-KNOWN: Any = CONTEXT.known
+CONDITIONS: Any = CONTEXT.conditions
 
 
 def ends(laws):
@@ -32,7 +32,7 @@ CURVE = PERIODIC.law("curve", {"cycles": 12.0, "length2": 0.3, "amplitude2": 1e-
 GEAR = PERIODIC.law("gear", {"ratio": 50.0}, 209)
 NAMED += [("transmission_error", CURVE), ("transmission_error", GEAR)]
 WHOLE = [law for law in dictionary(CONTEXT) if "period_s" not in law.constants]
-SWAYS = [law for law in dictionary(CONTEXT) if "period_s" in law.constants]
+OSCILLATIONS = [law for law in dictionary(CONTEXT) if "period_s" in law.constants]
 CHANNELS = {channel.name: channel for channel in channels(6)}
 VARIABLES = {variable.name: variable for variable in variables(CONTEXT)}
 
@@ -42,7 +42,7 @@ def data_driven_laws():
     ways, names = list(CHANNELS), list(VARIABLES)
     meeting = {f"{ways[k % len(ways)]}|{names[k % len(names)]}" for k in range(max(len(ways), len(names)))}
     sampled = [law for law in WHOLE if law.name in meeting]
-    sampled += SWAYS[::173]
+    sampled += OSCILLATIONS[::173]
     several = [VARIABLES[name] for name in ("q2", "other q3", "time", "torque2", "payload", "azimuth")]
     sampled += pairs(CONTEXT, CHANNELS["tool y"], several)[::2]
     sampled += pairs(CONTEXT, CHANNELS["base shift"], [VARIABLES[name] for name in ("q1", "q5", "elevation")])
@@ -154,7 +154,7 @@ def test_a_subset_of_the_stops_has_the_same_values(slug, law):
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
 def test_the_same_columns_where_nothing_is_known(slug, law):
     columns = EFFECTS[slug].columns(CONTEXT, law)
-    for other in (knowing(CONTEXT, NOTHING), replace(knowing(CONTEXT, NOTHING), smr_normal=None)):
+    for other in (under(CONTEXT, NOTHING), replace(under(CONTEXT, NOTHING), smr_normal=None)):
         unknown = EFFECTS[slug].columns(other, law)
         for column, part in zip(columns, unknown, strict=True):
             assert same(column, part)
@@ -163,15 +163,15 @@ def test_the_same_columns_where_nothing_is_known(slug, law):
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
 def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
-    known = KNOWN
+    conditions = CONDITIONS
     holed: dict[str, Any] = {}
-    for name, values in vars(known).items():
+    for name, values in vars(conditions).items():
         if name != "record":  # of the whole run, not per stop
             holed[name] = np.array(values, dtype=np.float64)
             holed[name][4] = 0.0 if name == "approach" else np.nan
-    some = EFFECTS[slug].columns(knowing(CONTEXT, replace(known, **holed)), law)
+    some = EFFECTS[slug].columns(under(CONTEXT, replace(conditions, **holed)), law)
     full = EFFECTS[slug].columns(CONTEXT, law)
-    none = EFFECTS[slug].columns(knowing(CONTEXT, NOTHING), law)
+    none = EFFECTS[slug].columns(under(CONTEXT, NOTHING), law)
     rest = np.arange(len(CONTEXT)) != 4
     assert len(some) == len(full) == len(none)
     close(some, none, rows=4, other_rows=4)
@@ -216,8 +216,8 @@ def test_data_driven_terms_have_names_of_their_own():
         for variable in VARIABLES:
             parts = [name for axis in "xyz" for name in named[f"{channel} {axis}|{variable}"]]
             assert named[f"{channel}|{variable}"] == parts
-    swaying = {column.name for law in SWAYS for column in EFFECTS["unknown"].columns(CONTEXT, law)}
-    assert not swaying & set(names)
+    oscillating = {column.name for law in OSCILLATIONS for column in EFFECTS["unknown"].columns(CONTEXT, law)}
+    assert not oscillating & set(names)
 
 
 @pytest.mark.parametrize("slug", [slug for slug in EFFECTS if slug != "unknown"])
@@ -232,9 +232,9 @@ def test_units_are_per_unit_of_what_varies():
     term = term_of("joint_compliance", EFFECTS["joint_compliance"].law("linear"), {"compliance2": 1e-5})
     np.testing.assert_allclose(displacement([term], EFFECTS, CONTEXT).joints[:, 1], 1e-5 * torque)
     law = next(law for law in EFFECTS["thermal_growth"].laws(CONTEXT) if law.name == "air_links")
-    warm = replace(CONTEXT.known, air_c=np.full(len(CONTEXT), law.constants["mean_c"] + 1.0))
+    warm = replace(CONTEXT.conditions, air_c=np.full(len(CONTEXT), law.constants["mean_c"] + 1.0))
     term = term_of("thermal_growth", law, {"growth2": 20e-6})
-    moved = displacement([term], EFFECTS, knowing(CONTEXT, warm)).shift_M
+    moved = displacement([term], EFFECTS, under(CONTEXT, warm)).shift_M
     np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 20e-6 * 0.612, rtol=1e-3)
 
 
@@ -264,79 +264,83 @@ def test_the_independent_chain_agrees_with_the_arm():
 
 
 @pytest.mark.parametrize(
-    ("slug", "known", "words"),
+    ("slug", "conditions", "words"),
     [
         ("payload_compliance", NOTHING, "no payloads"),
-        ("payload_compliance", Circumstances(payload_kg=np.full(40, 2.0)), "payload does not vary"),
+        ("payload_compliance", MeasurementConditions(payload_kg=np.full(40, 2.0)), "payload does not vary"),
         ("backlash", NOTHING, "no approach signs"),
-        ("backlash", Circumstances(approach=np.zeros((40, 6), dtype=np.int8)), "no approach signs"),
-        ("backlash", Circumstances(approach=np.ones((40, 6))), "every joint was approached from one side only"),
+        ("backlash", MeasurementConditions(approach=np.zeros((40, 6), dtype=np.int8)), "no approach signs"),
+        ("backlash", MeasurementConditions(approach=np.ones((40, 6))), "every joint was approached from one side only"),
         ("friction_windup", NOTHING, "no approach signs"),
-        ("friction_windup", Circumstances(approach=-np.ones((40, 6))), "every joint was approached from one side only"),
+        (
+            "friction_windup",
+            MeasurementConditions(approach=-np.ones((40, 6))),
+            "every joint was approached from one side only",
+        ),
         ("unsettled_measurement", NOTHING, "no last steps"),
         ("thermal_growth", NOTHING, "no temperatures and no times"),
-        ("thermal_growth", Circumstances(air_c=np.full(40, 20.0)), "no temperatures and no times"),
-        ("joint_drift", Circumstances(air_c=np.linspace(20, 22, 40)), "no times and no joint temperatures"),
+        ("thermal_growth", MeasurementConditions(air_c=np.full(40, 20.0)), "no temperatures and no times"),
+        ("joint_drift", MeasurementConditions(air_c=np.linspace(20, 22, 40)), "no times and no joint temperatures"),
         ("base_drift", NOTHING, "no times"),
-        ("base_drift", Circumstances(time_s=np.full(40, np.nan)), "no times"),
-        ("base_step", Circumstances(time_s=np.zeros(40)), "no times"),
+        ("base_drift", MeasurementConditions(time_s=np.full(40, np.nan)), "no times"),
+        ("base_step", MeasurementConditions(time_s=np.zeros(40)), "no times"),
         ("target_slip", NOTHING, "no times"),
         ("pedestal_coupling", NOTHING, "no readings of the other arm"),
-        ("pedestal_coupling", Circumstances(other_moment_M=np.ones((40, 3))), "the other arm did not move"),
+        ("pedestal_coupling", MeasurementConditions(other_moment_M=np.ones((40, 3))), "the other arm did not move"),
     ],
 )
-def test_missing_data_are_reported(slug, known, words):
-    assert EFFECTS[slug].untestable(knowing(CONTEXT, known)) == words
-    assert EFFECTS[slug].untestable(CONTEXT) == ""
+def test_missing_data_are_reported(slug, conditions, words):
+    assert EFFECTS[slug].missing_data(under(CONTEXT, conditions)) == words
+    assert EFFECTS[slug].missing_data(CONTEXT) == ""
 
 
 def test_missing_properties_of_an_arm_are_reported():
     weightless = replace(
         CONTEXT,
         bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=0.0),
-        known=NOTHING,
+        conditions=NOTHING,
     )
-    assert EFFECTS["joint_compliance"].untestable(weightless) == "gravity turns no joint (no masses)"
-    assert EFFECTS["link_bending"].untestable(weightless) == "no masses"
-    assert EFFECTS["pedestal_compliance"].untestable(weightless) == "no masses"
+    assert EFFECTS["joint_compliance"].missing_data(weightless) == "gravity turns no joint (no masses)"
+    assert EFFECTS["link_bending"].missing_data(weightless) == "no masses"
+    assert EFFECTS["pedestal_compliance"].missing_data(weightless) == "no masses"
     blind = replace(CONTEXT, smr_normal=None)
-    assert EFFECTS["target_incidence"].untestable(blind) == "the SMR viewing direction is not known"
+    assert EFFECTS["target_incidence"].missing_data(blind) == "the SMR viewing direction is not known"
     always = ("encoder_eccentricity", "transmission_error", "joint_axis_wobble", "tracker_scale", "tracker_angle_error")
     for slug in (*always, "tracker_distance_offset"):
-        assert EFFECTS[slug].untestable(knowing(CONTEXT, NOTHING)) == ""
+        assert EFFECTS[slug].missing_data(under(CONTEXT, NOTHING)) == ""
 
 
 def test_few_readings_have_no_onset():
     few = rows_of(CONTEXT, np.arange(15))
-    assert EFFECTS["base_step"].untestable(few) == "fewer than 16 readings"
+    assert EFFECTS["base_step"].missing_data(few) == "fewer than 16 readings"
     assert EFFECTS["base_step"].laws(few) == []
-    assert EFFECTS["base_step"].untestable(rows_of(CONTEXT, np.arange(16))) == ""
+    assert EFFECTS["base_step"].missing_data(rows_of(CONTEXT, np.arange(16))) == ""
 
 
 def test_laws_follow_what_is_known():
-    def names(slug, known):
-        return list(dict.fromkeys(law.name for law in EFFECTS[slug].laws(knowing(CONTEXT, known))))
+    def names(slug, conditions):
+        return list(dict.fromkeys(law.name for law in EFFECTS[slug].laws(under(CONTEXT, conditions))))
 
-    known = KNOWN
-    unrecorded = replace(known, record=None)
+    conditions = CONDITIONS
+    unrecorded = replace(conditions, record=None)
     assert names("joint_compliance", NOTHING) == ["linear", "two_slope"]
     assert names("transmission_error", NOTHING) == ["two", "lines"]
-    assert names("backlash", Circumstances(approach=known.approach)) == ["constant"]
-    assert names("backlash", known) == ["constant", "saturating"]
-    assert names("unsettled_measurement", Circumstances(step=known.step)) == ["step"]
-    assert names("unsettled_measurement", known) == ["step", "creep"]
-    assert names("thermal_growth", Circumstances(air_c=known.air_c)) == ["air", "air_links"]
-    assert names("thermal_growth", Circumstances(time_s=known.time_s)) == ["warm_up", "warm_up_links"]
-    assert names("thermal_growth", known) == [
+    assert names("backlash", MeasurementConditions(approach=conditions.approach)) == ["constant"]
+    assert names("backlash", conditions) == ["constant", "saturating"]
+    assert names("unsettled_measurement", MeasurementConditions(step=conditions.step)) == ["step"]
+    assert names("unsettled_measurement", conditions) == ["step", "creep"]
+    assert names("thermal_growth", MeasurementConditions(air_c=conditions.air_c)) == ["air", "air_links"]
+    assert names("thermal_growth", MeasurementConditions(time_s=conditions.time_s)) == ["warm_up", "warm_up_links"]
+    assert names("thermal_growth", conditions) == [
         *("air", "air_links", "joints", "joints_links", "conduction", "conduction_links", "warm_up", "warm_up_links")
     ]
     assert names("thermal_growth", unrecorded) == [
         *("air", "air_links", "joints", "joints_links", "warm_up", "warm_up_links")
     ]
-    assert names("joint_drift", known) == ["linear", "warm_up", "joint_temperature"]
-    assert names("joint_drift", Circumstances(joints_c=known.joints_c)) == ["joint_temperature"]
-    assert names("base_drift", known) == ["linear", "warm_up", "quadratic"]
-    assert names("unknown", known) == []
+    assert names("joint_drift", conditions) == ["linear", "warm_up", "joint_temperature"]
+    assert names("joint_drift", MeasurementConditions(joints_c=conditions.joints_c)) == ["joint_temperature"]
+    assert names("base_drift", conditions) == ["linear", "warm_up", "quadratic"]
+    assert names("unknown", conditions) == []
 
 
 def term_of(slug, law, values):

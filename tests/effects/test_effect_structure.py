@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.effects import EFFECTS, Circumstances, TemperatureRecord
-from cellapp.effects.history import lagged
+from cellapp.effects import EFFECTS, MeasurementConditions, TemperatureRecord
+from cellapp.effects.time_functions import lagged
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, transform
-from tests.effects.cell import EYE, by_name, chain, context_of, knowing, shifts, slope
+from tests.effects.cell import EYE, by_name, chain, context_of, shifts, slope, under
 
 GRAVITY = 9.80665
 CONTEXT = context_of(10)
 RUN = context_of(60, seed=3)
-KNOWN: Any = CONTEXT.known
-RUN_KNOWN: Any = RUN.known
+CONDITIONS: Any = CONTEXT.conditions
+RUN_CONDITIONS: Any = RUN.conditions
 
 
 def laws(slug, name, context=CONTEXT):
@@ -62,7 +62,7 @@ def grown(strain_of):
 
 
 def test_links_grow_with_the_air():
-    warmer = KNOWN.air_c - KNOWN.air_c.mean()
+    warmer = CONDITIONS.air_c - CONDITIONS.air_c.mean()
     whole = columns("thermal_growth", laws("thermal_growth", "air")[0])
     assert list(whole) == ["growth"]
     assert (whole["growth"].lower, whole["growth"].upper, whole["growth"].unit) == (0.0, 4e-5, "1/K")
@@ -76,7 +76,7 @@ def test_links_grow_with_the_air():
 
 
 def test_links_grow_with_the_joints_at_their_ends():
-    joints = KNOWN.joints_c - KNOWN.joints_c.mean(axis=0)
+    joints = CONDITIONS.joints_c - CONDITIONS.joints_c.mean(axis=0)
     ends = np.array([[(row[i] + row[min(i + 1, 5)]) / 2.0 for i in range(6)] for row in joints])
     whole = columns("thermal_growth", laws("thermal_growth", "joints")[0])["growth"]
     np.testing.assert_allclose(shifts(whole), grown(lambda row: ends[row]), atol=1e-9)
@@ -88,7 +88,7 @@ def test_links_grow_while_warming_up():
     found = laws("thermal_growth", "warm_up")
     assert [law.constants["tau_s"] for law in found] == [900.0, 1800.0, 3600.0, 7200.0, 14400.0]
     assert {law.tried for law in found} == {5}
-    time = KNOWN.time_s
+    time = CONDITIONS.time_s
     strain = 1.0 - np.exp(-(time - time[0]) / 3600.0)
     column = columns("thermal_growth", found[2])["growth"]
     assert column.unit == "m/m"
@@ -112,11 +112,11 @@ def test_a_lag_follows_a_ramp_at_its_distance():
 def test_links_follow_their_joints_and_the_air_and_housings_grow():
     """Each column grows its own part of the arm, by its temperature above the mean."""
     law = laws("thermal_growth", "conduction_links")[2]
-    known = KNOWN
-    joints = known.joints_c - known.joints_c.mean(axis=0)
-    air = known.air_c - known.air_c.mean()
+    conditions = CONDITIONS
+    joints = conditions.joints_c - conditions.joints_c.mean(axis=0)
+    air = conditions.air_c - conditions.air_c.mean()
     ends = np.array([[(row[i] + row[min(i + 1, 5)]) / 2.0 for i in range(6)] for row in joints - air[:, None]])
-    behind = lagged(np.column_stack([ends, air]), known.time_s, law.constants["lag_s"])
+    behind = lagged(np.column_stack([ends, air]), conditions.time_s, law.constants["lag_s"])
     found = columns("thermal_growth", law)
     np.testing.assert_allclose(shifts(found["growth3"]), grown(lambda row: behind[row, 2] * np.eye(6)[2]), atol=1e-9)
     np.testing.assert_allclose(shifts(found["growth_air"]), grown(lambda row: np.full(6, behind[row, 6])), atol=1e-9)
@@ -132,21 +132,21 @@ def test_links_follow_their_joints_and_the_air_and_housings_grow():
 
 @pytest.mark.parametrize("name", ["conduction", "conduction_links"])
 def test_the_record_of_a_run_gives_link_temperatures_at_any_stop(name):
-    """Regardless of what the stops themselves know, and of the order of the record."""
+    """Independent of the conditions of the stops themselves, and of the order of the record."""
     law = laws("thermal_growth", name, RUN)[2]
-    known, rows = RUN_KNOWN, np.array([41, 5, 20])
+    conditions, rows = RUN_CONDITIONS, np.array([41, 5, 20])
     mixed = np.random.default_rng(4).permutation(60)
-    record = TemperatureRecord(known.time_s[mixed], known.joints_c[mixed], known.air_c[mixed])
-    time_s = known.time_s[rows]
-    some = replace(RUN, q=RUN.q[rows], known=Circumstances(time_s=time_s, record=record))
+    record = TemperatureRecord(conditions.time_s[mixed], conditions.joints_c[mixed], conditions.air_c[mixed])
+    time_s = conditions.time_s[rows]
+    some = replace(RUN, q=RUN.q[rows], conditions=MeasurementConditions(time_s=time_s, record=record))
     whole, part = columns("thermal_growth", law, RUN), columns("thermal_growth", law, some)
     followed = set(whole) - {"growth_housings"}  # which need the temperatures at the stop
     assert {"growth_air"} < followed
     for one in followed:
         np.testing.assert_allclose(shifts(part[one]), shifts(whole[one])[rows], rtol=1e-9, atol=1e-12)
         assert np.abs(shifts(part[one])).max() > 0.05
-    settled = columns("thermal_growth", law, knowing(RUN, replace(known, record=None)))
-    warmer = known.air_c - known.air_c.mean()
+    settled = columns("thermal_growth", law, under(RUN, replace(conditions, record=None)))
+    warmer = conditions.air_c - conditions.air_c.mean()
     expected = RUN.link_growth.sum(axis=0) * warmer[:, None]
     np.testing.assert_allclose(shifts(settled["growth_air"]), expected, atol=1e-12)
     assert not np.allclose(shifts(whole["growth_air"]), expected, atol=0.1), "the lag is seen"
@@ -154,9 +154,13 @@ def test_the_record_of_a_run_gives_link_temperatures_at_any_stop(name):
 
 def test_between_two_moments_of_the_record_link_temperatures_are_interpolated():
     law = laws("thermal_growth", "conduction", RUN)[2]
-    known = RUN_KNOWN
-    times = np.array([known.time_s[7], known.time_s[7:9].mean(), known.time_s[8], known.time_s[-1], 1e9])
-    still = replace(RUN, q=np.tile(RUN.q[0], (5, 1)), known=Circumstances(time_s=times, record=known.record))
+    conditions = RUN_CONDITIONS
+    times = np.array(
+        [conditions.time_s[7], conditions.time_s[7:9].mean(), conditions.time_s[8], conditions.time_s[-1], 1e9]
+    )
+    still = replace(
+        RUN, q=np.tile(RUN.q[0], (5, 1)), conditions=MeasurementConditions(time_s=times, record=conditions.record)
+    )
     grown_by_air = shifts(columns("thermal_growth", law, still)["growth_air"])
     np.testing.assert_allclose(grown_by_air[1], (grown_by_air[0] + grown_by_air[2]) / 2.0, rtol=1e-9)
     np.testing.assert_allclose(grown_by_air[4], grown_by_air[3])
@@ -183,9 +187,9 @@ TWISTS = {
 
 
 @pytest.mark.parametrize("way", TWISTS)
-def test_a_base_drifts_and_steps(way):
+def test_base_drift_and_step(way):
     twisted = each_row(TWISTS[way], RUN)
-    time = RUN_KNOWN.time_s
+    time = RUN_CONDITIONS.time_s
     along = ((time - time[0]) / (time[-1] - time[0]))[:, None]
     found = columns("base_drift", laws("base_drift", "linear", RUN)[0], RUN)
     assert {column.block for column in found.values()} == {"base"}
@@ -209,16 +213,16 @@ def test_a_target_slips_in_the_flange(axis):
     column = columns("target_slip", law, RUN)[f"slip_{'xyz'[axis]}"]
     assert column.block == column.where == "tool"
     np.testing.assert_allclose(
-        shifts(column), moved * (RUN_KNOWN.time_s >= law.constants["onset_s"])[:, None], atol=1e-9
+        shifts(column), moved * (RUN_CONDITIONS.time_s >= law.constants["onset_s"])[:, None], atol=1e-9
     )
 
 
 @pytest.mark.parametrize("slug", ["base_step", "target_slip"])
 def test_a_step_is_permanent(slug):
     law = EFFECTS[slug].laws(RUN)[0]
-    after = EFFECTS[slug].columns(knowing(RUN, Circumstances(time_s=np.full(60, 1e9))), law)
+    after = EFFECTS[slug].columns(under(RUN, MeasurementConditions(time_s=np.full(60, 1e9))), law)
     for time_s in (None, np.full(60, np.nan)):
-        for now, later in zip(EFFECTS[slug].columns(knowing(RUN, Circumstances(time_s=time_s)), law), after):
+        for now, later in zip(EFFECTS[slug].columns(under(RUN, MeasurementConditions(time_s=time_s)), law), after):
             np.testing.assert_array_equal(shifts(now), shifts(later))
             assert shifts(now).any()
 
@@ -227,7 +231,7 @@ def test_a_step_is_permanent(slug):
 def test_onsets_leave_readings_on_both_sides(moments, more):
     time = np.array([*moments, *np.linspace(0.0, 300.0, more)])
     q = np.zeros((len(time), 6))
-    found = EFFECTS["base_step"].laws(replace(RUN, q=q, known=Circumstances(time_s=time)))
+    found = EFFECTS["base_step"].laws(replace(RUN, q=q, conditions=MeasurementConditions(time_s=time)))
     assert len(found) <= 120
     assert {law.tried for law in found} <= {len(found)}
     onsets = np.array([law.constants["onset_s"] for law in found])
@@ -239,7 +243,7 @@ def test_onsets_leave_readings_on_both_sides(moments, more):
 
 def test_onsets_reach_from_end_to_end():
     time = np.arange(400.0) * 45.0
-    context = replace(RUN, q=np.zeros((400, 6)), known=Circumstances(time_s=time))
+    context = replace(RUN, q=np.zeros((400, 6)), conditions=MeasurementConditions(time_s=time))
     onsets = [law.constants["onset_s"] for law in EFFECTS["base_step"].laws(context)]
     assert len(onsets) == 120
     assert onsets[0] == 7.5 * 45.0
@@ -259,7 +263,7 @@ def own_moment(row):
         for mass, pose, center in zip(CONTEXT.bodies.masses, walked.frames[1:], CONTEXT.bodies.centers, strict=True)
     ]
     end = walked.frames[-1]
-    loads.append((KNOWN.payload_kg[row], end[:3, :3] @ CONTEXT.bodies.payload_center + end[:3, 3]))
+    loads.append((CONDITIONS.payload_kg[row], end[:3, :3] @ CONTEXT.bodies.payload_center + end[:3, 3]))
     return sum(np.cross(center - origin, -mass * GRAVITY * CONTEXT.up_M) for mass, center in loads)
 
 
@@ -331,7 +335,7 @@ def test_a_pedestal_on_a_wall_or_under_a_ceiling(turn):
 
 
 def test_a_pedestal_tilts_with_the_other_arm():
-    other = KNOWN.other_moment_M
+    other = CONDITIONS.other_moment_M
     above = other - other.mean(axis=0)
     isotropic, tilt, general = EFFECTS["pedestal_coupling"].laws(CONTEXT)
     assert [law.name for law in (isotropic, tilt, general)] == ["isotropic", "tilt", "general"]
@@ -362,7 +366,7 @@ def test_a_pedestal_tilts_with_the_other_arm():
 
 def test_an_unknown_pose_of_the_other_arm_counts_as_the_mean():
     for law in EFFECTS["pedestal_coupling"].laws(CONTEXT):
-        for column in columns("pedestal_coupling", law, knowing(CONTEXT, Circumstances())).values():
+        for column in columns("pedestal_coupling", law, under(CONTEXT, MeasurementConditions())).values():
             assert not shifts(column).any()
 
 
@@ -388,7 +392,7 @@ def beam_by_integration(row, link, *, torsion, own_weight, slices=4000):
         moment += np.cross(center - r, -bodies.masses[body] * GRAVITY * CONTEXT.up_M)
     flange = walked.frames[-1]
     load = flange[:3, :3] @ bodies.payload_center + flange[:3, 3]
-    moment += np.cross(load - r, -KNOWN.payload_kg[row] * GRAVITY * CONTEXT.up_M)
+    moment += np.cross(load - r, -CONDITIONS.payload_kg[row] * GRAVITY * CONTEXT.up_M)
     if own_weight:
         pose = walked.frames[link]
         center = pose[:3, :3] @ bodies.centers[link - 1] + pose[:3, 3]
@@ -451,7 +455,7 @@ def test_a_horizontal_cantilever_hangs_down():
     context = replace(
         CONTEXT,
         q=np.zeros((1, 6)),
-        known=Circumstances(),
+        conditions=MeasurementConditions(),
         geometry=replace(CONTEXT.geometry.with_T_M_B(np.eye(4)), rows=rows, tool=np.zeros(3)),
         bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=10.0, payload_center=np.zeros(3)),
         up_M=np.array([0.0, 0.0, 1.0]),

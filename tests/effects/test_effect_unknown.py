@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.effects import EFFECTS, Channel, Circumstances, EffectColumn
+from cellapp.effects import EFFECTS, Channel, EffectColumn, MeasurementConditions
 from cellapp.effects.data_driven import DataDrivenForm, Quantity, channels, data_driven_form, form_named, variables
 from cellapp.effects.unknown import dictionary, pairs
 from cellapp.kinematics.transforms import rotation_z
-from tests.effects.cell import EYE, NOTHING, by_name, chain, context_of, knowing, offsets, shifts, slope
+from tests.effects.cell import EYE, NOTHING, by_name, chain, context_of, offsets, shifts, slope, under
 
 CONTEXT = context_of(40)
-KNOWN: Any = CONTEXT.known
+CONDITIONS: Any = CONTEXT.conditions
 UNKNOWN = EFFECTS["unknown"]
 EVERY = (
     *(f"q{j}" for j in range(1, 7)),
@@ -103,14 +103,14 @@ def test_shifts_in_any_direction_are_about_the_same_motion():
 
 
 def test_a_variable_that_is_unknown_or_constant_is_not_tried():
-    bare = replace(knowing(CONTEXT, NOTHING), smr_normal=None)
+    bare = replace(under(CONTEXT, NOTHING), smr_normal=None)
     torques = tuple(f"torque{j}" for j in range(1, 7))
     assert names_of(variables(bare)) == (*EVERY[:6], *torques, "range", "azimuth", "elevation")
     q = CONTEXT.q.copy()
     q[:, 3] = 0.5
     assert "q4" not in names_of(variables(replace(CONTEXT, q=q)))
-    known = Circumstances(payload_kg=np.full(40, 1.0))
-    assert "payload" not in names_of(variables(knowing(CONTEXT, known)))
+    known = MeasurementConditions(payload_kg=np.full(40, 1.0))
+    assert "payload" not in names_of(variables(under(CONTEXT, known)))
 
 
 def moved_of(channel, context, row):
@@ -167,8 +167,8 @@ def test_a_vector_is_its_three_directions_in_one_block(channel):
         np.testing.assert_array_equal(shifts(column), shifts(parts[name]))
 
 
-def test_a_sway_has_one_of_the_periods_that_the_run_resolves():
-    time = KNOWN.time_s
+def test_an_oscillation_has_one_of_the_periods_that_the_run_resolves():
+    time = CONDITIONS.time_s
     run_s = time[-1] - time[0]
     laws = [law for law in dictionary(CONTEXT) if law.name == "tool|time" and "period_s" in law.constants]
     periods = np.array([law.constants["period_s"] for law in laws])
@@ -181,15 +181,15 @@ def test_a_sway_has_one_of_the_periods_that_the_run_resolves():
     phase = 2.0 * np.pi * (time - time[0]) / periods[20]
     np.testing.assert_allclose(offsets(found["joint_3.cos_time"]), np.cos(phase), atol=1e-12)
     np.testing.assert_allclose(offsets(found["joint_3.sin_time"]), np.sin(phase), atol=1e-12)
-    later = columns(law, knowing(CONTEXT, Circumstances(time_s=time + 1e6)))
-    for name, column in columns(law, knowing(CONTEXT, NOTHING)).items():
+    later = columns(law, under(CONTEXT, MeasurementConditions(time_s=time + 1e6)))
+    for name, column in columns(law, under(CONTEXT, NOTHING)).items():
         np.testing.assert_allclose(offsets(column), offsets(found[name])[-1], err_msg="now is the end of the run")
         np.testing.assert_allclose(offsets(later[name]), offsets(column), err_msg="constant beyond the run")
 
 
 def test_time_is_linear_and_half_cycles_over_the_run():
     law = law_of("base shift x", "time")
-    time = KNOWN.time_s
+    time = CONDITIONS.time_s
     assert law.constants == {"order": 20.0, "low": time[0], "high": time[-1], "typical": time[-1]}
     found = columns(law_of("joint 1", "time"))
     assert len(found) == 21
@@ -204,9 +204,9 @@ def test_other_variables_are_polynomials_on_their_range(variable):
     """Orthogonal on -1 to 1: they span all polynomials to the fourth order, except the constant."""
     values = {
         "torque2": CONTEXT.torques[:, 1],
-        "step3": KNOWN.step[:, 2],
-        "dwell": KNOWN.dwell_s,
-        "temperature": KNOWN.air_c,
+        "step3": CONDITIONS.step[:, 2],
+        "dwell": CONDITIONS.dwell_s,
+        "temperature": CONDITIONS.air_c,
         "range": np.linalg.norm(CONTEXT.p_M, axis=1),
         "elevation": np.arcsin(CONTEXT.p_M[:, 2] / np.linalg.norm(CONTEXT.p_M, axis=1)),
         "incidence": np.arccos(
@@ -235,7 +235,7 @@ def test_a_payload_of_two_values_is_a_straight_line():
 
 def test_beyond_its_range_a_variable_is_held_at_its_limit():
     law = law_of("joint 2", "temperature")
-    hot = knowing(CONTEXT, Circumstances(air_c=np.full(40, 80.0)))
+    hot = under(CONTEXT, MeasurementConditions(air_c=np.full(40, 80.0)))
     for column in columns(law, hot).values():
         np.testing.assert_allclose(offsets(column), 1.0)
 
@@ -243,16 +243,16 @@ def test_beyond_its_range_a_variable_is_held_at_its_limit():
 @pytest.mark.parametrize(
     ("variable", "known"),
     [
-        ("time", Circumstances(time_s=np.full(40, KNOWN.time_s[-1]))),
-        ("step3", Circumstances(step=np.zeros((40, 6)))),
-        ("dwell", Circumstances(dwell_s=np.full(40, np.median(KNOWN.dwell_s)))),
-        ("payload", Circumstances(payload_kg=np.full(40, CONTEXT.bodies.payload_mass))),
-        ("temperature", Circumstances(air_c=np.full(40, KNOWN.air_c.mean()))),
+        ("time", MeasurementConditions(time_s=np.full(40, CONDITIONS.time_s[-1]))),
+        ("step3", MeasurementConditions(step=np.zeros((40, 6)))),
+        ("dwell", MeasurementConditions(dwell_s=np.full(40, np.median(CONDITIONS.dwell_s)))),
+        ("payload", MeasurementConditions(payload_kg=np.full(40, CONTEXT.bodies.payload_mass))),
+        ("temperature", MeasurementConditions(air_c=np.full(40, CONDITIONS.air_c.mean()))),
     ],
 )
 def test_an_unknown_variable_has_its_default(variable, known):
     law = law_of("joint 2", variable)
-    unknown, usual = columns(law, knowing(CONTEXT, NOTHING)), columns(law, knowing(CONTEXT, known))
+    unknown, usual = columns(law, under(CONTEXT, NOTHING)), columns(law, under(CONTEXT, known))
     for name, column in unknown.items():
         np.testing.assert_allclose(offsets(column), offsets(usual[name]), atol=1e-12)
 
@@ -260,8 +260,8 @@ def test_an_unknown_variable_has_its_default(variable, known):
 def test_an_unknown_angle_of_the_other_arm_is_left_out():
     law = law_of("joint 2", "other q3")
     found = columns(law)
-    np.testing.assert_allclose(offsets(found["joint_2.cos2_other_q3"]), np.cos(2.0 * KNOWN.other_q[:, 2]))
-    for column in columns(law, knowing(CONTEXT, NOTHING)).values():
+    np.testing.assert_allclose(offsets(found["joint_2.cos2_other_q3"]), np.cos(2.0 * CONDITIONS.other_q[:, 2]))
+    for column in columns(law, under(CONTEXT, NOTHING)).values():
         assert not offsets(column).any()
 
 
@@ -325,9 +325,9 @@ def test_pairs_of_one_channel_are_of_all_variables_and_of_all_channels_of_joint_
 
 
 def test_a_curve_of_one_variable_can_be_found_again():
-    """A sag of |sin q5| and a 47 minute sway are fitted to 15 % of their size."""
+    """A sag of |sin q5| and an oscillation of 47 minutes are fitted to 15 % of their size."""
     context = context_of(300, seed=8)
-    time_s: Any = context.known.time_s
+    time_s: Any = context.conditions.time_s
     for channel, variable, truth in (
         ("joint 1", "q5", np.abs(np.sin(context.q[:, 4]))),
         ("joint 1", "time", np.sin(2.0 * np.pi * time_s / (47.0 * 60.0) / 2.0)),

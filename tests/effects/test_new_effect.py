@@ -10,7 +10,7 @@ import pytest
 
 from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.outcome import Discovery
-from cellapp.discovery.record import arm_result
+from cellapp.discovery.result import arm_result
 from cellapp.effects import EFFECTS, EffectTerm, registered, term_from_json, term_to_json
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import ArmModel

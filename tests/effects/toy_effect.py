@@ -32,9 +32,9 @@ class ToySag(Effect):
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.PAYLOAD})
     forms = (FORM,)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs a payload that varies."""
-        return "" if varies(context.known.payload_kg) else "payload does not vary"
+        return "" if varies(context.conditions.payload_kg) else "payload does not vary"
 
     def laws(self, context: EffectContext) -> list[Law]:
         """One for each softening to try."""

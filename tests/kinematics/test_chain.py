@@ -50,7 +50,7 @@ def plain_product(geometry, q):
 
 @given(seeds, st.integers(2, 8))
 @settings(max_examples=60, deadline=None)
-def test_positions_are_those_of_the_definition(seed, joints):
+def test_positions_agree_with_the_product_of_matrices(seed, joints):
     rng = np.random.default_rng(seed)
     geometry = random_arm(rng, joints)
     q = rng.uniform(-6, 6, (5, joints))
@@ -82,7 +82,7 @@ def test_jacobian_is_the_derivative_of_the_positions(seed, joints):
 
 @given(seeds)
 @settings(max_examples=100, deadline=None)
-def test_a_base_set_anywhere_is_found_again(seed):
+def test_a_base_pose_survives_the_round_trip(seed):
     rng = np.random.default_rng(seed)
     T_M_B = transform(rotation_from_vector(rng.normal(size=3) * 2.0), rng.uniform(-5, 5, 3))
     geometry = nominal_geometry(UR10, OFF_AXIS, T_M_B)

@@ -24,7 +24,7 @@ def test_poses_of_a_calibrated_arm_are_reached_from_near_by():
         np.testing.assert_allclose(flange_poses(geometry, there)[0], rotation[found.reached], atol=1e-9)
 
 
-def test_a_pose_out_of_reach_is_said_to_be():
+def test_a_pose_out_of_reach_is_reported():
     geometry = at_station(UR10, OFF_AXIS)
     q = np.zeros((1, 6))
     wanted = smr_positions(geometry, q) + np.array([[0.0, 0.0, 5.0]])

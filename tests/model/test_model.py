@@ -1,4 +1,4 @@
-"""The model file keeps every bit and refuses what it does not know."""
+"""Model file: lossless round trip; unknown content is rejected."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_saved_model_predicts_what_it_predicted(tmp_path):
     np.testing.assert_allclose(gap, model.arms["left"].network.correct(q) @ rotation.T, atol=1e-15)
 
 
-def test_effects_move_the_prediction_and_depend_on_what_they_should():
+def test_effects_change_the_prediction_with_the_quantities_they_depend_on():
     arm = cell_model().arms["left"]
     q = np.random.default_rng(2).uniform(-3, 3, (20, 6))
     middle, above = arm.predict(q), arm.predict(q, approach=np.ones((20, 6)))
@@ -97,7 +97,7 @@ def test_the_base_frame_is_the_tracker_frame_seen_from_the_base():
         (lambda c: c["arms"]["left"]["effects"][0].update(effect="magic"), "magic"),
     ],
 )
-def test_a_file_it_does_not_understand_is_refused_with_its_name(tmp_path, spoil, says):
+def test_an_unknown_or_damaged_file_is_refused_with_its_name(tmp_path, spoil, says):
     content = json.loads(cell_model().to_json())
     spoil(content)
     path = tmp_path / "calibration.json"

@@ -1,4 +1,4 @@
-"""Plans: every stop inside the limits, seen and safe; repeatable; refused in words where there is none."""
+"""Plans: every stop inside the limits, visible and safe; reproducible; one-sentence errors where none is possible."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_limits_and_ranges_of_the_cell_hold() -> None:
         assert np.all((q[:, 4] >= -1.0) & (q[:, 4] <= 3.0))
 
 
-def test_every_way_is_let_through_by_the_gate_from_home_and_back(plan: dict[str, np.ndarray]) -> None:
+def test_the_gate_admits_every_motion_from_home_and_back(plan: dict[str, np.ndarray]) -> None:
     profile = small_twin()
     cell, home = cell_bodies(profile), home_positions(profile)
     stops = [home, *({name: q[k] for name, q in plan.items()} for k in range(30)), home]
@@ -52,7 +52,7 @@ def test_every_way_is_let_through_by_the_gate_from_home_and_back(plan: dict[str,
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_last_stop_is_one_that_leads_home(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_home_can_be_reached_from_the_last_stop(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a cell where home can only be entered with the last joint turned to one side."""
     profile = small_twin(2).model_copy(update={"seed": seed})
     homes = home_positions(profile)

@@ -1,4 +1,4 @@
-"""The safety gate: what it must refuse, and that what it lets through is safe by another's measure."""
+"""Safety gate: motions that it must refuse, and independent checks that the motions it admits are safe."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def turnstile(x: float, radius: float = 0.05) -> ArmBodies:
 
 
 @pytest.fixture
-def stiles() -> CellBodies:
+def turnstiles() -> CellBodies:
     """Two bars 1.5 m apart: they meet where both point at each other."""
     return CellBodies({"a": turnstile(0.0), "b": turnstile(1.5)}, None, 0.1, -1.0)
 
@@ -53,27 +53,27 @@ def at(**q: float) -> dict[str, np.ndarray]:
     return {name: np.array([value]) for name, value in q.items()}
 
 
-def test_bars_that_point_at_each_other_must_not_stand_so(stiles: CellBodies) -> None:
-    assert refuse_stop(stiles, at(a=0.0, b=math.pi)) == "arms a and b: come nearer than 100 mm"
-    assert refuse_stop(stiles, at(a=QUARTER, b=math.pi)) == ""
+def test_stops_at_which_bars_collide_are_refused(turnstiles: CellBodies) -> None:
+    assert refuse_stop(turnstiles, at(a=0.0, b=math.pi)) == "arms a and b: come nearer than 100 mm"
+    assert refuse_stop(turnstiles, at(a=QUARTER, b=math.pi)) == ""
 
 
-def test_a_way_is_refused_whose_ends_are_safe(stiles: CellBodies) -> None:
+def test_a_motion_between_safe_stops_is_refused_if_it_collides(turnstiles: CellBodies) -> None:
     here, there = at(a=-QUARTER, b=math.pi), at(a=QUARTER, b=math.pi)
-    assert refuse_stop(stiles, here) == refuse_stop(stiles, there) == ""
-    assert "come nearer" in refuse_motion(stiles, here, there)
+    assert refuse_stop(turnstiles, here) == refuse_stop(turnstiles, there) == ""
+    assert "come nearer" in refuse_motion(turnstiles, here, there)
     # the other way round it is free
-    assert refuse_motion(stiles, at(a=-QUARTER, b=0.0), at(a=QUARTER, b=0.0)) == ""
+    assert refuse_motion(turnstiles, at(a=-QUARTER, b=0.0), at(a=QUARTER, b=0.0)) == ""
 
 
-def test_no_relative_speed_is_trusted(stiles: CellBodies) -> None:
+def test_a_motion_must_be_safe_at_any_relative_speed(turnstiles: CellBodies) -> None:
     here, there = at(a=-QUARTER, b=math.pi), at(a=QUARTER, b=QUARTER)
     share = np.linspace(0.0, 1.0, 2001)[:, None]
-    placed = {name: place(stiles.arms[name], here[name] + share * (there[name] - here[name])) for name in here}
+    placed = {name: place(turnstiles.arms[name], here[name] + share * (there[name] - here[name])) for name in here}
     a, b = placed["a"], placed["b"]
     in_step = segment_distances(a.start[:, 0], a.end[:, 0], b.start[:, 0], b.end[:, 0]) - 0.1
-    assert in_step.min() > stiles.clearance + 0.05, "at the same speed they keep well apart"
-    assert "come nearer" in refuse_motion(stiles, here, there), "but b may start late"
+    assert in_step.min() > turnstiles.clearance + 0.05, "at the same speed they keep well apart"
+    assert "come nearer" in refuse_motion(turnstiles, here, there), "but b may start late"
 
 
 def test_the_clearance_is_kept_between_samples_too() -> None:
@@ -92,7 +92,7 @@ def test_thin_bars_do_not_slip_through_between_samples(start: float) -> None:
     assert refuse_motion(cell, at(a=start, b=1.0), at(a=1.5, b=1.0)) == ""
 
 
-def test_numbers_that_are_none_and_vectors_of_another_length(twin: CellBodies) -> None:
+def test_nan_and_vectors_of_wrong_length_are_refused(twin: CellBodies) -> None:
     for bad in (np.nan, np.inf):
         q = HOME["left"].copy()
         q[3] = bad
@@ -104,7 +104,7 @@ def test_numbers_that_are_none_and_vectors_of_another_length(twin: CellBodies) -
     assert "for 6 joints" in refuse_motion(twin, HOME, {**HOME, "left": HOME["left"][None]})
 
 
-def test_every_arm_must_be_known_and_have_bodies(twin: CellBodies) -> None:
+def test_unknown_arms_and_arms_without_bodies_are_refused(twin: CellBodies) -> None:
     assert "arm middle" in refuse_motion(twin, HOME, {**HOME, "middle": np.zeros(6)})
     assert "arm right: its position or target is not given" in refuse_motion(twin, {"left": HOME["left"]}, HOME)
     assert "arm right: its position or target is not given" in refuse_motion(twin, HOME, {"left": HOME["left"]})
@@ -184,8 +184,8 @@ def test_arms_that_reach_for_each_other(twin: CellBodies) -> None:
     assert refused == [(True, True)]
 
 
-def test_what_is_let_through_is_safe_by_another_measure(twin: CellBodies) -> None:
-    """Motions that the gate lets through, sampled densely and at random relative speeds, by the plant's distances."""
+def test_admitted_motions_keep_clear_by_the_distances_of_the_plant(twin: CellBodies) -> None:
+    """Admitted motions are sampled densely at random relative speeds; the plant computes the distances."""
     rng = np.random.default_rng(3)
     passed = 0
     for _ in range(30):
@@ -218,7 +218,7 @@ def test_what_is_let_through_is_safe_by_another_measure(twin: CellBodies) -> Non
 
 
 @pytest.mark.parametrize("joint", range(6))
-def test_no_body_point_moves_farther_than_its_lever_says(twin: CellBodies, joint: int) -> None:
+def test_no_body_point_moves_farther_than_its_lever_allows(twin: CellBodies, joint: int) -> None:
     rng = np.random.default_rng(joint)
     step = 1e-5
     for arm in twin.arms.values():
@@ -235,7 +235,7 @@ def test_no_body_point_moves_farther_than_its_lever_says(twin: CellBodies, joint
 
 
 @pytest.mark.parametrize("azimuth", [(-2 * math.pi, 2 * math.pi), (-0.05, 0.4), (6.2, 6.6), (3.0, 6.5), (2.0, 4.0)])
-def test_what_is_said_to_be_seen_the_simulated_optics_see(twin: CellBodies, azimuth: tuple[float, float]) -> None:
+def test_visible_smrs_are_visible_to_the_simulated_optics(twin: CellBodies, azimuth: tuple[float, float]) -> None:
     """By the plant's own rules; azimuth ranges may be written over the cut at half a turn."""
     assert twin.field is not None
     field = dataclasses.replace(twin.field, azimuth=azimuth, distance=(2.8, 4.4), elevation=(-0.1, 0.2))

@@ -358,11 +358,11 @@ def test_judging_goes_on_where_it_was_stopped(judged_once: tuple[Path, list[str]
 
 def test_what_judging_reports(judged_once: tuple[Path, list[str], JudgeResult]) -> None:
     folder, _, result = judged_once
-    assert result.as_object()["schema"] == "cellapp-trials-judge"
+    assert json.loads(result.to_json())["schema"] == "cellapp-trials-judge"
     assert [trial.run for trial in result.trials] == ["run-0001", "run-0002", "run-0003"]
     assert result.sealed.seed == SEED
     assert result.failed == ()
-    json.dumps(result.as_object(), allow_nan=False)
+    json.dumps(json.loads(result.to_json()), allow_nan=False)
     for trial in result.trials:
         for arm in trial.arms.values():
             assert arm.heldout_um.after > 0.0

@@ -1,10 +1,10 @@
-"""Horizontal axis of a term's picture: the variable that the term depends on most plainly, with its label and unit."""
+"""Horizontal axis of a term's picture: the main variable of the term, with its label and unit."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.terms import UNKNOWN, ModelTerm
 from cellapp.effects import EFFECTS, DriverVariable
 from cellapp.effects.data_driven import Quantity, Variable, data_driven_form
@@ -67,7 +67,7 @@ def _axis_of_effect(data: ArmData, term: ModelTerm, joint: int | None, beside: i
 def _motion_axis(data: ArmData, variables: frozenset[DriverVariable], joint: int) -> Axis | None:
     """Last step, gravity torque or approach direction of a joint."""
     context = data.context
-    if DriverVariable.STEP in variables and data.known.step is not None:
+    if DriverVariable.STEP in variables and data.conditions.step is not None:
         return f"last step of joint {joint + 1} [deg]", np.degrees(context.step[:, joint])
     if DriverVariable.TORQUE in variables:
         label = f"gravity torque on joint {joint + 1} [Nm]"
@@ -81,23 +81,23 @@ def _motion_axis(data: ArmData, variables: frozenset[DriverVariable], joint: int
 
 def _time_or_temperature_axis(data: ArmData, variables: frozenset[DriverVariable], joint: int | None) -> Axis | None:
     """Time, or temperature of the air or of joints."""
-    known = data.known
-    if DriverVariable.TIME in variables and known.time_s is not None and np.isfinite(known.time_s).any():
-        return "time [h]", known.time_s / 3600.0
-    if DriverVariable.AIR_TEMPERATURE in variables and known.air_c is not None:
-        return "air temperature [degC]", known.air_c
-    if DriverVariable.JOINT_TEMPERATURE in variables and known.joints_c is not None:
+    conditions = data.conditions
+    if DriverVariable.TIME in variables and conditions.time_s is not None and np.isfinite(conditions.time_s).any():
+        return "time [h]", conditions.time_s / 3600.0
+    if DriverVariable.AIR_TEMPERATURE in variables and conditions.air_c is not None:
+        return "air temperature [degC]", conditions.air_c
+    if DriverVariable.JOINT_TEMPERATURE in variables and conditions.joints_c is not None:
         if joint is None:
-            return "mean temperature of the joints [degC]", known.joints_c.mean(axis=1)
-        return f"temperature of joint {joint + 1} [degC]", known.joints_c[:, joint]
+            return "mean temperature of the joints [degC]", conditions.joints_c.mean(axis=1)
+        return f"temperature of joint {joint + 1} [degC]", conditions.joints_c[:, joint]
     return None
 
 
 def _field_axis(data: ArmData, variables: frozenset[DriverVariable]) -> Axis | None:
     """The other arm's load, or the place in the tracker's field."""
-    context, known = data.context, data.known
-    if DriverVariable.OTHER_ARM in variables and known.other_moment_M is not None:
-        return "moment of the other arm [Nm]", np.linalg.norm(known.other_moment_M, axis=1)
+    context, conditions = data.context, data.conditions
+    if DriverVariable.OTHER_ARM in variables and conditions.other_moment_M is not None:
+        return "moment of the other arm [Nm]", np.linalg.norm(conditions.other_moment_M, axis=1)
     if DriverVariable.BEAM in variables:
         return "distance from the tracker [m]", context.beam[0]
     if DriverVariable.INCIDENCE in variables and context.smr_normal is not None:

@@ -1,4 +1,4 @@
-"""Approaches to a pose: the last step of each joint and the rest before the measurement."""
+"""Approaches to a pose: the last step of each joint and the dwell before the measurement."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DWELLS_S = (0.5, 5.0)
 class Approaches:
     """The approaches (f of them) to each pose of one arm.
 
-    ``steps`` (n, f, N) are last steps [rad], all zero where none is asked for; ``dwells`` (f,) [s].
+    ``steps`` (n, f, N) are last steps [rad], all zero without a detour; ``dwells`` (f,) [s].
     """
 
     steps: Array
@@ -34,7 +34,7 @@ class Approaches:
         return Approaches(self.steps[:poses], self.dwells)
 
     def needed_for(self, variables: Collection[DriverVariable]) -> Approaches:
-        """Neither detours nor rests where nothing depends on them."""
+        """Leave out detours and dwells that no variable depends on."""
         steps, dwells = self.steps, self.dwells
         if DriverVariable.DWELL not in variables:
             steps, dwells = steps[:, :: len(DWELLS_S)], np.zeros(len(dwells) // len(DWELLS_S))

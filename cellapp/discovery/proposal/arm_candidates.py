@@ -1,4 +1,4 @@
-"""Candidate stops of one arm: poses times approaches, the hypotheses they shall decide, and the design so far."""
+"""Candidate stops of one arm (poses times approaches), the hypotheses to decide, and the design so far."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.design.discrimination import HOPELESS, Discrimination, SequentialDesign, joint_gains
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.proposal.approaches import Approaches, all_approaches
 from cellapp.discovery.proposal.candidate_design import CandidateDesign, joined_context
 from cellapp.discovery.proposal.candidate_poses import CandidatePoses, Effort
 from cellapp.discovery.proposal.hypotheses import Hypothesis, refitted_discovery
-from cellapp.discovery.proposal.open_questions import open_hypotheses
-from cellapp.effects import Circumstances, DriverVariable
+from cellapp.discovery.proposal.open_hypotheses import open_hypotheses
+from cellapp.effects import DriverVariable, MeasurementConditions
 from cellapp.kinematics.statics import base_moment
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel
@@ -46,15 +46,15 @@ class RunConditions:
     name : str
     other : (str, ArmModel), optional
         Name and model of the other arm.
-    known : Circumstances
-        Of the run's stops.
+    known : MeasurementConditions
+        Of the readings of the run.
     count : int
         Number of further stops.
     """
 
     name: str
     other: tuple[str, ArmModel] | None
-    known: Circumstances
+    conditions: MeasurementConditions
     count: int
 
     def candidates(
@@ -64,9 +64,9 @@ class RunConditions:
         pose: NDArray[np.intp],
         approach: NDArray[np.intp],
         load_kg: Array | None = None,
-    ) -> tuple[Array, Circumstances]:
-        """Configurations (m, N) and circumstances of candidates (pose, approach); ``load_kg`` replaces the payload."""
-        m, known = len(pose), self.known
+    ) -> tuple[Array, MeasurementConditions]:
+        """Configurations (m, N) [rad] and expected conditions of candidates; ``load_kg`` replaces the payload."""
+        m, conditions = len(pose), self.conditions
         steps = approaches.steps[pose, approach]
         moment = other_q = None
         if self.other is not None:
@@ -75,36 +75,36 @@ class RunConditions:
             moment = base_moment(model.geometry, model.bodies, other_q, model.up_M)
         detour = bool(steps.any())
         dwell_s = None
-        if known.dwell_s is not None or approaches.dwells.any():
+        if conditions.dwell_s is not None or approaches.dwells.any():
             dwell_s = approaches.dwells[approach] + self._shortest_dwell_s()
-        return poses.q[self.name][pose], Circumstances(
+        return poses.q[self.name][pose], MeasurementConditions(
             approach=np.sign(steps) if detour else None,
             step=steps if detour else None,
             dwell_s=dwell_s,
             time_s=self._times(m),
-            payload_kg=last_known(known.payload_kg, m) if load_kg is None else load_kg,
-            air_c=last_known(known.air_c, m),
-            joints_c=last_known(known.joints_c, m),
+            payload_kg=last_known(conditions.payload_kg, m) if load_kg is None else load_kg,
+            air_c=last_known(conditions.air_c, m),
+            joints_c=last_known(conditions.joints_c, m),
             other_moment_M=moment,
             other_q=other_q,
-            record=known.record,
+            record=conditions.record,
         )
 
-    def all_candidates(self, poses: CandidatePoses, approaches: Approaches) -> tuple[Array, Circumstances]:
-        """Configurations and circumstances of all candidates, pose by pose."""
+    def all_candidates(self, poses: CandidatePoses, approaches: Approaches) -> tuple[Array, MeasurementConditions]:
+        """Configurations and expected conditions of all candidates, pose by pose."""
         pose, approach = (each.ravel() for each in np.indices((len(poses), len(approaches))))
         return self.candidates(poses, approaches, pose, approach)
 
     def _shortest_dwell_s(self) -> float:
         """Rest before a measurement where no more is asked for."""
-        dwell_s = self.known.dwell_s
+        dwell_s = self.conditions.dwell_s
         if dwell_s is None or not np.isfinite(dwell_s).any():
             return _TYPICAL_DWELL_S
         return float(np.nanmin(dwell_s))
 
     def _times(self, m: int) -> Array | None:
         """Middle of the time in which the further stops will be measured, at the pace of the run."""
-        time_s = self.known.time_s
+        time_s = self.conditions.time_s
         if time_s is None or not np.isfinite(time_s).any():
             return None
         ordered = np.sort(time_s[np.isfinite(time_s)])
@@ -125,9 +125,9 @@ def last_known(values: Array | None, m: int) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class ArmHypotheses:
-    """What further stops of one arm shall decide, the approaches that this needs, and how many poses fit in memory."""
+    """Hypotheses for further stops of one arm, the approaches that they need, and the largest number of poses."""
 
-    conditions: RunConditions
+    run: RunConditions
     hypotheses: tuple[Hypothesis, ...]
     approaches: Approaches
     limits: Array
@@ -140,7 +140,7 @@ class ArmHypotheses:
         name: str,
         model: CellModel,
         readings: Readings,
-        known: Circumstances,
+        conditions: MeasurementConditions,
         discovery: Discovery,
         poses: CandidatePoses,
         count: int,
@@ -150,18 +150,18 @@ class ArmHypotheses:
         """From the outcome of discovery in the arm's readings."""
         arm = profile.arms[name]
         rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
-        geometry_only = ArmData.of(profile, model.arms[name], readings.take(rows), known.take(rows))
+        geometry_only = ArmData.of(profile, model.arms[name], readings.take(rows), conditions.take(rows))
         data, fit = refitted_discovery(geometry_only, discovery)
         others = [(other, model.arms[other]) for other in model.arms if other != name]
-        conditions = RunConditions(name, others[0] if len(others) == 1 else None, known, count)
+        run = RunConditions(name, others[0] if len(others) == 1 else None, conditions, count)
         approaches = all_approaches(len(poses), readings.joints, rng)
-        joined = joined_context(data, *conditions.all_candidates(poses, approaches))
+        joined = joined_context(data, *run.all_candidates(poses, approaches))
         hypotheses = tuple(open_hypotheses(data, fit, discovery, joined))
         approaches = approaches.needed_for(frozenset[DriverVariable]().union(*(one.variables for one in hypotheses)))
         columns = sum(one.columns_a_candidate for one in hypotheses)
         most = min(int(_MEMORY_BYTES / max(columns * _BYTES_A_COLUMN, 1)), effort.candidates) // len(approaches)
         limits = np.array(arm.limits or tuple(joint.limit for joint in arm.type.joints))
-        return cls(conditions, hypotheses, approaches, limits, max(_LEAST_POSES, most))
+        return cls(run, hypotheses, approaches, limits, max(_LEAST_POSES, most))
 
     @property
     def variables(self) -> frozenset[DriverVariable]:
@@ -175,7 +175,7 @@ class ArmCandidates:
 
     Attributes
     ----------
-    conditions, approaches
+    run, approaches
     allowed : array, shape (n, f)
         Candidates that may still be chosen.
     comparisons : list of (Hypothesis, discriminations)
@@ -184,7 +184,7 @@ class ArmCandidates:
         Each discrimination with the candidates chosen so far.
     """
 
-    conditions: RunConditions
+    run: RunConditions
     approaches: Approaches
     allowed: NDArray[np.bool_]
     comparisons: list[tuple[Hypothesis, list[Discrimination]]]
@@ -194,22 +194,22 @@ class ArmCandidates:
     def of(cls, arm: ArmHypotheses, poses: CandidatePoses) -> ArmCandidates:
         """Set up the discriminations over all candidates; steps must start inside the joint limits."""
         approaches = arm.approaches.first(len(poses))
-        start = poses.q[arm.conditions.name][:, None] - approaches.steps
+        start = poses.q[arm.run.name][:, None] - approaches.steps
         low, high = arm.limits.T
-        q, known = arm.conditions.all_candidates(poses, approaches)
+        q, conditions = arm.run.all_candidates(poses, approaches)
         designs: dict[int, CandidateDesign] = {}
         comparisons = []
         for one in arm.hypotheses:
             if id(one.fit) not in designs:
-                designs[id(one.fit)] = CandidateDesign.of(one.data, one.fit, q, known)
+                designs[id(one.fit)] = CandidateDesign.of(one.data, one.fit, q, conditions)
             discriminations = one.discriminations(designs[id(one.fit)])
-            comparisons.append((one, _decidable(discriminations, one.needed, arm.conditions.count)))
-        return cls(arm.conditions, approaches, ((start >= low) & (start <= high)).all(axis=2), comparisons)
+            comparisons.append((one, _decidable(discriminations, one.needed, arm.run.count)))
+        return cls(arm.run, approaches, ((start >= low) & (start <= high)).all(axis=2), comparisons)
 
     @property
     def name(self) -> str:
         """Of the arm."""
-        return self.conditions.name
+        return self.run.name
 
     def restart(self, chosen: Iterable[tuple[int, int]]) -> None:
         """Begin the designs anew with some candidates (pose, approach)."""
@@ -237,7 +237,7 @@ class ArmCandidates:
         return poses.q[self.name][pose] - step if step.any() else None
 
     def stop_conditions(self, poses: CandidatePoses, pose: int, approach: int) -> StopConditions:
-        """What collection is asked for at a candidate."""
+        """Approach and dwell that the collection has to realise at a candidate."""
         return StopConditions(self.start_of_last_step(poses, pose, approach), float(self.approaches.dwells[approach]))
 
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from cellapp.discovery.arm_data import ArmData, whitening
 from cellapp.discovery.candidates import whitened_displacements
-from cellapp.discovery.data import ArmData, whitening
 from cellapp.discovery.joint_fit import JointFit
-from cellapp.effects import EFFECTS, Circumstances, EffectContext, Law
+from cellapp.effects import EFFECTS, EffectContext, Law, MeasurementConditions
 from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 
@@ -41,11 +41,11 @@ class CandidateDesign:
     geometric: Array
 
     @classmethod
-    def of(cls, data: ArmData, fit: JointFit, q: Array, known: Circumstances) -> CandidateDesign:
-        """At configurations ``q`` (m, N) [rad] in the circumstances ``known``."""
+    def of(cls, data: ArmData, fit: JointFit, q: Array, conditions: MeasurementConditions) -> CandidateDesign:
+        """At configurations ``q`` (m, N) [rad] under ``conditions``."""
         model, found = fit.model, fit.identification
-        true_q = model.true_joints(q, known=known) if model.effects else None
-        context = replace(model.context(q, known=known), q_actual=true_q)
+        true_q = model.true_joints(q, conditions=conditions) if model.effects else None
+        context = replace(model.context(q, conditions=conditions), q_actual=true_q)
         white = whitening(_expected_sigma(data, context), len(q))
         angles = JointAngles.of(q)
         columns = found.parameter_set.columns
@@ -85,17 +85,19 @@ def _beam_frame(context: EffectContext) -> Array:
     return np.stack([beam, horizontal, upward], axis=2)
 
 
-def joined_context(data: ArmData, q: Array, known: Circumstances) -> EffectContext:
-    """The run and some of the further stops (configurations, circumstances) as one context."""
+def joined_context(data: ArmData, q: Array, conditions: MeasurementConditions) -> EffectContext:
+    """The run and some of the further stops (configurations, conditions) as one context."""
     rows = np.arange(len(q))[:: max(1, len(q) // _MOST_JOINED)]
-    joined = _joined_circumstances(data.known, len(data), known.take(rows), len(rows))
-    return data.model.context(np.concatenate([data.readings.q, q[rows]]), known=joined)
+    joined = _joined_conditions(data.conditions, len(data), conditions.take(rows), len(rows))
+    return data.model.context(np.concatenate([data.readings.q, q[rows]]), conditions=joined)
 
 
-def _joined_circumstances(first: Circumstances, n: int, second: Circumstances, m: int) -> Circumstances:
-    """Circumstances of n stops and of m further ones; NaN where only the others state a value."""
+def _joined_conditions(
+    first: MeasurementConditions, n: int, second: MeasurementConditions, m: int
+) -> MeasurementConditions:
+    """Conditions of n stops and of m further ones; NaN in the rows of those that lack a quantity."""
     joined: dict[str, Any] = {"record": first.record}
-    for entry in fields(Circumstances):
+    for entry in fields(MeasurementConditions):
         values = [getattr(first, entry.name), getattr(second, entry.name)]
         stated = [value for value in values if value is not None]
         if entry.name == "record" or not stated:
@@ -107,4 +109,4 @@ def _joined_circumstances(first: Circumstances, n: int, second: Circumstances, m
                 for value, size in zip(values, (n, m), strict=True)
             ]
         )
-    return Circumstances(**joined)
+    return MeasurementConditions(**joined)

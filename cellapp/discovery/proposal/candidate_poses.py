@@ -1,4 +1,4 @@
-"""Candidate poses of all arms for further stops: seen by the tracker, safe to stand at, and within easy reach."""
+"""Candidate poses of all arms for further stops: visible to the tracker, free of collision, and easy to reach."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cellapp.safety.gate import CellBodies, refuse_motion
 _NEIGHBOURS = 7
 """Other poses (and home) from which a pose is tried to be reached on a straight motion."""
 _LEAST_REACHED_FROM = 3
-"""Of these, how many must succeed: a pose apart from all others (above the floor, folded) would hardly be ordered."""
+"""Number of these motions that must be free: an isolated pose (above the floor, folded) rarely fits into an order."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Effort:
     kept : int
         Poses that are kept of these.
     rolls : int
-        Copies of each with other angles of the last joint, which turn the SMR at little cost in motion.
+        Copies of each with other angles of the last joint, which rotate the SMR with little motion.
     candidates : int
         Poses times approaches of one arm.
     """
@@ -95,7 +95,7 @@ def candidate_poses(
         return _drawn_poses(profile, effort, rng, cancel), []
     note = (
         "candidates are configurations that were measured, as the profile does not say where arms and tracker stand;"
-        " no collision was looked for on the way to them"
+        " the motions to them were not checked for collisions"
     )
     return _measured_poses(readings, effort, rng), [note]
 

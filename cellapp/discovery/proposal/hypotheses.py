@@ -1,4 +1,4 @@
-"""Hypotheses that further stops shall decide: one effect or another, or an effect or none.
+"""Hypotheses for further stops to decide between: one effect or another, or an effect or none.
 
 Each is compared by T-optimality (see ``design.discrimination``): the effect with its fitted values is the true model,
 the rival model is geometry, the other accepted effects and, where there is one, the other effect by any of its laws.
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.calibration.curves import CurvePrior
+from cellapp.calibration.curve_prior import CurvePrior
 from cellapp.design.discrimination import Discrimination
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, refit
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.proposal.candidate_design import CandidateDesign
@@ -67,7 +67,7 @@ class Hypothesis:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The one or two effects that it is about."""
+        """The one or two effects that it compares."""
         return (self.effect, self.against) if self.against else (self.effect,)
 
     @property

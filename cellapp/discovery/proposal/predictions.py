@@ -1,4 +1,4 @@
-"""What proposed stops are worth: the discrimination of each hypothesis now, with them, and with as many random ones."""
+"""Value of proposed stops: discrimination of each hypothesis now, with them, and with equally many random ones."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _RANDOM_DESIGNS = 8
 _LOAD_SHARE = 0.25
 """Further payload that is suggested, as a share of the arm's own mass: what arms of this class may carry."""
 _LEAST_LOAD_STEP_KG = 0.5
-"""Suggested payloads are multiples of this: weights that are at hand."""
+"""Suggested payloads are multiples of this: common weights."""
 _WORTH_A_LOAD = 1.5
-"""Gain of the discrimination by another payload from which a person is asked to change it."""
+"""Gain of the discrimination by another payload from which changing the payload is suggested."""
 
 
 @dataclass(frozen=True)
 class PredictedDiscrimination:
-    """Non-centrality lambda of one hypothesis: now, with the proposed stops, with as many random ones.
+    """Non-centrality lambda of one hypothesis: now, with the proposed stops, with the same number of random ones.
 
     ``against`` is empty where the question is whether the effect can be seen at all.
     """
@@ -87,25 +87,25 @@ def _load_advice(
     approach: NDArray[np.intp],
     prediction: PredictedDiscrimination,
 ) -> list[str]:
-    """Advice on another payload at every second stop, where the stops do not decide and the run had but one."""
-    known = arm.conditions.known
+    """Advice to change the payload at every second stop, if the stops do not decide and the run had one payload."""
+    conditions = arm.run.conditions
     depends = any(DriverVariable.PAYLOAD in EFFECTS[slug].variables for slug in hypothesis.effects)
     decided = bool(hypothesis.against) and prediction.proposed >= prediction.needed
-    if not depends or decided or varies(known.payload_kg):
+    if not depends or decided or varies(conditions.payload_kg):
         return []
     bodies = hypothesis.data.model.bodies
-    present = last_known(known.payload_kg, 1)
+    present = last_known(conditions.payload_kg, 1)
     now_kg = bodies.payload_mass if present is None else float(present[0])
     steps = round(_LOAD_SHARE * float(bodies.masses.sum()) / _LEAST_LOAD_STEP_KG)
     more_kg = max(steps * _LEAST_LOAD_STEP_KG, _LEAST_LOAD_STEP_KG)
     load_kg: Array = now_kg + more_kg * (np.arange(len(pose)) % 2).astype(np.float64)
-    q, circumstances = arm.conditions.candidates(poses, arm.approaches, pose, approach, load_kg)
-    design = CandidateDesign.of(hypothesis.data, hypothesis.fit, q, circumstances)
+    q, expected = arm.run.candidates(poses, arm.approaches, pose, approach, load_kg)
+    design = CandidateDesign.of(hypothesis.data, hypothesis.fit, q, expected)
     loaded = _least(hypothesis.discriminations(design), np.arange(len(pose)))
     if loaded < _WORTH_A_LOAD * prediction.proposed:
         return []
     titles = " and ".join(EFFECTS[slug].title for slug in hypothesis.effects)
-    aim = f"tell {titles} apart" if hypothesis.against else f"show {titles}"
+    aim = f"distinguish {titles}" if hypothesis.against else f"show {titles}"
     return [
         f"arm {arm.name}: another load would {aim} better: {now_kg + more_kg:g} kg instead of {now_kg:g} kg at every"
         f" second stop would bring the discrimination to {loaded:.0f} instead of {prediction.proposed:.0f}; a person"

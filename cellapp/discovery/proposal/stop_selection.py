@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cellapp.discovery.proposal.arm_candidates import ArmCandidates
 from cellapp.discovery.proposal.candidate_poses import CandidatePoses, alone
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.plan import all_seen
+from cellapp.planning.plan import all_smrs_visible
 from cellapp.planning.stop_conditions import StopConditions
 from cellapp.progress import CancelToken, Listener, Progress
 from cellapp.safety.gate import CellBodies, refuse_motion
@@ -82,7 +82,7 @@ class StopSelection:
         return {arm.name: self.poses.q[arm.name][pose] for arm, pose in zip(self.arms, stop.poses, strict=True)}
 
     def conditions(self, stop: ChosenStop) -> dict[str, StopConditions]:
-        """What collection is asked for at a stop."""
+        """Approach and dwell that the collection has to realise at a stop."""
         chosen = zip(self.arms, stop.poses, stop.approaches, strict=True)
         return {arm.name: arm.stop_conditions(self.poses, pose, approach) for arm, pose, approach in chosen}
 
@@ -112,7 +112,7 @@ class StopSelection:
             counts[self.poses.posture[pose]] += 1
 
     def _next(self, used: list[NDArray[np.intp]], stops_left: int) -> ChosenStop | None:
-        """The best stop that the gate lets the arms come to."""
+        """The best stop whose last steps the gate admits."""
         gains = [arm.gains(stops_left) for arm in self.arms]
         for gain, counts in zip(gains, used, strict=True):
             gain[counts[self.poses.posture] >= _MOST_OFTEN] = -math.inf
@@ -168,7 +168,7 @@ class StopSelection:
         if gate is None:
             return False
         target = self.target(stop)
-        if not self.paired and not all_seen(gate, target):
+        if not self.paired and not all_smrs_visible(gate, target):
             return True
         return bool(refuse_motion(gate, self._start(stop), target))
 

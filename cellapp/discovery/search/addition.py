@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from cellapp.calibration.identification import TooFewReadings
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
-from cellapp.discovery.data import ArmData
 from cellapp.discovery.joint_fit import fit_terms
-from cellapp.discovery.residual import ProjectedResidual
+from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.search.comparison import floor_reached
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SearchProblem, SearchState, SearchStep
@@ -62,7 +62,7 @@ def within_bounds(data: ArmData, others: ModelTerms, residual: ProjectedResidual
 
 
 def _is_remainder(state: SearchState, score: LawScore) -> bool:
-    """Whether a law is likely what the imperfect law of a far larger look-alike leaves over, and is not needed."""
+    """Whether a law probably explains only the imperfection of the law of a far larger look-alike."""
     if not floor_reached(state):
         return False
     fit = state.fit
@@ -70,9 +70,9 @@ def _is_remainder(state: SearchState, score: LawScore) -> bool:
     return any(
         explained < _REMAINDER**2 * fit.removed_square(number)
         for number, term in enumerate(fit.terms)
-        if term.is_library_effect and _look_alike(score.slug, term.slug)
+        if term.is_library_effect and _are_look_alikes(score.slug, term.slug)
     )
 
 
-def _look_alike(first: str, second: str) -> bool:
+def _are_look_alikes(first: str, second: str) -> bool:
     return first in EFFECTS[second].look_alikes or second in EFFECTS[first].look_alikes

@@ -14,7 +14,7 @@ import numpy as np
 
 from cellapp.design.information import SMALLEST, VISIBLE, visible_root
 from cellapp.discovery.candidates import Block, CandidateLaw
-from cellapp.discovery.residual import ProjectedResidual, bic_gain
+from cellapp.discovery.projected_residual import ProjectedResidual, bic_gain
 from cellapp.kinematics.transforms import Array
 
 NEXT_BLOCK = 10.0

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from cellapp.calibration.curves import CurvePrior
-from cellapp.discovery.data import ArmData, whitening
+from cellapp.calibration.curve_prior import CurvePrior
+from cellapp.discovery.arm_data import ArmData, whitening
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.search.scan import choice_price
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState

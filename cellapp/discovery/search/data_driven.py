@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
-from cellapp.discovery.data import ArmData
 from cellapp.discovery.search.comparison import best_state, floor_reached
 from cellapp.discovery.search.joint_curves import with_joint_curves
 from cellapp.discovery.search.scan import LawScan
@@ -52,7 +52,7 @@ def _with_term(problem: SearchProblem, state: SearchState) -> SearchState | None
         return None
     law = score.candidate.law
     choices: list[ModelTerms] = [(*fit.terms, ModelTerm(UNKNOWN, law, score.names))]
-    # the term describes all that its channel does with its variables: a named effect that stood for part of it may go
+    # The term describes its channel as any function of its variables: named effects that described a part may go.
     where = score.candidate.columns[0].where
     others = tuple(term for term in fit.terms if not _acts_only_on(data, term, where))
     if len(others) < len(fit.terms):

@@ -1,7 +1,7 @@
 """Free periodic curves of the joint errors in place of, or beside, the lines of a transmission error.
 
 A gear error with many components would need dozens of lines. A smooth curve for each joint under a Gaussian-process
-prior (see ``calibration.curves``) holds them all; it is accepted by its evidence.
+prior (see ``calibration.curve_prior``) holds them all; it is accepted by its evidence.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.calibration.curves import MAX_CYCLES, CurvePrior, fit_curve_prior, spectrum_variances
-from cellapp.discovery.data import ArmData, whitening
+from cellapp.calibration.curve_prior import MAX_CYCLES, CurvePrior, fit_curve_prior, spectrum_variances
+from cellapp.discovery.arm_data import ArmData, whitening
 from cellapp.discovery.joint_fit import fit_terms
 from cellapp.discovery.search.comparison import best_state, curve_price
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
@@ -51,7 +51,7 @@ def with_joint_curves(problem: SearchProblem, state: SearchState) -> SearchState
 
 
 def _add_curves(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with the curves that its residual asks for."""
+    """Add curves to the joints whose residual needs them; None where no curve passes."""
     found = _curve_prior(problem, state.data, state.fit.terms)
     if found is None:
         return None
@@ -71,7 +71,7 @@ def _add_curves(problem: SearchProblem, state: SearchState) -> SearchState | Non
 def _curve_prior(
     problem: SearchProblem, data: ArmData, terms: tuple[ModelTerm, ...]
 ) -> tuple[CurvePrior, float] | None:
-    """Prior of the curves of the joints that need one, and its score; None where they do not pay."""
+    """Prior of the curves of the joints that need one, and its score; None if the evidence does not pass."""
     # in units of the stated uncertainty, as the noise of the curves is a factor on it
     fit = fit_terms(replace(data, sigma=data.stated), terms)
     residual = fit.projector.project(fit.residual)

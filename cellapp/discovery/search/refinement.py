@@ -1,6 +1,6 @@
 """Refining an effect that is in the model: another law of it, further joints, or sharp lines beside a free curve.
 
-Before a second effect is named, the law of the first is refined: what an imperfect law leaves over can look like
+The law of the first effect is refined before a second one is named: the residual of an imperfect law can look like
 another effect.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cellapp.calibration.curves import MAX_CYCLES
+from cellapp.calibration.curve_prior import MAX_CYCLES
 from cellapp.discovery.candidates import CandidateLaw, LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.search.addition import within_bounds

@@ -1,4 +1,4 @@
-"""Review of a model: drop terms that the others made superfluous, and find the rivals of those that stay."""
+"""Review of a model: drop terms that other terms make superfluous, and find rivals of the remaining ones."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from cellapp.design.information import NuisanceProjector
 from cellapp.discovery.candidates import LawScore, best_law_of_each_effect
 from cellapp.discovery.joint_fit import JointFit
-from cellapp.discovery.residual import ProjectedResidual
+from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.search.comparison import floor_reached
 from cellapp.discovery.search.scan import LawScan, choice_price
 from cellapp.discovery.search.state import SCORE_MARGIN, Review, Rival, SearchProblem, SearchState
@@ -53,7 +53,7 @@ def _rest_of_a_law(state: SearchState) -> int | None:
         for other, larger in enumerate(fit.terms):
             if UNKNOWN in (term.slug, larger.slug) or number == other:
                 continue
-            # all effects depend on the configuration; that alone makes no common cause
+            # all effects depend on the configuration: that alone is no common cause
             shared = (EFFECTS[term.slug].variables & EFFECTS[larger.slug].variables) - {DriverVariable.JOINT_ANGLE}
             if shared and removed[number] < _SAME_CAUSE * removed[other]:
                 return number
@@ -88,7 +88,7 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
 
 
 def _explains_beside(problem: SearchProblem, fit: JointFit, number: int, rival: LawScore) -> bool:
-    """Whether a term still passes the threshold after a rival has explained all it can."""
+    """Whether a term still passes the threshold in a model that contains the rival."""
     kept = fit.layout.all_but(number)
     rows = np.concatenate([fit.rows[kept], rival.rows])
     precision = np.concatenate([fit.precision[kept], np.zeros(len(rival.chosen))])

@@ -1,11 +1,11 @@
-"""Scan of all candidate laws: how well does each explain the residual where the model's parameters cannot?
+"""Scan of all candidate laws: the score of each for the residual in the complement of the model's parameters.
 
 A law is a group of columns in blocks. Its score is
 
     score = -N ln(1 - R^2) - k ln N - 2 ln T,   N = 3 n coordinates, k visible columns, T laws of its kind tried:
 
-the gain of the Bayesian information criterion (see ``residual``) less the price of choosing among T onsets or time
-constants (a uniform prior over them, on the scale of twice the log likelihood).
+the gain of the Bayesian information criterion (see ``discovery.projected_residual``) less the price of choosing among T
+onsets or time constants (a uniform prior over them, on the scale of twice the log likelihood).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cellapp.design.information import SMALLEST, NuisanceProjector, visible_norms, visible_root
 from cellapp.discovery.candidates import Block, CandidateLaw, LawScore
-from cellapp.discovery.residual import MOST_SHARE, ProjectedResidual
+from cellapp.discovery.projected_residual import MOST_SHARE, ProjectedResidual
 from cellapp.discovery.search.block_selection import BlockSelection
 from cellapp.effects import Law
 from cellapp.kinematics.transforms import Array
@@ -28,13 +28,13 @@ _MOST_LAWS = 10
 """Laws of one effect whose blocks are selected in full, the best by their best single block: selection costs a hundred
 times as much, and among dozens of onsets neighbours differ little."""
 _NO_DISPLACEMENT = 1e-9
-"""Whitened norm below which a column moves the SMR nowhere: far below the standard uncertainty, which is 1."""
+"""Whitened norm below which a column does not move the SMR: far below the standard uncertainty, which is 1."""
 _GRAMS_AT_ONCE = 256
 """Blocks whose Gram matrices are computed together: bounds the memory for copies of their rows."""
 
 
 def choice_price(law: Law) -> float:
-    """What choosing a law among those tried costs of its score: 2 ln T."""
+    """Price of choosing a law among T tried ones, subtracted from its score: 2 ln T."""
     return 2.0 * math.log(max(law.tried, 1))
 
 

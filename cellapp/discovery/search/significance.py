@@ -1,4 +1,4 @@
-"""How large a score chance alone reaches over the whole scan, and which effects these data could have shown.
+"""Significance of scores over the whole scan: threshold, p-values, and smallest detectable sizes.
 
 The threshold is a high quantile of the largest score over everything that is scanned, in simulated data with nothing
 missing. Searching over many laws therefore does not raise the false-alarm rate (max-T: Westfall, Young,
@@ -35,7 +35,7 @@ def simulate_null_maxima(scan: LawScan, projector: NuisanceProjector, simulation
 
 
 def score_threshold(null_maxima: Array, false_alarm: float) -> float:
-    """Score that chance exceeds with probability ``false_alarm`` only; never below zero.
+    """Score that noise alone exceeds with probability ``false_alarm``; never below zero.
 
     Beyond the highest ``_TAIL`` the distribution is taken as exponential, which steadies quantiles of few simulations.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, refit
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.significance import corrected_p_value
@@ -34,7 +34,7 @@ class SearchStep:
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """A model in the search, how it was reached, and the effects dropped on the way."""
+    """A model in the search, the steps that led to it, and the effects dropped on the way."""
 
     data: ArmData
     fit: JointFit
@@ -71,7 +71,7 @@ class SearchProblem:
     cancel: CancelToken
 
     def p_value(self, score: float) -> float:
-        """Chance of so large a score where nothing is missing, corrected for the whole scan."""
+        """Probability of a score at least this large where nothing is missing, corrected for the whole scan."""
         return corrected_p_value(self.null_maxima, score)
 
     def state(self, terms: ModelTerms, steps: Sequence[SearchStep] = (), dropped: Sequence[str] = ()) -> SearchState:
@@ -120,7 +120,7 @@ class SearchResult:
     reviews : tuple of Review
         One for each term of ``fit``.
     steps, dropped
-        How it came about.
+        Steps of the search, and effects that it added and dropped again.
     threshold : float
         Score that an effect had to pass.
     """

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import fit_terms, refit, reweighted
 from cellapp.discovery.search.addition import addition
 from cellapp.discovery.search.comparison import best_state, floor_reached, names_dominate
@@ -28,7 +28,8 @@ from cellapp.discovery.terms import TRANSMISSION_ERROR
 from cellapp.progress import CancelToken
 
 _MOST_EFFECTS = 5
-"""Effects of the library in one model at most: beyond, what is added explains what the others' laws leave over."""
+"""Effects of the library in one model at most: further ones would only explain the imperfection of
+the other laws."""
 _MOST_STEPS = 16
 """Additions and refinements at most: three for each of the effects, and one more."""
 _NULL_SEED = 0xD15C
@@ -96,7 +97,7 @@ def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawS
             continue
         state, scan = after, None
         if step.slug == TRANSMISSION_ERROR and len(step.terms[-1].names) >= MANY_LINES:
-            # what a curve leaves is judged better than what some of its lines leave
+            # the residual of a curve shows further effects better than the residual of some of its lines
             state = with_joint_curves(problem, state) or state
     return state
 

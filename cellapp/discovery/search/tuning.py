@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, fit_terms, refit
 from cellapp.discovery.search.state import SearchProblem, SearchState, SearchStep
 from cellapp.discovery.terms import ModelTerms, with_term

@@ -14,7 +14,7 @@ def test_columns_of_one_block_come_together() -> None:
     assert one.ranked(y)[0].names == ("a", "b")
 
 
-def test_what_only_refines_is_never_the_effect() -> None:
+def test_a_refinement_alone_is_never_the_effect() -> None:
     """However well it explains: it joins a block that is chosen, or is left."""
     one = problem(9)
     law = refining_law(one.rng, one.noise())

@@ -9,7 +9,7 @@ import pytest
 
 from cellapp.design.information import NuisanceProjector
 from cellapp.discovery.candidates import CandidateLaw
-from cellapp.discovery.residual import ProjectedResidual
+from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.search.scan import LawScan
 from tests.discovery.linear_problem import PLAIN, N, column, problem
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from cellapp.calibration.curves import curve_standard_deviation, fit_curve_prior, harmonics, spectrum_variances
+from cellapp.calibration.curve_prior import curve_standard_deviation, fit_curve_prior, harmonics, spectrum_variances
 
 
 @pytest.mark.parametrize(("length", "amplitude"), [(0.05, 1e-4), (0.3, 2e-4), (2.0, 5e-5)])

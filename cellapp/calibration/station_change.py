@@ -1,4 +1,4 @@
-"""Detection of a moved tracker station or robot base, which would spoil every fit."""
+"""Detection of a tracker station or robot base that was moved during the run, which would invalidate every fit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ _COARSE_TRIALS = 24
 _FEWEST = 6
 """Readings on either side of a place: registration needs three, twice as many leave a residual."""
 _RATIO = 3.0
-"""Two stations must fit this much better than one. Unmodelled geometry leaves a ratio near 1."""
+"""Ratio of the rms residual of one registration to that of two from which a move is reported. Unmodelled geometry
+leaves a ratio near 1."""
 _LEAST_M = 2e-3
 """Rms residual of one station below which no move is looked for: smaller steps are drift, which discovery finds."""
 

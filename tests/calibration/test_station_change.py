@@ -1,11 +1,11 @@
-"""A station that changed half-way is noticed, and where; one that did not is not accused."""
+"""Detection of a moved station: found where it moved, no false alarm where it did not."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from cellapp.calibration.station import station_change
+from cellapp.calibration.station_change import station_change
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import apply, rotation_from_vector, transform
 from tests.arms import OFF_AXIS, UR10, at_station, true_geometry

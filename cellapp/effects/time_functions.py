@@ -1,4 +1,4 @@
-"""Functions of time, and of quantities that change with it; their constants are taken from a run."""
+"""Functions of time shared by effects: linear, warm-up, onset, first-order lag; their constants come from a run."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ WARM_UP_FORM = LawForm("warm_up", "warming up", (FIRST, LAST, WARM_UP_TIME))
 ONSET_FORM = LawForm("onset", "at once", (ONSET,))
 
 
-def span(context: EffectContext) -> dict[str, float]:
+def run_span(context: EffectContext) -> dict[str, float]:
     """Constants ``FIRST`` and ``LAST`` of a run; empty where times are unknown."""
-    known = context.known.time_s
-    if known is None or not np.isfinite(known).any():
+    time_s = context.conditions.time_s
+    if time_s is None or not np.isfinite(time_s).any():
         return {}
-    return {FIRST.name: float(np.nanmin(known)), LAST.name: float(np.nanmax(known))}
+    return {FIRST.name: float(np.nanmin(time_s)), LAST.name: float(np.nanmax(time_s))}
 
 
 def times(context: EffectContext, constants: Mapping[str, float]) -> Array:
     """Times (n,) [s]; the end of the fitted run where unknown."""
-    return filled(context.known.time_s, constants[LAST.name], len(context))
+    return with_default(context.conditions.time_s, constants[LAST.name], len(context))
 
 
-def linear(context: EffectContext, law: Law) -> Array:
+def run_fraction(context: EffectContext, law: Law) -> Array:
     """Fraction of the run (n,), 0 at its beginning to 1 at its end; constant beyond, where nothing was measured."""
     first, last = law.constants[FIRST.name], law.constants[LAST.name]
     return np.clip((times(context, law.constants) - first) / (last - first), 0.0, 1.0)
@@ -60,16 +60,16 @@ def warm_up(context: EffectContext, law: Law) -> Array:
 
 def warm_up_laws(context: EffectContext, form: LawForm = WARM_UP_FORM) -> list[Law]:
     """One law for each time constant to try."""
-    run = span(context)
+    run = run_span(context)
     return [form.law({**run, WARM_UP_TIME.name: tau}, len(TIME_CONSTANTS)) for tau in TIME_CONSTANTS]
 
 
 def onset_laws(context: EffectContext) -> list[Law]:
     """Laws of a sudden change between two readings; the onsets are spread over the run."""
-    known = context.known.time_s
-    if known is None or not np.isfinite(known).all():
+    time_s = context.conditions.time_s
+    if time_s is None or not np.isfinite(time_s).all():
         return []
-    ordered = np.sort(known)
+    ordered = np.sort(time_s)
     before, after = ordered[ONSET_MARGIN - 1 : -ONSET_MARGIN], ordered[ONSET_MARGIN : len(ordered) - ONSET_MARGIN + 1]
     onsets = ((before + after) / 2.0)[before < after]
     if len(onsets) > ONSETS_MOST:
@@ -79,20 +79,22 @@ def onset_laws(context: EffectContext) -> list[Law]:
 
 def after_onset(context: EffectContext, law: Law) -> Array:
     """1 after the onset, else 0 (n,); 1 where the time is unknown."""
-    return (filled(context.known.time_s, np.inf, len(context)) >= law.constants[ONSET.name]).astype(np.float64)
+    return (with_default(context.conditions.time_s, np.inf, len(context)) >= law.constants[ONSET.name]).astype(
+        np.float64
+    )
 
 
-def no_onset(context: EffectContext) -> str:
-    """Why no onset can be looked for; empty when it can."""
+def missing_for_onset(context: EffectContext) -> str:
+    """What the readings lack to search for an onset; empty if nothing."""
     if not times_known(context):
         return "no times"
     return "" if onset_laws(context) else f"fewer than {2 * ONSET_MARGIN} readings"
 
 
 def times_known(context: EffectContext) -> bool:
-    """Whether all times are known and not one moment."""
-    known = context.known.time_s
-    return known is not None and len(known) > 0 and bool(np.isfinite(known).all()) and float(np.ptp(known)) > 0.0
+    """Whether all times are known and not all equal."""
+    time_s = context.conditions.time_s
+    return time_s is not None and len(time_s) > 0 and bool(np.isfinite(time_s).all()) and float(np.ptp(time_s)) > 0.0
 
 
 def lagged(values: Array, time_s: Array, lag_s: float) -> Array:
@@ -113,7 +115,7 @@ def lagged(values: Array, time_s: Array, lag_s: float) -> Array:
     return found
 
 
-def filled(values: Array | None, default: float | Array, rows: int) -> Array:
+def with_default(values: Array | None, default: float | Array, rows: int) -> Array:
     """Values (n, ...) with ``default`` where unknown."""
     if values is None:
         return np.broadcast_to(default, (rows, *np.shape(default))).astype(np.float64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from cellapp.calibration.record import pair_result
+from cellapp.calibration.result import pair_result
 from cellapp.discovery import outcome
 from cellapp.discovery.describe import Description
 from cellapp.discovery.outcome import CellDiscovery, Discovery

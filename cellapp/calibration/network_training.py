@@ -44,14 +44,14 @@ class Shape:
 
     inputs: Inputs
     hidden: tuple[int, ...]
-    turning: bool = False
+    rotates_with_joint_1: bool = False
 
 
 SHAPES: tuple[Shape, ...] = (
     Shape("sincos", (8, 8)),
-    Shape("sincos", (6, 6), turning=True),
-    Shape("sincos", (8, 8), turning=True),
-    Shape("angles", (6, 6), turning=True),
+    Shape("sincos", (6, 6), rotates_with_joint_1=True),
+    Shape("sincos", (8, 8), rotates_with_joint_1=True),
+    Shape("angles", (6, 6), rotates_with_joint_1=True),
 )
 _SCREENING = 40
 """Iterations after which candidates are compared; only the best one is trained further."""
@@ -126,12 +126,14 @@ def train_network(
     candidates = []
     for shape in shapes:
         cancel.check()
-        candidates.append((shape, _train_members(inputs[shape.inputs], outputs[shape.turning], inside, shape, seed)))
+        candidates.append(
+            (shape, _train_members(inputs[shape.inputs], outputs[shape.rotates_with_joint_1], inside, shape, seed))
+        )
     shape, committee, screened = _train_best(candidates, iterations, cancel)
     without = float(np.sqrt(np.mean(np.sum((residual / scale) ** 2, axis=1))))
     margin = _MARGIN * np.maximum(high - low, 1e-3)
     members = tuple(_layers(member.numpy(), committee.sizes) for member in committee.members)
-    network = ResidualNetwork(shape.inputs, low, high, margin, shape.turning, scale, members)
+    network = ResidualNetwork(shape.inputs, low, high, margin, shape.rotates_with_joint_1, scale, members)
     return Training(
         network=network if committee.left_out < _WORTH * without else None,
         shape=shape,

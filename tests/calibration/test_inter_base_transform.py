@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellapp.calibration.identification import TooFewReadings
-from cellapp.calibration.pair import distances, identify_pair
+from cellapp.calibration.inter_base_transform import distances, identify_pair
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_zyx, transform
 
 

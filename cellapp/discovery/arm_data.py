@@ -1,4 +1,4 @@
-"""Readings of one arm for discovery: what effects may depend on, their columns, and the weights in use."""
+"""Readings of one arm for discovery, with measurement conditions, columns of effects, and weights."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.calibration.identification import identify
 from cellapp.calibration.parameters import ParameterSet
 from cellapp.calibration.weights import whitener
 from cellapp.discovery.terms import ModelTerms
-from cellapp.effects import EFFECTS, Circumstances, EffectColumn, EffectContext, Law
+from cellapp.effects import EFFECTS, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.profile import Profile
@@ -21,15 +21,15 @@ from cellapp.run import Readings, stated_uncertainty
 
 @dataclass(frozen=True, eq=False)
 class ArmData:
-    """Readings of one arm, the circumstances of their stops, and the weights in use.
+    """Readings of one arm, their measurement conditions, and the weights in use.
 
-    The parameter set is fixed once. Chosen anew in each joint refit, it could let redundant directions in through an
-    effect.
+    The parameter set is fixed once: if each joint refit selected it again, an effect could make redundant directions
+    appear identifiable.
 
     Attributes
     ----------
     profile, model, readings, known
-        ``model`` has geometry only; ``known`` are the circumstances of the stops.
+        ``model`` has geometry only; ``conditions`` are those of the readings.
     stated, sigma : array, shape (n,) [m] or (n, 3, 3) [m^2], or None
         Uncertainty that the readings state, and the one that weighs them.
     parameter_set : ParameterSet
@@ -43,7 +43,7 @@ class ArmData:
     profile: Profile
     model: ArmModel
     readings: Readings
-    known: Circumstances
+    conditions: MeasurementConditions
     stated: Array | None
     sigma: Array | None
     parameter_set: ParameterSet
@@ -51,8 +51,8 @@ class ArmData:
     cache: dict[tuple[str, str], list[EffectColumn]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, profile: Profile, model: ArmModel, readings: Readings, known: Circumstances) -> ArmData:
-        """With the weights that the readings state."""
+    def of(cls, profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> ArmData:
+        """Take the weights from the stated uncertainty, and select the geometric parameters."""
         geometry_only = replace(model, effects=(), network=None)
         found = identify(
             geometry_only.geometry,
@@ -62,19 +62,19 @@ class ArmData:
             max_iterations=1,
         )
         stated = stated_uncertainty(readings)
-        return cls(profile, geometry_only, readings, known, stated, stated, found.parameter_set)
+        return cls(profile, geometry_only, readings, conditions, stated, stated, found.parameter_set)
 
     def __len__(self) -> int:
         return len(self.readings)
 
     @cached_property
     def context(self) -> EffectContext:
-        """What effects may depend on, at the geometry of ``model``."""
-        return replace(self.model.context(self.readings.q, known=self.known), q_actual=self.true_q)
+        """Quantities that effects depend on, at the geometry of ``model``."""
+        return replace(self.model.context(self.readings.q, conditions=self.conditions), q_actual=self.true_q)
 
     def at(self, model: ArmModel) -> ArmData:
         """The same readings, with effects evaluated at the geometry and the true joint positions of ``model``."""
-        true_q = model.true_joints(self.readings.q, known=self.known) if model.effects else None
+        true_q = model.true_joints(self.readings.q, conditions=self.conditions) if model.effects else None
         return replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache={})
 
     def columns(self, slug: str, law: Law, names: Sequence[str] | None = None) -> list[EffectColumn]:

@@ -6,9 +6,9 @@ import math
 from typing import cast
 
 from cellapp.calibration.calibrate import ArmCalibration, Calibration
-from cellapp.calibration.cooperative import PairCalibration, PairMethod
-from cellapp.calibration.pair import PAIR_NAMES
-from cellapp.calibration.residual import Shape, Training
+from cellapp.calibration.inter_base_transform import PAIR_NAMES
+from cellapp.calibration.network_training import Shape, Training
+from cellapp.calibration.pair_calibration import PairCalibration, PairMethod
 from cellapp.kinematics.transforms import zyx_angles
 from cellapp.results import (
     ArmCalibrationResult,
@@ -73,7 +73,7 @@ def _network(training: Training) -> NetworkResult:
         used=training.network is not None,
         inputs=training.shape.inputs,
         hidden=training.shape.hidden,
-        turning=training.shape.turning,
+        turning=training.shape.rotates_with_joint_1,
         left_out_rms_mm=training.left_out_rms * 1e3,
         without_rms_mm=training.without_rms * 1e3,
         tried=tuple(_trial(shape, error) for shape, error in training.tried),
@@ -82,7 +82,10 @@ def _network(training: Training) -> NetworkResult:
 
 def _trial(shape: Shape, left_out_rms_m: float) -> NetworkTrial:
     return NetworkTrial(
-        inputs=shape.inputs, hidden=shape.hidden, turning=shape.turning, left_out_rms_mm=left_out_rms_m * 1e3
+        inputs=shape.inputs,
+        hidden=shape.hidden,
+        turning=shape.rotates_with_joint_1,
+        left_out_rms_mm=left_out_rms_m * 1e3,
     )
 
 

@@ -1,4 +1,4 @@
-"""What columns explain of a residual in the complement of a model's parameters: R^2 and the gain of the BIC.
+"""Share of a residual that columns explain in the complement of a model's parameters: R^2 and gain of the BIC.
 
 With M as in ``design.information``, residual y (d,) and columns B (m, d),
 

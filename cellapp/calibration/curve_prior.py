@@ -188,7 +188,7 @@ class _Evidence:
         A = self.gram * (root[:, None] * root / noise)
         A[np.diag_indices_from(A)] += 1.0
         factor, failed = lapack.dpotrf(A, lower=1, overwrite_a=1)
-        if failed:  # the optimiser went where the noise vanishes; it turns back from so low a value
+        if failed:  # the noise is nearly zero here: so low a value makes the optimiser step back
             return -1e300, np.zeros_like(variance), 0.0
         log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
         scaled = root * self.moment / noise

@@ -7,22 +7,22 @@ from collections.abc import Collection
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
-from cellapp.effects.history import (
+from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.time_functions import (
     FIRST,
     LAST,
     LINEAR_FORM,
     ONSET_FORM,
     WARM_UP_FORM,
     after_onset,
-    linear,
-    no_onset,
+    missing_for_onset,
     onset_laws,
-    span,
+    run_fraction,
+    run_span,
     times_known,
     warm_up,
     warm_up_laws,
 )
-from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.kinematics.transforms import Array
 
 _COMPONENTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn_x", "rad"), ("turn_y", "rad"), ("turn_z", "rad"))
@@ -55,7 +55,7 @@ class BaseDrift(Effect):
     variables = frozenset({DriverVariable.TIME})
     forms = (LINEAR_FORM, WARM_UP_FORM, QUADRATIC)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
         return "" if times_known(context) else "no times"
 
@@ -63,14 +63,14 @@ class BaseDrift(Effect):
         """Linear; warming up; quadratic."""
         if not times_known(context):
             return []
-        run = span(context)
+        run = run_span(context)
         return [LINEAR_FORM.law(run), *warm_up_laws(context), QUADRATIC.law(run)]
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Six columns, twelve for the quadratic law; the end of the run where the time is unknown."""
         if law.form == WARM_UP_FORM:
             return _twist(self.slug, context, warm_up(context, law))
-        along = linear(context, law)
+        along = run_fraction(context, law)
         columns = _twist(self.slug, context, along)
         if law.form == QUADRATIC:
             columns += _twist(self.slug, context, 4.0 * along * (1.0 - along), "_bow")
@@ -91,9 +91,9 @@ class BaseStep(Effect):
     variables = frozenset({DriverVariable.TIME})
     forms = (ONSET_FORM,)
 
-    def untestable(self, context: EffectContext) -> str:
+    def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
-        return no_onset(context)
+        return missing_for_onset(context)
 
     def laws(self, context: EffectContext) -> list[Law]:
         """One for each onset."""

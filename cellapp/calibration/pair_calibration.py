@@ -2,7 +2,7 @@
 
     nominal    published chains; bases registered to the tracker
     method_1   identified geometry alone
-    method_2   geometry and a network trained in the tracker frame, its output wrongly added in the base frame
+    method_2   geometry and a network trained in the tracker frame; its output is added in the base frame: wrong
     proposed   geometry and a network in the base frame (Bai et al. 2023)
     effects    geometry and the named effects
 
@@ -19,10 +19,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.calibration.circumstances import circumstances
 from cellapp.calibration.evaluation import position_errors, summarise
-from cellapp.calibration.pair import PairIdentification, distances, identify_pair
-from cellapp.effects import Circumstances
+from cellapp.calibration.inter_base_transform import PairIdentification, distances, identify_pair
+from cellapp.calibration.measurement_conditions import measurement_conditions
+from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import Array, apply, invert, register
 from cellapp.model import ArmModel, ResidualNetwork
@@ -41,7 +41,7 @@ class CalibratedArm(Protocol):
         """The calibrated model, with its residual network if it has one."""
 
     @property
-    def tracker_trained(self) -> ResidualNetwork | None:
+    def tracker_frame_network(self) -> ResidualNetwork | None:
         """The network trained in the tracker frame."""
 
 
@@ -115,7 +115,9 @@ def calibrate_pair(
         ]
     notes = []
     if len(learn) < profile.splits.pair_identify or len(held_out) < profile.splits.pair_validate:
-        notes.append(f"pair: {len(learn)} stops to identify and {len(held_out)} to validate are fewer than asked for")
+        notes.append(
+            f"pair: {len(learn)} stops to identify and {len(held_out)} to validate are fewer than the profile requires"
+        )
     both = (left, right)
     measured = np.linalg.norm(left.p_M - right.p_M, axis=1)
     models = [arm.model for arm in arms.values()]
@@ -151,24 +153,27 @@ def calibrate_pair(
 def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[Array, Array]]:
     """SMR positions p_B (n, 3) [m] of both arms in their own base frames, by method."""
     left, right = both
-    known = (circumstances(left, (arms[1].model, right)), circumstances(right, (arms[0].model, left)))
+    conditions = (
+        measurement_conditions(left, (arms[1].model, right)),
+        measurement_conditions(right, (arms[0].model, left)),
+    )
 
-    def geometry_only(arm: CalibratedArm, r: Readings, known: Circumstances) -> Array:
+    def geometry_only(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
         return smr_positions(arm.model.geometry.with_T_M_B(np.eye(4)), r.q)
 
-    def nominal(arm: CalibratedArm, r: Readings, known: Circumstances) -> Array:
+    def nominal(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
         return smr_positions(arm.model.nominal.with_T_M_B(np.eye(4)), r.q)
 
-    def full(arm: CalibratedArm, r: Readings, known: Circumstances) -> Array:
-        p_M = arm.model.predict(r.q, known=known)
+    def full(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
+        p_M = arm.model.predict(r.q, conditions=conditions)
         return apply(np.asarray(invert(arm.model.geometry.T_M_B())), p_M)
 
-    def wrong_frame(arm: CalibratedArm, r: Readings, known: Circumstances) -> Array:
-        network = arm.tracker_trained
-        p_B = geometry_only(arm, r, known)
+    def wrong_frame(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
+        network = arm.tracker_frame_network
+        p_B = geometry_only(arm, r, conditions)
         return p_B if network is None else np.asarray(p_B + network.correct(r.q))
 
-    predictors: dict[Method, Callable[[CalibratedArm, Readings, Circumstances], Array]] = {"nominal": nominal}
+    predictors: dict[Method, Callable[[CalibratedArm, Readings, MeasurementConditions], Array]] = {"nominal": nominal}
     if any(arm.model.effects for arm in arms):
         predictors["effects"] = full
     else:
@@ -176,6 +181,6 @@ def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> di
         if any(arm.model.network is not None for arm in arms):
             predictors |= {"method_2": wrong_frame, "proposed": full}
     return {
-        name: (predict(arms[0], left, known[0]), predict(arms[1], right, known[1]))
+        name: (predict(arms[0], left, conditions[0]), predict(arms[1], right, conditions[1]))
         for name, predict in predictors.items()
     }

@@ -1,4 +1,4 @@
-"""Which hypotheses a discovery leaves open in one arm's data, the most useful ones to decide."""
+"""Hypotheses that a discovery leaves open in the data of one arm, the most useful ones to decide."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from cellapp.design.information import VISIBLE, detectable_size
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, fit_terms
 from cellapp.discovery.outcome import Discovery
+from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.proposal.hypotheses import Hypothesis, RivalLaw
-from cellapp.discovery.residual import ProjectedResidual
 from cellapp.discovery.search.scan import LawScan, choice_price
 from cellapp.discovery.terms import UNKNOWN, ModelTerm, with_term
 from cellapp.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law
@@ -40,18 +40,18 @@ def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: 
     found: list[Hypothesis] = []
     for number, effect in enumerate(discovery.accepted):
         for slug in effect.answer_set[1:]:
-            found += _against(data, fit, number, slug, least, joined)
-            found += _reverse(data, fit, number, slug, least, joined)
+            found += _hypotheses_against(data, fit, number, slug, least, joined)
+            found += _swapped_hypotheses(data, fit, number, slug, least, joined)
     if not found:
         taken = {term.slug for term in fit.terms}
         for number, term in enumerate(fit.terms):
             for slug in EFFECTS[term.slug].look_alikes:
                 if slug not in taken:
-                    found += _against(data, fit, number, slug, least, joined)
+                    found += _hypotheses_against(data, fit, number, slug, least, joined)
     return found or _faint_effects(data, fit, discovery, joined)
 
 
-def _against(
+def _hypotheses_against(
     data: ArmData, fit: JointFit, number: int, rival: str, least: float, joined: EffectContext
 ) -> list[Hypothesis]:
     """A term of a fit against another effect; none where that has no columns at all."""
@@ -80,10 +80,10 @@ def _against(
     return [Hypothesis(term.slug, rival, needed, data, fit, number, term.law, term.names, values, rivals)]
 
 
-def _reverse(
+def _swapped_hypotheses(
     data: ArmData, fit: JointFit, number: int, rival: str, least: float, joined: EffectContext
 ) -> list[Hypothesis]:
-    """The reverse: the rival, as it would be fitted in the place of a term, against the term's effect."""
+    """Swap the roles: the rival, fitted in place of a term, is true and the term's effect is the rival."""
     residual = fit.residual_without(number)
     scores = LawScan.of(fit.candidates(data, [rival]), residual.projector).ranked(residual)
     if not scores or not scores[0].names:
@@ -92,7 +92,7 @@ def _reverse(
     if len(fit.rows) + len(instead.names) >= 3 * len(data):
         return []  # too few readings to fit it
     other = fit_terms(data, with_term(fit.terms, number, instead))
-    return _against(data, other, number, fit.terms[number].slug, least, joined)
+    return _hypotheses_against(data, other, number, fit.terms[number].slug, least, joined)
 
 
 def _faint_effects(data: ArmData, fit: JointFit, discovery: Discovery, joined: EffectContext) -> list[Hypothesis]:
@@ -101,7 +101,7 @@ def _faint_effects(data: ArmData, fit: JointFit, discovery: Discovery, joined: E
     slugs = [entry.effect for entry in faint[:_MOST_FAINT]]
     for entry in discovery.invisible:
         effect = EFFECTS[entry.effect]
-        if effect.variables & _VARIABLE_CONDITIONS and effect.untestable(data.context):
+        if effect.variables & _VARIABLE_CONDITIONS and effect.missing_data(data.context):
             slugs.append(effect.slug)
     found = []
     for slug in slugs:
@@ -139,9 +139,9 @@ def _signal_size(data: ArmData, fit: JointFit, column: EffectColumn, further: Ef
 def _laws(data: ArmData, slug: str, joined: EffectContext) -> list[Law]:
     """The laws that the run allows, and those that only the conditions of further stops allow."""
     effect = EFFECTS[slug]
-    found = [] if effect.untestable(data.context) else effect.laws(data.context)
+    found = [] if effect.missing_data(data.context) else effect.laws(data.context)
     names = {law.name for law in found}
-    if not effect.untestable(joined):
+    if not effect.missing_data(joined):
         found += [law for law in effect.laws(joined) if law.name not in names]
     return found
 

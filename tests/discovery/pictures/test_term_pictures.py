@@ -1,4 +1,4 @@
-"""Pictures of a fit: what they show is what the fit says, on the axis that makes it plain."""
+"""Pictures of a fit: values of the terms, partial residuals, and the axis of each picture."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from cellapp.calibration.circumstances import circumstances
-from cellapp.discovery.data import ArmData
+from cellapp.calibration.measurement_conditions import measurement_conditions
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import fit_terms
 from cellapp.discovery.pictures.cycles import dominant_cycles
-from cellapp.discovery.pictures.of_terms import pictures
-from cellapp.discovery.record import picture_result
+from cellapp.discovery.pictures.term_pictures import pictures
+from cellapp.discovery.result import picture_result
 from cellapp.discovery.terms import ModelTerm
 from cellapp.effects import EFFECTS, EffectColumn, Wave, joint_column
 from cellapp.kinematics.chain import parameter_names, smr_positions
@@ -47,13 +47,13 @@ def test_cycles_hold_the_middle_of_the_power():
     assert found["2"].rms_urad == pytest.approx(math.sqrt((1 + 100 + 144 + 64 + 1) / 2.0))
 
 
-def test_what_is_no_wave_has_no_cycles():
+def test_columns_that_are_not_periodic_have_no_cycles():
     assert dominant_cycles([joint_column("half_play1", "rad", 0, np.ones(2), 0.0, 1.0)], np.ones(1)) == {}
     assert dominant_cycles([wave_column(0, 3, False), wave_column(0, 3, True)], np.zeros(2)) == {}
 
 
 def made(bend, *terms, off_axis_m=0.1):
-    """Pictures of a fit of ``terms`` to readings whose joints stand off by ``bend(q, approach)``."""
+    """Pictures of a fit of ``terms`` to readings with joint offsets ``bend(q, approach)``."""
     profile = load_profile(PROFILES / "twin.yaml")
     geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
     named = dict(zip(parameter_names(6), geometry.vector(), strict=True)) | {"tx": off_axis_m, "ty": 0.0}
@@ -70,7 +70,7 @@ def made(bend, *terms, off_axis_m=0.1):
         sigma_m=np.full(N, SIGMA_M),
     )
     model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=UP)
-    data = ArmData.of(profile, model, readings, circumstances(readings))
+    data = ArmData.of(profile, model, readings, measurement_conditions(readings))
     fit = fit_terms(data, tuple(terms))
     found = pictures(data, fit)
     for picture in found:
@@ -88,7 +88,7 @@ def only(joint, values):
     return bent
 
 
-def test_backlash_stands_on_two_levels():
+def test_backlash_has_two_levels():
     part = ModelTerm("backlash", EFFECTS["backlash"].law("constant"), ("half_play2",))
     (picture,) = made(lambda q, approach: only(2, -2e-4 * approach[:, 1]), part)
     assert picture.title.endswith(", joint 2")
@@ -130,7 +130,7 @@ def test_fast_lines_are_laid_over_one_another_and_slow_ones_are_not():
     assert (np.abs(off) < 5.0 * np.array(fast.curve.band) + 0.1).all()
 
 
-def test_a_drift_of_the_base_is_drawn_along_its_way_against_time():
+def test_a_drift_of_the_base_is_drawn_along_its_direction_against_time():
     law = EFFECTS["base_drift"].law("linear", {"first_s": 0.0, "last_s": 60.0 * (N - 1)})
     part = ModelTerm("base_drift", law, ("base_drift_x", "base_drift_y", "base_drift_z"))
     (picture,) = made(lambda q, approach: np.zeros((N, 6)), part)

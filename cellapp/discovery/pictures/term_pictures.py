@@ -1,7 +1,7 @@
 """Pictures of a fit: each term's partial residuals in its own channel, against what the term depends on.
 
-The partial residual is residual + term: what the readings show once everything else in the model is taken away. Of a
-joint offset it is estimated along the direction J_j in which the joint moves the SMR,
+The partial residual is residual + term: the readings minus everything else in the model. For a joint offset it is
+estimated along the direction J_j in which the joint moves the SMR,
 
     dq_j = J_j^T r / (J_j^T J_j)   (whitened),
 
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.discovery.data import ArmData
+from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.pictures.axes import axes_of
 from cellapp.discovery.pictures.picture import PeriodicCurve, Picture, PictureData, make_picture, rounded
@@ -124,7 +124,7 @@ class _TermPictures:
         return found
 
     def _joint_views(self, joint: int) -> list[_JointView]:
-        """What to show of a joint: waves by cycle count, all other columns together."""
+        """Views of one joint: waves by cycle count, all other columns together."""
         columns = self.fit.term_columns(self.number)
         own = [k for k, column in enumerate(columns) if column.joint == joint]
         cycles = {k: count for k in own if (count := columns[k].cycles) is not None}

@@ -1,4 +1,4 @@
-"""The residual network learns what can be learnt, knows when there is nothing, and never invents outside its data."""
+"""Residual network: learns a smooth residual, rejects noise, and fades to zero outside the trained ranges."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ import sys
 import numpy as np
 import pytest
 
-from cellapp.calibration.residual import Shape, train_network
-from cellapp.model import ResidualNetwork
-from cellapp.model.network import network_inputs, rotate_about_z
+from cellapp.calibration.network_training import Shape, train_network
+from cellapp.model.network import network_from_json, network_inputs, network_to_json, rotate_about_z
 
-SMALL = (Shape("sincos", (6,)), Shape("sincos", (6,), turning=True))
+SMALL = (Shape("sincos", (6,)), Shape("sincos", (6,), rotates_with_joint_1=True))
 
 
 def bend(q):
@@ -40,7 +39,7 @@ def test_a_smooth_residual_is_learnt_from_200_poses(trained):
     after = np.linalg.norm(bend(new) - training.network.correct(new), axis=1).mean()
     assert after < 0.3 * before
     assert training.left_out_rms < 0.4 * training.without_rms
-    assert training.shape.turning  # what turns with the first joint is told apart
+    assert training.shape.rotates_with_joint_1  # the residual of the fixture rotates with joint 1
     assert len(training.network.members) == 5
 
 
@@ -58,7 +57,7 @@ def test_the_same_seed_gives_the_same_network(trained):
     noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
     again = train_network(q, bend(q) + noise, seed=3, shapes=SMALL, iterations=80)
     assert again.network is not None
-    assert json.dumps(again.network.as_dict()) == json.dumps(training.network.as_dict())
+    assert json.dumps(network_to_json(again.network)) == json.dumps(network_to_json(training.network))
 
 
 def test_beyond_the_trained_ranges_the_correction_fades_to_zero(trained):
@@ -97,13 +96,13 @@ def test_the_spread_grows_where_data_are_missing(trained):
 
 def test_the_file_keeps_every_bit_and_needs_no_torch(trained):
     _, training = trained
-    text = json.dumps(training.network.as_dict())
+    text = json.dumps(network_to_json(training.network))
     q = poses(7, seed=8)
-    np.testing.assert_array_equal(ResidualNetwork.from_dict(json.loads(text)).correct(q), training.network.correct(q))
+    np.testing.assert_array_equal(network_from_json(json.loads(text)).correct(q), training.network.correct(q))
     program = (
         "import json, sys, numpy as np\n"
-        "from cellapp.model import ResidualNetwork\n"
-        "network = ResidualNetwork.from_dict(json.loads(sys.stdin.read()))\n"
+        "from cellapp.model.network import network_from_json\n"
+        "network = network_from_json(json.loads(sys.stdin.read()))\n"
         "print(network.correct(np.zeros((1, 6))).tolist(), 'torch' in sys.modules)\n"
     )
     result = subprocess.run(
@@ -112,7 +111,7 @@ def test_the_file_keeps_every_bit_and_needs_no_torch(trained):
     assert result.stdout.strip() == f"{training.network.correct(np.zeros((1, 6))).tolist()} False"
 
 
-def test_what_the_inputs_are():
+def test_network_inputs():
     q = np.array([[0.0, np.pi / 2.0], [1.0, -1.0]])
     low, high = q.min(axis=0), q.max(axis=0)
     np.testing.assert_allclose(network_inputs("sincos", low, high, q)[0], [1.0, 0.0, 0.0, 1.0], atol=1e-12)

@@ -1,4 +1,4 @@
-"""Circumstances of the stops of a run, which effects depend on: last steps, other arm, times, temperatures."""
+"""Measurement conditions of a run, which effects depend on: last steps, other arm, times, temperatures."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cellapp.effects import Circumstances, TemperatureRecord
+from cellapp.effects import MeasurementConditions, TemperatureRecord
 from cellapp.kinematics.statics import base_moment
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
@@ -17,8 +17,8 @@ _LEAST_AGREEMENT = 0.95
 Below it the arms took detours; a few logged signs may be wrong, as controllers report tiny corrections."""
 
 
-def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = None) -> Circumstances:
-    """Circumstances of the stops of one arm; ``other`` is the other arm's model and readings, where there is one.
+def measurement_conditions(readings: Readings, other: tuple[ArmModel, Readings] | None = None) -> MeasurementConditions:
+    """Conditions of the readings of one arm; ``other`` is the model and the readings of the other arm, if there is one.
 
     Steps that were not logged are derived from the order of the stops in time, if they match the approach signs. The
     other arm's values are NaN at stops where it has no reading.
@@ -37,9 +37,9 @@ def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = 
             moment[present] = base_moment(model.geometry, model.bodies, theirs.q[match[present]], model.up_M, payload)
             other_q = np.full((len(readings), theirs.joints), np.nan)
             other_q[present] = theirs.q[match[present]]
-    return Circumstances(
+    return MeasurementConditions(
         approach=approach,
-        step=_filled(readings.step, _steps(readings)),
+        step=_with_derived_steps(readings.step, _steps(readings)),
         dwell_s=readings.dwell_s,
         time_s=time_s,
         payload_kg=readings.payload_kg,
@@ -51,17 +51,19 @@ def circumstances(readings: Readings, other: tuple[ArmModel, Readings] | None = 
     )
 
 
-def circumstances_of_arms(models: Mapping[str, ArmModel], readings: Mapping[str, Readings]) -> dict[str, Circumstances]:
-    """Circumstances of the stops of every arm; in a cell of two arms each includes the other arm."""
+def conditions_of_arms(
+    models: Mapping[str, ArmModel], readings: Mapping[str, Readings]
+) -> dict[str, MeasurementConditions]:
+    """Conditions of the readings of every arm; in a cell of two arms those of one include the other's pose and load."""
     found = {}
     for name, own in readings.items():
         others = [other for other in readings if other != name]
         other = (models[others[0]], readings[others[0]]) if len(others) == 1 else None
-        found[name] = circumstances(own, other)
+        found[name] = measurement_conditions(own, other)
     return found
 
 
-def _filled(logged: Array | None, derived: Array | None) -> Array | None:
+def _with_derived_steps(logged: Array | None, derived: Array | None) -> Array | None:
     """Logged steps, with derived ones in rows without a log (readings of a version that did not log steps)."""
     if logged is None or derived is None:
         return derived if logged is None else logged
