@@ -42,20 +42,21 @@ def parse_quantity(kind: str, value: object) -> float:
     """
     units = _UNITS[kind]
     si_unit = next(iter(units))
+    a_kind = f"an {kind}" if kind == "angle" else f"a {kind}"
     if isinstance(value, bool):
-        raise ValueError(f"expected a {kind}, got {value}")
+        raise ValueError(f"expected {a_kind}, got {value}")
     if isinstance(value, int | float):
         number = float(value)
     elif isinstance(value, str):
         match = _NUMBER_AND_UNIT.fullmatch(value)
         if match is None:
-            raise ValueError(f"expected a {kind}: a number in {si_unit} or text such as '1.5 {si_unit}', got '{value}'")
+            raise ValueError(f"expected {a_kind}: a number in {si_unit} or text such as '1.5 {si_unit}', got '{value}'")
         factor = units.get(match.group(2))
         if factor is None:
             raise ValueError(f"'{match.group(2)}' is not a unit of {kind}; use one of {', '.join(units)}")
         number = float(match.group(1)) * factor
     else:
-        raise ValueError(f"expected a {kind} in {si_unit}, got {type(value).__name__}")
+        raise ValueError(f"expected {a_kind} in {si_unit}, got {type(value).__name__}")
     if not math.isfinite(number):
         raise ValueError(f"expected a finite {kind}, got {value}")
     return number

@@ -239,6 +239,9 @@ def push(
         listed = load_targets(targets, opened.profile)
         result = push_run(opened, listed, job.listen, job.cancel, verify=verify, out_of_date=out_of_date)
         job.show(verification_tables(result))
+        if not verify:
+            reached = sum(not target.note for target in result.targets)
+            job.say(f"{reached} of {len(result.targets)} targets reached")
         job.say(*result.notes)
         job.result(result)
         if verify:

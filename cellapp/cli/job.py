@@ -23,7 +23,8 @@ _ERROR_LOG = "cellapp-error.log"
 
 
 def run_program(app: Callable[[], object]) -> None:
-    """Run the program; an error becomes one sentence on standard error and an exit code."""
+    """Run the program; an error or a signal becomes one sentence on standard error and an exit code."""
+    handlers = {number: signal.signal(number, _stop_before_job) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         app()
     except Cancelled as error:
@@ -41,6 +42,9 @@ def run_program(app: Callable[[], object]) -> None:
             log.write_text(traceback.format_exc(), encoding="utf-8")
         _complain(f"unexpected {type(error).__name__}: {error}; please report it with {log} from this folder")
         sys.exit(1)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 @contextlib.contextmanager
@@ -58,12 +62,15 @@ class Job:
     Raises
     ------
     InputError
-        If the JSON's folder does not exist; nothing was done then.
+        If the JSON's folder does not exist or its path is a folder; nothing was done then.
     """
 
     def __init__(self, json_file: str | None) -> None:
-        if json_file not in (None, "-") and not Path(str(json_file)).absolute().parent.is_dir():
-            raise InputError(f"--json: {json_file}: folder not found; nothing was done")
+        if json_file is not None and json_file != "-":
+            if not Path(json_file).absolute().parent.is_dir():
+                raise InputError(f"--json: {json_file}: folder not found; nothing was done")
+            if Path(json_file).is_dir():
+                raise InputError(f"--json: {json_file} is a folder; give the path of a file. Nothing was done")
         self.cancel = CancelToken()
         self._json_file = json_file
         self._bars: Any = None
@@ -150,6 +157,11 @@ class Job:
         if self._bars is not None:
             self._bars.stop()
             self._bars, self._tasks = None, {}
+
+
+def _stop_before_job(number: int, frame: object) -> None:
+    """Stop while the command is still being loaded; ``Job`` handles signals from then on."""
+    raise Cancelled("stopped on request")
 
 
 def _complain(text: str) -> None:

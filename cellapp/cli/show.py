@@ -31,6 +31,16 @@ class Part(StrEnum):
     HISTORY = "history"
 
 
+_NOTHING = {
+    Part.CALIBRATION: "no calibration is",
+    Part.PARAMETERS: "no calibration is",
+    Part.DISCOVERY: "no discovery is",
+    Part.TARGETS: "no compensated targets are",
+    Part.VERIFICATION: "no verification is",
+}
+"""Subject and verb where a part is missing."""
+
+
 def show(
     folder: RunFolder,
     part: Annotated[Part, typer.Argument(help="What to print.")] = Part.OVERVIEW,
@@ -60,10 +70,12 @@ def show(
             case Part.PLAN:
                 stops = overview.planned_stops(run)
                 job.show(run_tables.plan_tables(stops))
+                if not stops.stops:
+                    job.say("no stops are planned")
                 job.result(stops)
             case Part.LOG:
                 log = overview.run_log(run, level, last)
-                job.say(*run_tables.log_lines(log))
+                job.say(*(run_tables.log_lines(log) or ["no log lines to show"]))
                 job.result(log)
             case Part.PROFILE:
                 text = run_tables.profile_text(run.profile)
@@ -108,8 +120,8 @@ def _show_result(job: Job, run: RunFile, part: Part) -> None:
     reason = {str(key): text for key, text in results.out_of_date.items()}.get(name)
     stored = getattr(results, name)
     if stored is None:
-        why = f"{name} is stored, but {reason}" if reason else f"no {part.value} is stored"
-        raise InputError(f"{run.path}: {why}; make it with '{make}'")
+        why = f"{name} is stored, but {reason}" if reason else f"{_NOTHING[part]} stored"
+        raise InputError(f"{run.path}: {why}; run '{make}' first")
     print_result(job, results)
     if reason is not None:
         job.say(f"out of date: {reason}; repeat it with '{make}'")

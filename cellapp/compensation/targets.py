@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError
 
 from cellapp.errors import InputError
 from cellapp.profile import CellPoint, Profile
+from cellapp.profile.messages import value_message
 from drivers.quantities import Turn
 from drivers.settings import Section
 
@@ -48,7 +49,7 @@ def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise InputError(f"{path}: {key}: {first['msg'].removeprefix('Value error, ')}") from None
+        raise InputError(f"{path}: {key}: {value_message(first)}") from None
     names = set()
     for target in listed.targets:
         if target.arm not in profile.arms:

@@ -36,7 +36,7 @@ from cellapp.kinematics.transforms import Array
 from cellapp.model.network import ResidualNetwork, network_from_json, network_to_json
 
 Signs = NDArray[np.float64] | NDArray[np.int8]
-_SCHEMA = "cellapp-calibration"
+MODEL_SCHEMA = "cellapp-calibration"
 _VERSION = 1
 
 
@@ -215,7 +215,7 @@ class CellModel:
         """JSON text with floats in their shortest exact form."""
         return json.dumps(
             {
-                "schema": _SCHEMA,
+                "schema": MODEL_SCHEMA,
                 "version": _VERSION,
                 "units": "m, rad, kg; T_A_B maps coordinates of B into A; M tracker, B base",
                 "provenance": dict(self.provenance),
@@ -234,8 +234,8 @@ class CellModel:
             content = json.loads(text)
         except json.JSONDecodeError as error:
             raise InputError(f"{where}:{error.lineno}: not JSON; make it again with 'cellapp calibrate'") from None
-        if not isinstance(content, dict) or content.get("schema") != _SCHEMA:
-            raise InputError(f'{where}: expected a file with "schema": "{_SCHEMA}"')
+        if not isinstance(content, dict) or content.get("schema") != MODEL_SCHEMA:
+            raise InputError(f'{where}: expected a file with "schema": "{MODEL_SCHEMA}"')
         if content.get("version") != _VERSION:
             raise InputError(
                 f"{where}: version {content.get('version')} is not {_VERSION}, which this program reads; update cellapp"

@@ -118,6 +118,19 @@ def validation_message(error: ValidationError, document: Document) -> str:
     return "\n".join(lines[:_MOST_SHOWN] + more)
 
 
+def value_message(details: ErrorDetails) -> str:
+    """Return one error in words, without its place; for files other than profiles."""
+    match details["type"]:
+        case "missing":
+            return _MISSING.removeprefix(": ")
+        case "extra_forbidden":
+            return "unknown key"
+        case "value_error":
+            return plain(details["msg"])
+        case _:
+            return _expected(details, (), Document(details["input"]))
+
+
 def plain(message: str) -> str:
     """Return a message of pydantic without its technical words."""
     return message.removeprefix("Value error, ").replace("got NoneType", "got nothing")

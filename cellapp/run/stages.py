@@ -16,8 +16,10 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
+from pydantic import ValidationError
 
 from cellapp.errors import InputError
+from cellapp.model.model import MODEL_SCHEMA
 from cellapp.profile import profile_to_json
 from cellapp.results import (
     CALIBRATE,
@@ -41,7 +43,7 @@ from cellapp.run.readings import Readings
 CALIBRATION_FILE = "calibration.json"
 """The exported model in force, for other programs; cellapp itself reads the stored stages."""
 
-NOT_RECORDED = "what it rests on is not recorded, as an older version stored it"
+NOT_RECORDED = "an older version stored it and did not record the data it rests on"
 
 _UNREADABLE = "another version of cellapp stored it and this one cannot read it"
 
@@ -93,11 +95,13 @@ class StoredStage:
     def digest(self) -> str:
         """SHA-256 of the model without its provenance, or of the result where the stage made no model.
 
-        The same outcome at another time has the same digest.
+        The same outcome at another time has the same digest. Raises ``InputError`` if the model is not JSON.
         """
         if self.model is None:
             return _sha256(self.text)
-        content = json.loads(self.model)
+        content = _json_object(self.model)
+        if content is None:
+            raise InputError(f"the stored model of '{self.name}' is damaged; run 'cellapp {self.name}' again")
         content.pop("provenance", None)
         return _sha256(json.dumps(content, sort_keys=True))
 
@@ -150,7 +154,7 @@ def append_stage(
 def read_history(run: RunFile) -> list[StoredStage]:
     """Every stage that was ever stored, oldest first; results of older versions without a basis stand in front."""
     rows = run.stage_rows()
-    return [*_stored_without_basis(run, with_model=not rows), *map(_stage, rows)]
+    return [*_stored_without_basis(run, with_model=not rows), *(_stage(run, row) for row in rows)]
 
 
 def read_stages(run: RunFile) -> RunStages:
@@ -230,13 +234,17 @@ _RESULTS: Mapping[StageName, type[Result]] = {
 }
 
 
-def _stage(row: StageRow) -> StoredStage:
+def _stage(run: RunFile, row: StageRow) -> StoredStage:
+    try:
+        basis = None if row.basis is None else Basis.model_validate_json(row.basis)
+    except ValidationError:
+        raise InputError(f"{run.path} is damaged (basis of stage {row.number}); restore it from a copy") from None
     return StoredStage(
         number=row.number,
         name=cast(StageName, row.name),
         written=row.written,
         program=row.program,
-        basis=None if row.basis is None else Basis.model_validate_json(row.basis),
+        basis=basis,
         text=row.text,
         model=row.model,
     )
@@ -244,7 +252,7 @@ def _stage(row: StageRow) -> StoredStage:
 
 def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredStage]:
     """Results of versions before the table ``stage``; their one model is ``calibration.json``, until it is replaced."""
-    model = _readable_json(run.folder / CALIBRATION_FILE) if with_model else None
+    model = _readable_model(run.folder / CALIBRATION_FILE) if with_model else None
     for name in STAGE_NAMES:
         document = run.read_document(name)
         if document is not None:
@@ -252,12 +260,21 @@ def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredS
             yield StoredStage(0, name, document.written, "an older version", None, document.text, own)
 
 
-def _readable_json(path: Path) -> str | None:
+def _readable_model(path: Path) -> str | None:
     try:
         text = path.read_text(encoding="utf-8")
-        return text if isinstance(json.loads(text), dict) else None
-    except (OSError, ValueError):  # also not UTF-8, not JSON
+    except (OSError, UnicodeDecodeError):
         return None
+    content = _json_object(text)
+    return text if content is not None and content.get("schema") == MODEL_SCHEMA else None
+
+
+def _json_object(text: str) -> dict[str, object] | None:
+    try:
+        content = json.loads(text)
+    except ValueError:
+        return None
+    return content if isinstance(content, dict) else None
 
 
 def _in_force(current: Mapping[StageName, StoredStage]) -> StoredStage | None:

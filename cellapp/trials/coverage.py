@@ -10,6 +10,7 @@ from scipy.stats import t as student
 
 from cellapp.calibration.identification import identify, start_from_nominal
 from cellapp.collection.cell import build_plant
+from cellapp.errors import InputError
 from cellapp.model.nominal import nominal_arm
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
@@ -52,7 +53,7 @@ class CoverageResult(Result):
 def bare_profile(profile: Profile, stops: int, *, plant_seed: int | None = None) -> Profile:
     """The profile with ``stops`` stops and no hidden effects; ``plant_seed`` draws another true geometry."""
     if profile.plant is None:
-        raise ValueError("trials need a profile with a simulated cell")
+        raise InputError(f"profile {profile.name}: these trials need a section 'plant' (a simulated cell)")
     plant = profile.plant.model_copy(
         update={"effects": {}, "seed": profile.plant.seed if plant_seed is None else plant_seed}
     )

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from cellapp.calibration.calibrate import ArmCalibration, calibrate_readings
+from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import Array, apply, register
 from cellapp.planning.plan import plan_stops
@@ -88,15 +89,15 @@ def paper_trials(
 
 
 def paper_trial(profile: Profile, seed: int, cancel: CancelToken | None = None) -> PaperTrial:
-    """One seed of the comparison. Raises ``ValueError`` if the profile has no plant or not two arms."""
+    """One seed of the comparison. Raises ``InputError`` if the profile does not suit it."""
     if profile.plant is None or len(profile.arms) != 2:
-        raise ValueError("the comparison needs a simulated cell of two arms")
+        raise InputError(f"profile {profile.name}: the comparison needs a section 'plant' and two arms")
     profile = profile.model_copy(update={"seed": seed, "plant": profile.plant.model_copy(update={"seed": seed})})
     plan = plan_stops(profile, cancel=cancel)
     readings = measured_plan(profile, plan, seed)
     calibration = calibrate_readings(profile, readings, cancel=cancel)
     if calibration.pair is None:
-        raise ValueError("; ".join(calibration.notes))
+        raise InputError(f"profile {profile.name}: {'; '.join(calibration.notes)}")
     methods = calibration.pair.methods
     first = methods["method_1"].by_distances.mean
     cooperative: dict[str, float] = {
@@ -120,7 +121,7 @@ def _moved(profile: Profile, seed: int) -> Profile:
     """The same cell with the tracker moved to one side of it and laid on its side."""
     pose = profile.tracker.pose
     if pose is None:
-        raise ValueError("the profile does not say where the tracker stands")
+        raise InputError(f"profile {profile.name}: tracker.pose is missing; it says where the tracker stands")
     turn = _STATIONS[seed % 2]
     x, y, z = pose.position
     c, s = math.cos(turn), math.sin(turn)

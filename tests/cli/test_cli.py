@@ -208,6 +208,9 @@ def test_what_a_person_sees_without_json(work: Path, call: Any) -> None:
     ended = call("push", "done", "targets.yaml", "--verify")
     assert "left, compensated" in ended.out
     assert "target far: out of reach" in ended.out
+    ended = call("push", "done", "targets.yaml")
+    assert re.match(r"(\d+) of \d+ targets reached\n", ended.out)
+    assert call("show", "planned", "log").out == "no log lines to show\n"
 
 
 def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
@@ -395,6 +398,14 @@ def newer(work: Path) -> None:
     spoil_run(work / "collected", "PRAGMA user_version=99")
 
 
+def damaged_basis(work: Path) -> None:
+    spoil_run(work / "done", "UPDATE stage SET basis = 'x' WHERE name = 'discover'")
+
+
+def damaged_model(work: Path) -> None:
+    spoil_run(work / "done", "UPDATE stage SET model = '[1]' WHERE name = 'calibrate'")
+
+
 BAD = [
     # what is spoilt, the command, what is said
     (misspelt_key, "doctor twin.yaml", ["twin.yaml:", ": arms.left.payloud", "did you mean 'payload'?"]),
@@ -418,7 +429,10 @@ BAD = [
     (None, "push collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
     (None, "compensate collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
     (None, "export collected --geometry out.json", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "show planned calibration", ["no calibration is stored; make it with 'cellapp calibrate'"]),
+    (None, "show planned calibration", ["no calibration is stored; run 'cellapp calibrate' first"]),
+    (None, "show planned targets", ["no compensated targets are stored; run 'cellapp compensate' first"]),
+    (damaged_basis, "show done", ["run.sqlite is damaged (basis of stage "]),
+    (damaged_model, "show done", ["the stored model of 'calibrate' is damaged; run 'cellapp calibrate' again"]),
     (None, "show planned overview --last 3", ["--level and --last belong to 'log'"]),
     (None, "show nothing", ["nothing: run folder not found"]),
     (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-plan, "]),
@@ -427,6 +441,9 @@ BAD = [
     (None, "export planned --csv out.csv", ["holds no readings yet"]),
     (None, "import twin.yaml nowhere.csv --run new", ["nowhere.csv: file not found"]),
     (None, "export done --csv nowhere/out.csv", ["nowhere/out.csv cannot be written"]),
+    (None, "calibrate collected --json targets", ["--json: targets is a folder"]),
+    (None, "trials coverage ur10-ur5.yaml --n 2", ["profile ur10-ur5: these trials need a section 'plant'"]),
+    (None, "trials paper ur10-ur5.yaml --seeds 1", ["the comparison needs a section 'plant' and two arms"]),
     (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: folder not found"]),
     (None, "emulate ur10-ur5.yaml", ["no controller to emulate"]),
 ]
@@ -658,6 +675,19 @@ def test_interrupted_it_exits_with_four_and_is_resumed(long_run: Path) -> None:
     assert "'cellapp collect DIR --resume'" in ended.stderr
     assert not (long_run / "run.sqlite-wal").exists(), "the file is whole"
     check_resumes(long_run)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_before_the_command_begins_it_exits_with_four(
+    call: Any, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def interrupt(profile: object) -> None:
+        signal.raise_signal(number)
+
+    monkeypatch.setattr("cellapp.cli.app.Job", interrupt)
+    before = signal.getsignal(number)
+    one_sentence(call("plan", "twin.yaml", "--run", "new"), "stopped on request", code=4)
+    assert signal.getsignal(number) is before
 
 
 @pytest.mark.parametrize(

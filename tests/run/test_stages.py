@@ -214,6 +214,15 @@ def test_an_old_run_is_refused_where_its_basis_is_needed_and_stays_as_it_was(
     assert {path.name: path.read_bytes() for path in old_run.iterdir()} == before
 
 
+@pytest.mark.parametrize("text", ["", "x", "[1]", "{}"])
+def test_an_old_model_that_is_damaged_is_named(old_run: Path, text: str) -> None:
+    (old_run / CALIBRATION_FILE).write_text(text)
+    with RunFile.open(old_run, write=True) as run:
+        with pytest.raises(InputError, match=r"calibration\.json is missing or damaged; run 'cellapp calibrate' again"):
+            compensate_run(run, TARGETS)
+        assert set(read_stages(run).current) == {"calibrate", "discover"}
+
+
 def test_an_old_model_is_compensated_with_and_that_is_said(old_run: Path) -> None:
     with RunFile.open(old_run, write=True) as run:
         assert NOT_RECORDED in compensate_run(run, TARGETS).notes[0]
