@@ -23,6 +23,8 @@ from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
 from tests.twin import small_twin
 
+pytestmark = pytest.mark.fast
+
 PROFILES = Path(__file__).parents[2] / "profiles"
 
 

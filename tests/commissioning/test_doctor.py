@@ -27,6 +27,8 @@ from drivers.findings import Finding
 from drivers.plant import Plant
 from tests.commissioning.free_ports import on_free_ports
 
+pytestmark = pytest.mark.fast
+
 PROFILES = Path(__file__).parents[2] / "profiles"
 PATIENT_S = 10.0
 SAMPLE = UrSample(

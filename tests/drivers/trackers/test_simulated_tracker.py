@@ -29,6 +29,8 @@ from drivers.trackers.simulated import (
     refractivity,
 )
 
+pytestmark = pytest.mark.fast
+
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 
 
