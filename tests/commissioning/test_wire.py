@@ -33,10 +33,10 @@ from drivers.trackers.bridge_settings import BridgeSettings
 from tests.twin import PROFILES, small_twin
 
 PATIENT_S = 60.0
-PACE = 20.0
+PACE = 50.0
 STOPS = 20
 SETTLE_S = 0.05
-"""Wall time, of which the emulated arms need less: a second of theirs is 0.05 s at this pace."""
+"""Wall time, of which the emulated arms need less: a second of theirs is 0.02 s at this pace."""
 HOSTS = {"left": "127.0.81.2", "right": "127.0.81.3"}  # the ports are fixed, so nobody else's addresses
 
 
@@ -176,7 +176,7 @@ def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: 
         )
 
     with subprocess.Popen(
-        [*command("emulate"), "--pace", "20"],
+        [*command("emulate"), "--pace", f"{PACE:g}"],
         cwd=tmp_path,
         env=environment,
         stdout=subprocess.PIPE,
