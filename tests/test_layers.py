@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+pytestmark = pytest.mark.fast
 
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(path for folder in ("cellapp", "drivers") for path in (ROOT / folder).rglob("*.py"))
@@ -26,9 +29,15 @@ SETTINGS = (
 """What the profile may import from drivers: settings, and the lists of the kinds that have some."""
 
 
+@functools.cache
+def tree_of(path: Path) -> ast.Module:
+    """The syntax of a file, parsed once."""
+    return ast.parse(path.read_text("utf-8"))
+
+
 def imported(path: Path) -> Iterator[str]:
     """Every module that a file imports, at its top or inside a function, in full dotted names."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -85,7 +94,7 @@ def test_loading_the_profile_loads_no_driver() -> None:
 def test_generic_code_compares_no_kinds_of_devices() -> None:
     """A kind brings what generic code asks about it: ``needs_plant``, ``has_device`` and the like."""
     for path in (ROOT / "cellapp").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for node in ast.walk(tree_of(path)):
             parts = [node.left, *node.comparators] if isinstance(node, ast.Compare) else []
             parts = [node.subject] if isinstance(node, ast.Match) else parts
             where = f"{name(path)}:{getattr(node, 'lineno', 0)}"
@@ -110,9 +119,7 @@ def test_mathematics_reads_and_writes_no_run(package: str) -> None:
 @pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("cellapp/")], ids=name)
 def test_json_goes_through_the_typed_results(path: Path) -> None:
     """Results are typed; no object of its own makes a dictionary for JSON."""
-    functions = [
-        node.name for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.FunctionDef)
-    ]
+    functions = [node.name for node in ast.walk(tree_of(path)) if isinstance(node, ast.FunctionDef)]
     assert "as_dict" not in functions
 
 
@@ -128,7 +135,7 @@ def test_doors_are_used_by_nobody_inside() -> None:
 def test_nothing_that_runs_foreign_code_or_hides_errors(path: Path) -> None:
     for module in ("pickle", "cPickle", "dill", "shelve", "marshal", "joblib"):
         assert imports_of(path, module) == []
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(tree_of(path)):
         where = f"{name(path)}:{getattr(node, 'lineno', 0)}"
         if isinstance(node, ast.ExceptHandler):
             assert node.type is not None, f"{where}: bare except"
@@ -149,14 +156,14 @@ def _is_safe(path: Path, loader: str) -> bool:
     safe = ("yaml.SafeLoader", "yaml.CSafeLoader")
     if loader in safe:
         return True
-    classes = [node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.ClassDef)]
+    classes = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.ClassDef)]
     return any(node.name == loader and [ast.unparse(base) for base in node.bases] in ([safe[0]], [safe[1]])
                for node in classes)  # fmt: skip
 
 
 def test_nothing_waits_by_sleeping_in_tests() -> None:
     for path in (ROOT / "tests").rglob("*.py"):
-        tree = ast.parse(path.read_text("utf-8"))
+        tree = tree_of(path)
         assert "time.sleep" not in [ast.unparse(node) for node in ast.walk(tree) if isinstance(node, ast.Attribute)], (
             path.name
         )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ArmContext:
-    """What a cell specifies for one arm, whatever its kind.
+    """What a cell specifies for one arm, independent of its kind.
 
     Attributes
     ----------

@@ -74,13 +74,13 @@ class SimulatedArm:
         return JointLimits(self._config.limits.copy(), self._config.speed.copy(), self._config.acceleration.copy())
 
     def tool(self) -> Tool:
-        """Return the payload; there is no tool centre point."""
+        """Return the payload; a simulated arm has no tool centre point."""
         self._link()
         mass, center = self._plant.payload(self._name)
         return Tool(payload_kg=mass, payload_center_m=center, tcp=None)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return no warnings: there is no hardware to check."""
+        """Return no warnings: no hardware is checked."""
         return ()
 
     def state(self) -> ArmState:

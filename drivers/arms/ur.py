@@ -1,9 +1,9 @@
-"""A Universal Robots arm, moved through ur_rtde in a process of its own that can be killed at any moment.
+"""A Universal Robots arm, moved through ur_rtde in a separate process that can be killed at any moment.
 
 Three properties hold even if that client hangs, crashes with the link or reports old states. Every call returns in
-bounded time. On any doubt the worker process is killed, the controller is told to stop over a separate dashboard
-connection, and the arm is watched over a separate RTDE connection until it rests. If even that fails, the controller's
-watchdog expires and stops the program.
+bounded time. On any doubt the worker process is killed, a stop is requested over a separate dashboard connection, and
+the arm is monitored over a separate RTDE connection until it rests. If even that fails, the controller's watchdog
+expires and stops the program.
 
 After a fault nothing moves until ``connect`` is called again. The driver never releases a protective stop.
 """
@@ -72,7 +72,7 @@ class UrArm:
     def __init__(
         self, name: str, settings: UrSettings, expected: UrExpectation, *, rest_s: float = LONGEST_BRAKING_S
     ) -> None:
-        """Nothing is opened yet. An arm in doubt is watched for ``rest_s`` [s] until it rests."""
+        """Nothing is opened yet. An arm in doubt is monitored for at most ``rest_s`` [s] until it rests."""
         self._name = name
         self._host = settings.host
         self._expected = expected
@@ -99,7 +99,7 @@ class UrArm:
         """Probe the controller over plain sockets, check it against the expectation, then start the RTDE client.
 
         After a fault it does all of this again; a program of this driver that may still run is stopped first. Harmless
-        when connected and without a fault. Raises as the protocol says.
+        when connected and without a fault. Raises as the protocol specifies.
         """
         if self._is_well():
             return
@@ -159,7 +159,7 @@ class UrArm:
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Start a joint motion to ``q`` (6,), all joints together; no joint exceeds its speed or acceleration (6,).
 
-        Raises ``LimitExceeded`` before anything is sent, else as the protocol says.
+        Raises ``LimitExceeded`` before anything is sent, otherwise as the protocol specifies.
         """
         goal = self._checked_goal(q)
         speeds = self._checked_rates("speed", "rad/s", speed, self._limits.speed)
@@ -179,7 +179,7 @@ class UrArm:
     def wait_settled(self, timeout_s: float) -> ArmState:
         """Wait until the motion has ended and the arm rests at its goal.
 
-        Raises ``ArmTimeout`` (the motion goes on), or the reason why it stopped: then nothing moves until ``connect``.
+        Raises ``ArmTimeout`` (the motion continues), or the cause of the stop: then nothing moves until ``connect``.
         """
         timeout = max(timeout_s, 0.0)
         try:
@@ -205,7 +205,7 @@ class UrArm:
             worker.call("halt", _ANSWER_WITHIN_S)
             wait_at_rest(self._host, self._rest_s)
         except (LinkLost, WorkerGone, WorkerRefusal) as error:
-            raise self._link_in_doubt(f"it could not be told to stop: {error}") from error
+            raise self._link_in_doubt(f"the stop could not be requested: {error}") from error
 
     def disconnect(self) -> None:
         """Stop the arm, its program and the client; nothing stays on the controller. Harmless when closed."""
@@ -321,11 +321,11 @@ class UrArm:
         return REFUSALS[refusal.kind](text)
 
     def _link_in_doubt(self, why: str) -> LinkLost:
-        """Kill the client, stop the arm, watch it until it rests if possible; return the exception to raise."""
+        """Kill the client, stop the arm, monitor it until it rests if possible; return the exception to raise."""
         self._drop_worker()
         try:
             self._bring_to_rest()
-            outcome = "it was told to stop and seen at rest"
+            outcome = "a stop was requested and the arm was seen at rest"
         except LinkLost as error:
             period = 1.0 / self._settings.watchdog_hz
             outcome = (
@@ -341,7 +341,7 @@ class UrArm:
             worker.kill()
 
     def _bring_to_rest(self) -> None:
-        """Stop the controller's program and watch the arm until it rests. Raises ``LinkLost``."""
+        """Stop the controller's program and monitor the arm until it rests. Raises ``LinkLost``."""
         not_stopped: LinkLost | None = None
         try:
             stop_program(self._host, _STOP_WITHIN_S)

@@ -138,7 +138,7 @@ def _serial(expected: UrExpectation, probe: UrProbe) -> Check:
         return Check(subject, "warning", text)
     if expected.serial.strip() == reported:
         return Check(subject, "ok", reported)
-    text = f"the controller's is {reported}, the profile says {expected.serial}; check driver.host and driver.serial"
+    text = f"the controller's is {reported}, the profile states {expected.serial}; check driver.host and driver.serial"
     return Check(subject, "failed", text, WrongRobot)
 
 
@@ -200,7 +200,7 @@ def _state(probe: UrProbe) -> Check:
         return Check(subject, "failed", "the arm moves; wait until it rests, or stop what moves it on the pendant")
     where = ", ".join(f"{np.degrees(angle):.1f}" for angle in sample.q)
     if sample.speed_fraction is not None and sample.speed_fraction < 1.0 - _RATE_SLACK:
-        slow = f"the speed slider stands at {sample.speed_fraction:.0%}: motions take longer"
+        slow = f"the speed slider is set to {sample.speed_fraction:.0%}: motions take longer"
         return Check(subject, "warning", f"at rest at [{where}] deg, but {slow}")
     return Check(subject, "ok", f"at rest at [{where}] deg")
 
@@ -220,7 +220,8 @@ def _payload(expected: UrExpectation, probe: UrProbe) -> Check:
     if abs(sample.payload_kg - expected.payload_kg) <= expected.payload_slack_kg and off <= expected.payload_slack_m:
         return Check(subject, "ok", has)
     text = (
-        f"the controller is configured with {has}, the profile says {wanted}; set it on the pendant, or correct payload"
+        f"the controller is configured with {has}, the profile states {wanted}; set it on the pendant or"
+        " correct payload"
     )
     return Check(subject, "failed", text)
 
@@ -239,7 +240,7 @@ def _tcp(expected: UrExpectation, probe: UrProbe) -> Check:
     off = np.abs(np.array(tcp) - expected.tcp)
     if off[:3].max() <= _TCP_SLACK_M and off[3:].max() <= _TCP_SLACK_RAD:
         return Check(subject, "ok", has)
-    text = f"the controller's is {has}, the profile says {_tcp_text(expected.tcp)}; choose it on the pendant"
+    text = f"the controller's is {has}, the profile states {_tcp_text(expected.tcp)}; choose it on the pendant"
     return Check(subject, "failed", text)
 
 

@@ -90,7 +90,7 @@ class Connection:
         self._socket.close()
 
     def refusal(self, deadline: float) -> str:
-        """Return why there is no connection by ``deadline``; empty if there is one."""
+        """Return why no connection was made by ``deadline``; empty if connected."""
         if self._refusal is None:
             if not self._wait(selectors.EVENT_WRITE, deadline):
                 return "no answer in time"
@@ -119,7 +119,7 @@ class Connection:
 
 
 class Dashboard:
-    """Dashboard server on a connection: one line per question and answer, of limited length, all by one deadline.
+    """Dashboard server on a connection: one line per request and answer, of limited length, all before one deadline.
 
     Raises
     ------

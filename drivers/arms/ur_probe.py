@@ -118,7 +118,7 @@ class UrPrimary:
     tcp : tuple of float or None
         Tool centre point in the flange frame: position [m], rotation vector [rad].
     note : str
-        Why there are no kinematics; empty when there are.
+        Why no kinematics were read; empty if they were.
     """
 
     kinematics: UrKinematics | None = None
@@ -147,7 +147,7 @@ class UrProbe:
         Primary, script and RTDE port -> whether it accepts a connection.
     kinematics : UrKinematics or None
     kinematics_note : str
-        Why there are no kinematics; empty when there are.
+        Why no kinematics were read; empty if they were.
     limits : JointLimits or None
         Limits of the joints in the controller.
     tcp : tuple of float or None
@@ -155,7 +155,7 @@ class UrProbe:
     sample : UrSample or None
         The arm's state over RTDE.
     sample_note : str
-        Why there is no state; empty when there is.
+        Why no state was read; empty if one was.
     """
 
     host: str
@@ -194,7 +194,7 @@ def probe_ur(
     script_port: int = SCRIPT_PORT,
     rtde_port: int = RTDE_PORT,
 ) -> UrProbe:
-    """Read identity and state of a UR controller. Returns or raises within ``timeout_s``, whatever the host does.
+    """Read identity and state of a UR controller. Returns or raises within ``timeout_s`` in all cases.
 
     IPv4 only, like the RTDE client.
 

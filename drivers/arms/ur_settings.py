@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class UrSettings(ArmSettings):
-    """A UR controller. ``serial``, ``tcp`` and ``checksum``, where given, are compared before the first motion."""
+    """A UR controller. ``serial``, ``tcp`` and ``checksum``, where given, are checked before the first motion."""
 
     kind: Literal["ur"] = "ur"
     packages: ClassVar[tuple[Package, ...]] = (Package("ur-rtde", ("rtde_control", "rtde_receive"), "UR arms"),)

@@ -42,7 +42,7 @@ _HALT_WITHIN_S = 0.25
 """The application stops the program over another connection, then sends ``halt``. A stop that is not followed by
 ``halt`` within this time is a fault."""
 _STANDING_S = 1.0
-"""A motion reported as running while the arm stands for this long is a fault of the link."""
+"""A motion reported as running while the arm rests for this long is a fault of the link."""
 _STREAMS_APART_S = 0.05
 """The end of a motion comes over another connection than positions, which may be older by this much."""
 _CUT_SHORT_S = 0.5
@@ -71,7 +71,7 @@ class SettleRequest:
 
 
 class Worker:
-    """Serves requests one after the other; waiting for an arm to settle goes on in parallel."""
+    """Serves requests one after the other; waiting for an arm to settle runs in parallel."""
 
     def __init__(self, requests: queue.SimpleQueue[dict[str, Any]], answers: BinaryIO) -> None:
         self._requests, self._answers = requests, answers
@@ -288,7 +288,7 @@ class Worker:
         deadline = time.monotonic() + _PROGRAM_WITHIN_S
         while self._control.isProgramRunning():  # the client learns of a stop one period later than the state
             if time.monotonic() > deadline:
-                raise self._record_fault(_failed("the control program was stopped but goes on"))
+                raise self._record_fault(_failed("the control program was stopped but still runs"))
             time.sleep(0.002)
         try:
             self._control.reuploadScript()
@@ -349,7 +349,7 @@ class Worker:
         return False
 
     def _check_faults(self, sample: WorkerSample, now: float) -> None:
-        """Record a fault, even if a person clears it before the application asks."""
+        """Record a fault, even if it is cleared on the pendant before the application polls."""
         if self._fault is not None:
             return
         with suppress(Refusal):
@@ -377,7 +377,7 @@ class Worker:
         elif motion.standing_since_s is None:
             motion.standing_since_s = now
         elif now - motion.standing_since_s > _STANDING_S:
-            self._exit_link_lost("the arm stands, but its motion is reported as running")
+            self._exit_link_lost("the arm rests, but its motion is reported as running")
 
     def _kick_watchdog(self, now: float) -> None:
         if self._orphaned or now - self._kicked_s < 0.2 / self._watchdog_hz:

@@ -311,7 +311,7 @@ class BridgeTracker:
         raise _LinkFault("only answers to other commands came")
 
     def _raise_error(self, verb: str, answer: Line) -> NoReturn:
-        """Raise the exception that an ``error`` line stands for."""
+        """Raise the exception that an ``error`` line encodes."""
         kind, text = answer.fields.get("kind", ""), answer.fields.get("text", "no reason was given")
         if kind == "busy":
             raise _Busy(text)
@@ -333,7 +333,7 @@ class BridgeTracker:
             return self._sequence
 
     def _open(self) -> None:
-        """Open the port in a thread of its own. Raises ``_LinkFault``.
+        """Open the port in a separate thread. Raises ``_LinkFault``.
 
         Name resolution and some kinds of port have no time limit when opened. A port that opens too late is closed.
         """
@@ -388,7 +388,7 @@ class BridgeTracker:
 
 
 class _PortOpener:
-    """Opens a port in a thread of its own."""
+    """Opens a port in a separate thread."""
 
     def __init__(self, url: str, baud: int, write_timeout_s: float) -> None:
         self._url, self._baud, self._write_timeout_s = url, baud, write_timeout_s

@@ -24,7 +24,7 @@ from drivers.trackers.bridge_wire import LONGEST_LINE
 LOG = logging.getLogger(__name__)
 
 NEVER_S = -1e9
-"""A monotonic time before all others."""
+"""A monotonic time earlier than any reading of the clock."""
 JOIN_S = 5.0
 """How long closing waits for a thread. A thread that hangs in a driver must not keep the program alive."""
 _READ_BYTES = 8192
@@ -164,7 +164,7 @@ class LinkServer:
         """Let a waiting ``poll`` return; from any thread."""
         wake = self._wake_send
         if wake is not None:
-            with contextlib.suppress(OSError):  # full: poll wakes anyway; closed: nobody waits
+            with contextlib.suppress(OSError):  # full: poll wakes anyway; closed: no thread waits
                 wake.send(b"\0")
 
     def call_soon(self, action: Callable[[], None]) -> None:

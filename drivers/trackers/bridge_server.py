@@ -39,7 +39,7 @@ _NOTICE_S = 0.2
 
 @dataclass(eq=False)
 class _ActiveCommand:
-    """The command that the tracker is at work on, and the link that waits for its answer (None: nobody does)."""
+    """The command that the tracker executes, and the link that waits for its answer (None: no client waits)."""
 
     id: str
     call: TrackerCall
@@ -224,13 +224,13 @@ class TrackerService:
         now = time.monotonic()
         link.bad_lines += 1
         if link.state != "holding" and not link.permanent and link.bad_lines > _MAX_BAD_LINES:
-            self._links.drop(link, "it does not speak the bridge protocol")
+            self._links.drop(link, "it does not use the bridge protocol")
         elif now - link.last_notice_s > _NOTICE_S:
             link.last_notice_s = now
             self._error(link, 0, "garbled", f"not understood: {reason}; send 'sync' before the next command")
 
     def session_ended(self, link: Link, reason: str) -> None:
-        """Free the tracker if this link held it; its command goes on, for a client that comes back."""
+        """Free the tracker if this link held it; its command continues, for a client that reconnects."""
         if link.state == "holding":
             LOG.info("the tracker is free again: %s: %s", link.peer, reason)
         else:
@@ -275,7 +275,7 @@ class TrackerService:
             case "identify" | "unmet" | "prepare" | "inclination" | "measure" | "two-face":
                 self._command(link, line)
             case _:
-                self._error(link, line.sequence, "unknown-command", f"there is no command '{line.word}'")
+                self._error(link, line.sequence, "unknown-command", f"unknown command '{line.word}'")
 
     def _without_session(self, link: Link, line: Line) -> None:
         """Refuse a command on a link that has no session."""
@@ -289,11 +289,11 @@ class TrackerService:
     def _hello(self, link: Link, line: Line) -> None:
         version = line.fields.get("protocol", "")
         if version != str(wire.VERSION):
-            self._error(link, line.sequence, "version", f"this bridge speaks version {wire.VERSION}, not '{version}'")
+            self._error(link, line.sequence, "version", f"this bridge supports version {wire.VERSION}, not '{version}'")
             return
         client = wire.read_id(line.fields, "client")
         if link.state == "holding" and client != link.client:
-            self._links.drop(link, "another client speaks on its link")
+            self._links.drop(link, "another client sent a hello on its link")
         if link.closing:
             return
         link.client = client
@@ -426,7 +426,7 @@ class TrackerService:
             self._answer(active.link, active.sequence, ("wait", {"elapsed": f"{now - active.began_s:.1f}"}))
 
     def _timed_out(self, active: _ActiveCommand) -> Reply:
-        text = f"the tracker did not finish '{active.call.verb}' within {self._limit_s:g} s; it was told to halt"
+        text = f"the tracker did not finish '{active.call.verb}' within {self._limit_s:g} s; a halt was requested"
         return "error", {"kind": "timeout", "text": text}
 
     def _deliver(self, link: Link, sequence: int, reply: Reply) -> None:

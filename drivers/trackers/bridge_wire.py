@@ -67,7 +67,7 @@ ERRORS: Mapping[str, type[TrackerError]] = {
     "held": TrackerRefused,
     "version": TrackerRefused,
 }
-"""Exception for each ``kind`` of an ``error`` line; ``failed`` stands for every class without a kind of its own."""
+"""Exception for each ``kind`` of an ``error`` line; ``failed`` covers every class without its own kind."""
 
 
 class Garbled(ValueError):

@@ -107,7 +107,7 @@ class TrackerWorker:
         until_s = time.monotonic() + self._recover_s
         while True:
             if call.halted:
-                raise Halted("tracker: it was told to halt; there is no measurement")
+                raise Halted("tracker: a halt was requested; no measurement was made")
             try:
                 with self._lock:
                     if not self._connected:

@@ -65,7 +65,7 @@ class CallThread:
             self._changed.notify_all()
             self._changed.wait_for(lambda: call.done or (haltable and self._halted), timeout=limit_s)
             if haltable and self._halted:
-                raise Halted("tracker: it was told to halt; there is no measurement")
+                raise Halted("tracker: a halt was requested; no measurement was made")
             if not call.done:
                 raise TrackerTimeout(f"tracker: {what} took longer than {limit_s:g} s")
         if call.error is not None:

@@ -28,7 +28,7 @@ class Air(Section):
 
 
 class LmfSettings(TrackerSettings):
-    """How LMF and the tracker behind it are used. Lengths [m], times [s]."""
+    """Settings of LMF and the tracker that it controls. Lengths [m], times [s]."""
 
     kind: Literal["lmf"] = "lmf"
     address: Annotated[str, Field(min_length=1)]
@@ -54,7 +54,7 @@ class LmfSettings(TrackerSettings):
     gravity: Annotated[bool, Field(strict=True)] = False
     """Level the tracker: M's z axis is the vertical and tilt is monitored. Otherwise M is fixed to the tracker."""
     target_words: tuple[str, ...] = ("target", "reflector")
-    """Words by which LMF's preconditions report that nothing is locked; before pointing that is no obstacle."""
+    """Words by which LMF's preconditions report that no target is locked; before pointing this is accepted."""
     lost_numbers: tuple[Annotated[int, Field(strict=True)], ...] = (840702,)
     """LMF's error numbers of a lost target. Leica publishes no list; this one is from another project's log."""
     timeout: Annotated[Time, Field(gt=0.0, le=120.0)] = 15.0

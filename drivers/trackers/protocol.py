@@ -172,11 +172,11 @@ class Unstable(TrackerError):
 
 
 class Halted(TrackerError):
-    """The measurement was halted; there is no result."""
+    """The measurement was halted and has no result."""
 
 
 class TrackerTimeout(TrackerError):
-    """The tracker answers, but did not finish in time; there is no result."""
+    """The tracker answers, but did not finish in time; no result is available."""
 
 
 class TrackerRefused(TrackerError):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TrackerContext:
-    """What a cell specifies for its tracker, whatever its kind.
+    """What a cell specifies for its tracker, independent of its kind.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The tracker of the simulated cell, with errors and faults of its own."""
+"""The tracker of the simulated cell, with its own errors and faults."""
 
 from __future__ import annotations
 
@@ -327,7 +327,7 @@ class SimulatedTracker:
             start, end = (carry(self._plant.true_T_M_B(name), ends[counted, 0]) for ends in posture.segments())
             gaps = segment_distances(np.zeros_like(start), np.broadcast_to(p_M, start.shape), start, end)
             if (gaps < capsules.radii[counted]).any():
-                return f"{'its own arm' if name == owner else f'arm {name}'} stands in the beam"
+                return f"{'its own arm' if name == owner else f'arm {name}'} blocks the beam"
         return ""
 
     # -- time ----------------------------------------------------------------------------------------------------------
@@ -343,7 +343,7 @@ class SimulatedTracker:
             self._pass_time(min(left, self._watch_s))
             if self._halt.is_set():
                 self._link()  # a restart is a lost link, not a halt
-                raise Halted("tracker: it was told to halt; there is no measurement")
+                raise Halted("tracker: a halt was requested; no measurement was made")
             left = 0.0 if left <= self._watch_s else end_s - self._plant.clock_s
 
     def _average(self, locked: _Smr, averaging_s: float) -> None:

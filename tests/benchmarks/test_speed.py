@@ -82,6 +82,7 @@ def test_cost_per_configuration_does_not_grow(benchmark):
     assert many / few < 1.5
 
 
+@pytest.mark.fast
 @pytest.mark.benchmark(group="start")
 def test_help_is_there_at_once(benchmark):
     command = [sys.executable, "-m", "cellapp", "--help"]

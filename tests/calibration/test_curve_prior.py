@@ -9,6 +9,8 @@ import pytest
 
 from cellapp.calibration.curve_prior import curve_standard_deviation, fit_curve_prior, harmonics, spectrum_variances
 
+pytestmark = pytest.mark.fast
+
 
 @pytest.mark.parametrize(("length", "amplitude"), [(0.05, 1e-4), (0.3, 2e-4), (2.0, 5e-5)])
 def test_prior_variances_sum_to_the_amplitude_squared(length, amplitude):

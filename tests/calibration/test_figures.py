@@ -14,6 +14,8 @@ from cellapp.run import import_csv
 from cellapp.trials.coverage import coverage
 from cellapp.trials.parameter_sets import compare_parameter_sets
 
+pytestmark = pytest.mark.fast
+
 ROOT = Path(__file__).parents[2]
 READINGS = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"
 

@@ -14,6 +14,8 @@ from cellapp.kinematics.chain import JointAngles, jacobian, nominal_geometry, sm
 from drivers.plant import GeometryErrors
 from tests.arms import OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
 
+pytestmark = pytest.mark.fast
+
 SIGMA = 15e-6
 
 

@@ -11,6 +11,8 @@ from cellapp.calibration.identification import TooFewReadings
 from cellapp.calibration.inter_base_transform import distances, identify_pair
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_zyx, transform
 
+pytestmark = pytest.mark.fast
+
 
 def cell(seed, n=100, noise=0.0):
     rng = np.random.default_rng(seed)

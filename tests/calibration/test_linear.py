@@ -7,6 +7,8 @@ import pytest
 
 from cellapp.calibration.linear import cholesky, inverse_psd, orthonormal_basis, solve_psd
 
+pytestmark = pytest.mark.fast
+
 
 @pytest.fixture
 def design() -> np.ndarray:

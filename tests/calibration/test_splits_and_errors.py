@@ -18,6 +18,8 @@ from cellapp.calibration.evaluation import (
 from cellapp.calibration.splits import draw_splits, split_sizes
 from cellapp.results import ErrorSummary
 
+pytestmark = pytest.mark.fast
+
 
 def interval_of_mean(summary: ErrorSummary) -> tuple[float, float]:
     """The bootstrap interval of the mean [mm], which must be there."""

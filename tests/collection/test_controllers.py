@@ -23,6 +23,8 @@ from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
 from tests.twin import small_twin
 
+pytestmark = pytest.mark.fast
+
 PROFILES = Path(__file__).parents[2] / "profiles"
 
 
@@ -93,7 +95,7 @@ def test_another_controller_is_refused(run: RunFile, cell: Cell) -> None:
 
 
 def test_what_an_arm_warns_of_is_told(run: RunFile, cell: Cell) -> None:
-    left(cell).notes = ("arm left: the speed slider stands at 40%",)
+    left(cell).notes = ("arm left: the speed slider is set to 40%",)
     assert check_controllers(run, cell).notes == left(cell).notes
 
 

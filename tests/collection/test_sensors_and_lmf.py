@@ -24,6 +24,8 @@ from drivers.trackers.lmf import LmfTracker
 from tests.drivers.trackers.fake_lmf import Scene
 from tests.twin import small_twin, write_profile
 
+pytestmark = pytest.mark.fast
+
 STOPS = 4
 
 

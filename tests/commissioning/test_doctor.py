@@ -27,6 +27,8 @@ from drivers.findings import Finding
 from drivers.plant import Plant
 from tests.commissioning.free_ports import on_free_ports
 
+pytestmark = pytest.mark.fast
+
 PROFILES = Path(__file__).parents[2] / "profiles"
 PATIENT_S = 10.0
 SAMPLE = UrSample(
@@ -192,7 +194,7 @@ def tight(high: float = 6.2832, speed: float = 3.15) -> UrProbe:
         (replace(READY, ports={30004: False}), "port 30004", "failed", ["firewall"]),
         (replace(READY, sample=None, sample_note="port 30004: silent"), "state", "failed", ["30004: silent"]),
         (reporting(replace(SAMPLE, qd=(0.0, 0.1, 0.0, 0.0, 0.0, 0.0))), "state", "failed", ["the arm moves"]),
-        (reporting(replace(SAMPLE, speed_fraction=0.4)), "state", "warning", ["slider stands at 40%"]),
+        (reporting(replace(SAMPLE, speed_fraction=0.4)), "state", "warning", ["slider is set to 40%"]),
         (reporting(replace(SAMPLE, payload_kg=0.2)), "payload", "failed", ["0.200 kg", "0.350 kg", "pendant"]),
         (
             reporting(replace(SAMPLE, payload_center_m=(0.015, 0.0, 0.05))),

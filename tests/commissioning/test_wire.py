@@ -33,8 +33,10 @@ from drivers.trackers.bridge_settings import BridgeSettings
 from tests.twin import PROFILES, small_twin
 
 PATIENT_S = 60.0
-PACE = 20.0
+PACE = 50.0
 STOPS = 20
+SETTLE_S = 0.05
+"""Wall time, of which the emulated arms need less: a second of theirs is 0.02 s at this pace."""
 HOSTS = {"left": "127.0.81.2", "right": "127.0.81.3"}  # the ports are fixed, so nobody else's addresses
 
 
@@ -100,7 +102,8 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
     )
     with emulated(served) as port:
         arms = {
-            name: arm.model_copy(update={"driver": UrSettings(host=HOSTS[name])}) for name, arm in twin.arms.items()
+            name: arm.model_copy(update={"driver": UrSettings(host=HOSTS[name], settle_time=SETTLE_S)})
+            for name, arm in twin.arms.items()
         }
         bridge = BridgeSettings(url=f"socket://127.0.0.1:{port}")
         tracker = twin.tracker.model_copy(update={"driver": bridge})
@@ -124,7 +127,15 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
 # -- as a user does it -------------------------------------------------------------------------------------------------
 
 CLI_HOSTS = {"left": "127.0.82.2", "right": "127.0.82.3"}
-FEW = {"stops": 30, "identify": 15, "train": 5, "validate": 10, "pair_identify": 10, "pair_validate": 10}
+FEW = {
+    "stops": 16,
+    "identify": 11,
+    "train": 1,
+    "validate": 4,
+    "pair_identify": 8,
+    "pair_validate": 4,
+    "null_simulations": 50,
+}
 
 
 def free_port() -> int:
@@ -142,7 +153,7 @@ def wire_profile(folder: Path) -> Path:
         assert found == 1, key
     text = re.sub(r"^  kind: mlp .*$", "  kind: none", text, flags=re.MULTILINE)
     for name, usual in (("left", "127.0.0.2"), ("right", "127.0.0.3")):
-        text = text.replace(f"host: {usual}", f"host: {CLI_HOSTS[name]}")
+        text = text.replace(f"host: {usual}", f"host: {CLI_HOSTS[name]}, settle_time: {SETTLE_S}")
     path.write_text(text.replace("127.0.0.1:50960", f"127.0.0.1:{free_port()}"), "utf-8")
     targets = folder / "targets" / "twin.yaml"
     head, _, listed = targets.read_text("utf-8").partition("targets:\n")
@@ -165,7 +176,7 @@ def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: 
         )
 
     with subprocess.Popen(
-        [*command("emulate"), "--pace", "20"],
+        [*command("emulate"), "--pace", f"{PACE:g}"],
         cwd=tmp_path,
         env=environment,
         stdout=subprocess.PIPE,

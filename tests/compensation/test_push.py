@@ -26,6 +26,8 @@ from cellapp.safety.cell_bodies import home_positions
 from drivers.plant import Clearance
 from tests.twin import PROFILES, plant_of, small_twin
 
+pytestmark = pytest.mark.fast
+
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:6], *ALL[20:26], *ALL[6:8])
 FAR = Target(name="far", arm="left", position=(9.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0))

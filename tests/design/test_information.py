@@ -7,6 +7,8 @@ import pytest
 
 from cellapp.design.information import VISIBLE, NuisanceProjector, detectable_size, visible_norms, visible_root
 
+pytestmark = pytest.mark.fast
+
 N = 300
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from cellapp.discovery.candidates import CandidateLaw, LawScore, best_law_of_each_effect, whitened_displacements
 from cellapp.effects import Channel, EffectColumn
 from tests.discovery.linear_problem import PLAIN
+
+pytestmark = pytest.mark.fast
 
 
 def test_joint_offsets_and_smr_shifts_are_whitened_alike() -> None:

@@ -38,13 +38,17 @@ def plan():
     return plan_stops(load_profile(ROOT / "profiles" / "twin.yaml"))
 
 
+def without_network(profile):
+    """The profile without residual networks: discovery's findings do not depend on them, and training takes long."""
+    return profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+
+
 def measured_run(folder, plan, effects, seed=7, noise_seed=0):
     """A run of a twin with ``effects`` by arm, measured in one go by the plant."""
     profile = load_profile(ROOT / "profiles" / "twin.yaml")
     assert profile.plant is not None
     settings = profile.plant.model_copy(update={"effects": effects, "seed": seed})
-    without = profile.network.model_copy(update={"kind": "none"})  # trained networks are tested elsewhere
-    profile = profile.model_copy(update={"plant": settings, "network": without})
+    profile = without_network(profile.model_copy(update={"plant": settings}))
     plant, rng = build_plant(profile), np.random.default_rng(noise_seed)
 
     def fill(run):
@@ -243,7 +247,7 @@ def test_effects_that_the_data_cannot_show_are_listed(plan):
 
 
 def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
-    profile = load_profile(ROOT / "profiles" / "ur10-real.yaml")
+    profile = without_network(load_profile(ROOT / "profiles" / "ur10-real.yaml"))
     with import_csv(profile, ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv", tmp_path / "run") as run:
         discovery = calibrated_and_searched(run).arms["left"]
         inside = np.median(run.readings("left").q, axis=0)[None]
@@ -270,7 +274,7 @@ def test_an_uncalibrated_run_is_refused(tmp_path, plan):
 
 def test_the_pure_computation_needs_no_run_file(plan):
     profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": {}}, 2)
-    profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    profile = without_network(profile)
     readings = blind_readings(profile, plan, 2)
     models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
     found = discover_cell(profile, CellModel(arms=models), readings).arms

@@ -8,6 +8,8 @@ import pytest
 from cellapp.discovery.formulas import formulas
 from cellapp.effects.data_driven import Quantity, Variable
 
+pytestmark = pytest.mark.fast
+
 Q1, Q2, Q3 = (Variable(Quantity.JOINT_ANGLE, joint) for joint in range(3))
 
 

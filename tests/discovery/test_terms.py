@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from cellapp.calibration.curve_prior import CurvePrior, spectrum_variances
 from cellapp.discovery.terms import ModelTerm, TermLayout, has_curves, prior_sd, with_term, without_term
 from cellapp.effects import EffectColumn, Wave, joint_column
 from cellapp.effects.periodic import CURVE
 from tests.discovery.linear_problem import PLAIN
+
+pytestmark = pytest.mark.fast
 
 
 def wave_column(name: str, joint: int, count: int, *, sine: bool) -> EffectColumn:

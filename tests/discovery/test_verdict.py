@@ -11,6 +11,8 @@ from cellapp.discovery.search.state import Rival
 from cellapp.discovery.verdict import verdict
 from cellapp.effects import EFFECTS, EffectTerm
 
+pytestmark = pytest.mark.fast
+
 NOISE = Scatter(1.0, 0.5)
 FAR_ABOVE = Scatter(3.0, 0.0)
 

@@ -29,6 +29,8 @@ from cellapp.effects import (
 )
 from tests.effects.cell import context_of
 
+pytestmark = pytest.mark.fast
+
 CONTEXT = context_of()
 FORMS = [(slug, form) for slug, effect in EFFECTS.items() for form in effect.forms]
 

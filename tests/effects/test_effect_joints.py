@@ -14,6 +14,8 @@ from cellapp.effects import EFFECTS, MeasurementConditions, Wave
 from cellapp.effects.periodic import LINES_MAX
 from tests.effects.cell import by_name, chain, context_of, offsets, under
 
+pytestmark = pytest.mark.fast
+
 GRAVITY = 9.80665
 CONTEXT = context_of(12)
 CONDITIONS: Any = CONTEXT.conditions

@@ -14,6 +14,8 @@ from cellapp.effects.data_driven import channels, data_driven_form, variables
 from cellapp.effects.unknown import dictionary, pairs
 from tests.effects.cell import NOTHING, by_name, chain, context_of, rows_of, under
 
+pytestmark = pytest.mark.fast
+
 CONTEXT = context_of()
 CONDITIONS: Any = CONTEXT.conditions
 

@@ -10,6 +10,8 @@ import pytest
 from cellapp.effects import EFFECTS
 from tests.effects.cell import by_name, context_of, shifts, slope
 
+pytestmark = pytest.mark.fast
+
 CONTEXT = context_of(10)
 
 

@@ -14,6 +14,8 @@ from cellapp.effects.unknown import dictionary, pairs
 from cellapp.kinematics.transforms import rotation_z
 from tests.effects.cell import EYE, NOTHING, by_name, chain, context_of, offsets, shifts, slope, under
 
+pytestmark = pytest.mark.fast
+
 CONTEXT = context_of(40)
 CONDITIONS: Any = CONTEXT.conditions
 UNKNOWN = EFFECTS["unknown"]

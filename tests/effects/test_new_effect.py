@@ -21,6 +21,8 @@ from cellapp.run import Readings
 from tests.arms import STATION
 from tests.effects.toy_effect import FORM, GRID, SOFTENING, ToySag
 
+pytestmark = pytest.mark.fast
+
 TWIN = Path(__file__).parents[2] / "profiles" / "twin.yaml"
 UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
 N = 240

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from cellapp.exports.geometry import ur_deltas, urdf_joints
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import rotation_z, rotation_zyx, transform
 from tests.arms import OFF_AXIS, SEVEN, UR10, at_station, true_geometry
+
+pytestmark = pytest.mark.fast
 
 
 def test_urdf_origins_make_the_same_arm():

@@ -20,6 +20,8 @@ from cellapp.kinematics.chain import (
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from tests.arms import OFF_AXIS, SEVEN, STATION, UR5, UR10, at_station, plant_of
 
+pytestmark = pytest.mark.fast
+
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -18,6 +18,8 @@ from cellapp.kinematics.transforms import (
     zyx_angles,
 )
 
+pytestmark = pytest.mark.fast
+
 angles = st.floats(-3.0, 3.0)
 
 

@@ -14,6 +14,8 @@ from cellapp.kinematics.statics import Bodies
 from cellapp.model import ArmModel, CellModel, ResidualNetwork
 from tests.arms import OFF_AXIS, STATION, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 
+pytestmark = pytest.mark.fast
+
 
 def network(rng):
     """A committee of two with random weights: 12 inputs, 4 hidden, 3 outputs."""

@@ -21,6 +21,8 @@ from cellapp.safety.gate import CellBodies, predicted_smr, refuse_motion
 from drivers.plant.clearance import segment_distances
 from tests.twin import small_twin, with_arms
 
+pytestmark = pytest.mark.fast
+
 
 @pytest.fixture(scope="module")
 def plan() -> dict[str, np.ndarray]:

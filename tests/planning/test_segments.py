@@ -11,6 +11,8 @@ from scipy.optimize import lsq_linear
 
 from cellapp.safety.bodies import segment_distance
 
+pytestmark = pytest.mark.fast
+
 KNOWN = [
     # a0, a1, b0, b1, distance
     ((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), 1.0),  # parallel, side by side

@@ -11,6 +11,8 @@ from cellapp.planning.stop_conditions import STOP_CONDITIONS_RESULT, read_stop_c
 from cellapp.run import RunFile
 from tests.twin import small_twin
 
+pytestmark = pytest.mark.fast
+
 
 @pytest.mark.parametrize(
     ("text", "says"),

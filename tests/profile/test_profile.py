@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from cellapp.errors import InputError
 from cellapp.profile import Profile, load_profile, profile_from_json, profile_to_json
 
+pytestmark = pytest.mark.fast
+
 PROFILES = Path(__file__).parents[2] / "profiles"
 SHIPPED = sorted(PROFILES.glob("*.yaml"))
 

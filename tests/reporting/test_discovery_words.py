@@ -32,6 +32,8 @@ from cellapp.results import BeforeAfter, DiscoverResult, Estimate, LawRecord, Pl
 from tests.effects.cell import context_of
 from tests.reporting.cases import data_driven_term, discovery, nothing_missing, picture, unknown_effect
 
+pytestmark = pytest.mark.fast
+
 MOST_LINES = 25
 
 

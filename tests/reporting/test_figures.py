@@ -11,6 +11,8 @@ from cellapp.reporting import cell_figures, figures
 from cellapp.results import Picture
 from tests.reporting.cases import picture
 
+pytestmark = pytest.mark.fast
+
 
 def cloud_or_line(x: np.ndarray, y: np.ndarray) -> Picture:
     values = tuple(y.tolist())

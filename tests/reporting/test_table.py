@@ -10,6 +10,8 @@ from rich.console import Console
 from cellapp.reporting.table import Cell, Column, Interval, Number, Table, format_cell, number_column
 from cellapp.reporting.terminal import rich_table
 
+pytestmark = pytest.mark.fast
+
 TABLE = Table(
     "Errors [mm]",
     (Column("stage"), number_column("mean", ".4f", "mm"), number_column("n", "d"), Column("note")),

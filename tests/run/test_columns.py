@@ -28,6 +28,8 @@ from cellapp.run import (
 from cellapp.run.columns import COLUMNS, Column, Fault
 from tests.run.two_arm_cell import two_arms
 
+pytestmark = pytest.mark.fast
+
 
 def above_zero(matrix: np.ndarray) -> Fault | None:
     wrong = np.argwhere(matrix < 0.0)

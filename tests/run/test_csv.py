@@ -18,6 +18,8 @@ from cellapp.profile import load_profile
 from cellapp.run import Reading, Readings, RunFile, import_csv, read_readings_csv, write_readings_csv
 from tests.run.two_arm_cell import assert_same, two_arms
 
+pytestmark = pytest.mark.fast
+
 ROOT = Path(__file__).parents[2]
 REAL = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"
 JOINTS = {"left": 2, "right": 3}

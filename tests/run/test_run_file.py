@@ -27,6 +27,8 @@ from cellapp.profile import Profile
 from cellapp.run import Reading, Readings, RunFile
 from tests.run.two_arm_cell import assert_same, two_arms
 
+pytestmark = pytest.mark.fast
+
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 ALL_FLOATS = st.floats(allow_infinity=False)
 

@@ -18,6 +18,8 @@ from drivers.plant.config import TrackerConfig
 from drivers.plant.optics import why_hidden
 from tests.twin import small_twin
 
+pytestmark = pytest.mark.fast
+
 QUARTER = math.pi / 2.0
 
 

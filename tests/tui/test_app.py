@@ -109,6 +109,7 @@ def texts(app: CellApp) -> list[str]:
     return [str(static.render()) for static in app.query_one("#tables").query(Static)]
 
 
+@pytest.mark.fast
 async def test_events_move_the_bar_of_their_job() -> None:
     run = HeldRun()
     app = CellApp(PROFILES, run)
@@ -164,6 +165,7 @@ async def test_tables_verdict_and_notes_appear_when_the_run_is_done() -> None:
         assert await exit_code(pilot, app) == 0
 
 
+@pytest.mark.fast
 async def test_results_that_do_not_hold_are_marked_and_not_shown() -> None:
     out_of_date = {"discover": "20 readings were added since"}
     run = HeldRun(results=RESULTS.model_copy(update={"out_of_date": out_of_date}))
@@ -221,6 +223,7 @@ async def test_a_stopped_run_goes_on_from_the_step_it_was_in() -> None:
             run.hold_again()
 
 
+@pytest.mark.fast
 async def test_errors_are_shown_in_words() -> None:
     run = HeldRun()
     app = CellApp(PROFILES, run)
@@ -263,6 +266,7 @@ async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> Non
         assert await exit_code(pilot, app) == 3
 
 
+@pytest.mark.fast
 async def test_a_bad_profile_gives_a_message(tmp_path: Path) -> None:
     (tmp_path / "bad.yaml").write_text("schema: cellapp-profile\nversion: 1\nname: bad\nsede: 1\n")
     app = CellApp(tmp_path)
@@ -289,6 +293,7 @@ async def test_a_profile_that_is_not_there_and_none_at_all(tmp_path: Path) -> No
         assert "gone" in status(pilot)
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("size", [SMALL, (140, 45)])
 async def test_everything_is_on_the_screen_and_has_a_help_text(size: tuple[int, int]) -> None:
     app = CellApp(PROFILES)
@@ -341,6 +346,7 @@ async def test_everything_is_reached_by_keyboard_and_explained() -> None:
         assert app.query_one("#profiles").region.height > 0
 
 
+@pytest.mark.fast
 async def test_letters_typed_into_a_field_are_text() -> None:
     run = HeldRun()
     app = CellApp(PROFILES, run)

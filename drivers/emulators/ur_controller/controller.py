@@ -49,7 +49,7 @@ class Program(Protocol):
         """Execute the first step. Raises ``ScriptError``."""
 
     def cycle(self, controller: Controller) -> bool:
-        """Execute one control cycle; return whether the program goes on. Raises ``ScriptError``."""
+        """Execute one control cycle; return whether the program continues. Raises ``ScriptError``."""
 
 
 @dataclass

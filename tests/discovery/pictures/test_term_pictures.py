@@ -24,6 +24,8 @@ from cellapp.run import Readings
 from tests.arms import STATION
 from tests.twin import PROFILES
 
+pytestmark = pytest.mark.fast
+
 N = 120
 SIGMA_M = 10e-6
 UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from cellapp.discovery.candidates import CandidateLaw
 from tests.discovery.linear_problem import PLAIN, N, column, problem, refining_law
+
+pytestmark = pytest.mark.fast
 
 
 def test_columns_of_one_block_come_together() -> None:

@@ -13,6 +13,8 @@ from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.search.scan import LawScan
 from tests.discovery.linear_problem import PLAIN, N, column, problem
 
+pytestmark = pytest.mark.fast
+
 
 def test_regression_on_the_projected_rows_is_the_joint_regression() -> None:
     one = problem(0)

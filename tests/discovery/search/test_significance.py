@@ -16,6 +16,8 @@ from cellapp.discovery.search.significance import (
 )
 from tests.discovery.linear_problem import PLAIN, column, problem
 
+pytestmark = pytest.mark.fast
+
 
 def test_the_stated_false_alarm_rate_is_kept() -> None:
     one = problem(4)

@@ -215,8 +215,8 @@ TIGHT = JointLimits(np.tile([-7.0, 7.0], (6, 1)), np.full(6, 3.0), np.full(6, 8.
 FAST = JointLimits(np.tile([-6.0, 6.0], (6, 1)), np.full(6, 3.2), np.full(6, 8.0))
 MISMATCHES: dict[str, tuple[dict[str, Any], type[ArmError], str]] = {
     "model": ({"model": "UR3e"}, WrongRobot, "drives a UR5e, the profile names a UR3e"),
-    "serial": ({"serial": "20209999999"}, WrongRobot, "20205501234, the profile says 20209999999"),
-    "payload": ({"payload_kg": 1.0}, ArmError, "configured with 0.350 kg .* the profile says 1.000 kg"),
+    "serial": ({"serial": "20209999999"}, WrongRobot, "20205501234, the profile states 20209999999"),
+    "payload": ({"payload_kg": 1.0}, ArmError, "configured with 0.350 kg .* the profile states 1.000 kg"),
     "centre": ({"payload_center_m": np.array([0.0, 0.0, 0.08])}, ArmError, r"30\.0\] mm, .*80\.0\] mm"),
     "tcp": ({"tcp": np.array([0, 0, 0.1, 0, 0, 0])}, ArmError, r"TCP: the controller's is .*100\.0\] mm"),
     "limits": ({"limits": TIGHT}, LimitExceeded, "joint 1 may go from -360.0 to 360.0 deg, .*-401.1 to 401.1"),

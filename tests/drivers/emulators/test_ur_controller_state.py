@@ -18,6 +18,8 @@ from drivers.emulators.ur_controller.dashboard import answer
 from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.script import Upload
 
+pytestmark = pytest.mark.fast
+
 READY, DONE = 1, 2
 RUNNING_BIT = 1 << 15
 MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, KICK, END = 1, 34, 17, 29, 35, 47, 0, 255

@@ -8,6 +8,8 @@ import pytest
 from drivers.plant import GeometryErrors
 from drivers.plant.climate import JOINT_RISE_K, JOINT_TIME_CONSTANT_S
 
+pytestmark = pytest.mark.fast
+
 Q = np.random.default_rng(4).uniform(-2.5, 2.5, (6, 6))
 DRIFT = {"shift": [1e-3, 0.0, 0.0], "turn": [0.0, 0.0, 1e-3], "law": "linear", "time": 1000.0}
 SOFT = {"joint_compliance": {"stiffness": [4e4] * 6}}

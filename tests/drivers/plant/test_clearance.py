@@ -11,6 +11,8 @@ from hypothesis.extra.numpy import arrays
 from drivers.plant import Plant
 from drivers.plant.clearance import segment_distances
 
+pytestmark = pytest.mark.fast
+
 SPEED, ACCELERATION = np.full(6, 2.0), np.full(6, 3.0)
 coordinates = arrays(np.float64, (4, 3), elements=st.integers(-4, 4).map(lambda k: k / 4))
 

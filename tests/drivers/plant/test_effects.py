@@ -14,6 +14,8 @@ from drivers.plant.effects import FACTORIES
 from drivers.plant.lines import carry, rigid
 from drivers.plant.mechanism import Deflection
 
+pytestmark = pytest.mark.fast
+
 FAST = {"speed": np.full(6, 2.0), "acceleration": np.full(6, 3.0)}
 
 

@@ -12,6 +12,8 @@ from drivers.plant import CapsuleConfig, GeometryErrors
 from drivers.plant.lines import across, inverse, rigid
 from drivers.plant.mechanism import nominal, with_errors
 
+pytestmark = pytest.mark.fast
+
 
 @settings(max_examples=40, deadline=None)
 @given(joints=st.integers(2, 8), seed=st.integers(0, 2**32 - 1))

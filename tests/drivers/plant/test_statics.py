@@ -9,6 +9,8 @@ from scipy.optimize import root
 from drivers.plant import gravity_torques
 from drivers.plant.mechanism import STANDARD_GRAVITY
 
+pytestmark = pytest.mark.fast
+
 
 def _largest(arm, joint):
     """The largest torque on a joint over all postures: coordinate search, exact enough as the torque is sinusoidal."""

@@ -11,6 +11,8 @@ import pytest
 from drivers.plant import OUTSIDE, REALISTIC, suggest
 from drivers.plant.effects import FACTORIES, build
 
+pytestmark = pytest.mark.fast
+
 DURATION_S = 9000.0
 STOPS = 40
 

@@ -25,6 +25,8 @@ from drivers.sensors.protocol import SensorLinkLost, StaleReading
 from drivers.sensors.serial_station import LONGEST_LINE, PRESETS, LineFormat, SerialStation, parse_line
 from drivers.sensors.simulated import SimulatedAirSensor
 
+pytestmark = pytest.mark.fast
+
 PTU = PRESETS["vaisala-ptu300"]
 STREAMED = LineFormat(PTU.pattern)
 LINE = b"P= 1013.2 hPa T= 21.4 'C RH= 38.3 %RH\r\n"

@@ -348,8 +348,8 @@ def test_the_token_cannot_be_circumvented(bridge_with_token):
         ("prepare", {"temperature": "295.15"}, "bad-field", "must lie between -40 and 85 degC"),
         ("prepare", {"reflector": "of glass"}, "bad-field", "it has no reflector 'of glass'"),
         ("hello", {"protocol": "1"}, "bad-field", "client is ''"),
-        ("hello", {"protocol": "2", "client": "a-raw-client"}, "version", "speaks version 1, not '2'"),
-        ("dance", {}, "unknown-command", "there is no command 'dance'"),
+        ("hello", {"protocol": "2", "client": "a-raw-client"}, "version", "supports version 1, not '2'"),
+        ("dance", {}, "unknown-command", "unknown command 'dance'"),
         ("sync", {"nonce": "*"}, "bad-field", r"nonce is '*'"),
     ],
 )

@@ -304,7 +304,7 @@ class SlowTracker:
             if self.may_end.wait(0.05):
                 return point_at(expected_M)
             if self.halted.is_set():
-                raise Halted("slow: it was told to halt")
+                raise Halted("slow: a halt was requested")
         raise AssertionError("the test did not end the measurement")
 
     measure_two_face = measure
@@ -389,7 +389,7 @@ def test_a_client_that_reconnects_gets_the_running_measurement():
 def test_a_tracker_that_never_ends_is_halted_and_the_client_gets_a_timeout():
     slow = SlowTracker()
     with TrackerService(slow, command_s=0.3, recover_s=0.0) as bridge, client(bridge.url) as tracker:
-        with pytest.raises(TrackerTimeout, match=r"did not finish 'measure' within 0\.3 s; it was told to halt"):
+        with pytest.raises(TrackerTimeout, match=r"did not finish 'measure' within 0\.3 s; a halt was requested"):
             tracker.measure(NEST, 1.0)
         assert slow.halted.is_set()
         assert tracker.identify().model == "slow"

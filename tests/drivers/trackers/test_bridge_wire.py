@@ -23,6 +23,8 @@ from drivers.trackers.protocol import (
     TwoFace,
 )
 
+pytestmark = pytest.mark.fast
+
 DOCUMENT = Path(wire.__file__).with_name("BRIDGE.md")
 
 finite = st.floats(-100, 100)

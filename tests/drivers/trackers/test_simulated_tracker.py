@@ -29,6 +29,8 @@ from drivers.trackers.simulated import (
     refractivity,
 )
 
+pytestmark = pytest.mark.fast
+
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 
 
@@ -226,7 +228,7 @@ def test_a_body_in_the_beam_hides_what_is_behind_it(make_arm, make_plant, off):
     tracker = _ready(plant, nests={"behind": behind, "before": 0.7 * behind})
     assert tracker.measure(0.7 * behind, 1.0).p_M == pytest.approx(0.7 * behind)
     if off < 1.0:
-        with pytest.raises(TargetLost, match="that of nest behind is there, but arm right stands in the beam"):
+        with pytest.raises(TargetLost, match="that of nest behind is there, but arm right blocks the beam"):
             tracker.measure(behind, 1.0)
     else:
         assert tracker.measure(behind, 1.0).p_M == pytest.approx(behind)
@@ -238,7 +240,7 @@ def test_an_arm_hides_its_own_smr(make_plant):
     tracker.measure(_smr(plant), 1.0)
     plant.start_move("left", np.array([-2.3, -1.0, 0.7, 0.0, 0.0, 0.0]), SPEED, ACCELERATION)  # wrist behind the elbow
     plant.advance(10.0)
-    with pytest.raises(TargetLost, match="that of arm left is there, but its own arm stands in the beam"):
+    with pytest.raises(TargetLost, match="that of arm left is there, but its own arm blocks the beam"):
         tracker.measure(_smr(plant), 1.0)
     plant.start_move("left", np.array([-2.3, -1.0, 1.7, 0.0, 0.0, 0.0]), SPEED, ACCELERATION)
     plant.advance(10.0)
@@ -254,7 +256,7 @@ def test_an_arm_that_crosses_the_beam_breaks_it(make_arm, make_plant):
     tracker = _ready(plant, nests={"behind": behind})
     tracker.measure(behind, 1.0)
     plant.start_move("right", np.zeros(6), SPEED, ACCELERATION)
-    with pytest.raises(TargetLost, match="SMR of nest behind broke in mid-measurement: arm right stands"):
+    with pytest.raises(TargetLost, match="SMR of nest behind broke in mid-measurement: arm right blocks"):
         tracker.measure(behind, 5.0)
 
 
