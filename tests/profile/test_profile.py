@@ -310,7 +310,7 @@ def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
 
 def test_simulated_drivers_need_a_plant(twin: Path) -> None:
     text = twin.read_text("utf-8")
-    twin.write_text(text[: text.index("# What the simulated cell really is")], "utf-8")
+    twin.write_text(text[: text.index("# The true simulated cell")], "utf-8")
     assert "plant: simulated drivers need a section 'plant'" in refusal(twin)
 
 
