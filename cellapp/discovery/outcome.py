@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from cellapp.calibration.pair_calibration import PairCalibration
 from cellapp.discovery.describe import Description
-from cellapp.discovery.pictures.picture import Picture
 from cellapp.discovery.search.state import Rival
 from cellapp.effects import EffectTerm
 from cellapp.model import ArmModel, CellModel
@@ -16,6 +15,7 @@ from cellapp.results import (
     BeforeAfter,
     CycleBand,
     HeldOutPosition,
+    Picture,
     PredictedUncertainty,
     StageErrors,
     Verdict,

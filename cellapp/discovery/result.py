@@ -9,7 +9,6 @@ from cellapp.calibration.result import pair_result
 from cellapp.discovery import outcome
 from cellapp.discovery.describe import Description
 from cellapp.discovery.outcome import CellDiscovery, Discovery
-from cellapp.discovery.pictures import picture as drawn
 from cellapp.discovery.proposal.predictions import PredictedDiscrimination
 from cellapp.discovery.propose import Proposal as ProposedStops
 from cellapp.discovery.propose import ProposedStop
@@ -20,7 +19,6 @@ from cellapp.results import (
     ArmDiscoveryResult,
     BeforeAfter,
     Correlation,
-    CurveRecord,
     DiscoverResult,
     Discrimination,
     Estimate,
@@ -28,7 +26,6 @@ from cellapp.results import (
     GapStep,
     HeldOutBeforeAfter,
     LawRecord,
-    Picture,
     Place,
     Proposal,
     ProposalQuestion,
@@ -62,7 +59,7 @@ def arm_result(found: Discovery) -> ArmDiscoveryResult:
         not_found=found.not_found,
         network_mm=found.network_mm,
         uncertainty_mm=found.uncertainty_mm,
-        pictures=tuple(picture_result(picture) for picture in found.pictures),
+        pictures=found.pictures,
         validate_={"effects": found.stage} if found.accepted else {},
         verdict=found.verdict,
         sentence=found.sentence,
@@ -128,22 +125,6 @@ def _description(found: Description) -> TermDescription:
         gain_over_curve=found.gain,
         curve=found.curve,
         sentence=found.sentence,
-    )
-
-
-def picture_result(found: drawn.Picture) -> Picture:
-    """One picture."""
-    curve = found.curve
-    return Picture(
-        title=found.title,
-        effect=found.effect,
-        x_label=found.x_label,
-        y_label=found.y_label,
-        x=found.x,
-        measured=found.measured,
-        computed=found.computed,
-        band=found.band,
-        curve=None if curve is None else CurveRecord(x=curve.x, value=curve.value, band=curve.band),
     )
 
 

@@ -144,7 +144,12 @@ class CurveRecord(Record):
 
 
 class Picture(Record):
-    """Points of one effect at one place: measured with all else removed, computed, and the standard deviation."""
+    """Measured and computed values of one effect in one place that it acts on, sorted by x.
+
+    ``x`` is what the effect depends on; what is periodic in the joint angle is folded into one turn or one cycle, and
+    has a ``curve``. ``measured`` are the readings less everything else in the model, ``computed`` is the effect itself,
+    both in the unit of ``y_label``; ``band`` is the standard deviation of ``computed``, geometry included.
+    """
 
     title: str
     effect: str

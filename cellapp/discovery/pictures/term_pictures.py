@@ -19,11 +19,12 @@ import numpy as np
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.pictures.axes import axes_of
-from cellapp.discovery.pictures.picture import PeriodicCurve, Picture, PictureData, make_picture, rounded
+from cellapp.discovery.pictures.picture import PictureData, make_picture, rounded
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import EFFECTS, Channel
 from cellapp.effects.data_driven import data_driven_form
 from cellapp.kinematics.transforms import Array
+from cellapp.results import CurveRecord, Picture
 
 _MOST_JOINTS = 6
 """Joints of one term that are shown: all of the usual arms."""
@@ -72,7 +73,7 @@ class _JointView:
     x_label: str
     x: Array
     title: str = ""
-    curve: PeriodicCurve | None = None
+    curve: CurveRecord | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,14 +158,14 @@ class _TermPictures:
             fast = [count for count in fast if count % base]
         return views
 
-    def _curve(self, own: Sequence[int], angle_deg: Array) -> PeriodicCurve:
+    def _curve(self, own: Sequence[int], angle_deg: Array) -> CurveRecord:
         """The curve of waves, also where no reading was taken."""
         columns = self.fit.term_columns(self.number)
         waves = np.array([wave(np.radians(angle_deg)) for k in own if (wave := columns[k].wave) is not None])
         chosen = list(own)
         band = _standard_deviation(waves, self._covariance[np.ix_(chosen, chosen)])
         value = self.fit.term_values(self.number)[chosen] @ waves
-        return PeriodicCurve(rounded(angle_deg), rounded(value * 1e6), rounded(band * 1e6))
+        return CurveRecord(x=rounded(angle_deg), value=rounded(value * 1e6), band=rounded(band * 1e6))
 
     def of_shift(self, axis: int | None) -> list[Picture]:
         """The shift of the SMR by the columns that act on the axis of joint ``axis`` (from 0), by all if None."""

@@ -13,7 +13,6 @@ from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import fit_terms
 from cellapp.discovery.pictures.cycles import dominant_cycles
 from cellapp.discovery.pictures.term_pictures import pictures
-from cellapp.discovery.result import picture_result
 from cellapp.discovery.terms import ModelTerm
 from cellapp.effects import EFFECTS, EffectColumn, Wave, joint_column
 from cellapp.kinematics.chain import parameter_names, smr_positions
@@ -79,7 +78,7 @@ def made(bend, *terms, off_axis_m=0.1):
         assert len(picture.x) == len(picture.measured) == len(picture.computed) == len(picture.band) > 0
         assert list(picture.x) == sorted(picture.x)
         assert min(picture.band) >= 0.0
-        json.dumps(picture_result(picture).model_dump(), allow_nan=False)
+        json.dumps(picture.model_dump(), allow_nan=False)
     return found
 
 
