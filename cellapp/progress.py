@@ -3,8 +3,62 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Literal
+
+JobState = Literal["running", "pausing", "paused", "suspended", "stopped", "aborted"]
+
+
+@dataclass(frozen=True)
+class StateChange:
+    """A job that moves arms changed its state; ``reason`` says why, in a sentence."""
+
+    state: JobState
+    reason: str
+
+
+@dataclass(frozen=True)
+class StopReport:
+    """One arm at one stop, after the model was refitted with it.
+
+    Attributes
+    ----------
+    stop : int
+        Number of the stop, from 0.
+    residual_mm : float
+        Distance of the measured SMR from the refitted model's.
+    standard_error_mm : float
+        Standard uncertainty of a predicted SMR position from the parameters alone, rms over the planned stops.
+    parameter_errors : mapping
+        Parameter -> standard error [m or rad].
+    """
+
+    stop: int
+    arm: str
+    residual_mm: float
+    standard_error_mm: float
+    parameter_errors: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """Something that the measurements suggest, to be looked at: a wrong SMR, a loose SMR, a bumped tracker."""
+
+    kind: Literal["wrong SMR", "loose SMR", "tracker moved", "drift"]
+    text: str
+    arm: str | None = None
+
+
+@dataclass(frozen=True)
+class ReferenceReport:
+    """A reference measurement: distance of each reference from its first measurement, name -> [mm], and the limit."""
+
+    drift_mm: Mapping[str, float]
+    limit_mm: float
+
+
+Detail = StateChange | StopReport | Suspicion | ReferenceReport
 
 
 @dataclass(frozen=True)
@@ -19,12 +73,18 @@ class Progress:
         Steps finished and steps in all; ``done == total`` is the job's last event.
     note : str
         What a person would like to know of this step; may be empty.
+    eta_s : float or None
+        Estimated time to the job's end [s]; None while it is not known.
+    detail : Detail or None
+        What happened, for those who draw or log it.
     """
 
     job: str
     done: int
     total: int
     note: str = ""
+    eta_s: float | None = None
+    detail: Detail | None = None
 
 
 Listener = Callable[[Progress], None]

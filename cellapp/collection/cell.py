@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from cellapp.collection.reaction import Together, in_threads, one_by_one
 from cellapp.errors import HardwareError, InputError
 from cellapp.model.nominal import pose_matrix
 from cellapp.profile import Arm as ArmProfile
@@ -40,7 +41,8 @@ class ClearanceObserver(Protocol):
 class Cell:
     """An open cell: connected devices and their common clock.
 
-    ``air`` is None without a weather station, ``clearance`` None if distances are not observed.
+    ``air`` is None without a weather station, ``clearance`` None if distances are not observed. ``together`` calls
+    functions of several devices at once.
     """
 
     arms: Mapping[str, Arm]
@@ -48,6 +50,7 @@ class Cell:
     clock: Clock
     air: AirSensor | None = None
     clearance: ClearanceObserver | None = None
+    together: Together = in_threads
 
 
 @contextmanager
@@ -82,8 +85,10 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
                 air.connect()
             except SensorError as error:
                 raise HardwareError(str(error)) from error
-        clock = RealClock() if plant is None else SimulatedClock(plant)
-        yield Cell(arms, tracker, clock, air, None if plant is None else plant.clearance)
+        if plant is None:
+            yield Cell(arms, tracker, RealClock(), air)
+        else:
+            yield Cell(arms, tracker, SimulatedClock(plant), air, plant.clearance, one_by_one)
 
 
 def _needs_plant(profile: Profile) -> bool:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StrictFloat, field_validator, model_validator
 
+from cellapp.profile.collection import Collection
 from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from drivers.quantities import (
@@ -190,6 +191,8 @@ class Plan(Section):
     floor: CellLength = 0.0
     ceiling: CellLength | None = None
     """Height in C above which no body may reach; None: no ceiling."""
+    reserve: Annotated[int, Field(strict=True, ge=0, le=10_000)] = 0
+    """Further stops, planned after the others; each replaces one that could not be measured."""
     ranges: tuple[tuple[Turn, Turn], ...] | None = None
     """Joint ranges to draw from, for all arms; None: the limits of each arm, at most one turn."""
 
@@ -285,6 +288,7 @@ class Profile(Section):
     calibration: Calibration = Calibration()
     network: Network = Network()
     pair: Pair = Pair()
+    collection: Collection = Collection()
     discovery: Discovery = Discovery()
     plant: Plant | None = None
     targets: str | None = None

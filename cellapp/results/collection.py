@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.results.base import Result
+from pydantic import Field
+
+from cellapp.results.base import Record, Result
 
 
 class PlanResult(Result):
@@ -17,13 +19,37 @@ class PlanResult(Result):
     stops: Mapping[str, int]
 
 
+class MissingReading(Record):
+    """An arm has no reading at a planned stop, and why."""
+
+    stop: int
+    arm: str
+    kind: Literal["not measured", "left out", "not tried"]
+    reason: str
+
+
+class ReferenceDrift(Record):
+    """A reference measurement: distance from the first one of the same name, after a number of stops."""
+
+    name: str
+    stops_done: int
+    drift_mm: float
+
+
 class CollectResult(Result):
-    """``collect``: number of stored stops, and notes for the operator."""
+    """``collect``: number of stored stops, how the session ended, what is missing, and notes for the operator.
+
+    ``standard_error_mm`` maps each arm to the standard uncertainty of a predicted SMR position from its parameters.
+    """
 
     schema_: Literal["cellapp-collect"] = "cellapp-collect"
     version: Literal[1] = 1
     stops: int
     notes: tuple[str, ...]
+    outcome: Literal["complete", "accurate enough"] = "complete"
+    missing: tuple[MissingReading, ...] = ()
+    references: tuple[ReferenceDrift, ...] = ()
+    standard_error_mm: Mapping[str, float] = Field(default_factory=dict)
 
 
 class ImportResult(Result):

@@ -23,6 +23,20 @@ from numpy.typing import NDArray
 from cellapp import __version__
 from cellapp.errors import InputError
 from cellapp.profile import Profile, profile_from_json, profile_to_json
+from cellapp.run.collection_rows import (
+    Outcome,
+    ReferenceRow,
+    Session,
+    SessionEnd,
+    end_session,
+    insert_outcome,
+    insert_reference,
+    insert_request,
+    insert_session,
+    select_outcomes,
+    select_references,
+    select_sessions,
+)
 from cellapp.run.readings import Reading, Readings
 from cellapp.run.readings_table import (
     check_readings,
@@ -238,8 +252,8 @@ class RunFile:
 
     # -- readings ----------------------------------------------------------------------------------------------------
 
-    def add_stop(self, configuration: int, rows: Mapping[str, Reading]) -> None:
-        """Store one stop of all arms in one transaction; on return it is on disk.
+    def add_stop(self, configuration: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
+        """Store one stop of all arms, and why arms have no reading there, in one transaction; on return it is on disk.
 
         Raises
         ------
@@ -248,13 +262,13 @@ class RunFile:
         ValueError
             If an array has the wrong shape or a required value is not finite.
         """
-        self._add({arm: reading.as_readings(configuration) for arm, reading in rows.items()})
+        self._add({arm: reading.as_readings(configuration) for arm, reading in rows.items()}, outcomes)
 
     def add_readings(self, arm: str, readings: Readings) -> None:
         """Store readings of one arm in one transaction. Raises as ``add_stop`` does."""
         self._add({arm: readings})
 
-    def _add(self, batches: Mapping[str, Readings]) -> None:
+    def _add(self, batches: Mapping[str, Readings], outcomes: Sequence[Outcome] = ()) -> None:
         for arm, readings in batches.items():
             self._check_arm(arm)
             check_readings(arm, self._joints(arm), readings)
@@ -268,6 +282,8 @@ class RunFile:
                         f"{self.path}: a reading of arm {arm} at one of these stops"
                         f" ({stops}{', ...' if len(readings) > 3 else ''}) is stored already; a stop is measured once"
                     ) from None
+            for outcome in outcomes:
+                insert_outcome(connection, outcome)
 
     def readings(self, arm: str) -> Readings:
         """All readings of one arm, ordered by configuration; n is 0 if there are none."""
@@ -365,6 +381,43 @@ class RunFile:
                 "SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number"
             )
             return [StageRow(*row) for row in rows]
+
+    # -- collecting --------------------------------------------------------------------------------------------------
+
+    def begin_session(self) -> int:
+        """Record that collecting begins; return the session's number."""
+        with self._transaction() as connection:
+            return insert_session(connection, _now())
+
+    def record_request(self, session: int, kind: str, reason: str) -> None:
+        """Record a request of a person, or what suspended or resumed a session."""
+        with self._transaction() as connection:
+            insert_request(connection, session, _now(), kind, reason)
+
+    def end_session(self, session: int, outcome: SessionEnd, reason: str) -> None:
+        """Record how a session ended."""
+        with self._transaction() as connection:
+            end_session(connection, session, _now(), outcome, reason)
+
+    def add_reference(self, row: ReferenceRow) -> None:
+        """Store a reference measurement; on return it is on disk."""
+        with self._transaction() as connection:
+            insert_reference(connection, row)
+
+    def sessions(self) -> list[Session]:
+        """All sessions of collecting, oldest first."""
+        with self._reading() as connection:
+            return select_sessions(connection)
+
+    def outcomes(self) -> list[Outcome]:
+        """Why arms have no reading at stops that were tried, by stop."""
+        with self._reading() as connection:
+            return select_outcomes(connection)
+
+    def references(self) -> list[ReferenceRow]:
+        """All reference measurements, oldest first."""
+        with self._reading() as connection:
+            return select_references(connection)
 
     # -- inside ------------------------------------------------------------------------------------------------------
 

@@ -6,8 +6,9 @@ import sqlite3
 
 from cellapp.run.columns import COLUMNS
 
-SCHEMA_VERSION = 3
-"""2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``."""
+SCHEMA_VERSION = 4
+"""2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``. 4: sessions of
+collecting, outcomes of stops that were not measured, reference measurements."""
 
 _KEY = ("arm TEXT NOT NULL", "PRIMARY KEY (arm, configuration)")
 _EXTRAS = "extras TEXT"
@@ -19,6 +20,14 @@ _STAGE_TABLE = (
     " basis TEXT, text TEXT NOT NULL, model TEXT)"
 )
 """Append-only. Files of schema 1 and 2 lack it; they have results of verbs in the table ``result``."""
+_COLLECTION_TABLES = (
+    "CREATE TABLE session (number INTEGER PRIMARY KEY, began TEXT NOT NULL, ended TEXT, outcome TEXT, reason TEXT)",
+    "CREATE TABLE request (session INTEGER NOT NULL, written TEXT NOT NULL, kind TEXT NOT NULL, reason TEXT NOT NULL)",
+    "CREATE TABLE outcome (stop INTEGER NOT NULL, arm TEXT NOT NULL, kind TEXT NOT NULL, reason TEXT NOT NULL,"
+    " PRIMARY KEY (stop, arm))",
+    "CREATE TABLE reference (name TEXT NOT NULL, stops_done INTEGER NOT NULL, time_s NOT NULL, p_m TEXT NOT NULL,"
+    " session INTEGER NOT NULL)",
+)
 
 
 def create_tables(connection: sqlite3.Connection) -> None:
@@ -33,6 +42,7 @@ def create_tables(connection: sqlite3.Connection) -> None:
         " (number INTEGER PRIMARY KEY, written TEXT NOT NULL, time_s, level TEXT NOT NULL, text TEXT NOT NULL)",
         "CREATE TABLE result (name TEXT PRIMARY KEY, written TEXT NOT NULL, text TEXT NOT NULL)",
         _STAGE_TABLE,
+        *_COLLECTION_TABLES,
     ):
         connection.execute(statement)
     connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
@@ -51,6 +61,7 @@ def upgrade(connection: sqlite3.Connection) -> None:
     for column in COLUMNS:
         if column.since > version:
             connection.execute(f"ALTER TABLE reading ADD COLUMN {column.sql_declaration}")
-    connection.execute(_STAGE_TABLE)
+    for statement in (*([_STAGE_TABLE] if version < 3 else []), *_COLLECTION_TABLES):
+        connection.execute(statement)
     connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))
     connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")

@@ -5,6 +5,7 @@ Joint vectors are read from the controller, shape (N,), radians. Every call retu
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -91,6 +92,8 @@ class ArmState:
         As named by the controller; empty if it has none.
     rest_since_s : float or None
         When the arm came to rest, on the cell's clock [s]; None if not reported.
+    speed_fraction : float or None
+        Speed slider of the controller, 0 to 1: it scales every motion; None if not reported.
     """
 
     q: NDArray[np.float64]
@@ -104,6 +107,7 @@ class ArmState:
     safety_mode: str = ""
     program: str = ""
     rest_since_s: float | None = None
+    speed_fraction: float | None = None
 
 
 def stale(before: str, now: str) -> str:
@@ -146,6 +150,18 @@ class ArmTimeout(ArmError):
     """The arm did not come to rest in time."""
 
 
+class MotionStopped(ArmError):
+    """The motion was stopped by ``brake`` or ``stop``; the arm is not at its goal."""
+
+
+class HostStalled(ArmError):
+    """The controller stopped its program because this computer was silent for too long; nothing is wrong at the arm."""
+
+
+DoubtListener = Callable[[ArmError], None]
+"""Receives the first doubt about an arm, from any thread, and returns at once."""
+
+
 class Arm(Protocol):
     """One arm. Starting a motion and waiting for its end are separate, so that two arms can move at once."""
 
@@ -154,7 +170,7 @@ class Arm(Protocol):
         """The arm's name in the profile."""
 
     def connect(self) -> None:
-        """Open the link, or reopen it after a fault; harmless when open. Nothing moves.
+        """Open the link, or reopen it after a fault or ``brake``; harmless when open. Nothing moves.
 
         Raises ``LinkLost``, or the reason why the arm would refuse to move: ``WrongRobot``, ``NotInRemoteControl``,
         ``ProtectiveStop``, ``EmergencyStop``, ``LimitExceeded``, else ``ArmError``.
@@ -172,20 +188,46 @@ class Arm(Protocol):
     def warnings(self) -> tuple[str, ...]:
         """Return findings that a person should know but that do not keep the arm from moving; one sentence each."""
 
+    def watch(self, listener: DoubtListener) -> None:
+        """Report the first doubt after each ``connect`` to ``listener``: a fault, a lost link, no state for 0.3 s.
+
+        The report comes before any diagnosis, so that the other arms of the cell can brake at once.
+        """
+
+    def refused_by_controller(self, q: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which joint positions (n, N) [rad] the controller's safety configuration forbids, shape (n,).
+
+        None is forbidden where the controller cannot be asked. Raises ``LinkLost``.
+        """
+
     def state(self) -> ArmState:
         """Return the current state, never an old one. Raises ``LinkLost``."""
 
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Start a joint motion to ``q`` (N,), at most at ``speed`` (N,) [rad/s] and ``acceleration`` (N,) [rad/s^2].
 
-        Raises ``LimitExceeded`` before anything moves, ``ProtectiveStop`` or ``EmergencyStop`` if the arm is stopped.
+        Raises ``LimitExceeded`` before anything moves, ``ProtectiveStop`` or ``EmergencyStop`` if the arm is stopped,
+        ``MotionStopped`` between ``brake`` and the next ``connect``.
         """
 
     def wait_settled(self, timeout_s: float) -> ArmState:
-        """Wait until the arm rests at the end of its motion. Raises ``ArmTimeout``, or the error that stopped it."""
+        """Wait until the arm rests at the end of its motion.
+
+        Raises ``ArmTimeout``, or at once the error that stopped it: ``MotionStopped`` after ``brake`` or ``stop``.
+        """
+
+    def brake(self) -> None:
+        """Command a controlled stop at full deceleration, by the fastest means, and return without waiting for rest.
+
+        From any thread, during any other call; harmless at rest. Until the next ``connect`` the arm accepts no motion.
+        Raises ``LinkLost`` if the stop could not be commanded; the controller's watchdog then stops the arm.
+        """
 
     def stop(self) -> None:
-        """Stop the arm now; harmless when it rests."""
+        """Stop the arm and wait until it rests; harmless when it rests. From any thread.
+
+        Raises ``LinkLost`` if it was not seen at rest.
+        """
 
     def disconnect(self) -> None:
         """Close the link and leave the robot as it was before ``connect``; harmless when closed."""

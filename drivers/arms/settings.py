@@ -86,6 +86,11 @@ class ArmSettings(Section):
         """Return how ``cellapp emulate`` can replace the controller; None if it must not."""
         return None
 
+    @property
+    def moves_hardware(self) -> bool:
+        """Whether a motion moves a real arm: a device that is neither simulated nor an emulator on this computer."""
+        return self.has_device and self.emulated_controller() is None
+
     @abstractmethod
     def open(self, arm: ArmContext) -> Arm:
         """Return the driver, not connected yet. Raises ``SettingError``."""

@@ -10,10 +10,12 @@ from drivers.arms.protocol import (
     ArmIdentity,
     ArmState,
     ArmTimeout,
+    DoubtListener,
     EmergencyStop,
     JointLimits,
     LimitExceeded,
     LinkLost,
+    MotionStopped,
     ProtectiveStop,
     Tool,
 )
@@ -41,6 +43,11 @@ class SimulatedArm:
         self._connected = False
         self._fault: ProtectiveStop | EmergencyStop | None = None
         self._link_cut = False
+        self._braked = False
+        """Set by ``brake``: no motion until the next ``connect``."""
+        self._cut_short = False
+        """Whether the last motion was stopped before its goal."""
+        self._listener: DoubtListener = lambda error: None
 
     @property
     def name(self) -> str:
@@ -52,6 +59,16 @@ class SimulatedArm:
         if self._link_cut:
             raise LinkLost(f"arm {self._name}: the simulated link is cut")
         self._connected = True
+        self._braked = False
+
+    def watch(self, listener: DoubtListener) -> None:
+        """Report faults and lost links to ``listener`` when they occur."""
+        self._listener = listener
+
+    def refused_by_controller(self, q: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return that no joint positions are forbidden: a simulated arm has no safety configuration."""
+        self._link()
+        return np.zeros(len(q), dtype=np.bool_)
 
     def _link(self) -> None:
         if self._link_cut or not self._connected:
@@ -99,6 +116,7 @@ class SimulatedArm:
             payload_kg=self._plant.payload(self._name)[0],
             joint_temperature_c=self._plant.joint_temperatures_c(self._name),
             rest_since_s=None if self._plant.moving(self._name) else self._plant.rest_s(self._name),
+            speed_fraction=1.0,
         )
 
     def _per_joint(self, what: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -116,10 +134,13 @@ class SimulatedArm:
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Start a joint motion, straight in joint space: all joints start and end together.
 
-        Raises ``LimitExceeded``, ``ProtectiveStop``, ``EmergencyStop``, ``LinkLost``, or ``ArmError`` while it moves.
+        Raises ``LimitExceeded``, ``ProtectiveStop``, ``EmergencyStop``, ``LinkLost``, ``MotionStopped`` after a brake,
+        or ``ArmError`` while it moves.
         """
         self._link()
         self._no_fault()
+        if self._braked:
+            raise MotionStopped(f"arm {self._name}: it was stopped; connect again when it may move")
         goal = self._per_joint("position", q)
         low, high = self._config.limits.T
         for joint in np.flatnonzero((goal < low - _ROUNDING_RAD) | (goal > high + _ROUNDING_RAD)):
@@ -141,10 +162,14 @@ class SimulatedArm:
             rates.append(rate)
         if self._plant.moving(self._name):
             raise ArmError(f"arm {self._name} is still moving; wait until it rests, or stop it")
+        self._cut_short = False
         self._plant.start_move(self._name, goal, rates[0], rates[1])
 
     def wait_settled(self, timeout_s: float) -> ArmState:
-        """Advance until the arm was at rest for ``SETTLE_S``. Raises ``ArmTimeout``, or the fault that stopped it."""
+        """Advance until the arm was at rest for ``SETTLE_S``.
+
+        Raises ``ArmTimeout``, or what stopped it: a fault, or ``MotionStopped``.
+        """
         self._link()
         needed = self._plant.rest_s(self._name) + SETTLE_S - self._plant.clock_s
         if needed > timeout_s:
@@ -153,16 +178,24 @@ class SimulatedArm:
         if needed > 0.0:
             self._plant.advance(needed)
         self._no_fault()
+        if self._cut_short:
+            raise MotionStopped(f"arm {self._name}: its motion was stopped before the goal")
         return self._now()
+
+    def brake(self) -> None:
+        """Brake at full deceleration; no motion until ``connect``. The simulated brake needs no link."""
+        self._braked = True
+        self._brake()
 
     def stop(self) -> None:
         """Brake now and advance until the arm is at rest. Harmless at rest."""
         self._link()
         self._brake()
+        self._plant.advance(max(self._plant.rest_s(self._name) - self._plant.clock_s, 0.0))
 
     def _brake(self) -> None:
+        self._cut_short = self._cut_short or self._plant.moving(self._name)
         self._plant.stop(self._name)
-        self._plant.advance(max(self._plant.rest_s(self._name) - self._plant.clock_s, 0.0))
 
     def disconnect(self) -> None:
         """Stop the arm and close the link; harmless when closed."""
@@ -176,16 +209,19 @@ class SimulatedArm:
         """Stop the arm as its controller would; it accepts motions again after ``release``."""
         self._fault = ProtectiveStop(f"arm {self._name}: protective stop, {reason}; look at the arm, then release it")
         self._plant.stop(self._name)
+        self._listener(self._fault)
 
     def emergency_stop(self) -> None:
         """Press the emergency stop; the arm accepts motions again after ``release``."""
         self._fault = EmergencyStop(f"arm {self._name}: the emergency stop is pressed; clear the cell, then release it")
         self._plant.stop(self._name)
+        self._listener(self._fault)
 
     def cut_link(self) -> None:
         """Block all calls until ``release`` and ``connect``. The arm itself continues its motion."""
         self._link_cut = True
         self._connected = False
+        self._listener(LinkLost(f"arm {self._name}: the simulated link is cut"))
 
     def release(self) -> None:
         """Clear every fault."""

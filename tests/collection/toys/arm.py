@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arms.protocol import ArmIdentity, ArmState, JointLimits, Tool
+from drivers.arms.protocol import ArmIdentity, ArmState, DoubtListener, JointLimits, Tool
 from drivers.arms.settings import ArmContext, ArmSettings
 from drivers.findings import Finding
 from drivers.quantities import Turn
@@ -19,6 +19,11 @@ class ToyArmSettings(ArmSettings):
 
     kind: Literal["toy"] = "toy"
     start: tuple[Turn, ...]
+
+    @property
+    def moves_hardware(self) -> bool:
+        """A toy moves nothing."""
+        return False
 
     def open(self, arm: ArmContext) -> ToyArm:
         """Return the driver."""
@@ -43,7 +48,14 @@ class ToyArm:
 
     def disconnect(self) -> None: ...
 
+    def brake(self) -> None: ...
+
     def stop(self) -> None: ...
+
+    def watch(self, listener: DoubtListener) -> None: ...
+
+    def refused_by_controller(self, q: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return np.zeros(len(q), dtype=np.bool_)
 
     def identify(self) -> ArmIdentity:
         return ArmIdentity("toy", f"TOY-{self.name}", "none")

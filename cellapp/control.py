@@ -1,0 +1,128 @@
+"""What a person asks of a running job that moves arms: pause, resume, stop, abort.
+
+``pause``
+    Finish the present stop, then wait with the arms at rest. ``resume`` continues.
+``stop``
+    Brake all arms now. A job that holds then waits for ``resume`` or ``abort``; another ends and can be resumed later.
+``abort``
+    Brake all arms now and end the job.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Literal
+
+from cellapp.progress import Cancelled, CancelToken
+
+Request = Literal["none", "pause", "stop", "abort"]
+Verb = Literal["pause", "resume", "stop", "abort"]
+VERBS: tuple[Verb, ...] = ("pause", "resume", "stop", "abort")
+
+
+class Stopped(Cancelled):
+    """A person stopped the arms; the run can be resumed."""
+
+
+class Aborted(Cancelled):
+    """A person ended the job; the arms were braked, and the run can be resumed later."""
+
+
+class JobControl(CancelToken):
+    """The request that stands, and the way to the brakes. All methods may be called from any thread.
+
+    A signal handler must call ``stop`` in a thread of its own: a lock of this object may be held by the code it
+    interrupts.
+
+    Parameters
+    ----------
+    holds : bool
+        Whether a person attends the job and may resume it after ``stop``. Otherwise ``stop`` ends the job.
+    """
+
+    def __init__(self, *, holds: bool = False) -> None:
+        super().__init__()
+        self.holds = holds
+        self._request: Request = "none"
+        self._changed = threading.Condition()
+        self._brakes: list[Callable[[str], None]] = []
+
+    @property
+    def request(self) -> Request:
+        """The request that stands."""
+        return self._request
+
+    def ask(self, verb: Verb) -> None:
+        """Do what a verb says."""
+        {"pause": self.pause, "resume": self.resume, "stop": self.stop, "abort": self.abort}[verb]()
+
+    def pause(self) -> None:
+        """Ask the job to wait after the present stop."""
+        if self._request == "none":
+            self._set("pause")
+
+    def resume(self) -> None:
+        """Let a paused or stopped job continue."""
+        if self._request in ("pause", "stop"):
+            self._set("none")
+
+    def stop(self) -> None:
+        """Brake all arms now."""
+        self._brake("stop")
+        if self._request != "abort":
+            self._set("stop")
+        if not self.holds:
+            super().cancel()
+
+    def abort(self) -> None:
+        """Brake all arms now and end the job."""
+        self._brake("abort")
+        self._set("abort")
+        super().cancel()
+
+    def cancel(self) -> None:
+        """End the job: ``abort``, for callers that know only a cancel token."""
+        self.abort()
+
+    def check(self) -> None:
+        """Raise ``Stopped`` or ``Aborted`` if the job has to end."""
+        if self._request == "abort":
+            raise Aborted("aborted on request")
+        if self._request == "stop" and not self.holds:
+            raise Stopped("stopped on request")
+
+    def wait_while(self, *requests: Request, timeout_s: float | None = None) -> Request:
+        """Wait while one of ``requests`` stands; return the request that stands then."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._request not in requests, timeout_s)
+        return self._request
+
+    def wait(self, timeout_s: float) -> bool:
+        """Rest for at most ``timeout_s``, less if a person stops or aborts; whether somebody did."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._request in ("stop", "abort"), timeout_s)
+
+    @contextmanager
+    def brakes(self, brake: Callable[[str], None]) -> Iterator[None]:
+        """Call ``brake(verb)`` at once on ``stop`` and ``abort``, in the caller's thread, while this context is open.
+
+        A request that already stands calls it at once.
+        """
+        self._brakes.append(brake)
+        try:
+            if self._request in ("stop", "abort"):
+                brake(self._request)
+            yield
+        finally:
+            self._brakes.remove(brake)
+
+    def _brake(self, verb: str) -> None:
+        for brake in tuple(self._brakes):
+            brake(verb)
+
+    def _set(self, request: Request) -> None:
+        with self._changed:
+            self._request = request
+            self._changed.notify_all()
