@@ -96,7 +96,10 @@ def select_sessions(connection: sqlite3.Connection) -> list[Session]:
     for session, *request in connection.execute("SELECT session, written, kind, reason FROM request ORDER BY rowid"):
         requests.setdefault(session, []).append((request[0], request[1], request[2]))
     rows = connection.execute("SELECT number, began, ended, outcome, reason FROM session ORDER BY number")
-    return [Session(*row[:5], tuple(requests.get(row[0], ()))) for row in rows]
+    return [
+        Session(number, began, ended, outcome, reason, tuple(requests.get(number, ())))
+        for number, began, ended, outcome, reason in rows
+    ]
 
 
 def select_outcomes(connection: sqlite3.Connection) -> list[Outcome]:
