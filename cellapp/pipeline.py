@@ -104,13 +104,14 @@ def run_whole(
         targets = load_targets(profile_path.parent / profile.targets, profile)
     notes: list[str] = []
     with new_planned_run(profile, folder or default_folder(profile.name), listener, control) as run:
-        notes += collect_run(run, listener, control).notes
+        collected = collect_stops(run, listener, control)
+        notes += collected.notes
         notes += calibrate_run(run, listener, control).notes
         discover_run(run, listener, control)
         if targets:
             notes += push_run(run, targets, listener, control, verify=True).notes
         write_page(run)
-        return _shown(WholeRunResult, read_results(run), notes=tuple(notes))
+        return _shown(WholeRunResult, read_results(run), notes=tuple(notes), collect=collected)
 
 
 # -- plan, collect, import, export ------------------------------------------------------------------------------------

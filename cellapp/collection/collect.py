@@ -65,20 +65,16 @@ def collect_run(
     if not work.stops:
         return CollectSummary("complete", (f"all {work.total} stops were stored already",), missing_readings(run))
     bodies = cell_bodies(run.profile)
-    number = run.begin_session()
-    notes: list[str] = []
-    with _session_recorded(run, number):
-        with (opened or open_cell)(run.profile, watch_clearance=watch_clearance) as cell:
-            notes += check_controllers(run, cell).notes
-            with reacting(cell, control) as reaction:
-                session = CollectSession(
-                    run, work, cell, bodies, reaction, control, listener, number, accept_drift, notes
-                )
-                outcome = session.collect()
-        if not run.stops_done():
-            reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
-            raise HardwareError(f"nothing could be measured: {reason}")
-        run.end_session(number, outcome, "")
+    with (opened or open_cell)(run.profile, watch_clearance=watch_clearance) as cell:
+        notes = list(check_controllers(run, cell).notes)
+        number = run.begin_session()
+        with _session_recorded(run, number), reacting(cell, control) as reaction:
+            session = CollectSession(run, work, cell, bodies, reaction, control, listener, number, accept_drift, notes)
+            outcome = session.collect()
+            if not run.stops_done():
+                reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
+                raise HardwareError(f"nothing could be measured: {reason}")
+            run.end_session(number, outcome, "")
     return CollectSummary(outcome, tuple(notes), missing_readings(run))
 
 

@@ -288,7 +288,7 @@ def test_references_are_measured_every_k_stops_and_stored(bench: Bench) -> None:
 
 
 def test_drift_above_the_limit_ends_the_session_and_a_person_may_accept_it(bench: Bench) -> None:
-    practise(bench, reference=Reference(every=3, drift=50e-6), suspend=Suspend(drift=Suspension(times=0)))
+    practise(bench, reference=Reference(every=3, drift=150e-6), suspend=Suspend(drift=Suspension(times=0)))
 
     def bump(bench: Bench) -> None:
         bench.shift_M = np.array([0.0, 0.0, 4e-4])
