@@ -110,6 +110,14 @@ class Mover:
             raise MotionRefused(f"refused to move: {refusal}")
         self._record_foreign_steps(start)
         self._departure = start
+        with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
+            states = self._drive(start, targets, speed)
+        for name, q in targets.items():
+            self._record_step(name, start[name], q, states[name].q)
+        return states
+
+    def _drive(self, start: Mapping[str, Vector], targets: Mapping[str, Vector], speed: float) -> dict[str, ArmState]:
+        """Start all arms and wait until they have settled. The gate has accepted the motion."""
         timeout_s = 0.0
         for name, q in targets.items():
             speeds, accelerations = self._rates(name)
@@ -121,10 +129,10 @@ class Mover:
                 self._cell.arms[name].start_move(q, speed * speeds, accelerations)
             except ArmError as error:
                 raise self._stopped(cause_of(name, error)) from error
-        states = self._settled(list(targets), timeout_s)
-        for name, q in targets.items():
-            self._record_step(name, start[name], q, states[name].q)
-        return states
+        return self._settled(list(targets), timeout_s)
+
+    def _tracker_died(self, reason: str) -> None:
+        self._reaction.trigger(StopCause("tracker", reason))
 
     def _record_foreign_steps(self, start: Mapping[str, Vector]) -> None:
         """Record motions since the last one of this object that ended: one cut short, or an arm moved by hand."""
