@@ -7,26 +7,29 @@ at once where the estimate has left the range in which the linear model holds.
 Few readings do not determine all parameters. Weak priors about the nominal arm then do; with many readings they have no
 effect. The weights are those of ``identification.identify_with_excess``: stated covariance plus the excess variance
 that unmodelled physics leaves. A gross error (a wrong target) gets no weight.
+
+Predictions come from a second model with the same geometry and the joints' compliance under gravity. The first model
+is what ``calibrate`` identifies; on a UR10 gravity leaves it residuals of half a millimetre, which hide a loose SMR.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.calibration.identification import SetName, start_from_nominal
-from cellapp.calibration.linear import inverse_psd
 from cellapp.calibration.normal_equations import Linearisation, Observations, normal_equations
+from cellapp.calibration.online_model import GROSS, LinearModel, StoredReadings, excess_of, gross_weights
 from cellapp.calibration.parameters import ParameterSet, auto_set, full_set, gram_matrix, paper_set
-from cellapp.calibration.weights import MEDIAN_NORM, RobustName, excess_variance, robust_weights, whitener
+from cellapp.calibration.weights import RobustName, robust_weights, whitener
 from cellapp.errors import InputError
-from cellapp.kinematics.chain import BASE_NAMES, TOOL_NAMES, Geometry, JointAngles, jacobian
+from cellapp.kinematics.chain import BASE_NAMES, TOOL_NAMES, Geometry, JointAngles, frame_poses, jacobian
+from cellapp.kinematics.statics import Bodies, gravity_loads
 from cellapp.kinematics.transforms import Array
-from cellapp.model.nominal import nominal_arm, prior_sigmas
+from cellapp.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 from cellapp.profile import Profile
 from cellapp.progress import StopReport
 
@@ -42,8 +45,8 @@ _FIRST_READINGS = 4
 _LEAST_SPREAD_M = 0.05
 """Least rms distance of the first points from their common line: with errors of some millimetres, the base is then
 known to 0.1 rad, from where Gauss-Newton steps converge."""
-_EARLY_READINGS = 12
-"""Up to this number the base is registered again for each reading: each changes the estimate by millimetres."""
+_REGISTERED_AGAIN = (8, 16)
+"""Numbers of readings with which the base is registered again: the first four may have been a poor start."""
 _GROWTH = 1.2
 """Growth of the number of readings between renewals: 20 renewals up to 400 readings."""
 _LINEAR = 3e-4
@@ -54,14 +57,12 @@ _FIRST_EXCESS_M = 1e-4
 """Excess standard deviation of a coordinate until the readings tell it: what gravity and backlash leave in UR arms."""
 _LEAST_FREEDOM = 10.0
 """Degrees of freedom from which the excess is estimated."""
-_ANCHOR = 4.0
-"""Degrees of freedom with which the scatter is held at the expected one, while there are few readings."""
-_GROSS = 12.0
-"""Residual beyond which a reading has no weight, in standard uncertainties: far above any of unmodelled physics."""
 _GRAM_VALID = 2e-3
 """Largest change of a parameter [m or rad] for one Jacobian of the planned stops; it changes by about as much."""
-_LEAST_VARIANCE = 1e-14
-"""Variance (0.1 um)^2 of points without stated noise that fit exactly: weights stay finite."""
+_COMPLIANCE_PRIOR = 5e-5
+"""Standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
+_PLANNED_RAD = 0.01
+"""Joint positions nearer than this to the planned ones have the same gravity torques, to a percent."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,14 @@ class Innovation:
     freedom: float
 
 
+@dataclass(frozen=True)
+class Gravity:
+    """Masses of the arm and the direction (3,) against gravity in the tracker frame, for its joint compliance."""
+
+    bodies: Bodies
+    up_M: Array
+
+
 def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
     """The fit of an arm as the profile's calibration section asks; ``planned_q`` (n, N) [rad] are the planned stops."""
     arm, settings = profile.arms[name], profile.calibration
@@ -127,6 +136,7 @@ def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
         prior_sigma=prior_sigmas(nominal, settings.priors),
         robust=settings.robust,
         tool_unknown=arm.smr.offset == "unknown",
+        gravity=Gravity(bodies_of(arm), up_in_tracker(profile)),
     )
 
 
@@ -140,7 +150,7 @@ class OnlineFit:
     nominal : Geometry
         Nominal chain; its base is not used.
     planned_q : array, shape (n, N)
-        Joint positions [rad] over which the uncertainty of a prediction is averaged.
+        Joint positions [rad] of the planned stops, over which the uncertainty of a prediction is averaged.
     parameter_set : str
         ``auto``, ``paper`` or ``full``. Redundant parameters of ``full`` are held by the priors.
     prior_sigma : mapping, optional
@@ -149,6 +159,8 @@ class OnlineFit:
         ``none``, ``huber`` or ``tukey``; these weights are renewed with the linearisation.
     tool_unknown : bool
         Whether the SMR offset is unknown.
+    gravity : Gravity, optional
+        Without it, predictions do not know joint compliance.
 
     Raises
     ------
@@ -166,18 +178,18 @@ class OnlineFit:
         prior_sigma: Mapping[str, float] | None = None,
         robust: RobustName = "none",
         tool_unknown: bool = False,
+        gravity: Gravity | None = None,
     ) -> None:
         self.arm = arm
         self.innovation: Innovation | None = None
         """The newest reading against the model before it; None where there was none."""
         self._nominal, self._tool_unknown, self._robust = nominal, tool_unknown, robust
         self._parameters = _parameter_set(arm, parameter_set, nominal, planned_q)
-        self._columns = list(self._parameters.columns)
-        self._tool = [self._parameters.names.index(name) for name in TOOL_NAMES]
         self._precision = _precision(self._parameters, prior_sigma or {}, tool_unknown=tool_unknown)
-        self._planned = _Planned(JointAngles.of(planned_q), self._parameters.columns)
-        self._readings = _Readings(nominal.joints)
-        self._model: _LinearModel | None = None
+        self._rows = _Rows(self._parameters, planned_q, gravity)
+        self._tool = [self._parameters.names.index(name) for name in TOOL_NAMES]
+        self._readings = StoredReadings(nominal.joints)
+        self._models: _Models | None = None
         self._next_renewal = 0
 
     @property
@@ -188,24 +200,24 @@ class OnlineFit:
     @property
     def ready(self) -> bool:
         """Whether there is a model: after four readings, if their points are spread."""
-        return self._model is not None
+        return self._models is not None
 
     @property
     def geometry(self) -> Geometry | None:
-        """The present estimate."""
-        return None if self._model is None else self._model.geometry(self._columns)
+        """The present estimate, without compliance."""
+        return None if self._models is None else self._estimate(self._models)
 
     @property
     def scatter_m(self) -> float | None:
-        """Standard deviation of a measured coordinate about the model [m]."""
-        return None if self._model is None else self._model.scatter_m
+        """Standard deviation of a measured coordinate about the geometry alone [m]."""
+        return None if self._models is None else self._models.geometry.scatter_m
 
-    def predict(self, q: Array) -> Prediction | None:
-        """Where the SMR is expected at ``q`` (N,) [rad]; None without a model."""
-        model = self._model
-        if model is None:
+    def predict(self, stop: int, q: Array) -> Prediction | None:
+        """Where the SMR is expected at ``q`` (N,) [rad], at or near a planned stop; None without a model."""
+        if self._models is None:
             return None
-        P, J = self._row(model, q)
+        model = self._models.predicting
+        P, J = self._rows.at(self._models.origin, stop, q)
         return Prediction(P + J @ model.step, J @ model.covariance @ J.T, model.scatter_m)
 
     def add(self, stop: int, q: Array, p_M: Array, covariance_M: Array | None = None) -> StopReport | None:
@@ -215,11 +227,11 @@ class OnlineFit:
         """
         self._readings.append(q, p_M, covariance_M)
         self.innovation = None
-        if self._model is not None:
-            self._insert(self._model, stop, q, p_M)
-        if self._model is None or self.count <= _EARLY_READINGS:
+        if self._models is not None:
+            self._insert(self._models, stop, q, p_M)
+        if self._models is None or self.count in _REGISTERED_AGAIN:
             self._renew(registered=True)
-        elif self.count >= self._next_renewal or self._model.moved > _LINEAR:
+        elif self.count >= self._next_renewal or self._models.geometry.moved > _LINEAR:
             self._renew()
         return self._report(stop, q, p_M)
 
@@ -235,60 +247,50 @@ class OnlineFit:
         for row in range(len(stops)):
             self._readings.append(q[row], p_M[row], None if covariance_M is None else covariance_M[row])
         self.innovation = None
-        self._renew(registered=self._model is None or self.count <= _EARLY_READINGS)
+        self._renew(registered=True)
         return self._report(stops[-1], q[-1], p_M[-1])
 
     def _report(self, stop: int, q: Array, p_M: Array) -> StopReport | None:
-        model = self._model
-        if model is None:
+        if self._models is None:
             return None
-        P, J = self._row(model, q)
+        origin, model = self._models.origin, self._models.geometry
+        P, J = self._rows.at(origin, stop, q)
         errors = np.sqrt(np.diag(model.covariance)).tolist()
         return StopReport(
             stop=stop,
             arm=self.arm,
-            residual_mm=1e3 * float(np.linalg.norm(p_M - P - J @ model.step)),
-            standard_error_mm=1e3 * self._planned.standard_error(model),
+            residual_mm=1e3 * float(np.linalg.norm(p_M - P - J[:, : len(model.step)] @ model.step)),
+            standard_error_mm=1e3 * math.sqrt(float(np.vdot(self._rows.planned_gram(origin), model.covariance))),
             parameter_errors=dict(zip(self._parameters.names, errors, strict=True)),
         )
 
-    def _row(self, model: _LinearModel, q: Array) -> tuple[Array, Array]:
-        """SMR position (3,) and Jacobian (3, k) at the linearisation; those of the last ``q`` are kept."""
-        if model.row is None or not np.array_equal(model.row[0], q):
-            P, J = jacobian(model.origin, JointAngles.of(q[None]), self._parameters.columns)
-            model.row = (q.copy(), P[:, 0], np.ascontiguousarray(J[:, :, 0]))
-        return model.row[1], model.row[2]
+    def _estimate(self, models: _Models) -> Geometry:
+        vector = models.origin.vector()
+        vector[list(self._parameters.columns)] += models.geometry.step
+        return models.origin.with_vector(vector)
 
-    def _insert(self, model: _LinearModel, stop: int, q: Array, p_M: Array) -> None:
-        """Add the three rows of the newest reading to the linear model."""
-        P, J = self._row(model, q)
-        noise = self._readings.newest_stated() + model.excess * np.eye(3)
-        off = p_M - P
+    def _insert(self, models: _Models, stop: int, q: Array, p_M: Array) -> None:
+        """Add the newest reading to both models, unless it is a gross error."""
+        P, J = self._rows.at(models.origin, stop, q)
+        stated, off, model = self._readings.newest_stated(), p_M - P, models.predicting
         innovation = off - J @ model.step
-        expected = J @ model.covariance @ J.T + model.variance * noise
+        expected = J @ model.covariance @ J.T + model.variance * (stated + model.excess * np.eye(3))
         self.innovation = Innovation(stop, p_M, innovation, expected, J[:, self._tool], model.freedom)
-        if innovation @ np.linalg.solve(expected, innovation) <= _GROSS**2:
-            model.add(J, off, noise)
-            model.solve(self._precision)
+        if innovation @ np.linalg.solve(expected, innovation) <= GROSS**2:
+            model.add(J, off, stated)
+            models.geometry.add(J[:, : len(self._precision)], off, stated)
 
     def _renew(self, *, registered: bool = False) -> None:
         """Linearise all readings at the present estimate, or, ``registered``, from the nominal arm again."""
         start = self._registered() if registered else self.geometry
         if start is None:
             return
-        before = self._model
-        excess = _FIRST_EXCESS_M**2 if before is None else before.excess
-        variance = 1.0 if before is None else before.variance
-        for number in range(_STEPS):
-            known = None if registered and number == 0 else before
-            model = self._linearised(start, known, excess)
-            model.variance = variance
-            model.solve(self._precision)
-            model.solve(self._precision)  # with the scatter that the first solution left
-            before, self._model = model, model
-            if model.moved <= _LINEAR:
+        before = None if registered else self._models
+        for _ in range(_STEPS):
+            self._models = before = self._linearised(start, before)
+            if before.geometry.moved <= _LINEAR:
                 break
-            start, excess, variance = model.geometry(self._columns), model.excess, model.variance
+            start = self._estimate(before)
         self._next_renewal = math.ceil(_GROWTH * self.count)
 
     def _registered(self) -> Geometry | None:
@@ -301,177 +303,127 @@ class OnlineFit:
             return None
         return start_from_nominal(self._nominal, q, p_M, tool_unknown=self._tool_unknown)
 
-    def _linearised(self, origin: Geometry, before: _LinearModel | None, excess: float) -> _LinearModel:
-        """The model at ``origin``; excess and weights follow from the residuals there if ``before`` was near it."""
-        readings, values = self._readings, origin.vector()[self._columns]
-        angles = JointAngles.of(readings.q)
-        P, J = jacobian(origin, angles, self._parameters.columns)
-        residuals = readings.p_M - P.T
-        stated, weights = readings.stated(), np.ones(readings.count)
-        if before is not None:
-            weights = _gross_weights(residuals, stated, excess)
-            if before.freedom >= _LEAST_FREEDOM:
-                excess = _excess(residuals, stated, weights > 0.0, before.freedom)
-        white = whitener(stated + excess * np.eye(3))
-        observations = Observations(angles, readings.q, np.ascontiguousarray(readings.p_M.T), white, None)
-        if before is not None and self._robust != "none":
-            norm = np.linalg.norm(observations.whiten(residuals.T, 0, readings.count), axis=0)
-            weights = weights * robust_weights(norm, self._robust)
+    def _linearised(self, origin: Geometry, before: _Models | None) -> _Models:
+        """Both models at ``origin``; their weights follow from the residuals that the models ``before`` leave."""
+        readings, k = self._readings, len(self._precision)
+        P, J = self._rows.of(origin, readings.q)
+        off, stated = readings.p_M - P.T, readings.stated()
+        both = []
+        for which, columns in enumerate((J[:, :k], J)):
+            weighting = _Weighting(np.ones(readings.count), _FIRST_EXCESS_M**2, 1.0)
+            if before is not None:
+                model = (before.geometry, before.predicting)[which]
+                step = model.step.copy()
+                step[:k] += (before.origin.vector() - origin.vector())[list(self._parameters.columns)]
+                weighting = self._weighting(model, off - columns.transpose(2, 0, 1) @ step, stated)
+            both.append(self._solved(origin, P, columns, weighting))
+        return _Models(origin, both[0], both[1])
+
+    def _weighting(self, model: LinearModel, residuals: Array, stated: Array) -> _Weighting:
+        """Weights of the readings from the residuals (n, 3) [m] that ``model`` leaves."""
+        weights, excess = gross_weights(residuals, stated, model.excess), model.excess
+        if model.freedom >= _LEAST_FREEDOM:
+            excess = excess_of(residuals, stated, weights, model.freedom)
+        if self._robust != "none":
+            white = whitener(stated + excess * np.eye(3))
+            weights = weights * robust_weights(
+                np.linalg.norm(np.einsum("ijn,nj->ni", white, residuals), axis=1), self._robust
+            )
+        return _Weighting(weights, excess, model.variance)
+
+    def _solved(self, origin: Geometry, P: Array, J: Array, weighting: _Weighting) -> LinearModel:
+        """The model with the Jacobian ``J`` (3, k + m, n): geometry first, then compliances."""
+        readings, k = self._readings, len(self._precision)
+        stated = readings.stated()
+        white = whitener(stated + weighting.excess * np.eye(3))
+        observations = Observations(JointAngles.of(readings.q), readings.q, readings.p_M.T, white, None)
+        extra = J.shape[1] - k
+        columns = list(self._parameters.columns)
+        values = np.concatenate([origin.vector()[columns], np.zeros(extra)])
         linear = Linearisation(P, J, gram_matrix(J))
-        normal = normal_equations(origin, observations, self._parameters, values, weights, linear)
-        mean = self._nominal.vector()[self._columns]
-        mean_stated = float(np.trace(stated, axis1=1, axis2=2).mean()) / 3.0
-        return _LinearModel(
-            origin,
-            normal.A,
-            normal.b,
-            normal.cost,
-            normal.scale,
-            int(np.count_nonzero(weights)),
-            mean - values,
-            excess,
-            mean_stated,
+        normal = normal_equations(origin, observations, self._parameters, values, weighting.weights, linear)
+        model = LinearModel(
+            A=normal.A,
+            b=normal.b,
+            cost=normal.cost,
+            scale=normal.scale,
+            precision=np.concatenate([self._precision, np.full(extra, _COMPLIANCE_PRIOR**-2)]),
+            prior_step=np.concatenate([self._nominal.vector()[columns], np.zeros(extra)]) - values,
+            used=int(np.count_nonzero(weighting.weights)),
+            excess=weighting.excess,
+            mean_stated=float(np.trace(stated, axis1=1, axis2=2).mean()) / 3.0,
+            variance=weighting.variance,
         )
+        model.solve()
+        model.solve()  # with the scatter that the first solution left
+        return model
 
 
-@dataclass
-class _LinearModel:
-    """Normal equations of all readings about ``origin``, and their solution.
-
-    Attributes
-    ----------
-    origin : Geometry
-    A, b, cost : array (k, k), array (k,), float
-        ``sum J^T W J``, ``sum J^T W r``, ``sum r^T W r`` at the origin.
-    scale : array, shape (k,)
-        Parameters to metres at arm's length.
-    used : int
-        Number of readings with a weight.
-    prior_step : array, shape (k,)
-        From the origin to the mean of the priors.
-    excess, mean_stated : float
-        Variance of a coordinate: excess, mean of the stated ones [m^2].
-    variance : float
-        Chi-square per degree of freedom.
-    freedom : float
-        Degrees of freedom: coordinates less the parameters that they determine.
-    step, covariance : array (k,), array (k, k)
-        From the origin to the estimate, and its covariance.
-    row : tuple, optional
-        The last joint positions, with SMR position and Jacobian there.
-    """
+@dataclass(frozen=True)
+class _Models:
+    """The geometry alone, and the geometry with compliance, for predictions; both linear about ``origin``."""
 
     origin: Geometry
-    A: Array
-    b: Array
-    cost: float
-    scale: Array
-    used: int
-    prior_step: Array
+    geometry: LinearModel
+    predicting: LinearModel
+
+
+@dataclass(frozen=True)
+class _Weighting:
+    """Weights (n,) of the readings, excess variance of a coordinate [m^2], chi-square per degree of freedom."""
+
+    weights: Array
     excess: float
-    mean_stated: float
-    variance: float = 1.0
-    freedom: float = 1.0
-    step: Array = field(default_factory=lambda: np.zeros(0))
-    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    row: tuple[Array, Array, Array] | None = None
-
-    @property
-    def moved(self) -> float:
-        """Largest component of ``step`` [m at arm's length]."""
-        return float(np.max(np.abs(self.step * self.scale)))
-
-    @property
-    def scatter_m(self) -> float:
-        """Standard deviation of a measured coordinate about the model [m]."""
-        return math.sqrt(self.variance * (self.excess + self.mean_stated))
-
-    def geometry(self, columns: list[int]) -> Geometry:
-        """The estimate."""
-        vector = self.origin.vector()
-        vector[columns] += self.step
-        return self.origin.with_vector(vector)
-
-    def add(self, J: Array, off: Array, noise: Array) -> None:
-        """Add a reading: Jacobian (3, k), measured minus computed position (3,) at the origin, covariance (3, 3)."""
-        weighted = np.linalg.solve(noise, np.column_stack([J, off]))
-        added = J.T @ weighted
-        self.A += added[:, :-1]
-        self.b += added[:, -1]
-        self.cost += float(off @ weighted[:, -1])
-        self.used += 1
-
-    def solve(self, precision: Array) -> None:
-        """Estimate, covariance and scatter, with the prior precision (k,) of each parameter."""
-        unit = 1.0 / self.scale
-        H = self.A / self.variance
-        H.flat[:: len(H) + 1] += precision
-        self.covariance = inverse_psd(H * unit * unit[:, None]) * unit * unit[:, None]
-        self.step = self.covariance @ (self.b / self.variance + precision * self.prior_step)
-        held = float(precision @ np.diag(self.covariance))  # number of parameters that the priors determine
-        self.freedom = max(1.0, 3.0 * self.used - len(precision) + held)
-        chi_square = self.cost - float(self.step @ (2.0 * self.b - self.A @ self.step))
-        self.variance = (max(chi_square, 0.0) + _ANCHOR) / (self.freedom + _ANCHOR)
+    variance: float
 
 
-class _Readings:
-    """All readings of the arm, in arrays that grow by doubling."""
+class _Rows:
+    """SMR positions and their derivatives by the parameters (k), then by the compliances of the joints (m)."""
 
-    def __init__(self, joints: int) -> None:
-        self.count = 0
-        self._q, self._p_M, self._stated = np.empty((64, joints)), np.empty((64, 3)), np.empty((64, 3, 3))
+    def __init__(self, parameters: ParameterSet, planned_q: Array, gravity: Gravity | None) -> None:
+        self._gravity, self._planned_q, self._planned = gravity, planned_q, JointAngles.of(planned_q)
+        joints, k = parameters.joints, len(parameters.columns)
+        of_joints = tuple(6 + 5 * joint for joint in range(joints)) if gravity is not None else ()
+        self._joints = [parameters.columns.index(c) if c in parameters.columns else k for c in of_joints]
+        missing = [c for c in of_joints if c not in parameters.columns]
+        for place, joint in enumerate(missing):
+            self._joints[of_joints.index(joint)] = k + place
+        self._columns, self._k = (*parameters.columns, *missing), k
+        self._gram_at: Array | None = None
+        self._gram, self._torques = np.zeros((k, k)), np.zeros((0, joints))
+        self._last: tuple[Geometry, Array, Array, Array] | None = None
 
-    @property
-    def q(self) -> Array:
-        """Joint positions (n, N) [rad]."""
-        return self._q[: self.count]
+    def of(self, origin: Geometry, q: Array, torques: Array | None = None) -> tuple[Array, Array]:
+        """SMR positions (3, n) [m] and their derivatives (3, k + m, n) at joint positions ``q`` (n, N) [rad]."""
+        P, J = jacobian(origin, JointAngles.of(q), self._columns)
+        if self._gravity is None:
+            return P, J
+        torques = self._torques_of(origin, q) if torques is None else torques
+        return P, np.concatenate([J[:, : self._k], J[:, self._joints] * torques.T], axis=1)
 
-    @property
-    def p_M(self) -> Array:
-        """Measured points (n, 3) [m]."""
-        return self._p_M[: self.count]
+    def at(self, origin: Geometry, stop: int, q: Array) -> tuple[Array, Array]:
+        """The same at one stop, (3,) and (3, k + m); those of the last one are kept."""
+        last = self._last
+        if last is None or last[0] is not origin or not np.array_equal(last[1], q):
+            planned = 0 <= stop < len(self._torques) and np.abs(self._planned_q[stop] - q).max() < _PLANNED_RAD
+            P, J = self.of(origin, q[None], self._torques[stop : stop + 1] if planned else None)
+            self._last = last = (origin, q.copy(), P[:, 0], np.ascontiguousarray(J[:, :, 0]))
+        return last[2], last[3]
 
-    def append(self, q: Array, p_M: Array, covariance_M: Array | None) -> None:
-        """Store one reading."""
-        if self.count == len(self._q):
-            self._q, self._p_M, self._stated = (
-                np.concatenate([old, np.empty_like(old)]) for old in (self._q, self._p_M, self._stated)
-            )
-        self._q[self.count], self._p_M[self.count] = q, p_M
-        self._stated[self.count] = math.nan if covariance_M is None else covariance_M
-        self.count += 1
+    def planned_gram(self, origin: Geometry) -> Array:
+        """Mean of ``J^T J`` (k, k) over the planned stops; renewed where the geometry has changed much."""
+        vector = origin.vector()
+        if self._gram_at is None or np.max(np.abs(vector - self._gram_at)) > _GRAM_VALID:
+            _, J = jacobian(origin, self._planned, self._columns[: self._k])
+            self._gram, self._gram_at = gram_matrix(J) / self._planned.count, vector
+            if self._gravity is not None:
+                self._torques = self._torques_of(origin, self._planned_q)
+        return self._gram
 
-    def stated(self) -> Array:
-        """Stated covariances (n, 3, 3) [m^2]: the mean of the others where there is none, zero where none has one."""
-        stated = self._stated[: self.count]
-        missing = np.isnan(stated).any(axis=(1, 2))
-        if not missing.any():
-            return stated
-        filled = stated.copy()
-        filled[missing] = 0.0 if missing.all() else stated[~missing].mean(axis=0)
-        return filled
-
-    def newest_stated(self) -> Array:
-        """Stated covariance (3, 3) [m^2] of the newest reading."""
-        newest = self._stated[self.count - 1]
-        return np.asarray(self.stated()[-1] if np.isnan(newest).any() else newest)
-
-
-class _Planned:
-    """The planned stops, and the mean of ``J^T J`` over them, which changes little between renewals."""
-
-    def __init__(self, angles: JointAngles, columns: tuple[int, ...]) -> None:
-        self._angles, self._columns = angles, columns
-        self._vector: Array | None = None
-        self._gram = np.zeros((len(columns), len(columns)))
-
-    def standard_error(self, model: _LinearModel) -> float:
-        """Standard uncertainty of a predicted position from the parameters alone, rms over the stops [m]."""
-        vector = model.origin.vector()
-        if self._vector is None or np.max(np.abs(vector - self._vector)) > _GRAM_VALID:
-            _, J = jacobian(model.origin, self._angles, self._columns)
-            self._gram, self._vector = gram_matrix(J) / self._angles.count, vector
-        return math.sqrt(max(float(np.vdot(self._gram, model.covariance)), 0.0))
+    def _torques_of(self, origin: Geometry, q: Array) -> Array:
+        """Gravity torques (n, N) [Nm]."""
+        assert self._gravity is not None
+        return gravity_loads(frame_poses(origin, q), self._gravity.bodies, self._gravity.up_M).joint_torques()
 
 
 def _parameter_set(arm: str, wanted: SetName, nominal: Geometry, planned_q: Array) -> ParameterSet:
@@ -492,17 +444,3 @@ def _precision(parameters: ParameterSet, given: Mapping[str, float], *, tool_unk
         for name, unit in zip(parameters.names, parameters.units, strict=True)
     ]
     return 1.0 / np.array(sigma) ** 2
-
-
-def _gross_weights(residuals: Array, stated: Array, excess: float) -> Array:
-    """Weight 0 of readings (n,) whose residual (n, 3) is far above that of most others, else 1."""
-    variance = excess + np.trace(stated, axis1=1, axis2=2) / 3.0
-    norm = np.sqrt(np.sum(residuals**2, axis=1) / variance)
-    return np.where(norm > _GROSS * max(float(np.median(norm)) / MEDIAN_NORM, 1.0), 0.0, 1.0)
-
-
-def _excess(residuals: Array, stated: Array, used: NDArray[np.bool_], freedom: float) -> float:
-    """Excess variance of a coordinate [m^2]; without stated covariances, all of the variance."""
-    if not stated.any():
-        return max(float(np.sum(residuals[used] ** 2)) / freedom, _LEAST_VARIANCE)
-    return excess_variance(residuals[used], stated[used], round(freedom))
