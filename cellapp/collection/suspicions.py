@@ -5,20 +5,20 @@ are independent from stop to stop, about zero, with the covariance that the mode
 it. A fault leaves a pattern in them:
 
 - an SMR that slipped: the same offset in the flange frame at every stop since then, of one arm;
-- a bumped tracker: one rigid motion in the tracker frame of all arms since then;
-- drift: such a motion that grows;
-- an SMR with play: more scatter than before, of one arm.
+- an SMR with play: more scatter than before, of one arm;
+- a bumped tracker: one rigid motion in the tracker frame of all arms since then; of one arm: its base moved;
+- drift: such a motion that grows.
 
 For each pattern and each stop at which it may have begun, the test statistic is the decrease of chi-square by the best
-offset or motion (a generalised likelihood ratio; Basseville, Nikiforov, Detection of Abrupt Changes (1993), ch. 7).
-One bad reading alone never raises a suspicion of this kind: its share of the statistic is bounded.
+offset, motion or scatter (a generalised likelihood ratio; Basseville, Nikiforov, Detection of Abrupt Changes (1993),
+ch. 7). One bad reading alone never raises a suspicion of this kind: its share of the statistic is bounded.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,8 +31,8 @@ from cellapp.progress import Suspicion
 
 _CHANCE = 2e-7
 """False alarm probability of one test. 400 stops, two arms and 30 correlated tests each come to less than 1 % a run."""
-_QUIET = 1e-2
-"""Probability above which a stop shows no trace of a suspicion."""
+_TRACE = 1e-3
+"""Probability of the likeliest pattern above which a stop shows no trace of a suspicion."""
 _CLEARED_AFTER = 10
 """Stops without a trace after which a suspicion is cleared and may be raised again."""
 _LEAST_FREEDOM = 20.0
@@ -41,7 +41,7 @@ _CLIP = 4.0
 """Largest length of a deviation in standard uncertainties that counts, exceeded once in a thousand stops."""
 _HISTORY = 80
 """Stops that are kept."""
-_STEPS = (*range(2, 21), 30, 40, 60, 80)
+_STEPS = (*range(2, 11), 12, 15, 20, 30, 40, 60, 80)
 """Numbers of stops since a sudden change."""
 _RAMPS = (20, 40, 80)
 """Numbers of stops since a slow change began."""
@@ -51,38 +51,36 @@ _DECISIVE = 6.0
 """Difference of chi-square, less these costs, from which one of two patterns is believed: odds of 20."""
 _PATIENCE = 5
 """Stops for which an undecided alarm waits; then the likeliest pattern is named."""
-_PLAY_STOPS = 10
-"""Stops over which scatter is judged."""
 _OTHER_SMR_M = 2e-3
 """Offset of an SMR from which it is another one, or not in its seat: play of a loose one is smaller."""
 _ALONG_NORMAL = math.cos(math.radians(30.0))
-"""An SMR of another size, or one not in its seat, is off along the axis of its nest."""
+"""An SMR of another size, or one not in its seat, is off along the axis of its seat."""
 _ELSEWHERE_M = 1e-3
 """Least distance from the expected position at which a reading is compared with the other arms' SMRs."""
 _GROSS = 12.0
 """The same in standard uncertainties; the fit gives such a reading no weight."""
-
-
 _LIKELY_CHANGE = 0.05
 """Standard deviation of an offset [m] or motion [m, rad]: far above any, it only settles what readings leave open."""
 _NO_GEOMETRY_M = 2e-3
 """Scatter about the model beyond that of any arm and of any unmodelled physics."""
 
-_Equations = tuple[Array, Array]
-ChangeKind = Literal["slip", "move", "drift"]
+ChangeKind = Literal["slip", "play", "move", "drift"]
 _Key = tuple[str, str | None]
 
 
-def _patterns() -> Array:
-    """Share of a change that acts on a reading (patterns, ages): by pattern, and by age of the reading, 0 the newest."""
+def _shares() -> Array:
+    """Share of a change that acts on a reading (patterns, ages): by pattern and by the reading's age, 0 the newest."""
     age = np.arange(_HISTORY)
     steps = [np.where(age < stops, 1.0, 0.0) for stops in _STEPS]
     return np.array(steps + [np.clip((stops - age) / stops, 0.0, None) for stops in _RAMPS])
 
 
-_SHARES = _patterns()
-_STOPS = (*_STEPS, *_RAMPS)
-_FIVE = _STEPS.index(5)
+_SHARES = _shares()
+_STOPS = np.array([*_STEPS, *_RAMPS])
+_SUDDEN, _SLOW = slice(0, len(_STEPS)), slice(len(_STEPS), None)
+_SLIP_B, _SLIP_A, _SLIP_RAW = slice(0, 3), slice(3, 12), slice(12, 15)
+_MOVE_B, _MOVE_A, _MOVE_RAW = slice(15, 21), slice(21, 57), slice(57, 63)
+_SQUARE, _COUNT, _COLUMNS = 63, 64, 65
 
 
 @dataclass(frozen=True)
@@ -92,17 +90,15 @@ class _Explanation:
     Attributes
     ----------
     kind : str
-        ``slip`` of an SMR, ``move`` of the tracker or of a base, slow ``drift``.
+        ``slip`` or ``play`` of an SMR, ``move`` of the tracker or of a base, slow ``drift``.
     arm : str or None
         None: all arms.
     chi_square : float
-        Decrease by the best offset or motion.
+        Decrease of chi-square, or of twice the negative log likelihood.
     parameters : int
     chance : float
-        Probability of such a decrease without a fault.
-    recent_chance : float
-        The same of a change five stops ago.
-    value : array, shape (3,) or (6,)
+        Probability of such deviations without a fault.
+    value : array, shape (3,), (6,) or (0,)
         Offset in the flange [m]; or shift [m] and rotation [rad] in the tracker frame.
     stops : int
         Number of stops since the change.
@@ -113,7 +109,6 @@ class _Explanation:
     chi_square: float
     parameters: int
     chance: float
-    recent_chance: float
     value: Array
     stops: int
 
@@ -124,44 +119,43 @@ class _Explanation:
 
 
 class _History:
-    """Normal equations of each recent stop of one arm, newest first; zero where it has no reading.
+    """Recent stops of one arm, newest first: normal equations of an offset and of a motion, in rows of one table.
 
-    ``slip``: of an offset in the flange frame; ``move``: of a shift and a rotation in the tracker frame.
+    Columns: ``b`` (clipped), ``A``, ``b`` (not clipped) of an offset in the flange, the same of a motion in the tracker
+    frame, clipped square of the deviation, 1. All are zero at a stop without a reading.
     """
 
     def __init__(self) -> None:
-        self.clear()
+        self._table = np.zeros((_HISTORY, _COLUMNS))
+        self.freedom = _LEAST_FREEDOM
 
     def clear(self) -> None:
         """Forget all stops."""
-        self.slip = np.zeros((_HISTORY, 3)), np.zeros((_HISTORY, 3, 3))
-        self.move = np.zeros((_HISTORY, 6)), np.zeros((_HISTORY, 6, 6))
-        self.squares, self.present = np.zeros(_HISTORY), np.zeros(_HISTORY, dtype=bool)
-        self.freedom = _LEAST_FREEDOM
+        self._table[:] = 0.0
 
     def push(self, found: Innovation | None, center_M: Array) -> None:
         """Add a stop; rotations are about ``center_M`` (3,) [m]."""
-        for array in (*self.slip, *self.move, self.squares, self.present):
-            array[1:] = array[:-1].copy()
-            array[0] = 0.0
+        self._table[1:] = self._table[:-1].copy()
+        row = self._table[0]
+        row[:] = 0.0
         if found is None:
             return
         information = np.linalg.inv(found.covariance_M)
         square = float(found.off_M @ information @ found.off_M)
-        off = found.off_M * min(1.0, _CLIP / math.sqrt(max(square, 1e-300)))
-        x, y, z = found.p_M - center_M
-        motion = np.column_stack([np.eye(3), [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]])
-        for (b, A), basis in ((self.slip, found.R_M_F), (self.move, motion)):
+        clip = min(1.0, _CLIP / math.sqrt(max(square, 1e-300)))
+        x, y, z = (found.p_M - center_M).tolist()
+        motion = np.array([[1, 0, 0, 0.0, z, -y], [0, 1, 0, -z, 0.0, x], [0, 0, 1, y, -x, 0.0]])
+        parts = (found.R_M_F, _SLIP_B, _SLIP_A, _SLIP_RAW), (motion, _MOVE_B, _MOVE_A, _MOVE_RAW)
+        for basis, clipped, normal, raw in parts:
             weighted = basis.T @ information
-            b[0], A[0] = weighted @ off, weighted @ basis
-        self.squares[0], self.present[0], self.freedom = min(square, _CLIP**2), True, found.freedom
+            row[raw] = weighted @ found.off_M
+            row[clipped], row[normal] = clip * row[raw], (weighted @ basis).ravel()
+        row[_SQUARE], row[_COUNT] = min(square, _CLIP**2), 1.0
+        self.freedom = found.freedom
 
-    def play(self) -> float:
-        """Probability of the scatter of the last stops without a fault; 1 before there are enough of them."""
-        if self.present.sum() < _PLAY_STOPS:
-            return 1.0
-        recent = self.squares[np.flatnonzero(self.present)[:_PLAY_STOPS]]
-        return float(fdtrc(3 * _PLAY_STOPS, self.freedom, recent.sum() / (3 * _PLAY_STOPS)))
+    def sums(self) -> tuple[Array, Array]:
+        """Sums of the columns over the stops of each pattern (patterns, columns), with its shares and their squares."""
+        return _SHARES @ self._table, _SHARES**2 @ self._table
 
 
 class Suspicions:
@@ -201,38 +195,33 @@ class Suspicions:
                 self._center_M = one.p_M
             history.push(one, np.zeros(3) if self._center_M is None else self._center_M)
         explanations = self._explanations()
-        play = {name: history.play() for name, history in self._histories.items()}
-        self._clear_quiet(explanations, play, wrong)
-        return self._new([*wrong, *self._changes(explanations), *self._scatter(explanations, play)])
-
-    def _new(self, suspicions: list[Suspicion]) -> tuple[Suspicion, ...]:
-        """Those that do not stand already."""
-        new = tuple(one for one in suspicions if (one.kind, one.arm) not in self._quiet)
-        self._quiet.update({(one.kind, one.arm): 0 for one in suspicions})
+        self._clear_quiet(explanations, wrong)
+        raised = [*wrong, *self._changes(explanations)]
+        new = tuple(one for one in raised if (one.kind, one.arm) not in self._quiet)
+        self._quiet.update({(one.kind, one.arm): 0 for one in raised})
         return new
-
-    def _stands(self, arm: str) -> bool:
-        """Whether the deviations of an arm have been explained by a suspicion."""
-        return any(key[1] in (arm, None) for key in self._quiet)
 
     def _explanations(self) -> list[_Explanation]:
         """The best explanation of each kind, for each arm and for all together."""
+        sums = {name: history.sums() for name, history in self._histories.items()}
+        freedom = {name: history.freedom for name, history in self._histories.items()}
         found = []
-        for name, one in self._histories.items():
-            found += _explain("slip", name, [one.slip], one.freedom)
-            if len(self._histories) > 1:
-                found += _explain("move", name, [one.move], one.freedom)
-        alone = {arm for _, arm in self._quiet}
-        free = [one for name, one in self._histories.items() if name not in alone]
-        if len(free) > 1 or (free and len(self._histories) == 1):
-            freedom = min(one.freedom for one in free)
-            together = [one.move for one in free]
-            found += _explain("move", None, together, freedom) + _explain("drift", None, together, freedom)
+        for name in sums:
+            found += _slip(name, *sums[name], freedom[name]) + _play(name, sums[name][0], freedom[name])
+            if len(sums) > 1:
+                found += _motion("move", name, *sums[name], freedom[name])
+        explained = {arm for _, arm in self._quiet}
+        free = [name for name in sums if name not in explained]
+        if len(free) > 1 or (free and len(sums) == 1):
+            linear, squared = (np.sum([sums[name][which] for name in free], axis=0) for which in (0, 1))
+            least = min(freedom[name] for name in free)
+            found += _motion("move", None, linear, squared, least) + _motion("drift", None, linear, squared, least)
+            found += _play(None, linear, least) if len(sums) > 1 else []
         return found
 
     def _changes(self, explanations: list[_Explanation]) -> list[Suspicion]:
         """The likeliest of the changes, if there is one and it is decided."""
-        open_ones = [one for one in explanations if not self._explained(one)]
+        open_ones = [one for one in explanations if not self._stands(one.arm)]
         if not any(one.chance < _CHANCE for one in open_ones):
             self._undecided = 0
             return []
@@ -243,51 +232,39 @@ class Suspicions:
         self._undecided = 0
         return [self._words(best)]
 
-    def _explained(self, one: _Explanation) -> bool:
-        """Whether a suspicion that stands explains the same readings."""
-        if one.arm is None:
-            return any(key[1] is None for key in self._quiet) or all(self._stands(arm) for arm in self._histories)
-        return self._stands(one.arm)
-
-    def _scatter(self, explanations: list[_Explanation], play: Mapping[str, float]) -> list[Suspicion]:
-        """Arms whose readings scatter more than before, where no change explains it."""
-        if self._undecided or any(one.chance < _CHANCE for one in explanations):
-            return []
-        loose = [name for name, chance in play.items() if chance < _CHANCE and not self._stands(name)]
-        if len(loose) > 1 and len(loose) == len(play):
-            text = "the readings of all arms scatter more than before: check that the tracker stands firm, and the air"
-            return [Suspicion("tracker moved", text)]
-        return [
-            Suspicion(
-                "loose SMR", f"arm {name}: its readings scatter more than before: check that its SMR sits firmly", name
-            )
-            for name in loose
-        ]
+    def _stands(self, arm: str | None) -> bool:
+        """Whether a suspicion stands that explains the deviations of an arm, or of all."""
+        explained = {key[1] for key in self._quiet}
+        return None in explained or (explained >= self._histories.keys() if arm is None else arm in explained)
 
     def _words(self, best: _Explanation) -> Suspicion:
         """The suspicion that an explanation means."""
         since = f"since stop {self._stops[min(best.stops, len(self._stops)) - 1] + 1}"
         size = f"{float(np.linalg.norm(best.value[:3])) * 1e3:.2f} mm"
         turn = f"{float(np.linalg.norm(best.value[3:])) * 1e3:.2f} mrad"
+        if best.kind == "slip" and best.arm is not None:
+            return _of_slip(best.arm, since, best.value, self._normals_F[best.arm])
+        if best.kind == "play" and best.arm is not None:
+            text = f"arm {best.arm}: {since} its readings scatter more than before: check that its SMR sits firmly"
+            return Suspicion("loose SMR", text, best.arm)
+        if best.kind == "play":
+            text = f"{since} the readings of all arms scatter more than before: check that the tracker stands firmly"
+            return Suspicion("tracker moved", text)
         if best.kind == "drift":
-            text = f"the readings of all arms drift together, by {size} and {turn} {since}: check warm-up and air"
+            text = f"{since} the readings of all arms drift together, by {size} and {turn}: check warm-up and air"
             return Suspicion("drift", text)
-        if best.kind == "move":
-            who = "all arms have" if best.arm is None else f"arm {best.arm} have"
-            check = "the tracker was touched" if best.arm is None else "its base is firm, or the tracker was touched"
-            text = f"the readings of {who} moved together {since}, by {size} and {turn}: check whether {check}"
+        if best.arm is not None:
+            text = f"arm {best.arm}: {since} its readings are off by one motion, {size} and {turn}: is its base firm?"
             return Suspicion("tracker moved", text, best.arm)
-        assert best.arm is not None
-        return _of_slip(best.arm, since, best.value, self._normals_F[best.arm])
+        text = f"{since} the readings of all arms are off by one motion, {size} and {turn}: was the tracker touched?"
+        return Suspicion("tracker moved", text)
 
-    def _clear_quiet(self, explanations: list[_Explanation], play: Mapping[str, float], wrong: list[Suspicion]) -> None:
+    def _clear_quiet(self, explanations: list[_Explanation], wrong: list[Suspicion]) -> None:
         """Clear suspicions that have left no trace for some stops; their arms' histories begin anew."""
         for key in list(self._quiet):
-            arm = key[1]
-            arms = [arm] if arm is not None else list(self._histories)
-            chances = [one.recent_chance for one in explanations if one.arm in (arm, *arms)]
-            chances += [play[name] for name in arms]
-            trace = min(chances, default=1.0) < _QUIET or any((one.kind, one.arm) == key for one in wrong)
+            arms = [key[1]] if key[1] is not None else list(self._histories)
+            chances = [one.chance for one in explanations if one.arm in arms]
+            trace = min(chances, default=1.0) < _TRACE or any((one.kind, one.arm) == key for one in wrong)
             self._quiet[key] = 0 if trace else self._quiet[key] + 1
             if self._quiet[key] >= _CLEARED_AFTER:
                 del self._quiet[key]
@@ -295,33 +272,51 @@ class Suspicions:
                     self._histories[name].clear()
 
 
-def _explain(kind: ChangeKind, arm: str | None, equations: list[_Equations], freedom: float) -> list[_Explanation]:
-    """The best explanation of a kind by these arms' normal equations; none without a reading."""
-    b, A = np.sum([one[0] for one in equations], axis=0), np.sum([one[1] for one in equations], axis=0)
+def _slip(arm: str, linear: Array, squared: Array, freedom: float) -> list[_Explanation]:
+    """The best offset of an arm's SMR in the flange frame, as a list of one; empty without readings."""
+    columns = linear[_SUDDEN, _SLIP_B], squared[_SUDDEN, _SLIP_A], linear[_SUDDEN, _SLIP_RAW]
+    return _best("slip", arm, *columns, linear[_SUDDEN, _COUNT], freedom)
+
+
+def _motion(
+    kind: Literal["move", "drift"], arm: str | None, linear: Array, squared: Array, freedom: float
+) -> list[_Explanation]:
+    """The best motion in the tracker frame, sudden or slow, as a list of one; empty without readings."""
+    rows = _SUDDEN if kind == "move" else _SLOW
+    columns = linear[rows, _MOVE_B], squared[rows, _MOVE_A], linear[rows, _MOVE_RAW]
+    return _best(kind, arm, *columns, linear[rows, _COUNT], freedom)
+
+
+def _best(
+    kind: ChangeKind, arm: str | None, b: Array, A: Array, raw: Array, count: Array, freedom: float
+) -> list[_Explanation]:
+    """The best of the patterns by their normal equations, b (patterns, p) and A (patterns, p p).
+
+    Patterns with fewer coordinates than twice the parameters are left out: they would explain anything.
+    """
     parameters = b.shape[1]
-    patterns = slice(len(_STEPS), None) if kind == "drift" else slice(0, len(_STEPS))
-    shares = _SHARES[patterns]
-    right = shares @ b
-    left = (shares**2 @ A.reshape(_HISTORY, -1)).reshape(-1, parameters, parameters)
-    left += np.eye(parameters) / _LIKELY_CHANGE**2
-    values = np.linalg.solve(left, right[:, :, None])[:, :, 0]
-    chi_square = np.sum(values * right, axis=1)
+    normal = A.reshape(-1, parameters, parameters) + np.eye(parameters) / _LIKELY_CHANGE**2
+    values: Array = np.linalg.solve(normal, np.stack([b, raw], axis=2))
+    chi_square = np.where(3.0 * count >= 2.0 * parameters, np.sum(values[:, :, 0] * b, axis=1), 0.0)
     place = int(np.argmax(chi_square))
-    if chi_square[place] <= 0.0:
+    largest = float(chi_square[place])
+    if largest <= 0.0:
         return []
-    chances = fdtrc(parameters, freedom, chi_square[[place, _FIVE if kind != "drift" else 0]] / parameters)
-    return [
-        _Explanation(
-            kind,
-            arm,
-            float(chi_square[place]),
-            parameters,
-            float(chances[0]),
-            float(chances[1]),
-            values[place],
-            _STOPS[patterns][place],
-        )
-    ]
+    chance = float(fdtrc(parameters, freedom, largest / parameters))
+    stops = int((_STOPS[_SLOW] if kind == "drift" else _STOPS[_SUDDEN])[place])
+    return [_Explanation(kind, arm, largest, parameters, chance, values[place, :, 1], stops)]
+
+
+def _play(arm: str | None, linear: Array, freedom: float) -> list[_Explanation]:
+    """The best increase of the scatter, as a list of one; empty without readings."""
+    coordinates = 3.0 * linear[_SUDDEN, _COUNT]
+    ratio = np.maximum(linear[_SUDDEN, _SQUARE] / np.maximum(coordinates, 1.0), 1.0)
+    gain = coordinates * (ratio - 1.0 - np.log(ratio))
+    place = int(np.argmax(gain))
+    if gain[place] <= 0.0:
+        return []
+    chance = float(fdtrc(coordinates[place], freedom, ratio[place]))
+    return [_Explanation("play", arm, float(gain[place]), 1, chance, np.zeros(0), _STEPS[place])]
 
 
 def _wrong_smrs(stop: int, found: Mapping[str, Innovation]) -> list[Suspicion]:
@@ -355,58 +350,3 @@ def _of_slip(arm: str, since: str, offset_F: Array, normal_F: Array) -> Suspicio
         return Suspicion("wrong SMR", text, arm)
     text = f"arm {arm}: {since} its SMR is {size * 1e3:.2f} mm off on the flange: check that it sits firmly"
     return Suspicion("loose SMR", text, arm)
-
-
-class ReferenceWatch:
-    """Judge reference measurements, each against the one before (a jump) and against the first (drift).
-
-    Parameters
-    ----------
-    limit_m : float
-        Largest accepted displacement [m].
-    """
-
-    def __init__(self, limit_m: float) -> None:
-        self._limit_m = limit_m
-        self._first: dict[str, Array] = {}
-        self._last: dict[str, Array] = {}
-
-    def at_reference(self, points_M: Mapping[str, Array], arms: Collection[str]) -> tuple[Suspicion, ...]:
-        """Suspicions from the references' positions (3,) [m]: ``arms`` at home by their names, the others are nests."""
-        jumps = self._beyond(points_M, self._last)
-        drifts = {name: size for name, size in self._beyond(points_M, self._first).items() if name not in jumps}
-        shared = len(self._last.keys() & points_M.keys())
-        for name, point in points_M.items():
-            if name in jumps or name not in self._first:  # a jump is raised once: the next ones are judged from here
-                self._first[name] = point
-            self._last[name] = point
-        fixed = [name for name in jumps if name not in arms]
-        if jumps and len(jumps) == shared and (fixed or len(jumps) > 1):
-            text = f"all references moved by {_largest_mm(jumps)} since the last time: was the tracker touched?"
-            return (Suspicion("tracker moved", text), *_drifts(drifts, arms))
-        return (*(_jump(name, size, arms) for name, size in jumps.items()), *_drifts(drifts, arms))
-
-    def _beyond(self, points_M: Mapping[str, Array], before: Mapping[str, Array]) -> dict[str, float]:
-        away = {name: float(np.linalg.norm(point - before[name])) for name, point in points_M.items() if name in before}
-        return {name: size for name, size in away.items() if size > self._limit_m}
-
-
-def _jump(name: str, size: float, arms: Collection[str]) -> Suspicion:
-    if name in arms:
-        text = (
-            f"arm {name}: its SMR at home moved by {size * 1e3:.2f} mm since the last time: check that it sits firmly"
-        )
-        return Suspicion("loose SMR", text, name)
-    return Suspicion("loose SMR", f"nest {name} moved by {size * 1e3:.2f} mm since the last time: check it")
-
-
-def _drifts(drifts: Mapping[str, float], arms: Collection[str]) -> tuple[Suspicion, ...]:
-    if not drifts:
-        return ()
-    arm = next(iter(drifts)) if len(drifts) == 1 and next(iter(drifts)) in arms else None
-    text = f"{', '.join(sorted(drifts))}: drifted by {_largest_mm(drifts)} since the first time: check warm-up and air"
-    return (Suspicion("drift", text, arm),)
-
-
-def _largest_mm(sizes: Mapping[str, float]) -> str:
-    return f"{max(sizes.values()) * 1e3:.2f} mm"
