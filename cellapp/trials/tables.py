@@ -117,7 +117,8 @@ def link_tables(result: LinksResult) -> list[Table]:
     )
     title = (
         "Longest times after a fault [s]; bars of the other arms, from the first doubt:"
-        f" {result.commanded_within_s:g} s to the stop received, {result.rest_beyond_braking_s:g} s to rest beyond the ideal braking time"
+        f" {result.commanded_within_s:g} s to the stop received,"
+        f" {result.rest_beyond_braking_s:g} s to rest beyond the ideal braking time"
     )
     return [quiet, Table(title, columns, tuple(longest))]
 
