@@ -21,7 +21,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.trials.links import link_trials, travel_s
+from cellapp.trials.link_bench import travel_s
+from cellapp.trials.links import link_trials
 from drivers.arms import ur_supervisor, ur_worker
 from drivers.arms.protocol import (
     ArmError,
