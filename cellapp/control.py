@@ -58,28 +58,30 @@ class JobControl(CancelToken):
         """Do what a verb says."""
         {"pause": self.pause, "resume": self.resume, "stop": self.stop, "abort": self.abort}[verb]()
 
+    @property
+    def has_brakes(self) -> bool:
+        """Whether arms are open that ``stop`` and ``abort`` brake."""
+        return bool(self._brakes)
+
     def pause(self) -> None:
         """Ask the job to wait after the present stop."""
-        if self._request == "none":
-            self._set("pause")
+        self._set("pause", replaces=("none",))
 
     def resume(self) -> None:
-        """Let a paused or stopped job continue."""
-        if self._request in ("pause", "stop"):
-            self._set("none")
+        """Let a paused or stopped job continue; a job that does not hold ends after ``stop`` all the same."""
+        self._set("none", replaces=("pause", "stop") if self.holds else ("pause",))
 
     def stop(self) -> None:
         """Brake all arms now."""
+        self._set("stop", replaces=("none", "pause", "stop"))  # first: ``brakes`` either sees it or is called below
         self._brake("stop")
-        if self._request != "abort":
-            self._set("stop")
         if not self.holds:
             super().cancel()
 
     def abort(self) -> None:
         """Brake all arms now and end the job."""
+        self._set("abort", replaces=("none", "pause", "stop", "abort"))
         self._brake("abort")
-        self._set("abort")
         super().cancel()
 
     def cancel(self) -> None:
@@ -122,7 +124,9 @@ class JobControl(CancelToken):
         for brake in tuple(self._brakes):
             brake(verb)
 
-    def _set(self, request: Request) -> None:
+    def _set(self, request: Request, replaces: tuple[Request, ...]) -> None:
+        """Set the request if one of ``replaces`` stands: a late ``resume`` must not undo an ``abort``."""
         with self._changed:
-            self._request = request
-            self._changed.notify_all()
+            if self._request in replaces:
+                self._request = request
+                self._changed.notify_all()
