@@ -14,6 +14,7 @@ import time
 import numpy as np
 
 from cellapp.cli.job import Job, run_program
+from cellapp.control import Request
 
 
 def say(line: str) -> None:
@@ -61,7 +62,7 @@ def receive(job: Job) -> None:
 
 def hold(job: Job) -> None:
     """Rest, and say when a pause begins and ends."""
-    request = job.control.request
+    request: Request = "none"
     while True:
         job.control.check()
         before, request = request, job.control.wait_while(request, timeout_s=1.0)

@@ -19,6 +19,7 @@ LOADS = ("spin", "multiply", "query", "receive")
 
 pytestmark = [
     pytest.mark.fast,
+    pytest.mark.timeout(120),
     pytest.mark.skipif(sys.platform == "win32", reason="a parent cannot send these signals on Windows"),
 ]
 
@@ -87,7 +88,7 @@ def test_the_second_interrupt_aborts_at_once() -> None:
 def test_a_hangup_that_comes_twice_stays_a_stop() -> None:
     with busy("query") as process:
         assert brake_after(process, signal.SIGHUP)[0] == "stop"
-        assert brake_after(process, signal.SIGHUP)[0] == "stop"
+        process.send_signal(signal.SIGHUP)
         _, said = process.communicate(timeout=WAIT_S)
         assert process.returncode == 4
         assert "aborted" not in said
