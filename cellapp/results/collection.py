@@ -52,6 +52,16 @@ class CollectResult(Result):
     standard_error_mm: Mapping[str, float] = Field(default_factory=dict)
 
 
+class RequestResult(Result):
+    """``pause``, ``resume``, ``stop`` and ``abort``: what the running job was asked, and its answer."""
+
+    schema_: Literal["cellapp-request"] = "cellapp-request"
+    version: Literal[1] = 1
+    run: str
+    request: Literal["pause", "resume", "stop", "abort"]
+    answer: str
+
+
 class ImportResult(Result):
     """``import``: number of readings of each arm."""
 
