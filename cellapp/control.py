@@ -68,20 +68,23 @@ class JobControl(CancelToken):
         self._set("pause", replaces=("none",))
 
     def resume(self) -> None:
-        """Let a paused or stopped job continue; a job that does not hold ends after ``stop`` all the same."""
-        self._set("none", replaces=("pause", "stop") if self.holds else ("pause",))
+        """Let a paused or stopped job continue; one that ends because of the stop ends all the same."""
+        self._set("none", replaces=("pause",) if self.cancelled else ("pause", "stop"))
 
     def stop(self) -> None:
         """Brake all arms now."""
-        self._set("stop", replaces=("none", "pause", "stop"))  # first: ``brakes`` either sees it or is called below
-        self._brake("stop")
-        if not self.holds:
+        attended = self.holds and self.has_brakes  # a job without arms has nothing to hold
+        self._brake_and_set("stop", replaces=("none", "pause", "stop"))
+        if not attended:
             super().cancel()
+
+    def hold(self) -> None:
+        """Ask for a person's ``resume`` after the cell stopped by itself; the arms brake already."""
+        self._set("stop", replaces=("none", "pause", "stop"))
 
     def abort(self) -> None:
         """Brake all arms now and end the job."""
-        self._set("abort", replaces=("none", "pause", "stop", "abort"))
-        self._brake("abort")
+        self._brake_and_set("abort", replaces=("none", "pause", "stop", "abort"))
         super().cancel()
 
     def cancel(self) -> None:
@@ -92,11 +95,14 @@ class JobControl(CancelToken):
         """Raise ``Stopped`` or ``Aborted`` if the job has to end."""
         if self._request == "abort":
             raise Aborted("aborted on request")
-        if self._request == "stop" and not self.holds:
+        if self._request == "stop" and self.cancelled:
             raise Stopped("stopped on request")
 
     def wait_while(self, *requests: Request, timeout_s: float | None = None) -> Request:
-        """Wait while one of ``requests`` stands; return the request that stands then."""
+        """Wait while one of ``requests`` stands; return the request that stands then.
+
+        A simulated person overrides this: it is the only place where a job waits for a person in real time.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._request not in requests, timeout_s)
         return self._request
@@ -120,9 +126,15 @@ class JobControl(CancelToken):
         finally:
             self._brakes.remove(brake)
 
-    def _brake(self, verb: str) -> None:
-        for brake in tuple(self._brakes):
+    def _brake_and_set(self, verb: Literal["stop", "abort"], replaces: tuple[Request, ...]) -> None:
+        """Brake first: a job that sees the request must find its arms stopped. Then set the request."""
+        reached = tuple(self._brakes)
+        for brake in reached:
             brake(verb)
+        self._set(verb, replaces)
+        for brake in tuple(self._brakes):
+            if brake not in reached:  # opened meanwhile, before it could see the request
+                brake(verb)
 
     def _set(self, request: Request, replaces: tuple[Request, ...]) -> None:
         """Set the request if one of ``replaces`` stands: a late ``resume`` must not undo an ``abort``."""
