@@ -104,6 +104,8 @@ class Innovation:
         Of ``off_M``: parameters, stated noise, excess scatter [m^2].
     R_M_F : array, shape (3, 3)
         Rotation of the flange.
+    scatter_m : float
+        Standard deviation of a coordinate about the model [m].
     freedom : float
         Degrees of freedom from which the scatter was estimated.
     """
@@ -113,6 +115,7 @@ class Innovation:
     off_M: Array
     covariance_M: Array
     R_M_F: Array
+    scatter_m: float
     freedom: float
 
 
@@ -275,7 +278,7 @@ class OnlineFit:
         stated, off, model = self._readings.newest_stated(), p_M - P, models.predicting
         innovation = off - J @ model.step
         expected = J @ model.covariance @ J.T + model.variance * (stated + model.excess * np.eye(3))
-        self.innovation = Innovation(stop, p_M, innovation, expected, J[:, self._tool], model.freedom)
+        self.innovation = Innovation(stop, p_M, innovation, expected, J[:, self._tool], model.scatter_m, model.freedom)
         if innovation @ np.linalg.solve(expected, innovation) <= GROSS**2:
             model.add(J, off, stated)
             models.geometry.add(J[:, : len(self._precision)], off, stated)
