@@ -336,23 +336,25 @@ class SimulatedTracker:
         return any(self._plant.moving(name) for name in self._plant.names)
 
     def _wait(self, duration_s: float) -> None:
-        """Let time pass in steps of at most ``watch_s``. Raises ``Halted``."""
+        """Let time pass in steps of at most ``watch_s``, up to each event. Raises ``Halted`` or ``TrackerLinkLost``."""
         end_s = self._plant.clock_s + duration_s
         left = duration_s
         while left > 0.0:
-            self._pass_time(min(left, self._watch_s))
+            step = min(left, self._watch_s, self._plant.undisturbed_s)
+            self._pass_time(step)
+            self._link()  # before the halt: a restart is a lost link
             if self._halt.is_set():
-                self._link()  # a restart is a lost link, not a halt
                 raise Halted("tracker: a halt was requested; no measurement was made")
-            left = 0.0 if left <= self._watch_s else end_s - self._plant.clock_s
+            left = 0.0 if left <= step else end_s - self._plant.clock_s
 
     def _average(self, locked: _Smr, averaging_s: float) -> None:
-        """Wait for the end of the averaging, and check the target while anything moves."""
+        """Wait for the end of the averaging, and check the target while anything moves or is changed by an event."""
         began_s = self._plant.clock_s
         left = averaging_s
         while left > 0.0:
-            step = min(left, self._watch_s, _WATCH_S if self._moving() else math.inf)
-            moved = self._moving()
+            undisturbed_s = self._plant.undisturbed_s
+            step = min(left, self._watch_s, undisturbed_s, _WATCH_S if self._moving() else math.inf)
+            moved = self._moving() or step == undisturbed_s
             self._wait(step)
             moved = moved or any(self._plant.moving(n) or self._plant.rest_s(n) > began_s for n in self._plant.names)
             if moved:
