@@ -103,6 +103,8 @@ class Plant:
         self._clock_s = 0.0
         self._T_M_C = inverse(config.tracker.T_C_M)
         self._air = Air(config.temperature_c, np.random.default_rng([config.seed, 0]))
+        self._air_now = (np.nan, np.nan)
+        """A time [s] and the air temperature at it [degC]."""
         self._noise = np.random.default_rng([config.seed, 1])
         # one random stream per arm and purpose: draws of one do not change another
         self._arms = {
@@ -318,7 +320,11 @@ class Plant:
     @property
     def air_temperature_c(self) -> float:
         """Air temperature now [degC]."""
-        return float(self._air.temperature_c(np.array([self._clock_s]))[0])
+        time_s, temperature_c = self._air_now
+        if time_s != self._clock_s:
+            temperature_c = float(self._air.temperature_c(np.array([self._clock_s]))[0])
+            self._air_now = self._clock_s, temperature_c
+        return temperature_c
 
     def joint_temperatures_c(self, name: str) -> Array:
         """Joint temperatures of an arm now, (N,) [degC]."""
@@ -385,7 +391,7 @@ class Plant:
         arm.motion = None
 
     def advance(self, duration_s: float) -> None:
-        """Advance the clock; an action of ``schedule`` is called at its time. An error that it raises passes through."""
+        """Advance the clock; actions of ``schedule`` happen at their time. An error that one raises passes through."""
         end_s = self._clock_s + duration_s
         if self.schedule.next_s > end_s:
             self._pass(duration_s)
