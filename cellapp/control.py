@@ -70,11 +70,17 @@ class JobControl(CancelToken):
 
     def stop(self) -> None:
         """Brake all arms now."""
+        attended = self.holds and bool(self._brakes)  # a job without arms has nothing to hold
         self._brake("stop")
         if self._request != "abort":
             self._set("stop")
-        if not self.holds:
+        if not attended:
             super().cancel()
+
+    def hold(self) -> None:
+        """Ask for a person's ``resume`` after the cell stopped by itself; the arms brake already."""
+        if self._request != "abort":
+            self._set("stop")
 
     def abort(self) -> None:
         """Brake all arms now and end the job."""
@@ -90,7 +96,7 @@ class JobControl(CancelToken):
         """Raise ``Stopped`` or ``Aborted`` if the job has to end."""
         if self._request == "abort":
             raise Aborted("aborted on request")
-        if self._request == "stop" and not self.holds:
+        if self._request == "stop" and self.cancelled:
             raise Stopped("stopped on request")
 
     def wait_while(self, *requests: Request, timeout_s: float | None = None) -> Request:

@@ -18,11 +18,12 @@ from threadpoolctl import threadpool_limits
 from cellapp.calibration.calibrate import calibrate_readings, missing_splits, provenance_of
 from cellapp.calibration.result import calibrate_result
 from cellapp.collection.cell import Cell
-from cellapp.collection.collect import collect_run
+from cellapp.collection.collect import collect_run, missing_share, reference_drifts
 from cellapp.collection.controllers import check_controllers
 from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
+from cellapp.control import JobControl
 from cellapp.discovery.discover import discover_cell
 from cellapp.discovery.outcome import CellDiscovery
 from cellapp.discovery.proposal.candidate_poses import Effort
@@ -85,7 +86,7 @@ def default_folder(profile_name: str) -> Path:
 
 
 def run_whole(
-    profile_path: Path, folder: Path | None, listener: Listener = ignore, cancel: CancelToken | None = None
+    profile_path: Path, folder: Path | None, listener: Listener = ignore, control: JobControl | None = None
 ) -> WholeRunResult:
     """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report.
 
@@ -96,18 +97,18 @@ def run_whole(
     Cancelled
         On request; the run file keeps all that was committed and can be resumed.
     """
-    cancel = cancel or CancelToken()
+    control = control or JobControl()
     profile = load_profile(profile_path)
     targets: tuple[Target, ...] = ()
     if profile.targets is not None:  # read now: a misspelt list should not show after hours of measuring
         targets = load_targets(profile_path.parent / profile.targets, profile)
     notes: list[str] = []
-    with new_planned_run(profile, folder or default_folder(profile.name), listener, cancel) as run:
-        notes += collect_run(run, listener, cancel)
-        notes += calibrate_run(run, listener, cancel).notes
-        discover_run(run, listener, cancel)
+    with new_planned_run(profile, folder or default_folder(profile.name), listener, control) as run:
+        notes += collect_run(run, listener, control).notes
+        notes += calibrate_run(run, listener, control).notes
+        discover_run(run, listener, control)
         if targets:
-            notes += push_run(run, targets, listener, cancel, verify=True).notes
+            notes += push_run(run, targets, listener, control, verify=True).notes
         write_page(run)
         return _shown(WholeRunResult, read_results(run), notes=tuple(notes))
 
@@ -142,11 +143,25 @@ def plan_new_run(
 
 
 def collect_stops(
-    run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None, *, resume: bool = False
+    run: RunFile,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    resume: bool = False,
+    accept_drift: bool = False,
 ) -> CollectResult:
     """Measure the planned stops. Raises as ``collect_run`` does."""
-    notes = collect_run(run, listener, cancel, resume=resume)
-    return CollectResult(stops=len(run.stops_done()), notes=tuple(notes))
+    summary = collect_run(run, listener, control, resume=resume, accept_drift=accept_drift)
+    return CollectResult(
+        stops=len(run.stops_done()),
+        notes=summary.notes,
+        outcome=summary.outcome,
+        missing=summary.missing,
+        missing_share=missing_share(run, summary.missing),
+        tolerated_share=run.profile.collection.tolerated,
+        references=reference_drifts(run),
+        standard_error_mm=summary.standard_error_mm,
+    )
 
 
 def import_new_run(profile: Profile, csv: Path, folder: Path) -> ImportResult:
@@ -310,7 +325,7 @@ def push_run(
     run: RunFile,
     targets: Sequence[Target],
     listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    control: JobControl | None = None,
     *,
     verify: bool,
     out_of_date: bool = False,
@@ -341,7 +356,7 @@ def push_run(
     def opened(cell: Cell) -> None:
         notes.extend(check_controllers(run, cell).notes)
 
-    pushed = push(run.profile, _model(run, used), commands, listener, cancel, verify=verify, opened=opened)
+    pushed = push(run.profile, _model(run, used), commands, listener, control, verify=verify, opened=opened)
     notes += [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
     result = pushed.model_copy(update={"notes": tuple(notes)})
     append_stage(run, VERIFY if verify else PUSH, result, basis_on_model(run, used, _targets_json(targets)))

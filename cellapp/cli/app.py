@@ -53,7 +53,7 @@ def run(
     from cellapp.reporting.tables import calibration_tables, tracker_sentences, verification_tables
 
     with Job(json_file) as job:
-        result = run_whole(profile, folder, job.listen, job.cancel)
+        result = run_whole(profile, folder, job.listen, job.control)
         if result.calibrate is not None:
             job.show(calibration_tables(result.calibrate))
         if result.discover is not None:
@@ -90,7 +90,7 @@ def plan(profile: ProfilePath, folder: NewRun, json_file: JsonOption = None) -> 
     from cellapp.profile import load_profile
 
     with Job(json_file) as job:
-        result = plan_new_run(load_profile(profile), folder, job.listen, job.cancel)
+        result = plan_new_run(load_profile(profile), folder, job.listen, job.control)
         job.say(*(f"arm {name}: {count} stops planned" for name, count in result.stops.items()))
         job.result(result)
 
@@ -105,7 +105,7 @@ def collect(
     from cellapp.pipeline import collect_stops
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = collect_stops(opened, job.listen, job.cancel, resume=resume)
+        result = collect_stops(opened, job.listen, job.control, resume=resume)
         job.say(f"{result.stops} stops stored", *result.notes)
         job.result(result)
 
@@ -169,7 +169,7 @@ def calibrate(
     from cellapp.reporting.tables import calibration_tables, parameter_tables, tracker_sentences
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = calibrate_run(opened, job.listen, job.cancel)
+        result = calibrate_run(opened, job.listen, job.control)
         job.show(calibration_tables(result))
         if parameters:
             job.show(parameter_tables(result))
@@ -196,9 +196,9 @@ def discover(
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         if propose is None:
-            result = discover_run(opened, job.listen, job.cancel)
+            result = discover_run(opened, job.listen, job.control)
         else:
-            result = propose_run(opened, propose, job.listen, job.cancel)
+            result = propose_run(opened, propose, job.listen, job.control)
         job.say(*discovery_lines(result))
         if result.proposal is not None:
             job.say("", *proposal_lines(result.proposal))
@@ -237,7 +237,7 @@ def push(
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         listed = load_targets(targets, opened.profile)
-        result = push_run(opened, listed, job.listen, job.cancel, verify=verify, out_of_date=out_of_date)
+        result = push_run(opened, listed, job.listen, job.control, verify=verify, out_of_date=out_of_date)
         job.show(verification_tables(result))
         if not verify:
             reached = sum(not target.note for target in result.targets)
@@ -290,7 +290,7 @@ def emulate(
             served = {"pace": pace, "arms": [asdict(arm) for arm in arms], "tracker": tracker}
             job.result(EmulateResult.model_validate(served))
 
-        serve(load_profile(profile), job.cancel, announce, pace=pace, announce_tracker=trackers.append)
+        serve(load_profile(profile), job.control, announce, pace=pace, announce_tracker=trackers.append)
 
 
 @app.command("tracker-bridge")
@@ -331,7 +331,7 @@ def tracker_bridge(
 
         serve_tracker(
             load_profile(profile),
-            job.cancel,
+            job.control,
             announce,
             host=host,
             port=DEFAULT_PORT if port is None and serial is None else port,

@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellapp.control import JobControl
 from cellapp.errors import CellappError, InputError
-from cellapp.progress import Cancelled, CancelToken, Progress
+from cellapp.progress import Cancelled, Progress
 
 if TYPE_CHECKING:
     from cellapp.reporting.table import Table
@@ -71,7 +72,7 @@ class Job:
                 raise InputError(f"--json: {json_file}: folder not found; nothing was done")
             if Path(json_file).is_dir():
                 raise InputError(f"--json: {json_file} is a folder; give the path of a file. Nothing was done")
-        self.cancel = CancelToken()
+        self.control = JobControl()
         self._json_file = json_file
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
@@ -133,9 +134,9 @@ class Job:
             raise CellappError(f"--json: {self._json_file} cannot be written ({error.strerror})") from None
 
     def _interrupt(self, number: int, frame: object) -> None:
-        if self.cancel.cancelled:
+        if self.control.cancelled:
             raise Cancelled("stopped at once")
-        self.cancel.cancel()
+        self.control.stop()
         print("stopping at the next step; once more to stop at once", file=sys.stderr)
 
     def _start_bars(self) -> None:

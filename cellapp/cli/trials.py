@@ -26,7 +26,7 @@ def coverage(
     from cellapp.trials.coverage import coverage_trials
 
     with Job(json_file) as job:
-        result = coverage_trials(load_profile(profile), n, stops, job.listen, job.cancel)
+        result = coverage_trials(load_profile(profile), n, stops, job.listen, job.control)
         for name, arm in result.arms.items():
             shares = arm.by_parameter.values()
             job.say(
@@ -48,7 +48,7 @@ def parameter_sets(
     from cellapp.trials.tables import parameter_set_tables
 
     with Job(json_file) as job:
-        result = parameter_set_trials(load_profile(profile), range(seeds), job.listen, job.cancel)
+        result = parameter_set_trials(load_profile(profile), range(seeds), job.listen, job.control)
         job.show(parameter_set_tables(result))
         job.result(result)
 
@@ -65,7 +65,7 @@ def paper(
     from cellapp.trials.tables import paper_tables
 
     with Job(json_file) as job:
-        result = paper_result(paper_trials(load_profile(profile), range(seeds), job.listen, job.cancel))
+        result = paper_result(paper_trials(load_profile(profile), range(seeds), job.listen, job.control))
         job.show(paper_tables(result))
         job.result(result)
 
@@ -82,7 +82,7 @@ def links(
     from cellapp.trials.tables import link_table
 
     with Job(json_file) as job:
-        result = link_trials(moves, every, seed, job.listen, job.cancel)
+        result = link_trials(moves, every, seed, job.listen, job.control)
         job.show([link_table(result)])
         job.say(f"{result.moves} moves, {result.faults} faults, {len(result.complaints)} complaints")
         job.say(*result.complaints)
@@ -109,7 +109,7 @@ def bridge(
     from cellapp.trials.tables import bridge_table
 
     with Job(json_file) as job:
-        result = bridge_trial(load_profile(profile), measurements, every, seed, serial, job.listen, job.cancel)
+        result = bridge_trial(load_profile(profile), measurements, every, seed, serial, job.listen, job.control)
         job.show([bridge_table(result)])
         job.say(
             f"{result.asked} measurements asked for, {result.delivered} delivered; {result.lost} lost,"
@@ -142,7 +142,7 @@ def seal(
 
     with Job(json_file) as job:
         result = seal_trials(
-            load_profile(profile), out, n, seed=seed, kind=kind, noise=noise, listener=job.listen, cancel=job.cancel
+            load_profile(profile), out, n, seed=seed, kind=kind, noise=noise, listener=job.listen, cancel=job.control
         )
         job.say(f"{result.runs} runs in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge' only")
         job.say(f"SHA-256 of the truth, also in {out / SEAL_FILE}: {result.sha256}")
@@ -166,7 +166,7 @@ def judge(
     with Job(json_file) as job:
         if markdown is not None and not markdown.absolute().parent.is_dir():
             raise InputError(f"--markdown: {markdown}: folder not found; nothing was done")
-        result = judge_trials(folder, jobs=jobs, again=again, listener=job.listen, cancel=job.cancel)
+        result = judge_trials(folder, jobs=jobs, again=again, listener=job.listen, cancel=job.control)
         job.show(judge_tables(result))
         job.say(*judge_sentences(result))
         job.result(result)

@@ -78,7 +78,7 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
             except ArmError as error:
                 raise HardwareError(str(error)) from error
         stack.callback(tracker.disconnect)
-        _start_tracker(tracker, profile.tracker.driver)
+        start_tracker(tracker, profile.tracker.driver)
         if air is not None:
             stack.callback(air.disconnect)
             try:
@@ -106,7 +106,8 @@ def _disconnect(arm: Arm) -> None:
         arm.disconnect()
 
 
-def _start_tracker(tracker: Tracker, settings: TrackerSettings) -> None:
+def start_tracker(tracker: Tracker, settings: TrackerSettings) -> None:
+    """Connect and prepare the tracker. Raises ``InputError`` for a setting it lacks, ``HardwareError``."""
     try:
         tracker.connect()
         preparation = settings.preparation()

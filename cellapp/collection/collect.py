@@ -2,276 +2,135 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
-from itertools import permutations
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.controllers import check_controllers
-from cellapp.collection.motion import MotionRefused, Mover
+from cellapp.collection.session import CollectSession, End
+from cellapp.collection.supervision import reacting
+from cellapp.collection.work import remaining_work, reserve_stops
+from cellapp.control import Aborted, JobControl, Stopped
 from cellapp.errors import HardwareError, InputError
-from cellapp.planning.stop_conditions import StopConditions, read_stop_conditions
-from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.run import Reading, RunFile
-from cellapp.safety.cell_bodies import cell_bodies, home_positions
-from drivers.arms.protocol import ArmState
-from drivers.sensors.protocol import AirSensor, SensorError
-from drivers.trackers.protocol import Point, TrackerError
+from cellapp.progress import Listener, ignore
+from cellapp.results import MissingReading, ReferenceDrift
+from cellapp.run import RunFile, SessionEnd
+from cellapp.safety.cell_bodies import cell_bodies
 
-_MOST_MISSED_IN_A_ROW = 10
-"""The plan has visible stops only: this many misses in a row are a fault of the tracker or of the targets."""
-_DIRECT = StopConditions()
-"""Straight approach, no dwell."""
+Opened = Callable[..., AbstractContextManager[Cell]]
+"""Opens the cell of a profile; ``watch_clearance`` observes distances in a simulated cell."""
 
-Targets = Mapping[str, NDArray[np.float64]]
-"""Arm -> joint positions (N,) [rad]."""
+
+@dataclass(frozen=True)
+class CollectSummary:
+    """How a session ended. ``missing`` lists planned readings that the run lacks."""
+
+    outcome: End
+    notes: tuple[str, ...]
+    missing: tuple[MissingReading, ...]
+    standard_error_mm: Mapping[str, float] = field(default_factory=dict)
 
 
 def collect_run(
     run: RunFile,
     listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    control: JobControl | None = None,
     *,
     resume: bool = False,
+    accept_drift: bool = False,
     watch_clearance: bool = False,
-) -> tuple[str, ...]:
-    """Collect all planned stops that are not stored yet. Returns notes for the person.
+    opened: Opened | None = None,
+) -> CollectSummary:
+    """Collect all planned stops that are not stored yet.
 
-    A target that cannot be measured is noted and its arm's reading left out; the stop counts as done for the other
-    arm. A stop that discovery proposed has its own approach and dwell; if the gate refuses it, it is left out with a
-    note. Once splits are drawn, its readings are for training: the validation set must not change. A job cancelled
-    between stops, or while the arms wait, leaves them at rest, and the run can be resumed.
+    A target that cannot be measured is recorded and its arm's reading left out; the stop counts as done for the other
+    arm, and a reserve stop is added. A stop that discovery proposed has its own approach and dwell; if the gate refuses
+    it, it is left out. Once splits are drawn, its readings are for training: the validation set must not change.
 
     Raises
     ------
     InputError
-        If there is no plan, or stops are stored and ``resume`` is False.
+        If there is no plan, stops are stored and ``resume`` is False, or the run file cannot be written.
     HardwareError
-        If an arm or the tracker fails; all committed stops stay.
-    Cancelled
+        If an arm or the tracker fails, or nothing could be measured; all committed stops stay.
+    Stopped, Aborted
+        On request; the arms have been braked, and the run can be resumed.
     """
-    cancel = cancel or CancelToken()
-    work = _remaining_work(run, resume=resume)
+    control = control or JobControl()
+    work = remaining_work(run, resume=resume)
     if not work.stops:
-        return (f"all {work.total} stops were stored already",)
+        return CollectSummary("complete", (f"all {work.total} stops were stored already",), missing_readings(run))
     bodies = cell_bodies(run.profile)
-    with open_cell(run.profile, watch_clearance=watch_clearance) as cell:
-        notes = list(check_controllers(run, cell).notes)
-        session = _Session(run, work, cell, Mover(run.profile, cell, bodies), cancel, notes)
-        missed = 0
-        for index, stop in enumerate(work.stops):
-            cancel.check()
-            listener(Progress("collect", work.total - len(work.stops) + index, work.total, f"stop {stop + 1}"))
-            states = session.approach(stop)
-            if states is None:
-                continue
-            rows = session.measure(stop, states)
-            missed = 0 if rows else missed + 1
-            if missed >= _MOST_MISSED_IN_A_ROW:
-                raise HardwareError(f"the tracker saw no SMR at {missed} stops in a row; check tracker and targets")
-            if rows:
-                run.add_stop(stop, rows)
-        listener(Progress("collect", work.total, work.total, "going home"))
-        session.end()
-        return tuple(session.notes)
+    number = run.begin_session()
+    notes: list[str] = []
+    with _session_recorded(run, number):
+        with (opened or open_cell)(run.profile, watch_clearance=watch_clearance) as cell:
+            notes += check_controllers(run, cell).notes
+            with reacting(cell, control) as reaction:
+                session = CollectSession(
+                    run, work, cell, bodies, reaction, control, listener, number, accept_drift, notes
+                )
+                outcome = session.collect()
+        if not run.stops_done():
+            reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
+            raise HardwareError(f"nothing could be measured: {reason}")
+        run.end_session(number, outcome, "")
+    return CollectSummary(outcome, tuple(notes), missing_readings(run))
 
 
-@dataclass(frozen=True)
-class _Work:
-    """The stops to collect.
-
-    Attributes
-    ----------
-    plan : mapping
-        Arm -> joint positions of all stops (n, N) [rad].
-    total : int
-        Number of planned stops, including those that are stored.
-    stops : tuple of int
-        Numbers of the stops that are not stored.
-    proposed : mapping
-        Stop -> arm -> approach and dwell, for stops that discovery proposed.
-    split : str or None
-        Split of readings at proposed stops; None if splits are not drawn yet.
-    earlier_s : float
-        Time of the last stored reading [s]; new readings follow it.
-    """
-
-    plan: Mapping[str, NDArray[np.float64]]
-    total: int
-    stops: tuple[int, ...]
-    proposed: Mapping[int, Mapping[str, StopConditions]]
-    split: str | None
-    earlier_s: float
-
-    def targets(self, stop: int) -> dict[str, NDArray[np.float64]]:
-        """Return the joint positions of a stop by arm."""
-        return {name: q[stop] for name, q in self.plan.items()}
-
-    def conditions(self, stop: int, name: str) -> StopConditions:
-        """Return approach and dwell of an arm at a stop."""
-        return self.proposed.get(stop, {}).get(name, _DIRECT)
-
-
-def _remaining_work(run: RunFile, *, resume: bool) -> _Work:
+def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
+    """Planned readings that a run lacks, with the reason; reserve stops that were not needed are not missing."""
     plan = run.read_plan()
-    if not plan:
-        raise InputError(f"{run.path}: there is no plan; make one with 'cellapp plan'")
-    done = run.stops_done()
-    if done and not resume:
-        raise InputError(
-            f"{run.path}: {len(done)} stops are stored already; continue with --resume, or start a new run"
+    total = len(next(iter(plan.values()))) if plan else 0
+    outcomes = {(one.stop, one.arm): one for one in run.outcomes()}
+    stored = {name: set(run.readings(name).configuration.tolist()) for name in plan}
+    reserves = reserve_stops(run, total)
+    missing = []
+    for stop in range(total):
+        for name in plan:
+            outcome = outcomes.get((stop, name))
+            if stop in stored[name] or (outcome is None and stop in reserves):
+                continue
+            if outcome is None:
+                missing.append(MissingReading(stop=stop, arm=name, kind="not tried", reason="the session ended before"))
+            else:
+                missing.append(MissingReading(stop=stop, arm=name, kind=outcome.kind, reason=outcome.reason))
+    return tuple(missing)
+
+
+def missing_share(run: RunFile, missing: Sequence[MissingReading]) -> float:
+    """Share of the asked readings that is missing: a reserve stop that was measured replaces one that is missing."""
+    asked = sum(len(q) - len(reserve_stops(run, len(q))) for q in run.read_plan().values())
+    measured = sum(len(run.readings(name)) for name in run.read_plan())
+    return max(asked - measured, 0) / asked if asked and missing else 0.0
+
+
+def reference_drifts(run: RunFile) -> tuple[ReferenceDrift, ...]:
+    """Distance of every reference measurement from the first one of its name in the run."""
+    first: dict[str, NDArray[np.float64]] = {}
+    return tuple(
+        ReferenceDrift(
+            name=row.name,
+            stops_done=row.stops_done,
+            drift_mm=float(np.linalg.norm(row.p_M - first.setdefault(row.name, row.p_M))) * 1e3,
         )
-    total = len(next(iter(plan.values())))
-    readings = [run.readings(name) for name in run.arms()]
-    proposed = read_stop_conditions(run)
-    drawn = bool(proposed) and any(arm.split is not None for arm in readings)
-    return _Work(
-        plan=plan,
-        total=total,
-        stops=tuple(stop for stop in range(total) if stop not in done),
-        proposed=proposed,
-        split="train" if drawn else None,
-        earlier_s=max((float(arm.time_s.max()) for arm in readings), default=0.0) if done else 0.0,
+        for row in run.references()
     )
 
 
-@dataclass
-class _Session:
-    """One open cell while its stops are collected."""
-
-    run: RunFile
-    work: _Work
-    cell: Cell
-    mover: Mover
-    cancel: CancelToken
-    notes: list[str]
-    began_s: float | None = None
-    """Start of the run on the tracker's clock [s]. Controllers have clocks of their own, which are not used."""
-    air: _AirTemperature | None = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.air = None if self.cell.air is None else _AirTemperature(self.cell.air, self.run, self.notes)
-
-    def approach(self, stop: int) -> dict[str, ArmState] | None:
-        """Move to a stop; None, with a note, if the gate refuses a proposed one."""
-        targets = self.work.targets(stop)
-        if stop not in self.work.proposed:
-            return _move(self.mover, targets)
-        try:
-            return _move_as_proposed(self.mover, targets, self.work.proposed[stop])
-        except MotionRefused as error:
-            self._note(f"stop {stop + 1}: left out: {error}")
-            return None
-
-    def measure(self, stop: int, states: Mapping[str, ArmState]) -> dict[str, Reading]:
-        """Measure the arms in the order of their dwell times. An SMR that cannot be measured is noted."""
-        temperature_c = None if self.air is None else self.air.at_stop(stop)
-        rows: dict[str, Reading] = {}
-        dwell_s = {name: self.work.conditions(stop, name).dwell_s for name in states}
-        for name in sorted(states, key=lambda name: dwell_s[name]):
-            if dwell_s[name] > 0.0:
-                self.mover.rest(name, dwell_s[name], self.cancel)
-            try:
-                point = self.mover.measure(name, states[name].q)
-            except TrackerError as error:
-                self._note(f"stop {stop + 1}, arm {name}: not measured: {error}")
-                continue
-            air_c = point.temperature_c if self.air is None else temperature_c
-            rows[name] = self._reading(stop, name, states[name], point, air_c)
-        return rows
-
-    def end(self) -> None:
-        """Move all arms home, and note the smallest distance between them if it was observed."""
-        try:
-            self.mover.move(home_positions(self.run.profile))
-        except MotionRefused as error:
-            self.notes.append(f"the arms stay where they are: {error}")
-        if self.cell.clearance is not None:
-            self.notes.append(f"smallest distance between the arms {self.cell.clearance.arms_m * 1e3:.0f} mm")
-
-    def _note(self, text: str) -> None:
-        self.run.log("warning", text)
-        self.notes.append(text)
-
-    def _reading(self, stop: int, name: str, state: ArmState, point: Point, temperature_c: float | None) -> Reading:
-        """Return the reading of a point that was just measured; its dwell ends at the middle of the averaging."""
-        if self.began_s is None:
-            self.began_s = point.time_s - point.averaging_s - self.work.earlier_s
-        rested_s = self.mover.rested_s(name)
-        return Reading(
-            q=state.q,
-            p_M=point.p_M,
-            time_s=point.time_s - self.began_s,
-            approach=self.mover.approach(name).copy(),
-            payload_kg=state.payload_kg,
-            temperature_c=temperature_c,
-            joint_temperature_c=state.joint_temperature_c,
-            step=self.mover.step(name),
-            dwell_s=None if rested_s is None else max(rested_s - 0.5 * point.averaging_s, 0.0),
-            covariance_M=point.covariance_M,
-            split=self.work.split if stop in self.work.proposed else None,
-        )
-
-
-@dataclass
-class _AirTemperature:
-    """Air temperature from the weather station; None while it fails, which is noted once.
-
-    The tracker's own sensor is no substitute: a change of sensor would look like a change of the air.
-    """
-
-    sensor: AirSensor
-    run: RunFile
-    notes: list[str]
-    state: Literal["new", "working", "failed"] = "new"
-
-    def at_stop(self, stop: int) -> float | None:
-        """Read the air temperature [degC]."""
-        try:
-            reading = self.sensor.read()
-        except SensorError as error:
-            if self.state != "failed":
-                note = f"stop {stop + 1}: readings go without air temperature: {error}"
-                self.run.log("warning", note)
-                self.notes.append(note)
-            self.state = "failed"
-            return None
-        if self.state != "working":
-            self.run.log("info", f"stop {stop + 1}: {reading}")
-        self.state = "working"
-        return reading.temperature_c
-
-
-def _move(mover: Mover, targets: Targets) -> dict[str, ArmState]:
-    """Move straight, or via home if the gate refuses that (after a resume, or a missed stop)."""
+@contextmanager
+def _session_recorded(run: RunFile, number: int) -> Iterator[None]:
+    """Record how a session ends with an exception; the exception is the one to report, whatever the disk says."""
+    endings: tuple[tuple[type[BaseException], SessionEnd], ...] = ((Aborted, "aborted"), (Stopped, "stopped"))
     try:
-        return mover.move(targets)
-    except MotionRefused:
-        mover.go_home()
-        return mover.move(targets)
-
-
-def _move_as_proposed(mover: Mover, targets: Targets, conditions: Mapping[str, StopConditions]) -> dict[str, ArmState]:
-    """Move to where the last legs begin, all arms at once or one after the other, then do those legs.
-
-    Nothing moves unless the gate accepts all legs. If it does not, the arms go home and try from there.
-    """
-    vias = {name: one.via for name, one in conditions.items() if one.via is not None and name in targets}
-    start, last = {**targets, **vias}, {name: targets[name] for name in vias}
-    orders: list[list[Targets]] = [[start]]
-    orders += [[{name: start[name]} for name in order] for order in permutations(start)]
-    routes = [[*legs, last] if last else legs for legs in orders]
-    for at_home in (False, True):
-        if at_home:
-            mover.go_home()
-        for legs in routes:
-            if not mover.refusal(*legs):
-                states: dict[str, ArmState] = {}
-                for leg in legs:
-                    states |= mover.move(leg)
-                return states
-    raise MotionRefused(f"refused to move: {mover.refusal(*routes[0])}")
+        yield
+    except BaseException as error:
+        outcome: SessionEnd = next((word for kind, word in endings if isinstance(error, kind)), "failed")
+        with suppress(InputError):
+            run.end_session(number, outcome, str(error))
+            run.log("info" if outcome != "failed" else "error", f"collecting {outcome}: {error}")
+        raise

@@ -1,33 +1,38 @@
-"""Motion and measurement in an open cell: the gate checks every motion, and a fault of one arm stops all arms."""
+"""Motion and measurement in an open cell: the gate checks every motion, and a doubt about one arm stops all arms."""
 
 from __future__ import annotations
 
-import contextlib
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.collection.cell import Cell
-from cellapp.errors import CellappError, HardwareError
+from cellapp.collection.reaction import CellStopped, StopCause, StopReaction, cause_of
+from cellapp.errors import CellappError
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
 from cellapp.safety.cell_bodies import home_positions
 from cellapp.safety.gate import CellBodies, predicted_smr, refuse_motion
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout
-from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
+from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
 
 Vector = NDArray[np.float64]
 
 _MOVE_ALLOWANCE_S = 10.0
-"""Start and settling of a motion, added to twice its ideal duration: a lowered speed slider makes it longer."""
+"""Start and settling of a motion, added to twice its ideal duration."""
 _ROUND_S = 1.0
-"""Longest wait for one arm before the others are checked again: a fault of any arm stops all of them."""
+"""Longest wait for one arm before its speed slider is read: a lowered slider makes a motion longer."""
+_LEAST_FRACTION = 0.01
+"""A lower speed slider counts as 0: the motion would take a hundred times as long."""
+_STANDSTILL_S = 60.0
+"""Longest wait for an arm whose speed slider is at 0."""
 _WRONG_TARGET_M = 0.05
 """Nominal geometry and base poses predict an SMR better than this; SMRs of two arms are farther apart."""
 _AT_TARGET_RAD = 1e-3
 """Well above the repeatability of a joint, well below any planned step."""
+_MOVED_RAD = 1e-4
+"""A joint that rests farther than this from where it came to rest has moved meanwhile."""
 _STILL_RAD = 1e-9
 """Smaller commanded steps are rounding: the joint does not move."""
 _MEASURING_TRIES = 2
@@ -43,27 +48,38 @@ class MotionRefused(CellappError):
 class Mover:
     """Moves the arms of one open cell, records the last motion of each joint, and measures.
 
-    Every motion starts from the joint positions that the controllers report.
+    Every motion starts from the joint positions that the controllers report. Any doubt triggers ``reaction``, and
+    nothing moves while that is latched.
     """
 
-    def __init__(self, profile: Profile, cell: Cell, bodies: CellBodies) -> None:
-        self._profile, self._cell, self._bodies = profile, cell, bodies
+    def __init__(self, profile: Profile, cell: Cell, bodies: CellBodies, reaction: StopReaction) -> None:
+        self._profile, self._cell, self._bodies, self._reaction = profile, cell, bodies, reaction
         self._approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
         self._step: dict[str, Vector] = {}
         self._rest_since_s: dict[str, float] = {}
+        self._rested_at: dict[str, Vector] = {}
+        self._departure: dict[str, Vector] | None = None
 
     def positions(self) -> dict[str, Vector]:
-        """Return the joint positions (N,) of all arms [rad]. Raises ``HardwareError`` if one is not ready or moves."""
+        """Return the joint positions (N,) of all arms [rad]. Raises ``CellStopped`` if one is not ready or moves."""
         positions = {}
         for name in self._cell.arms:
             state = self._state(name)
             if not state.ready or state.moving:
-                raise HardwareError(
-                    f"arm {name}: not ready: {state.reason or 'it is moving'}; look at the arm, release it there,"
-                    " then continue with --resume"
+                raise self._stopped(
+                    StopCause(
+                        "fault",
+                        f"arm {name}: not ready: {state.reason or 'it is moving'}; look at the arm, release it there,"
+                        " then continue with --resume",
+                        name,
+                    )
                 )
             positions[name] = state.q
         return positions
+
+    def departure(self) -> dict[str, Vector] | None:
+        """Return where the last motion began, name -> (N,) [rad]: the way back from a motion cut short was checked."""
+        return self._departure
 
     def refusal(self, *legs: Mapping[str, Vector]) -> str:
         """Return why the arms must not move to the targets of each leg in turn; empty if they may."""
@@ -76,49 +92,61 @@ class Mover:
             start = end
         return ""
 
-    def move(self, targets: Mapping[str, Vector]) -> dict[str, ArmState]:
+    def move(self, targets: Mapping[str, Vector], speed: float = 1.0) -> dict[str, ArmState]:
         """Move to ``targets`` (name -> (N,) [rad]), all arms at once, and wait until they are at rest.
+
+        ``speed`` is the share of the profile's speed.
 
         Raises
         ------
         MotionRefused
             If the gate refuses; nothing has moved.
-        HardwareError
-            If an arm refuses, faults or does not arrive; a stop has been sent to all arms.
+        CellStopped
+            If an arm refuses, faults or does not arrive, or a person stopped the cell; all arms brake.
         """
         start = self.positions()
         refusal = refuse_motion(self._bodies, start, {**start, **targets})
         if refusal:
             raise MotionRefused(f"refused to move: {refusal}")
-        try:
-            timeout_s = 0.0
-            for name, q in targets.items():
-                speed, acceleration = self._rates(name)
-                way = np.abs(q - start[name])
-                timeout_s = max(timeout_s, float((way / speed + speed / acceleration).max()) * 2.0 + _MOVE_ALLOWANCE_S)
-                self._cell.arms[name].start_move(q, speed, acceleration)
-            states = self._settled(list(targets), timeout_s)
-        except ArmError as error:
-            self.stop()
-            raise HardwareError(f"{error}; a stop was sent to all arms") from error
-        except BaseException:
-            self.stop()
-            raise
+        self._record_foreign_steps(start)
+        self._departure = start
+        timeout_s = 0.0
+        for name, q in targets.items():
+            speeds, accelerations = self._rates(name)
+            way = np.abs(q - start[name])
+            ideal_s = float((way / (speed * speeds) + speed * speeds / accelerations).max())
+            timeout_s = max(timeout_s, 2.0 * ideal_s + _MOVE_ALLOWANCE_S)
+            self._reaction.check()
+            try:
+                self._cell.arms[name].start_move(q, speed * speeds, accelerations)
+            except ArmError as error:
+                raise self._stopped(cause_of(name, error)) from error
+        states = self._settled(list(targets), timeout_s)
         for name, q in targets.items():
             self._record_step(name, start[name], q, states[name].q)
         return states
 
+    def _record_foreign_steps(self, start: Mapping[str, Vector]) -> None:
+        """Record motions since the last one of this object that ended: one cut short, or an arm moved by hand."""
+        for name, q in start.items():
+            step = q - self._rested_at.get(name, q)
+            moved = np.abs(step) > _MOVED_RAD
+            if moved.any():
+                self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
+
     def _record_step(self, name: str, start: Vector, commanded: Vector, reached: Vector) -> None:
-        """Record the last motion of each joint. Raises ``HardwareError`` if the arm did not reach its target."""
+        """Record the last motion of each joint. Raises ``CellStopped`` if the arm did not reach its target."""
         step = commanded - start
         moved = np.abs(step) > _STILL_RAD
         self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
         self._step[name] = np.where(moved, reached - start, 0.0)
+        self._rested_at[name] = reached
         miss = float(np.abs(reached - commanded).max())
         if miss > _AT_TARGET_RAD:
-            raise HardwareError(f"arm {name}: it came to rest {np.degrees(miss):.3f} deg from its target")
+            text = f"arm {name}: it came to rest {np.degrees(miss):.3f} deg from its target"
+            raise self._stopped(StopCause("gate", text, name))
 
-    def go_home(self) -> None:
+    def go_home(self, speed: float = 1.0) -> None:
         """Move the arms home one at a time, in an order that the gate accepts.
 
         Raises as ``move`` does; ``MotionRefused`` if none of the remaining arms can move home.
@@ -127,27 +155,46 @@ class Mover:
         waiting = list(homes)
         while waiting:
             name = next((name for name in waiting if not self.refusal({name: homes[name]})), waiting[0])
-            self.move({name: homes[name]})
+            self.move({name: homes[name]}, speed)
             waiting.remove(name)
 
     def _settled(self, names: Sequence[str], timeout_s: float) -> dict[str, ArmState]:
-        """Wait for the arms in turn, until each of them was at rest in the same round."""
-        late = ""
+        """Wait for the arms in turn, until each of them was at rest in the same round.
+
+        A doubt about any arm brakes all of them, which ends every wait at once.
+        """
         for name in names:
             self._rest_since_s.pop(name, None)
-        for _ in range(math.ceil(timeout_s / _ROUND_S)):
-            states = {}
+        left_s, standing_s, late = timeout_s, 0.0, ""
+        while left_s > 0.0 and standing_s < _STANDSTILL_S:
+            states, fraction = {}, 1.0
             for name in names:
                 try:
                     states[name] = self._cell.arms[name].wait_settled(_ROUND_S)
                 except ArmTimeout:
-                    late = name
+                    late, fraction = name, min(fraction, self._speed_fraction(name))
                     continue
+                except ArmError as error:
+                    raise self._stopped(cause_of(name, error)) from error
                 since_s = states[name].rest_since_s
                 self._rest_since_s.setdefault(name, self._cell.clock.now_s() if since_s is None else since_s)
             if len(states) == len(names):
+                self._reaction.check()
                 return states
-        raise ArmTimeout(f"arm {late}: did not come to rest within {timeout_s:.0f} s")
+            self._reaction.check()
+            if fraction < _LEAST_FRACTION:
+                standing_s += _ROUND_S
+            else:
+                left_s -= _ROUND_S * fraction
+        text = f"arm {late}: did not come to rest within {timeout_s:.0f} s"
+        if standing_s >= _STANDSTILL_S:
+            text = f"arm {late}: its speed slider is at 0 %, so that it does not move; raise it on the pendant"
+        raise self._stopped(StopCause("fault", text, late))
+
+    def _speed_fraction(self, name: str) -> float:
+        """Return the speed slider of an arm, 1 if its controller does not report it."""
+        fraction = self._state(name).speed_fraction
+        return 1.0 if fraction is None else fraction
 
     def approach(self, name: str) -> NDArray[np.int8]:
         """Return the sign of each joint's last motion (N,); 0 if it has not moved yet."""
@@ -166,10 +213,11 @@ class Mover:
         return None if since_s is None else self._cell.clock.now_s() - since_s
 
     def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
-        """Wait until an arm has been at rest for ``dwell_s`` [s]. Raises ``Cancelled`` as soon as ``cancel`` is set."""
+        """Wait until an arm has been at rest for ``dwell_s`` [s]. Raises as soon as the cell is stopped."""
         left_s = dwell_s - (self.rested_s(name) or 0.0)
         if left_s > 0.0:
             self._cell.clock.wait(left_s, cancel.wait)
+        self._reaction.check()
         cancel.check()
 
     def measure(self, name: str, q: Vector) -> Point:
@@ -179,38 +227,46 @@ class Mover:
         ------
         TargetLost, WrongTarget, Unstable
             If both tries failed.
-        HardwareError
-            If the tracker itself fails.
+        NotReady
+            If the tracker is not ready to measure.
+        CellStopped
+            If the tracker itself fails, or the cell was stopped meanwhile.
         """
-        expected = predicted_smr(self._bodies, name, q[None])[0]
+        return self.measure_at(predicted_smr(self._bodies, name, q[None])[0], f"arm {name}")
+
+    def measure_at(self, expected_M: Vector, what: str) -> Point:
+        """Measure the SMR of ``what`` at ``expected_M`` (3,) [m] in M. Raises as ``measure``."""
         problem: TrackerError = TargetLost("not tried")
         for _ in range(_MEASURING_TRIES):
+            self._reaction.check()
             try:
-                point = self._cell.tracker.measure(expected, self._profile.tracker.averaging)
+                point = self._cell.tracker.measure(expected_M, self._profile.tracker.averaging)
             except (TargetLost, WrongTarget, Unstable) as error:
                 problem = error
                 continue
+            except NotReady:
+                raise
             except TrackerError as error:
-                raise HardwareError(f"{error}") from error
-            off = float(np.linalg.norm(point.p_M - expected))
+                if isinstance(error, Halted):
+                    self._reaction.check()
+                raise self._stopped(StopCause("tracker", str(error))) from error
+            off = float(np.linalg.norm(point.p_M - expected_M))
             if off <= _WRONG_TARGET_M:
                 return point
-            problem = WrongTarget(
-                f"arm {name}: the tracker locked an SMR {off * 1e3:.0f} mm from where this one should be"
-            )
+            problem = WrongTarget(f"{what}: the tracker locked an SMR {off * 1e3:.0f} mm from where this one should be")
+        self._reaction.check()
         raise problem
 
-    def stop(self) -> None:
-        """Send a stop to every arm, whatever the others answer."""
-        for arm in self._cell.arms.values():
-            with contextlib.suppress(ArmError):
-                arm.stop()
+    def _stopped(self, cause: StopCause) -> CellStopped:
+        """Stop the cell; return the exception for its first cause, which may be an earlier one."""
+        self._reaction.trigger(cause)
+        return CellStopped(self._reaction.cause or cause)
 
     def _state(self, name: str) -> ArmState:
         try:
             return self._cell.arms[name].state()
         except ArmError as error:
-            raise HardwareError(f"{error}") from error
+            raise self._stopped(cause_of(name, error)) from error
 
     def _rates(self, name: str) -> tuple[Vector, Vector]:
         arm = self._profile.arms[name]

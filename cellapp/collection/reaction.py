@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from cellapp.errors import CellappError, HardwareError
+from cellapp.errors import HardwareError
 from drivers.arms.protocol import Arm, ArmError, EmergencyStop, HostStalled, LinkLost, ProtectiveStop
+from drivers.trackers.protocol import TrackerError
 
 CauseKind = Literal["fault", "safety stop", "link lost", "host stalled", "stop", "abort", "gate", "tracker", "engine"]
 
@@ -41,13 +43,11 @@ class StopCause:
     error: ArmError | None = None
 
 
-class CellStopped(CellappError):
+class CellStopped(HardwareError):
     """The cell was stopped; the message is the cause. Raised in the job; the arms brake already."""
 
-    exit_code = 3
-
     def __init__(self, cause: StopCause) -> None:
-        super().__init__(cause.text)
+        super().__init__(f"{cause.text}; a stop was sent to all arms")
         self.cause = cause
 
 
@@ -77,7 +77,6 @@ class StopReaction:
         self._arms, self._tracker, self._together = arms, tracker, together
         self._cause: StopCause | None = None
         self._lock = threading.RLock()
-        self._unreached: dict[str, str] = {}
         for name, arm in arms.items():
             arm.watch(lambda error, name=name: self.trigger(cause_of(name, error)))  # type: ignore[misc]
 
@@ -93,7 +92,7 @@ class StopReaction:
             if first:
                 self._cause = cause
         if first or cause.kind in ("stop", "abort"):
-            self._together([*(self._braking(name) for name in self._arms), self._tracker.halt])
+            self._together([*(self._braking(arm) for arm in self._arms.values()), self._halt_tracker])
 
     def check(self) -> None:
         """Raise ``CellStopped`` if the reaction was triggered."""
@@ -123,25 +122,38 @@ class StopReaction:
     def release(self) -> None:
         """Reconnect all arms, after a person allowed it or for a cause that is no danger. Nothing moves.
 
-        Raises ``HardwareError`` if an arm is not ready; the latch stays then.
+        The latch opens first: a doubt that comes meanwhile closes it again.
+
+        Raises
+        ------
+        HardwareError
+            If an arm is not ready, or a new doubt came; the cell is stopped then.
         """
+        with self._lock:
+            self._cause = None
         for name, arm in self._arms.items():
             try:
                 arm.connect()
                 state = arm.state()
             except ArmError as error:
+                self.trigger(cause_of(name, error))
                 raise HardwareError(str(error)) from error
             if not state.ready or state.moving:
-                raise HardwareError(f"arm {name}: not ready: {state.reason or 'it is moving'}")
-        with self._lock:
-            self._cause = None
-            self._unreached = {}
+                text = f"arm {name}: not ready: {state.reason or 'it is moving'}"
+                self.trigger(StopCause("fault", text, name))
+                raise HardwareError(text)
+        self.check()
 
-    def _braking(self, name: str) -> Callable[[], None]:
+    @staticmethod
+    def _braking(arm: Arm) -> Callable[[], None]:
         def brake() -> None:
-            try:
-                self._arms[name].brake()
-            except ArmError as error:
-                self._unreached[name] = str(error)
+            with suppress(ArmError):  # ``wait_at_rest`` asks again and reports an arm that was not seen at rest
+                arm.brake()
 
         return brake
+
+    def _halt_tracker(self) -> None:
+        with suppress(
+            TrackerError
+        ):  # the arms matter now; a tracker that does not answer shows at the next measurement
+            self._tracker.halt()

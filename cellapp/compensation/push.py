@@ -10,12 +10,14 @@ import numpy as np
 from cellapp.calibration.evaluation import summarise
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.motion import MotionRefused, Mover
+from cellapp.collection.supervision import hold_while_paused, reacting
 from cellapp.compensation.compensate import Command, with_approach
+from cellapp.control import JobControl
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.progress import Listener, Progress, ignore
 from cellapp.results import ArmVerification, MeasuredTarget, VerifyResult
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from drivers.trackers.protocol import TrackerError
@@ -28,7 +30,7 @@ def push(
     model: CellModel,
     commands: Sequence[Command],
     listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    control: JobControl | None = None,
     *,
     verify: bool,
     opened: Callable[[Cell], object] = lambda cell: None,
@@ -43,22 +45,23 @@ def push(
         If no target can be commanded at all.
     HardwareError
         If an arm or the tracker fails; all arms have been stopped.
-    Cancelled
+    Stopped, Aborted
+        On request; the arms have been braked.
     """
-    cancel = cancel or CancelToken()
+    control = control or JobControl()
     if not any(command.q_compensated is not None for command in commands):
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
     bodies = cell_bodies(profile, model)
     homes = home_positions(profile)
     measured: list[MeasuredTarget] = []
     kinds: tuple[CommandKind, ...] = ("nominal", "compensated") if verify else ("compensated",)
-    with open_cell(profile) as cell:
+    with open_cell(profile) as cell, reacting(cell, control) as reaction:
         opened(cell)
-        mover = Mover(profile, cell, bodies)
+        mover = Mover(profile, cell, bodies, reaction)
         mover.go_home()
         busy = ""
         for done, command in enumerate(commands):
-            cancel.check()
+            hold_while_paused(cell, control, reaction)
             listener(Progress("push", done, len(commands), command.target.name))
             name = command.target.arm
             if busy and busy != name:

@@ -42,7 +42,7 @@ def plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | No
 
 
 def plan_stops(profile: Profile, listener: Listener = ignore, cancel: CancelToken | None = None) -> dict[str, Array]:
-    """Stops for all arms, arm -> q (stops, N) [rad], drawn with the profile's seed.
+    """Stops for all arms, arm -> q (stops + reserve, N) [rad], drawn with the profile's seed.
 
     Configurations are uniform in joint space, restricted to those where the tracker sees the SMR and the arm is clear
     of the floor and of itself. Their order is random, so that drift in time is not confounded with joint positions. A
@@ -53,7 +53,7 @@ def plan_stops(profile: Profile, listener: Listener = ignore, cancel: CancelToke
     rng = np.random.default_rng([profile.seed, 0x9A7])
     pools = {name: _ConfigurationPool(cell, profile, name, rng) for name in cell.arms}
     homes: Mapping[str, Array] = home_positions(profile)
-    wanted = profile.plan.stops
+    wanted = profile.plan.stops + profile.plan.reserve
     stops: list[Mapping[str, Array]] = []
     for number in range(1, wanted + 1):
         cancel.check()

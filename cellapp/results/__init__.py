@@ -42,7 +42,9 @@ from cellapp.results.collection import (
     CollectResult,
     ExportResult,
     ImportResult,
+    MissingReading,
     PlanResult,
+    ReferenceDrift,
 )
 from cellapp.results.commissioning import (
     DoctorResult,
@@ -148,6 +150,7 @@ __all__ = [
     "LogResult",
     "MeasuredTarget",
     "Method",
+    "MissingReading",
     "NetworkResult",
     "NetworkTrial",
     "OverviewResult",
@@ -164,6 +167,7 @@ __all__ = [
     "ProposedStop",
     "Provenance",
     "Record",
+    "ReferenceDrift",
     "Repeatability",
     "ReportResult",
     "Result",

@@ -39,7 +39,9 @@ class ReferenceDrift(Record):
 class CollectResult(Result):
     """``collect``: number of stored stops, how the session ended, what is missing, and notes for the operator.
 
-    ``standard_error_mm`` maps each arm to the standard uncertainty of a predicted SMR position from its parameters.
+    ``missing_share`` is the share of the asked readings that the run lacks although reserves were measured;
+    ``tolerated_share`` is the profile's. ``standard_error_mm`` maps each arm to the standard uncertainty of a
+    predicted SMR position from its parameters.
     """
 
     schema_: Literal["cellapp-collect"] = "cellapp-collect"
@@ -48,6 +50,8 @@ class CollectResult(Result):
     notes: tuple[str, ...]
     outcome: Literal["complete", "accurate enough"] = "complete"
     missing: tuple[MissingReading, ...] = ()
+    missing_share: float = 0.0
+    tolerated_share: float = 1.0
     references: tuple[ReferenceDrift, ...] = ()
     standard_error_mm: Mapping[str, float] = Field(default_factory=dict)
 

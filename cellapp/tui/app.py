@@ -35,16 +35,17 @@ from textual.widgets import (
     TabPane,
 )
 
+from cellapp.control import JobControl
 from cellapp.errors import CellappError, HardwareError
 from cellapp.pipeline import default_folder, run_whole
-from cellapp.progress import Cancelled, CancelToken, Listener, Progress
+from cellapp.progress import Cancelled, Listener, Progress
 from cellapp.reporting.page import PAGE_FILE
 from cellapp.reporting.table import Table
 from cellapp.reporting.tables import all_tables, out_of_date_sentences
 from cellapp.results import DISCOVER, WholeRunResult
 
 W = TypeVar("W", bound=Widget)
-Run = Callable[[Path, Path | None, Listener, CancelToken | None], WholeRunResult]
+Run = Callable[[Path, Path | None, Listener, JobControl | None], WholeRunResult]
 
 JOBS = ("plan", "collect", "calibrate", "discover", "push")
 ERROR_LOG = "error.log"
@@ -148,7 +149,7 @@ class CellApp(App[None]):
         self._profiles = profiles
         self._run = run
         self._patience_s = patience_s
-        self._cancel = CancelToken()
+        self._cancel = JobControl()
         self._worker: threading.Thread | None = None
         self._folder = Path()
         self._last: Progress | None = None
@@ -248,7 +249,7 @@ class CellApp(App[None]):
         profile = Path(text).expanduser()
         folder = self.query_one("#folder", Input).value.strip()
         self._folder = Path(folder).expanduser() if folder else default_folder(profile.stem)
-        self._cancel = CancelToken()
+        self._cancel = JobControl()
         self._last = None
         for job in JOBS:
             self._draw(Progress(job, 0, 1), count="")
@@ -312,7 +313,7 @@ class CellApp(App[None]):
 
     # -- the run, in its thread --------------------------------------------------------------------------------------
 
-    def _work(self, profile: Path, folder: Path, cancel: CancelToken) -> None:
+    def _work(self, profile: Path, folder: Path, cancel: JobControl) -> None:
         with contextlib.ExitStack() as stack:
             stack.push(self._report_failure)  # whatever ends the run is reported to the screen
             self.post_message(RunEnded(self._run(profile, folder, self._listen, cancel)))

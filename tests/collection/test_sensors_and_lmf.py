@@ -115,7 +115,7 @@ def collected(
     """Temperatures of the left arm's readings, the notes, and the run's log."""
     with RunFile.create(folder / "run", profile) as run:
         run.write_plan(plan)
-        notes = collect_run(run)
+        notes = collect_run(run).notes
         temperature = run.readings("left").temperature_c
         assert temperature is not None
         return temperature, notes, [event.text for event in run.events()]

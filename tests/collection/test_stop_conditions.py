@@ -11,6 +11,7 @@ import pytest
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.collect import collect_run
 from cellapp.collection.motion import Mover
+from cellapp.collection.reaction import StopReaction, one_by_one
 from cellapp.planning.plan import plan_stops
 from cellapp.planning.stop_conditions import StopConditions, write_stop_conditions
 from cellapp.progress import Cancelled, CancelToken
@@ -58,7 +59,7 @@ def test_nothing_moves_that_the_gate_refuses(
         write_stop_conditions(
             run, {1: {"left": StopConditions(into_the_floor)}, 2: {"right": StopConditions(beyond, 1.0)}}
         )
-        notes = collect_run(run)
+        notes = collect_run(run).notes
         assert run.stops_done() == {0}
         assert [note[:34] for note in notes[:2]] == [
             "stop 2: left out: refused to move:",
@@ -104,7 +105,8 @@ def test_the_rest_of_a_real_arm_ends_on_cancellation() -> None:
     profile = small_twin(2)
     with open_cell(profile) as cell:
         real = Cell(cell.arms, cell.tracker, RealClock())
-        mover, token = Mover(profile, real, cell_bodies(profile)), CancelToken()
+        reaction = StopReaction(cell.arms, cell.tracker, one_by_one)
+        mover, token = Mover(profile, real, cell_bodies(profile), reaction), CancelToken()
         mover.rest("left", 0.0, token)
         token.cancel()
         with pytest.raises(Cancelled):

@@ -15,10 +15,11 @@ from cellapp.compensation import push as pushing
 from cellapp.compensation.compensate import Command, compensate
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
+from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
 from cellapp.model import CellModel
 from cellapp.pipeline import push_run
-from cellapp.progress import Cancelled, CancelToken, Progress
+from cellapp.progress import Cancelled, Progress
 from cellapp.results import ArmVerification, ErrorSummary, MeasuredTarget, VerifyResult
 from cellapp.run import RunFile
 from cellapp.run.stages import read_results
@@ -131,10 +132,15 @@ def test_without_verification_nothing_is_measured_and_an_earlier_one_is_kept(run
 def test_cancelled_between_targets(
     run: RunFile, model: CellModel, commands: tuple[Command, ...], cells: list[Any]
 ) -> None:
-    token = CancelToken()
+    control = JobControl()
     with pytest.raises(Cancelled):
         push(
-            run.profile, model, commands, lambda event: token.cancel() if event.done == 1 else None, token, verify=True
+            run.profile,
+            model,
+            commands,
+            lambda event: control.stop() if event.done == 1 else None,
+            control,
+            verify=True,
         )
     plant = plant_of(cells[0])
     before = {name: plant.q(name) for name in plant.names}

@@ -236,7 +236,7 @@ def test_collecting_the_proposed_stops_distinguishes_the_effects(plan: dict[str,
         proposal = proposed(run, found, 2 * PROPOSED, EFFORT)
         append_proposed_stops(run, proposal.stops)
         held_out = {name: run.readings(name).in_split("validate") for name in plan}
-        assert collect_run(run, resume=True)[:-1] == ()
+        assert collect_run(run, resume=True).notes[:-1] == ()
         for name in plan:
             readings = run.readings(name)
             assert len(readings) == STOPS + 2 * PROPOSED

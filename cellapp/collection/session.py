@@ -1,0 +1,389 @@
+"""One session of collecting in an open cell: visit the stops, measure, store; hold where the cell or a person asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from itertools import permutations
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from cellapp.collection.cell import Cell, start_tracker
+from cellapp.collection.measuring import SmrMeasurement
+from cellapp.collection.motion import MotionRefused, Mover, Vector
+from cellapp.collection.practice import AirTemperature
+from cellapp.collection.reaction import CellStopped, StopCause, StopReaction
+from cellapp.collection.references import References
+from cellapp.collection.supervision import Supervisor
+from cellapp.collection.work import StopQueue, Work
+from cellapp.control import JobControl
+from cellapp.errors import HardwareError, InputError
+from cellapp.planning.stop_conditions import StopConditions
+from cellapp.progress import Detail, Listener, Progress
+from cellapp.run import Outcome, Reading, RunFile
+from cellapp.run.collection_rows import OutcomeKind
+from cellapp.safety.cell_bodies import home_positions
+from cellapp.safety.gate import CellBodies
+from drivers.arms.protocol import ArmError, ArmState
+from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
+
+MOST_MISSED_IN_A_ROW = 10
+"""The plan has visible stops only: this many misses in a row are a fault of the tracker or of the targets."""
+
+_HARMLESS = ("pause", "resume", "suspend", "give up", "reference")
+"""What is recorded of a session that needs nobody's attention afterwards."""
+
+Targets = Mapping[str, Vector]
+"""Arm -> joint positions (N,) [rad]."""
+End = Literal["complete", "accurate enough"]
+T = TypeVar("T")
+
+
+@dataclass
+class CollectSession:
+    """Collects the remaining stops of a run with the devices of an open cell.
+
+    ``number`` is the session's number in the run. With ``accept_drift``, drift counts from this session's first
+    reference measurements.
+    """
+
+    run: RunFile
+    work: Work
+    cell: Cell
+    bodies: CellBodies
+    reaction: StopReaction
+    control: JobControl
+    listener: Listener
+    number: int
+    accept_drift: bool = False
+    notes: list[str] = field(default_factory=list)
+    began_s: float | None = None
+    """Start of the run on the cell's clock [s]; controllers have clocks of their own, which are not used."""
+
+    def __post_init__(self) -> None:
+        profile = self.run.profile
+        self._settings = profile.collection
+        self._queue = StopQueue(self.work)
+        self._mover = Mover(profile, self.cell, self.bodies, self.reaction)
+        self._supervisor = Supervisor(
+            self.cell,
+            self.control,
+            self.reaction,
+            self._settings.suspend,
+            self._reconnect_tracker,
+            self._record,
+            self._emit,
+        )
+        preparation = profile.tracker.driver.preparation()
+        self._measurement = SmrMeasurement(
+            self._mover, self.cell.tracker, self._supervisor, self._settings.repeat, preparation
+        )
+        self._references = References(
+            self.run, self.number, self._measurement, self._supervisor, accept_drift=self.accept_drift
+        )
+        self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log)
+        self._slow_stops = self._first_slow_stops()
+        self._missed = 0
+        self._until_reference = 0
+
+    # -- the session ---------------------------------------------------------------------------------------------------
+
+    def collect(self) -> End:
+        """Visit all stops of the queue.
+
+        Raises
+        ------
+        HardwareError
+            If something needs a person and none attends the job.
+        Stopped, Aborted
+        InputError
+            If the run file cannot be written.
+        """
+        self._with_recovery(self._leave_out_forbidden_stops)
+        self._with_recovery(self._warm_up)
+        end: End = "complete"
+        while (stop := self._queue.next()) is not None:
+            self._emit(note=f"stop {stop + 1}")
+            self._with_recovery(self._measure_references)
+            if self._with_recovery(self._visit_next):
+                end = "accurate enough"
+                break
+        self._queue.close()
+        self._until_reference = 0
+        self._with_recovery(self._measure_references)
+        self._emit(note="going home")
+        self._with_recovery(self._end_at_home)
+        return end
+
+    def _with_recovery(self, act: Callable[[], T]) -> T:
+        """Do something; after a stop of the cell from which it recovers, do it again from its beginning."""
+        while True:
+            try:
+                self._supervisor.checkpoint()
+                return act()
+            except CellStopped as stopped:
+                self._supervisor.recover(stopped)
+            except TrackerError as error:
+                self.reaction.trigger(StopCause("tracker", str(error)))
+                self._supervisor.recover(CellStopped(self.reaction.cause or StopCause("tracker", str(error))))
+            self._slow_stops = self._first_slow_stops()
+
+    def _visit_next(self) -> bool:
+        """Move to the next stop, measure, store; return whether the asked accuracy is reached."""
+        stop = self._queue.next()
+        assert stop is not None
+        self._wait_for_air(stop)
+        try:
+            states = self._approach(stop)
+        except MotionRefused as error:
+            if stop in self.work.proposed or not self._queue.defer():
+                self._leave_out({stop}, str(error))
+            return False
+        rows, outcomes = self._measure(stop, states)
+        self._store(stop, rows, outcomes)
+        self._queue.done()
+        if outcomes and self._queue.replace() is not None:
+            self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
+        self._slow_stops = max(self._slow_stops - 1, 0)
+        self._until_reference -= 1
+        self._check_missed(rows)
+        return False
+
+    def _check_missed(self, rows: Mapping[str, Reading]) -> None:
+        """Hold, or raise ``HardwareError``, after too many stops in a row without any reading."""
+        self._missed = 0 if rows else self._missed + 1
+        if self._missed < MOST_MISSED_IN_A_ROW:
+            return
+        text = f"the tracker saw no SMR at {self._missed} stops in a row; check tracker and targets"
+        if not self._supervisor.hold(text):
+            raise HardwareError(text)
+        self._missed = 0
+
+    # -- before and between stops --------------------------------------------------------------------------------------
+
+    def _leave_out_forbidden_stops(self) -> None:
+        """Ask every controller about the joint positions of all stops before anything moves."""
+        homes = home_positions(self.run.profile)
+        forbidden: dict[int, str] = {}
+        for name, arm in self.cell.arms.items():
+            stops = [*self.work.stops, *self.work.reserves]
+            q = np.concatenate([homes[name][None], self.work.plan[name][stops]])
+            try:
+                refused = arm.refused_by_controller(q)
+            except ArmError as error:
+                raise HardwareError(str(error)) from error
+            if refused[0]:
+                raise HardwareError(
+                    f"arm {name}: the controller's safety limits forbid its home position; change arms.{name}.home, or"
+                    " the safety limits on the pendant"
+                )
+            for row in np.flatnonzero(refused[1:]):
+                forbidden[stops[row]] = f"arm {name}: the controller's safety limits forbid these joint positions"
+        for stop, reason in forbidden.items():
+            self._leave_out({stop}, reason)
+            self._queue.replace()
+
+    def _warm_up(self) -> None:
+        """Exercise the arms along the first planned stops for the profile's time."""
+        end_s = self.cell.clock.now_s() + self._settings.warm_up
+        stops = self.work.stops
+        while self.cell.clock.now_s() < end_s and stops:
+            for stop in stops:
+                left_s = end_s - self.cell.clock.now_s()
+                if left_s <= 0.0:
+                    break
+                self._emit(note=f"warming up, {left_s / 60.0:.0f} min left")
+                self._supervisor.checkpoint()
+                self._move(self.work.targets(stop))
+        if self._settings.warm_up > 0.0:
+            self._mover.go_home(self._speed())
+
+    def _measure_references(self) -> None:
+        """Measure the references where they are due: at the first stop of the plan, and at fixed nests."""
+        every = self._settings.reference.every
+        if every == 0 or self._until_reference > 0:
+            return
+        self._emit(note="reference measurements")
+        states = self._move(self.work.targets(0))
+        began_s = self._begin(self.cell.clock.now_s())
+        report = self._references.check(
+            {name: state.q for name, state in states.items()}, self._queue.finished, began_s
+        )
+        self._until_reference = every
+        self._emit(report)
+
+    def _wait_for_air(self, stop: int) -> None:
+        """Suspend while the air is out of the profile's limits. Raises ``HardwareError`` if it stays so."""
+        limits = self._settings.air.temperature
+        if limits is None or self._air is None:
+            return
+        air = self._air
+        latest = air.at_stop(stop)
+
+        def out_of_limits(temperature_c: float | None) -> bool:
+            return temperature_c is not None and not limits[0] <= temperature_c <= limits[1]
+
+        if not out_of_limits(latest):
+            return
+        text = f"air at {latest:.1f} degC, allowed are {limits[0]:g} to {limits[1]:g}"
+        if self._supervisor.suspended("air", text, lambda: not out_of_limits(air.at_stop(stop))):
+            return
+        if not self._supervisor.hold(text):
+            raise HardwareError(f"{text}; continue with --resume when it has settled")
+
+    # -- motion --------------------------------------------------------------------------------------------------------
+
+    def _speed(self) -> float:
+        """Share of the profile's speed for the next motion."""
+        return self._settings.slow_start.speed if self._slow_stops > 0 else 1.0
+
+    def _first_slow_stops(self) -> int:
+        """Number of stops that are visited slowly at first, and after each stop of the cell: on real hardware only."""
+        real = any(arm.driver.moves_hardware for arm in self.run.profile.arms.values())
+        return self._settings.slow_start.stops if real else 0
+
+    def _approach(self, stop: int) -> dict[str, ArmState]:
+        """Move to a stop as planned or proposed. Raises ``MotionRefused`` if the gate accepts no way."""
+        targets = self.work.targets(stop)
+        if stop not in self.work.proposed:
+            return self._move(targets)
+        return self._move_as_proposed(targets, self.work.proposed[stop])
+
+    def _move(self, targets: Targets) -> dict[str, ArmState]:
+        """Move straight, or via home if the gate refuses that (after a resume, or a missed stop)."""
+        try:
+            return self._mover.move(targets, self._speed())
+        except MotionRefused:
+            self._go_home()
+            return self._mover.move(targets, self._speed())
+
+    def _go_home(self) -> None:
+        """Move home; if that is refused after a motion that was cut short, move back to where it began first."""
+        try:
+            self._mover.go_home(self._speed())
+        except MotionRefused:
+            departure = self._mover.departure()
+            if departure is None:
+                raise
+            self._mover.move(departure, self._speed())
+            self._mover.go_home(self._speed())
+
+    def _move_as_proposed(self, targets: Targets, conditions: Mapping[str, StopConditions]) -> dict[str, ArmState]:
+        """Move to where the last legs begin, all arms at once or one after the other, then do those legs.
+
+        Nothing moves unless the gate accepts all legs. If it does not, the arms go home and try from there.
+        """
+        vias = {name: one.via for name, one in conditions.items() if one.via is not None and name in targets}
+        start, last = {**targets, **vias}, {name: targets[name] for name in vias}
+        orders: list[list[Targets]] = [[start]]
+        orders += [[{name: start[name]} for name in order] for order in permutations(start)]
+        routes = [[*legs, last] if last else legs for legs in orders]
+        for at_home in (False, True):
+            if at_home:
+                self._go_home()
+            for legs in routes:
+                if not self._mover.refusal(*legs):
+                    states: dict[str, ArmState] = {}
+                    for leg in legs:
+                        states |= self._mover.move(leg, self._speed())
+                    return states
+        raise MotionRefused(f"refused to move: {self._mover.refusal(*routes[0])}")
+
+    def _end_at_home(self) -> None:
+        """Move all arms home, and note the smallest distance between them if it was observed."""
+        try:
+            self._mover.move(home_positions(self.run.profile), self._speed())
+        except MotionRefused:
+            try:
+                self._go_home()
+            except MotionRefused as error:
+                self.notes.append(f"the arms stay where they are: {error}")
+        if self.cell.clearance is not None:
+            self.notes.append(f"smallest distance between the arms {self.cell.clearance.arms_m * 1e3:.0f} mm")
+
+    # -- measurement ---------------------------------------------------------------------------------------------------
+
+    def _measure(self, stop: int, states: Mapping[str, ArmState]) -> tuple[dict[str, Reading], list[Outcome]]:
+        """Measure the arms in the order of their dwell times; return readings, and why an SMR was not measured."""
+        temperature_c = None if self._air is None else self._air.at_stop(stop)
+        rows: dict[str, Reading] = {}
+        outcomes: list[Outcome] = []
+        dwell_s = {name: self.work.conditions(stop, name).dwell_s for name in states}
+        for name in sorted(states, key=lambda name: dwell_s[name]):
+            if dwell_s[name] > 0.0:
+                self._mover.rest(name, dwell_s[name], self.control)
+            try:
+                point = self._measurement.at_arm(name, states[name].q)
+            except (TargetLost, WrongTarget, Unstable) as error:
+                outcomes.append(Outcome(stop, name, "not measured", str(error)))
+                self._note(f"stop {stop + 1}, arm {name}: not measured: {error}")
+                continue
+            air_c = point.temperature_c if self._air is None else temperature_c
+            rows[name] = self._reading(stop, name, states[name], point, air_c)
+        return rows, outcomes
+
+    def _reading(self, stop: int, name: str, state: ArmState, point: Point, temperature_c: float | None) -> Reading:
+        """Return the reading of a point that was just measured; its dwell ends at the middle of the averaging."""
+        rested_s = self._mover.rested_s(name)
+        return Reading(
+            q=state.q,
+            p_M=point.p_M,
+            time_s=point.time_s - self._begin(point.time_s - point.averaging_s),
+            approach=self._mover.approach(name).copy(),
+            payload_kg=state.payload_kg,
+            temperature_c=temperature_c,
+            joint_temperature_c=state.joint_temperature_c,
+            step=self._mover.step(name),
+            dwell_s=None if rested_s is None else max(rested_s - 0.5 * point.averaging_s, 0.0),
+            covariance_M=point.covariance_M,
+            split=self.work.split if stop in self.work.proposed else None,
+        )
+
+    def _begin(self, now_s: float) -> float:
+        """Return when the run began on the cell's clock [s]; the first call sets it."""
+        if self.began_s is None:
+            self.began_s = now_s - self.work.earlier_s
+        return self.began_s
+
+    def _store(self, stop: int, rows: Mapping[str, Reading], outcomes: list[Outcome]) -> None:
+        """Store a stop; where the disk refuses, hold for a person, who may free it, and try again."""
+        while True:
+            try:
+                self.run.add_stop(stop, rows, outcomes)
+                return
+            except InputError as error:
+                if not self._supervisor.hold(str(error)):
+                    raise
+
+    def _leave_out(self, stops: set[int], reason: str) -> None:
+        kind: OutcomeKind = "left out"
+        for stop in sorted(stops):
+            self._store(stop, {}, [Outcome(stop, name, kind, reason) for name in self.work.plan])
+            self._note(f"stop {stop + 1}: left out: {reason}")
+        self._queue.remove(stops)
+
+    # -- what others hear ----------------------------------------------------------------------------------------------
+
+    def _emit(self, detail: Detail | None = None, note: str = "") -> None:
+        self.listener(Progress("collect", self._queue.finished, self._queue.total, note, detail=detail))
+
+    def _record(self, kind: str, reason: str) -> None:
+        """Record a request or a suspension in the run; a full disk must not keep the arms from being attended to."""
+        try:
+            self.run.record_request(self.number, kind, reason)
+            self.run.log("info" if kind in _HARMLESS else "warning", f"{kind}: {reason}")
+        except InputError as error:
+            self.notes.append(f"{kind}: {reason} (not logged: {error})")
+
+    def _note(self, text: str) -> None:
+        self._log("warning", text)
+
+    def _log(self, level: str, text: str) -> None:
+        self.run.log(level, text)
+        if level == "warning":
+            self.notes.append(text)
+
+    def _reconnect_tracker(self) -> None:
+        self.cell.tracker.disconnect()
+        start_tracker(self.cell.tracker, self.run.profile.tracker.driver)

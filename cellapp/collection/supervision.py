@@ -1,0 +1,199 @@
+"""A person's requests and the cell's stops while a job runs: pause, hold after a stop, suspend, resume."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Literal
+
+from cellapp.collection.cell import Cell
+from cellapp.collection.reaction import CellStopped, StopCause, StopReaction
+from cellapp.control import Aborted, JobControl, Stopped
+from cellapp.errors import HardwareError
+from cellapp.profile.collection import Suspend, Suspension
+from cellapp.progress import Detail, StateChange
+
+SuspensionKind = Literal["target", "air", "drift", "tracker_warm_up", "host_stall"]
+Record = Callable[[str, str], None]
+"""Records what happened in the run: kind ("pause", "stop", "suspend", "resume", ...) and the reason."""
+
+_POLL_S = 0.1
+"""How soon a resumed job notices; a stop does not wait for this, it brakes in the thread of the person."""
+_BY_PERSON = {"stop": "a person stopped the arms", "abort": "a person aborted the job"}
+
+
+@contextmanager
+def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
+    """Wire the doubts of all arms and a person's stop to the brakes of all arms while this context is open.
+
+    Whatever ends the context with an exception also stops the arms, and they are watched until they rest.
+
+    Raises
+    ------
+    HardwareError
+        If a doubt about a device stopped the cell; the message is the cause, with arms that were not seen at rest.
+    Stopped, Aborted
+        If a person did.
+    """
+    reaction = StopReaction(cell.arms, cell.tracker, cell.together)
+    with control.brakes(lambda verb: reaction.trigger(_personal(verb))):
+        try:
+            yield reaction
+        except CellStopped as stopped:
+            unseen = reaction.wait_at_rest()
+            if stopped.cause.kind in _BY_PERSON and not unseen:
+                raise (Aborted if stopped.cause.kind == "abort" else Stopped)(stopped.cause.text) from stopped
+            raise HardwareError("; ".join([str(stopped), *_watch_out(unseen)])) from stopped
+        except BaseException as error:
+            reaction.trigger(StopCause("engine", f"the job ended: {error}"))
+            reaction.wait_at_rest()
+            raise
+
+
+def _personal(verb: str) -> StopCause:
+    return StopCause("abort" if verb == "abort" else "stop", _BY_PERSON[verb])
+
+
+def _watch_out(unseen: dict[str, str]) -> list[str]:
+    return [f"NOT SEEN AT REST: {reason}" for reason in unseen.values()]
+
+
+def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -> None:
+    """Hold here, with the arms at rest, while a person pauses. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
+    control.check()
+    while control.request == "pause":
+        cell.clock.wait(_POLL_S, control.wait)
+    control.check()
+    reaction.check()
+
+
+def ignore_record(kind: str, reason: str) -> None:
+    """Record nothing."""
+
+
+@dataclass
+class Supervisor:
+    """Holds a job where a person or the cell asks for it. All waits let the cell's clock pass."""
+
+    cell: Cell
+    control: JobControl
+    reaction: StopReaction
+    suspend: Suspend
+    reconnect_tracker: Callable[[], None]
+    record: Record = ignore_record
+    emit: Callable[[Detail], None] = lambda detail: None
+    _used: Counter[str] = field(default_factory=Counter)
+
+    def checkpoint(self) -> None:
+        """Hold here while paused; the arms rest. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
+        paused = self.control.request == "pause"
+        if paused:
+            self._say("pause", StateChange("paused", "paused by a person; the arms rest"))
+        hold_while_paused(self.cell, self.control, self.reaction)
+        if paused:
+            self._say("resume", StateChange("running", "resumed by a person"))
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass with the arms at rest. Raises ``CellStopped`` as soon as the cell is stopped."""
+        self.cell.clock.wait(duration_s, self.control.wait)
+        self.reaction.check()
+
+    def recover(self, stopped: CellStopped) -> None:
+        """Hold after a stop of the cell until the arms may move again, then release them. Nothing moves here.
+
+        Raises
+        ------
+        Stopped, Aborted
+            If a person ended the job.
+        HardwareError
+            If the cause needs a person and none attends the job, or an arm was not seen at rest.
+        """
+        cause = stopped.cause
+        unseen = self.reaction.wait_at_rest()
+        text = "; ".join([cause.text, *_watch_out(unseen)])
+        self._say(cause.kind, StateChange("aborted" if cause.kind == "abort" else "stopped", text))
+        self.control.check()
+        if unseen and not self.control.holds:
+            raise HardwareError("; ".join([str(stopped), *_watch_out(unseen)])) from stopped
+        if cause.kind == "host stalled" and not unseen and self._begin("host_stall", cause.text):
+            self.cell.clock.wait(self.suspend.host_stall.retry, self.control.wait)
+            self.control.check()
+            self.reaction.release()
+            self._resumed("by itself, as the profile allows: this computer had been silent")
+            return
+        if not self.control.holds:
+            raise HardwareError("; ".join([str(stopped), *_watch_out(unseen)])) from stopped
+        if cause.kind != "stop":
+            self.control.hold()
+        self._hold_for_person(text)
+
+    def suspended(self, kind: SuspensionKind, reason: str, ready: Callable[[], bool]) -> bool:
+        """Wait with the arms at rest until ``ready``, as the profile allows; return whether it came about.
+
+        ``ready`` is asked every ``retry`` seconds. Raises ``CellStopped`` as soon as the cell is stopped.
+        """
+        if not self._begin(kind, reason):
+            return False
+        allowed: Suspension = getattr(self.suspend, kind)
+        end_s = self.cell.clock.now_s() + allowed.wait
+        while self.cell.clock.now_s() < end_s:
+            self.wait(min(allowed.retry, max(end_s - self.cell.clock.now_s(), 1e-3)))
+            if self.control.request == "pause":
+                self.checkpoint()
+            if ready():
+                self._resumed(f"by itself: {reason}: no longer")
+                return True
+        self._say("give up", StateChange("running", f"{reason}: still, after {allowed.wait:g} s"))
+        return False
+
+    def hold(self, reason: str) -> bool:
+        """Wait for a person to resume, where one attends the job; return whether one did."""
+        if not self.control.holds:
+            return False
+        self.control.hold()
+        self._hold_for_person(reason)
+        return True
+
+    def _hold_for_person(self, reason: str) -> None:
+        """Wait until the request to hold is taken back and every arm is ready; only then release the latch."""
+        while True:
+            self.emit(StateChange("stopped", f"{reason}; resume when the cell is clear, or abort"))
+            while self.control.request in ("stop", "pause"):
+                self.cell.clock.wait(_POLL_S, self._attend)
+            self.control.check()
+            try:
+                self._release()
+            except HardwareError as error:
+                reason = str(error)
+                self.record("not released", reason)
+                self.control.hold()
+                continue
+            self._resumed("by a person")
+            return
+
+    def _release(self) -> None:
+        """Reconnect what the stop cut off. Raises ``HardwareError`` if something is not ready."""
+        if self.reaction.cause is not None and self.reaction.cause.kind == "tracker":
+            self.reconnect_tracker()
+        self.reaction.release()
+
+    def _attend(self, timeout_s: float) -> object:
+        return self.control.wait_while("stop", "pause", timeout_s=timeout_s)
+
+    def _begin(self, kind: SuspensionKind, reason: str) -> bool:
+        """Whether another suspension for this cause is allowed; counts and announces it."""
+        allowed: Suspension = getattr(self.suspend, kind)
+        if self._used[kind] >= allowed.times:
+            return False
+        self._used[kind] += 1
+        self._say("suspend", StateChange("suspended", f"{reason}; waiting at most {allowed.wait:g} s"))
+        return True
+
+    def _resumed(self, how: str) -> None:
+        self._say("resume", StateChange("running", f"resumed {how}"))
+
+    def _say(self, kind: str, change: StateChange) -> None:
+        self.record(kind, change.reason)
+        self.emit(change)

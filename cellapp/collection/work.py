@@ -1,0 +1,143 @@
+"""What is left to collect in a run: planned stops, proposed ones, and reserves for those that cannot be measured."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.errors import InputError
+from cellapp.planning.stop_conditions import StopConditions, read_stop_conditions
+from cellapp.run import RunFile
+
+_DIRECT = StopConditions()
+"""Straight approach, no dwell."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """The stops to collect.
+
+    Attributes
+    ----------
+    plan : mapping
+        Arm -> joint positions of all stops (n, N) [rad].
+    stops : tuple of int
+        Numbers of the stops that are not stored, without reserves.
+    reserves : tuple of int
+        Numbers of the reserve stops that are not stored.
+    stored : int
+        Number of stops that are stored.
+    proposed : mapping
+        Stop -> arm -> approach and dwell, for stops that discovery proposed.
+    split : str or None
+        Split of readings at proposed stops; None if splits are not drawn yet.
+    earlier_s : float
+        Time of the last stored reading [s]; new readings follow it.
+    """
+
+    plan: Mapping[str, NDArray[np.float64]]
+    stops: tuple[int, ...]
+    reserves: tuple[int, ...]
+    stored: int
+    proposed: Mapping[int, Mapping[str, StopConditions]]
+    split: str | None
+    earlier_s: float
+
+    @property
+    def total(self) -> int:
+        """Number of stored stops and stops to collect, without reserves."""
+        return self.stored + len(self.stops)
+
+    def targets(self, stop: int) -> dict[str, NDArray[np.float64]]:
+        """Return the joint positions of a stop by arm."""
+        return {name: q[stop] for name, q in self.plan.items()}
+
+    def conditions(self, stop: int, name: str) -> StopConditions:
+        """Return approach and dwell of an arm at a stop."""
+        return self.proposed.get(stop, {}).get(name, _DIRECT)
+
+
+def remaining_work(run: RunFile, *, resume: bool) -> Work:
+    """Return the work that is left. Raises ``InputError`` without a plan, or if stops are stored and not ``resume``."""
+    plan = run.read_plan()
+    if not plan:
+        raise InputError(f"{run.path}: there is no plan; make one with 'cellapp plan'")
+    done = run.stops_done()
+    if done and not resume:
+        raise InputError(
+            f"{run.path}: {len(done)} stops are stored already; continue with --resume, or start a new run"
+        )
+    total = len(next(iter(plan.values())))
+    readings = [run.readings(name) for name in run.arms()]
+    proposed = read_stop_conditions(run)
+    drawn = bool(proposed) and any(arm.split is not None for arm in readings)
+    reserves = reserve_stops(run, total)
+    return Work(
+        plan=plan,
+        stops=tuple(stop for stop in range(total) if stop not in done and stop not in reserves),
+        reserves=tuple(stop for stop in reserves if stop not in done),
+        stored=len(done),
+        proposed=proposed,
+        split="train" if drawn else None,
+        earlier_s=max((float(arm.time_s.max()) for arm in readings), default=0.0) if done else 0.0,
+    )
+
+
+def reserve_stops(run: RunFile, total: int) -> range:
+    """Numbers of the reserve stops of a plan of ``total`` stops: they follow the profile's number of stops."""
+    plan = run.profile.plan
+    return range(min(plan.stops, total), min(plan.stops + plan.reserve, total))
+
+
+class StopQueue:
+    """The order in which stops are visited; it grows by reserves and by stops that are tried again."""
+
+    def __init__(self, work: Work) -> None:
+        self._waiting = deque(work.stops)
+        self._reserves = deque(work.reserves)
+        self._deferred: set[int] = set()
+        self.finished = work.stored
+        """Stops stored, or given up."""
+        self.total = work.total
+        """Stops that are finished or will be visited."""
+
+    def next(self) -> int | None:
+        """Return the next stop, or None at the end. It stays in the queue until ``done`` or ``defer``."""
+        return self._waiting[0] if self._waiting else None
+
+    def done(self) -> None:
+        """Remove the stop that was visited."""
+        self._waiting.popleft()
+        self.finished += 1
+
+    def defer(self) -> bool:
+        """Visit the stop again at the end, from another neighbour; return False if that was tried already."""
+        stop = self._waiting[0]
+        if stop in self._deferred or len(self._waiting) == 1:
+            return False
+        self._deferred.add(stop)
+        self._waiting.append(self._waiting.popleft())
+        return True
+
+    def replace(self) -> int | None:
+        """Append a reserve in place of a stop that could not be measured; return its number, None if none is left."""
+        if not self._reserves:
+            return None
+        self.total += 1
+        self._waiting.append(self._reserves.popleft())
+        return self._waiting[-1]
+
+    def remove(self, stops: set[int]) -> None:
+        """Remove stops that must not be visited, reserves too."""
+        self.finished += sum(stop in stops for stop in self._waiting)
+        self._waiting = deque(stop for stop in self._waiting if stop not in stops)
+        self._reserves = deque(stop for stop in self._reserves if stop not in stops)
+
+    def close(self) -> None:
+        """Give up the stops that are left: the asked accuracy is reached."""
+        self._waiting.clear()
+        self.total = self.finished
