@@ -376,6 +376,12 @@ class Plant:
         self._end_motion(arm, self._q(arm), self._clock_s)
         arm.motion = shortened
 
+    def braking_s(self, name: str) -> float:
+        """Time that an arm would need to come to rest if ``stop`` were called now [s]."""
+        arm = self._arm(name)
+        shortened = None if arm.motion is None else braked(arm.motion, self._clock_s, arm.config.acceleration)
+        return 0.0 if shortened is None else shortened.duration_s
+
     @staticmethod
     def _end_motion(arm: _Arm, q: Array, time_s: float) -> None:
         """Update the arm's state and memories after a motion to ``q``."""
