@@ -100,7 +100,10 @@ class JobControl(CancelToken):
             raise Stopped("stopped on request")
 
     def wait_while(self, *requests: Request, timeout_s: float | None = None) -> Request:
-        """Wait while one of ``requests`` stands; return the request that stands then."""
+        """Wait while one of ``requests`` stands; return the request that stands then.
+
+        A simulated person overrides this: it is the only place where a job waits for a person in real time.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._request not in requests, timeout_s)
         return self._request

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.controllers import check_controllers
+from cellapp.collection.motion import Confirm
 from cellapp.collection.session import CollectSession, End
 from cellapp.collection.supervision import reacting
 from cellapp.collection.work import remaining_work, reserve_stops
@@ -43,6 +44,7 @@ def collect_run(
     resume: bool = False,
     accept_drift: bool = False,
     watch_clearance: bool = False,
+    confirm: Confirm | None = None,
     opened: Opened | None = None,
 ) -> CollectSummary:
     """Collect all planned stops that are not stored yet.
@@ -54,7 +56,8 @@ def collect_run(
     Raises
     ------
     InputError
-        If there is no plan, stops are stored and ``resume`` is False, or the run file cannot be written.
+        If there is no plan, stops are stored and ``resume`` is False, the first motion is not confirmed, or the run
+        file cannot be written.
     HardwareError
         If an arm or the tracker fails, or nothing could be measured; all committed stops stay.
     Stopped, Aborted
@@ -65,21 +68,19 @@ def collect_run(
     if not work.stops:
         return CollectSummary("complete", (f"all {work.total} stops were stored already",), missing_readings(run))
     bodies = cell_bodies(run.profile)
-    number = run.begin_session()
-    notes: list[str] = []
-    with _session_recorded(run, number):
-        with (opened or open_cell)(run.profile, watch_clearance=watch_clearance) as cell:
-            notes += check_controllers(run, cell).notes
-            with reacting(cell, control) as reaction:
-                session = CollectSession(
-                    run, work, cell, bodies, reaction, control, listener, number, accept_drift, notes
-                )
-                outcome = session.collect()
-        if not run.stops_done():
-            reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
-            raise HardwareError(f"nothing could be measured: {reason}")
-        run.end_session(number, outcome, "")
-    return CollectSummary(outcome, tuple(notes), missing_readings(run))
+    with (opened or open_cell)(run.profile, watch_clearance=watch_clearance) as cell:
+        notes = list(check_controllers(run, cell).notes)
+        number = run.begin_session()
+        with _session_recorded(run, number), reacting(cell, control) as reaction:
+            session = CollectSession(
+                run, work, cell, bodies, reaction, control, listener, number, accept_drift, confirm, notes
+            )
+            outcome = session.collect()
+            if not run.stops_done():
+                reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
+                raise HardwareError(f"nothing could be measured: {reason}")
+            run.end_session(number, outcome, "")
+    return CollectSummary(outcome, tuple(notes), missing_readings(run), session.standard_error_mm)
 
 
 def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:

@@ -55,6 +55,15 @@ class CollectResult(Result):
     references: tuple[ReferenceDrift, ...] = ()
     standard_error_mm: Mapping[str, float] = Field(default_factory=dict)
 
+    def complaints(self) -> list[str]:
+        """Why this collection does not count as done, in words; empty if it does."""
+        if self.outcome == "accurate enough" or self.missing_share <= self.tolerated_share:
+            return []
+        return [
+            f"{self.missing_share:.1%} of the planned readings are missing, the profile tolerates"
+            f" {self.tolerated_share:.1%} (collection.tolerated)"
+        ]
+
 
 class ImportResult(Result):
     """``import``: number of readings of each arm."""

@@ -5,8 +5,9 @@ The same list serves the doctor, which moves nothing, and ``UrArm.connect``, whi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from drivers.arms.protocol import (
     WrongRobot,
     stale,
 )
+from drivers.arms.ur_motion import SLIDER_DOWN
 from drivers.arms.ur_probe import UrProbe
 
 Status = Literal["ok", "warning", "failed"]
@@ -95,11 +97,29 @@ def checks(expected: UrExpectation, probe: UrProbe) -> list[Check]:
         _program(probe),
         *(_port(port, is_open) for port, is_open in probe.ports.items()),
         _state(probe),
+        _slider(probe),
         _payload(expected, probe),
         _tcp(expected, probe),
         _limits(expected, probe),
         _kinematics(expected, probe),
     ]
+
+
+def load_checks(expected: UrExpectation, probe: UrProbe, answer: Mapping[str, Any]) -> list[Check]:
+    """Check payload, TCP and speed slider again, as the control program sees them once it runs.
+
+    ``answer`` is the worker's state with the tool centre point; what it does not report is taken from the ``probe``.
+    """
+    sample, center, tcp = probe.sample, answer["payload_center_m"], answer["tcp"]
+    if sample is not None:
+        sample = replace(
+            sample,
+            payload_kg=answer["payload_kg"],
+            payload_center_m=None if center is None else tuple(center),
+            speed_fraction=answer["speed_fraction"],
+        )
+    now = replace(probe, sample=sample, tcp=probe.tcp if tcp is None else tuple(tcp))
+    return [_slider(now), _payload(expected, now), _tcp(expected, now)]
 
 
 def safety_error(mode: str) -> type[ArmError]:
@@ -182,6 +202,12 @@ def _program(probe: UrProbe) -> Check:
         return Check(subject, "warning", "the controller does not report whether a program runs; look at the pendant")
     if probe.program_running:
         return Check(subject, "failed", "a program runs, and the arm may move; stop it on the pendant before a job")
+    if probe.sample is not None and probe.sample.program in ("PAUSED", "PAUSING", "RESUMING"):
+        text = (
+            "a program that is not this driver's is paused; it would go on where it was: stop it on the pendant before"
+            " a job"
+        )
+        return Check(subject, "failed", text)
     return Check(subject, "ok", "none runs")
 
 
@@ -199,10 +225,19 @@ def _state(probe: UrProbe) -> Check:
     if not sample.at_rest:
         return Check(subject, "failed", "the arm moves; wait until it rests, or stop what moves it on the pendant")
     where = ", ".join(f"{np.degrees(angle):.1f}" for angle in sample.q)
-    if sample.speed_fraction is not None and sample.speed_fraction < 1.0 - _RATE_SLACK:
-        slow = f"the speed slider is set to {sample.speed_fraction:.0%}: motions take longer"
-        return Check(subject, "warning", f"at rest at [{where}] deg, but {slow}")
     return Check(subject, "ok", f"at rest at [{where}] deg")
+
+
+def _slider(probe: UrProbe) -> Check:
+    subject = "speed slider"
+    fraction = None if probe.sample is None else probe.sample.speed_fraction
+    if fraction is None:
+        return Check(subject, "warning", "the controller does not report it; set it to 100 % on the pendant")
+    if fraction < SLIDER_DOWN:
+        return Check(subject, "failed", "at 0 %: the arm would not move; raise it on the pendant")
+    if fraction < 1.0 - _RATE_SLACK:
+        return Check(subject, "warning", f"the speed slider is set to {fraction:.0%}: motions take longer")
+    return Check(subject, "ok", "100 %")
 
 
 def _payload(expected: UrExpectation, probe: UrProbe) -> Check:

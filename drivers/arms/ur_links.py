@@ -19,6 +19,8 @@ PRIMARY_PORT = 30001
 SCRIPT_PORT = 30003
 RTDE_PORT = 30004
 
+LOCAL_CONTROL = "the pendant is in local control"
+
 _MAX_LINE = 4096
 _READ_BYTES = 65536
 _IN_PROGRESS = (errno.EINPROGRESS, errno.EWOULDBLOCK)
@@ -79,15 +81,42 @@ class Connection:
         self._refusal: str | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setblocking(False)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         code = self._socket.connect_ex((address, port))
         if code not in (0, *_IN_PROGRESS):
             self._refusal = os.strerror(code)
+
+    @classmethod
+    def to(cls, host: str, port: int, deadline: float) -> Self:
+        """Start a connection to a host by name or address. Raises ``LinkLost`` if there is no such host."""
+        return cls(host, resolve(host, deadline), port)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection; harmless when closed."""
         self._socket.close()
+
+    def keep_alive(self) -> None:
+        """Let the system notice within seconds that the peer or the cable is gone."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option, value in (("TCP_KEEPIDLE", 1), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 2)):
+            if hasattr(socket, option):
+                self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+
+    def closed_by_peer(self) -> bool:
+        """Return whether an idle connection has ended; bytes that nobody asked for end it too."""
+        try:
+            self._socket.recv(1, socket.MSG_PEEK)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+        return True
 
     def refusal(self, deadline: float) -> str:
         """Return why no connection was made by ``deadline``; empty if connected."""
@@ -119,7 +148,12 @@ class Connection:
 
 
 class Dashboard:
-    """Dashboard server on a connection: one line per request and answer, of limited length, all before one deadline.
+    """Dashboard server on a connection: one line per request and answer, of limited length.
+
+    Attributes
+    ----------
+    deadline : float
+        Limit of every wait (``time.monotonic``).
 
     Raises
     ------
@@ -128,7 +162,7 @@ class Dashboard:
     """
 
     def __init__(self, link: Connection, deadline: float) -> None:
-        self._link, self._deadline = link, deadline
+        self._link, self.deadline = link, deadline
         self._received = bytearray()
         refusal = link.refusal(deadline)
         if refusal:
@@ -146,7 +180,7 @@ class Dashboard:
     def ask(self, line: str) -> str:
         """Send one line and return the answer."""
         try:
-            self._link.send(f"{line}\n".encode("ascii"), self._deadline)
+            self._link.send(f"{line}\n".encode("ascii"), self.deadline)
         except OSError as error:
             raise self._lost(f"the link broke while '{line}' was sent ({error})") from error
         return self._read(f"the answer to '{line}'")
@@ -164,7 +198,7 @@ class Dashboard:
             if len(self._received) >= _MAX_LINE:
                 raise self._lost(f"{what} is longer than {_MAX_LINE} bytes; this is not a UR dashboard")
             try:
-                more = self._link.receive(self._deadline)
+                more = self._link.receive(self.deadline)
             except OSError as error:
                 raise self._lost(f"the link broke while waiting for {what} ({error})") from error
             if more is None:
@@ -183,13 +217,30 @@ def stop_program(host: str, timeout_s: float, *, port: int = DASHBOARD_PORT) -> 
     Raises
     ------
     LinkLost
-        If it could not be reached within ``timeout_s``, or did not stop (an e-Series arm in local control).
+        If it could not be reached within ``timeout_s``, or did not stop; the message says if it is in local control.
     """
     deadline = time.monotonic() + timeout_s
-    with Connection(host, resolve(host, deadline), port) as link:
-        dashboard = Dashboard(link, deadline)
-        answer = dashboard.ask("stop")
-        # a controller without a running program reports a failure: it is stopped too
-        if answer.startswith("Stopped") or dashboard.ask("running").lower().endswith("false"):
-            return
-    raise LinkLost(f"{host}: the controller did not stop its program: it answered '{printable(answer)}'")
+    with Connection.to(host, port, deadline) as link:
+        require_stopped(Dashboard(link, deadline), host)
+
+
+def require_stopped(dashboard: Dashboard, host: str) -> None:
+    """Stop the program. Raises ``LinkLost`` as ``stop_program`` does."""
+    answer = dashboard.ask("stop")
+    # a controller without a running program reports a failure: it is stopped too
+    if answer.startswith("Stopped") or dashboard.ask("running").lower().endswith("false"):
+        return
+    why = f"it answered '{printable(answer)}'"
+    if dashboard.ask("is in remote control").lower() == "false":
+        why = f"{LOCAL_CONTROL}, in which it takes no stop over the network"
+    raise LinkLost(f"{host}: the controller did not stop its program: {why}")
+
+
+def in_local_control(host: str, timeout_s: float, *, port: int = DASHBOARD_PORT) -> bool:
+    """Return whether the pendant is in local control; False if the controller has no such switch or did not answer."""
+    deadline = time.monotonic() + timeout_s
+    try:
+        with Connection.to(host, port, deadline) as link:
+            return Dashboard(link, deadline).ask("is in remote control").lower() == "false"
+    except LinkLost:
+        return False

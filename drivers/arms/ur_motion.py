@@ -6,7 +6,7 @@ Loads no numpy: the worker process starts faster without it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,6 +16,11 @@ MAX_SPEED = 3.14
 """Of a joint [rad/s]; the RTDE client accepts no more."""
 MAX_ACCELERATION = 40.0
 """Of a joint [rad/s^2]; the RTDE client accepts no more."""
+SLIDER_DOWN = 0.005
+"""A speed slider below this stands at 0 % on the pendant: the arm does not move."""
+VARIABLES = ("timestamp", "actual_q", "actual_qd", "joint_temperatures", "robot_mode", "safety_mode", "runtime_state")
+OPTIONAL_VARIABLES = ("target_speed_fraction", "payload", "payload_cog")
+"""Older software versions lack some of these."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,8 @@ class WorkerSample:
     safety_mode: str
     program: str
     payload_kg: float | None
+    payload_center_m: tuple[float, ...] | None
+    speed_fraction: float | None
 
     @property
     def valid(self) -> bool:
@@ -41,6 +48,11 @@ class WorkerSample:
         """Speed of the fastest joint [rad/s]."""
         return max(map(abs, self.qd))
 
+    @property
+    def slider_down(self) -> bool:
+        """Whether the speed slider is at 0 %: the arm stands, whatever its program requests."""
+        return self.speed_fraction is not None and self.speed_fraction < SLIDER_DOWN
+
     def distance(self, q: Sequence[float]) -> float:
         """Return the largest difference of a joint from ``q`` [rad]."""
         return max(abs(a - b) for a, b in zip(self.q, q))
@@ -50,11 +62,16 @@ class WorkerSample:
         return asdict(self)
 
 
-def read_worker_sample(receive: Any, *, payload: bool) -> WorkerSample:
-    """Read the newest state from an ``RTDEReceiveInterface``, all values from one packet."""
+def read_worker_sample(receive: Any, optional: Collection[str]) -> WorkerSample:
+    """Read the newest state from an ``RTDEReceiveInterface``, all values from one packet.
+
+    ``optional`` are those of ``OPTIONAL_VARIABLES`` that the controller sends.
+    """
     while True:
         stamp = receive.getTimestamp()
-        payload_kg = receive.getPayload() if payload else None
+        payload_kg = receive.getPayload() if "payload" in optional else None
+        center = tuple(receive.getPayloadCog()) if "payload_cog" in optional else None
+        fraction = receive.getTargetSpeedFraction() if "target_speed_fraction" in optional else None
         q, qd, temperatures = receive.getActualQ(), receive.getActualQd(), receive.getJointTemperatures()
         modes = receive.getRobotMode(), receive.getSafetyMode(), receive.getRuntimeState()
         if receive.getTimestamp() == stamp:
@@ -68,6 +85,8 @@ def read_worker_sample(receive: Any, *, payload: bool) -> WorkerSample:
         safety_mode=mode_name(SAFETY_MODES, modes[1]),
         program=mode_name(PROGRAM_STATES, modes[2]),
         payload_kg=payload_kg,
+        payload_center_m=center,
+        speed_fraction=fraction,
     )
 
 
@@ -81,6 +100,65 @@ class Motion:
     running: bool = True
     ended_s: float = math.inf
     standing_since_s: float | None = None
+
+
+_STREAM_PERIODS_S = 0.016
+"""Two states of a CB3 controller: silence that the worker measures may be longer at the controller by this much."""
+_EXPIRED_WITHIN_S = 0.2
+"""A program that is seen stopped this long after a silence was stopped by the watchdog."""
+
+
+@dataclass
+class Kicks:
+    """When the controller's watchdog was kicked, and how long this computer was silent in between.
+
+    Attributes
+    ----------
+    longest_s : float
+        Longest silence [s].
+    late : int
+        Number of silences longer than half the watchdog's period.
+    """
+
+    longest_s: float = 0.0
+    late: int = 0
+    _period_s: float = math.inf
+    _last_s: float | None = None
+    _expired: tuple[float, float] | None = None
+
+    def start(self, now: float, period_s: float) -> None:
+        """Note that the watchdog was started with a period [s]."""
+        self._last_s, self._period_s, self._expired = now, period_s, None
+
+    def end(self) -> None:
+        """Note that the program was stopped on purpose: from now on silence means nothing."""
+        self._last_s = None
+
+    def due(self, now: float) -> bool:
+        """Return whether it is time for the next kick."""
+        return self._last_s is None or now - self._last_s >= 0.2 * self._period_s
+
+    def kicked(self, now: float) -> None:
+        """Note a kick, or a command that has the same effect."""
+        if self._last_s is not None:
+            self._note(now, now - self._last_s)
+        self._last_s = now
+
+    def _note(self, now: float, gap_s: float) -> None:
+        self.longest_s = max(self.longest_s, gap_s)
+        self.late += gap_s > 0.5 * self._period_s
+        if gap_s > self._period_s - _STREAM_PERIODS_S:
+            self._expired = (now, gap_s)
+
+    def expired_before(self, stopped_s: float | None) -> float | None:
+        """Return the silence that let the watchdog expire just before the program was seen stopped; None if none."""
+        if stopped_s is None:
+            return None
+        if self._last_s is not None and stopped_s - self._last_s > self._period_s - _STREAM_PERIODS_S:
+            self._note(stopped_s, stopped_s - self._last_s)
+        if self._expired is None or not -_EXPIRED_WITHIN_S <= self._expired[0] - stopped_s <= _EXPIRED_WITHIN_S:
+            return None
+        return self._expired[1]
 
 
 @dataclass(frozen=True)

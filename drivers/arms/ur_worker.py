@@ -1,13 +1,31 @@
 """The process that holds one UR arm's RTDE client, so that a crash or hang of that client ends only this process.
 
 ``drivers.arms.ur_worker_process`` runs it as ``python -m drivers.arms.ur_worker`` and alone communicates with it.
-Requests and answers are JSON, one per line, on standard input and output. A request is ``{"id": n, "do": ...}``, its
-answer ``{"id": n, "ok": ...}`` or ``{"id": n, "error": kind, "text": ...}``; the kinds are the keys of
-``drivers.arms.ur.REFUSALS``.
+Messages are JSON, one per line, on standard input and output.
+
+==================================  ====================================================================================
+to the worker
+``{"id": n, "do": ...}``            a request
+``{"brake": true}``                 stop now; no motion until a request ``release`` or ``restart`` that comes later
+``{"beat": true}``                  the application is alive
+from the worker
+``{"id": n, "ok": ...}``            an answer
+``{"id": n, "error": kind, ...}``   a refusal with its ``text``; the kinds are the keys of ``drivers.arms.ur.REFUSALS``
+``{"doubt": kind, "text": ...}``    a fault, sent before anything else is done about it
+``{"lost": text}``                  the last line of a worker that ends itself
+``{"beat": [longest, late]}``       the worker looks at the arm; its longest silence towards the watchdog [s], and how
+                                    often that exceeded half of the watchdog's period
+==================================  ====================================================================================
 
 While all is well, the worker keeps the controller's watchdog from expiring. When the worker ends for any reason, the
 controller stops its program by itself. When standard input ends because the application has ended, the worker stops the
 program first.
+
+No order of a brake and a motion leaves the arm moving. The thread that reads messages first sets ``braked`` (A), then
+stops the program over a connection of its own (B). The main thread looks at ``braked`` before it uploads the program
+and before it sends a motion (C), sends it (D), and looks again (E). If C saw it, nothing was sent. If not, C came
+before A. Then either D took effect before B, and B stopped it; or D came after B, hence after A, and E sees it and
+stops the program again. From A on, the watchdog is not kicked either.
 """
 
 from __future__ import annotations
@@ -20,27 +38,30 @@ import queue
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, BinaryIO, NoReturn
 
 from drivers.arms.protocol import LinkLost
-from drivers.arms.ur_links import stop_program
-from drivers.arms.ur_motion import Motion, RestCriterion, WorkerSample, leading_rates, read_worker_sample
+from drivers.arms.ur_control import Refusal, UrControl, failed
+from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control, stop_program
+from drivers.arms.ur_motion import Kicks, Motion, RestCriterion, WorkerSample, leading_rates
 
 _TICK_S = 0.008
-_IDLE_TICK_S = 0.02
-_FREQUENCY_HZ = 125.0
-_SILENT_S = 0.5
-"""The link counts as lost if no new state comes for this long."""
+"""The arm is looked at with 125 Hz, the rate at which its states come."""
+_BEAT_EVERY_S = 0.05
+_SILENT_S = 0.3
+"""The arm's state is unknown if no new one comes for this long."""
 _SILENT_TICKS = 10
 """And if the worker has looked this often meanwhile: a process that was not scheduled has not looked."""
+_UNHEARD_S = 0.5
+_UNHEARD_TICKS = 20
+"""An application that says nothing for this long, and this many looks of the worker, hangs or is suspended."""
 _STARTS_WITHIN_S = 1.0
-_PROGRAM_WITHIN_S = 5.0
-_HALT_WITHIN_S = 0.25
-"""The application stops the program over another connection, then sends ``halt``. A stop that is not followed by
-``halt`` within this time is a fault."""
+_STOP_SEEN_WITHIN_S = 0.05
+"""The application sends ``brake`` before it stops the program over another connection. A program that has been seen
+stopped for this long without ``brake`` was stopped by something else."""
 _STANDING_S = 1.0
 """A motion reported as running while the arm rests for this long is a fault of the link."""
 _STREAMS_APART_S = 0.05
@@ -50,16 +71,11 @@ _CUT_SHORT_S = 0.5
 _STANDS_RAD_S = 1e-4
 _AT_GOAL_RAD = 2e-3
 _STOP_WITHIN_S = 1.0
-_VARIABLES = ("timestamp", "actual_q", "actual_qd", "joint_temperatures", "robot_mode", "safety_mode", "runtime_state")
+_BRAKE_WITHIN_S = 0.3
+_REST_WITHIN_S = 3.0
+_REST_DWELL_S = 0.05
+_LOCAL_WITHIN_S = 0.3
 _EMERGENCY = ("SYSTEM_EMERGENCY_STOP", "ROBOT_EMERGENCY_STOP")
-
-
-class Refusal(Exception):
-    """A request that cannot be served: its kind and a sentence."""
-
-    def __init__(self, kind: str, text: str) -> None:
-        super().__init__(text)
-        self.kind, self.text = kind, text
 
 
 @dataclass
@@ -71,29 +87,63 @@ class SettleRequest:
 
 
 class Worker:
-    """Serves requests one after the other; waiting for an arm to settle runs in parallel."""
+    """Serves requests one after the other; waiting for an arm to settle runs in parallel.
 
-    def __init__(self, requests: queue.SimpleQueue[dict[str, Any]], answers: BinaryIO) -> None:
-        self._requests, self._answers = requests, answers
+    ``heard``, ``brake``, ``put`` and ``exit_orphaned`` are called by the thread that reads messages.
+    """
+
+    def __init__(self, answers: BinaryIO) -> None:
+        self._requests: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
+        self._answers = answers
         self._writing = threading.Lock()
         self._parent = os.getppid()
         self._host = ""
-        self._watchdog_hz = 0.0
-        self._payload = False
-        self._control: Any = None
-        self._receive: Any = None
+        self._control: UrControl | None = None
+        self._watchdog_hz = 1.0
+        self._kicks = Kicks()
+        self._brakes = 0  # counted by the reading thread
+        self._released = 0  # the number of brakes that are no longer in force
         self._motion: Motion | None = None
+        self._cut_short = False
         self._settle_requests: list[SettleRequest] = []
         self._rest = RestCriterion(0.0, 0.0, 0.0)
         self._resting_since: WorkerSample | None = None
         self._fault: Refusal | None = None
         self._halted = False
-        self._program_stopped_s: float | None = None  # since when the program is seen stopped without a halt
+        self._program_stopped_s: float | None = None  # since when the program is seen stopped without a brake
         self._orphaned = False
-        self._kicked_s = 0.0
+        self._beat_s = 0.0
+        self._heard_s = time.monotonic()
+        self._ticks_unheard = 0
         self._last_time = -1.0
         self._last_news_s = 0.0
         self._ticks_without_news = 0
+
+    # -- the thread that reads messages --------------------------------------------------------------------------------
+
+    def heard(self) -> None:
+        """Note that the application is alive."""
+        self._heard_s, self._ticks_unheard = time.monotonic(), 0
+
+    def put(self, request: Mapping[str, Any]) -> None:
+        """Queue a request. It releases only brakes that came before it."""
+        self._requests.put({**request, "brakes": self._brakes})
+
+    def brake(self) -> None:
+        """Stop the program now, whatever the main thread does; see the module's text for the order."""
+        self._brakes += 1
+        self._requests.put(None)
+        if self._host:
+            with suppress(LinkLost):
+                stop_program(self._host, _BRAKE_WITHIN_S)
+
+    def exit_orphaned(self) -> NoReturn:
+        """Stop the program and end, because the application has ended."""
+        self._orphaned = True  # no more kicks: the watchdog stops the program if the dashboard does not answer
+        if self._host:
+            with suppress(LinkLost):
+                stop_program(self._host, 2.0 * _STOP_WITHIN_S)
+        os._exit(0)
 
     # -- serving -------------------------------------------------------------------------------------------------------
 
@@ -101,19 +151,12 @@ class Worker:
         """Serve until the process ends."""
         self._answer({"hello": os.getpid()})
         while True:
-            tick = _TICK_S if self._motion is not None or self._settle_requests else _IDLE_TICK_S
             with suppress(queue.Empty):
-                self._serve(self._requests.get(timeout=tick))
+                request = self._requests.get(timeout=_TICK_S)
+                if request is not None:
+                    self._serve(request)
             if self._control is not None:
-                self._monitor()
-
-    def exit_orphaned(self) -> NoReturn:
-        """Stop the program and end, because the application has ended. Called by the thread that reads requests."""
-        self._orphaned = True  # no more kicks: the watchdog stops the program if the dashboard does not answer
-        if self._host:
-            with suppress(LinkLost):
-                stop_program(self._host, 2.0 * _STOP_WITHIN_S)
-        os._exit(0)
+                self._monitor(self._control)
 
     def _serve(self, request: Mapping[str, Any]) -> None:
         number = int(request["id"])
@@ -128,11 +171,15 @@ class Worker:
                 case "settled":
                     self._wait_settled(number, request)
                     return
-                case "halt":
-                    self._halt()
+                case "allowed":
+                    answer = {"allowed": self._allowed(request)}
+                case "release":
+                    self._release(request)
                     answer = {}
+                case "restart":
+                    answer = self._restart(request)
                 case other:
-                    raise Refusal("failed", f"no such request: {other}")
+                    raise failed(f"no such request: {other}")
         except Refusal as refusal:
             self._answer({"id": number, "error": refusal.kind, "text": refusal.text})
         else:
@@ -148,7 +195,8 @@ class Worker:
                 self.exit_orphaned()
 
     def _exit_link_lost(self, text: str) -> NoReturn:
-        """Stop the arm over the dashboard, report, and end before the client can do harm."""
+        """Report, stop the arm over the dashboard, and end before the client can do harm."""
+        self._answer({"doubt": "link", "text": text})
         with suppress(LinkLost):
             stop_program(self._host, _STOP_WITHIN_S)
         self._answer({"lost": text})
@@ -156,32 +204,31 @@ class Worker:
 
     # -- requests ------------------------------------------------------------------------------------------------------
 
-    def _open(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        from rtde_control import RTDEControlInterface
-        from rtde_receive import RTDEReceiveInterface
+    @property
+    def braked(self) -> bool:
+        """Whether a brake is in force."""
+        return self._brakes > self._released
 
-        host, self._payload = str(request["host"]), bool(request["payload"])
-        variables = [*_VARIABLES, "payload"] if self._payload else [*_VARIABLES]
+    def _open(self, request: Mapping[str, Any]) -> dict[str, Any]:
         self._watchdog_hz = float(request["watchdog_hz"])
         self._rest = RestCriterion(*(float(request[key]) for key in ("settle_s", "settle_speed", "settle_position")))
-        # the constructors hold the interpreter's lock, so no thread of this process could end one that hangs
-        with _exit_after(float(request["timeout_s"])):
-            try:
-                receive = RTDEReceiveInterface(host, _FREQUENCY_HZ, variables)
-                if not receive.isConnected():
-                    raise Refusal("link", "the controller accepts RTDE connections but sends no state")
-                self._host = host  # from here on a program of this worker may run there
-                control = RTDEControlInterface(host)
-            except RuntimeError as error:
-                raise _open_refusal(str(error)) from error
-            self._receive, self._control = receive, control
-            self._last_news_s = time.monotonic()
-            self._start_watchdog()
-        return self._state()
+        host = str(request["host"])
+
+        def opening() -> None:
+            self._host = host  # from here on a program of this worker may run there
+
+        self._control = control = UrControl.open(host, request["optional"], float(request["timeout_s"]), opening)
+        self._last_news_s = time.monotonic()
+        self._start_watchdog(control)
+        return self._ready_state(control)
+
+    def _ready_state(self, control: UrControl) -> dict[str, Any]:
+        """Return the state with the tool centre point, read after the program has started: the program may set both."""
+        return {**self._state(), "tcp": control.tcp()}
 
     def _state(self) -> dict[str, Any]:
-        self._require_open()
-        state = self._next_sample().as_dict()
+        control = self._opened()
+        state = self._next_sample(control).as_dict()
         fault = self._fault
         return {
             **state,
@@ -190,81 +237,124 @@ class Worker:
         }
 
     def _move(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        self._require_open()
-        if self._fault is not None:
-            raise self._fault
+        control = self._opened()
+        self._require_no_fault()
+        self._require_not_braked()
         if self._motion is not None and self._motion.running:
-            raise _failed("it is still moving; wait until it rests, or stop it")
+            raise failed("it is still moving; wait until it rests, or stop it")
         self._motion = None
-        sample = self._next_sample()
+        sample = self._next_sample(control)
         self._require_ready(sample)
         if self._program_stopped_s is not None:
             raise self._program_stopped()
         if sample.speed > self._rest.speed:
-            raise _failed("it is still moving; wait until it rests, or stop it")
+            raise failed("it is still moving; wait until it rests, or stop it")
+        if sample.slider_down:
+            raise failed("the speed slider is at 0 %; raise it on the pendant")
         goal = request["q"]
         speed, acceleration = leading_rates(sample.q, goal, request["speed"], request["acceleration"])
-        with _exit_after(float(request["timeout_s"])):
-            self._ensure_program_runs(sample)
-            number = self._control.getAsyncOperationProgressEx().operationId()
-            try:
-                accepted = self._control.moveJ(goal, speed, acceleration, True)
-            except (RuntimeError, ValueError) as error:
-                raise _failed(f"the RTDE client refused the motion: {error}") from error
-            if not accepted:
-                self._require_ready(self._next_sample())
-                raise self._record_fault(_failed("the control program did not take the motion"))
-        self._check_links()  # the client may report success on a link that has just broken
-        self._kicked_s = time.monotonic()
-        self._resting_since = None
-        self._motion = Motion(goal, number, self._kicked_s)
+        self._ensure_program_runs(control, sample)
+        number, _ = control.operation()
+        self._require_not_braked()
+        accepted = control.move(goal, speed, acceleration)
+        if self.braked:
+            stopped = self._stopped()
+            with suppress(LinkLost):
+                stop_program(self._host, _STOP_WITHIN_S)
+            raise stopped
+        if not accepted:
+            self._require_ready(self._next_sample(control))
+            raise self._record_fault(failed("the control program did not take the motion"))
+        self._check_links(control)  # the client may report success on a link that has just broken
+        now = time.monotonic()
+        self._kicks.kicked(now)
+        self._resting_since, self._cut_short = None, False
+        self._motion = Motion(goal, number, now)
         return {}
 
     def _wait_settled(self, number: int, request: Mapping[str, Any]) -> None:
-        self._require_open()
+        self._opened()
         self._settle_requests.append(SettleRequest(number, time.monotonic() + float(request["timeout_s"])))
 
-    def _halt(self) -> None:
-        """Forget the motion: the application has stopped the program itself."""
-        self._require_open()
-        self._motion = None
-        self._halted = True
-        self._program_stopped_s = None
-        self._resting_since = None
+    def _allowed(self, request: Mapping[str, Any]) -> list[bool]:
+        """Return which joint positions the controller's safety configuration allows."""
+        control = self._opened()
+        self._require_no_fault()
+        self._require_not_braked()
+        if self._motion is not None and self._motion.running:
+            raise failed("it is moving; safety limits can be asked at rest only")
+        self._ensure_program_runs(control, self._next_sample(control))
+        allowed = []
+        for q in request["q"]:
+            self._require_not_braked()
+            allowed.append(control.within_safety_limits(q))
+            self._monitor(control)
+        return allowed
+
+    def _release(self, request: Mapping[str, Any]) -> None:
+        """Accept motions again after the brakes that came before this request."""
+        self._take_brake()
+        self._released = int(request["brakes"])
+
+    def _restart(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Release the brakes, start the control program again and return the state with the tool centre point."""
+        control = self._opened()
+        self._require_no_fault()
+        self._wait_at_rest(control)
+        self._require_no_fault()
+        self._release(request)
+        self._ensure_program_runs(control, self._next_sample(control))
+        state = self._ready_state(control)
+        self._require_no_fault()
+        return state
+
+    def _wait_at_rest(self, control: UrControl) -> None:
+        deadline, since = time.monotonic() + _REST_WITHIN_S, None
+        while True:
+            sample = self._next_sample(control)
+            if sample.speed > self._rest.speed:
+                since = None
+            elif since is None:
+                since = sample.time_s
+            elif sample.time_s - since >= _REST_DWELL_S:
+                return
+            if time.monotonic() > deadline:
+                raise failed(f"it still moves {_REST_WITHIN_S:g} s after it was stopped")
+            self._monitor(control)
 
     # -- the controller ------------------------------------------------------------------------------------------------
 
-    def _require_open(self) -> None:
+    def _opened(self) -> UrControl:
         if self._control is None:
-            raise _failed("no controller was opened")
+            raise failed("no controller was opened")
+        return self._control
 
-    def _start_watchdog(self) -> None:
-        if not self._control.setWatchdog(self._watchdog_hz):
-            raise _failed("the control program does not respond (it refused the watchdog)")
-        self._kicked_s = time.monotonic()
+    def _start_watchdog(self, control: UrControl) -> None:
+        control.set_watchdog(self._watchdog_hz)
+        self._kicks.start(time.monotonic(), 1.0 / self._watchdog_hz)
 
-    def _check_links(self) -> None:
+    def _check_links(self, control: UrControl) -> None:
         """End if a link broke: the client would reconnect by itself again and again, and crash in the end."""
-        if not (self._control.isConnected() and self._receive.isConnected()):
+        if not control.connected:
             self._exit_link_lost("the RTDE link broke")
 
-    def _sample(self) -> WorkerSample:
+    def _sample(self, control: UrControl) -> WorkerSample:
         """Return the newest state."""
-        sample = read_worker_sample(self._receive, payload=self._payload)
+        sample = control.sample()
         if not sample.valid:
             self._exit_link_lost("the controller's state is not one of six joints")
         return sample
 
-    def _next_sample(self) -> WorkerSample:
+    def _next_sample(self, control: UrControl) -> WorkerSample:
         """Return the first state that comes after this call."""
-        before = self._receive.getTimestamp()
+        before = control.time_s
         deadline = time.monotonic() + _SILENT_S
-        while self._receive.getTimestamp() == before:
-            self._check_links()
+        while control.time_s == before:
+            self._check_links(control)
             if time.monotonic() > deadline:
                 self._exit_link_lost(f"no state came for {_SILENT_S:g} s")
             time.sleep(0.0005)
-        return self._sample()
+        return self._sample(control)
 
     def _require_ready(self, sample: WorkerSample) -> None:
         """Raise and record what keeps the arm from moving."""
@@ -274,69 +364,123 @@ class Worker:
         if mode in _EMERGENCY:
             raise self._record_fault(Refusal("emergency", "emergency stop"))
         if mode != "NORMAL":
-            raise self._record_fault(_failed(f"safety mode {mode}"))
+            raise self._record_fault(failed(f"safety mode {mode}"))
         if sample.robot_mode != "RUNNING":
-            raise self._record_fault(_failed(f"robot mode {sample.robot_mode}, needed is RUNNING"))
+            raise self._record_fault(failed(f"robot mode {sample.robot_mode}, needed is RUNNING"))
 
-    def _ensure_program_runs(self, sample: WorkerSample) -> None:
+    def _require_no_fault(self) -> None:
+        if self._fault is not None:
+            raise self._fault
+
+    def _require_not_braked(self) -> None:
+        if self.braked:
+            raise self._stopped()
+
+    def _stopped(self) -> Refusal:
+        self._take_brake()
+        return Refusal("stopped", "its motion was stopped before the goal")
+
+    def _take_brake(self) -> None:
+        """Stop a motion through the control program too, and forget it: its program is being stopped."""
+        if not self._halted and self._control is not None:
+            self._control.brake()
+        if self._motion is not None:
+            self._motion, self._cut_short = None, True
+        self._halted = True
+        self._kicks.end()
+        self._program_stopped_s = None
+        self._resting_since = None
+
+    def _ensure_program_runs(self, control: UrControl, sample: WorkerSample) -> None:
         """Upload the control program again if it was stopped on purpose."""
         if sample.program == "PLAYING" and not self._halted:
             return
         if sample.program != "STOPPED":
             with suppress(LinkLost):
                 stop_program(self._host, _STOP_WITHIN_S)
-        deadline = time.monotonic() + _PROGRAM_WITHIN_S
-        while self._control.isProgramRunning():  # the client learns of a stop one period later than the state
-            if time.monotonic() > deadline:
-                raise self._record_fault(_failed("the control program was stopped but still runs"))
-            time.sleep(0.002)
+
+        def meanwhile() -> None:
+            self._require_not_braked()
+            self._look(control)
+
         try:
-            self._control.reuploadScript()
-        except RuntimeError as error:
-            raise self._record_fault(_failed(f"the control program could not be uploaded again: {error}")) from error
-        while not self._control.isProgramRunning():
-            if time.monotonic() > deadline:
-                text = f"the control program did not start within {_PROGRAM_WITHIN_S:g} s"
-                raise self._record_fault(Refusal("timeout", text))
-            time.sleep(0.002)
+            control.upload(meanwhile)
+            self._start_watchdog(control)
+        except Refusal as refusal:
+            if refusal.kind != "stopped":
+                self._record_fault(refusal)
+            with suppress(LinkLost):  # an uploaded program may still start
+                stop_program(self._host, _STOP_WITHIN_S)
+            raise
         self._halted = False
-        self._start_watchdog()
 
     def _record_fault(self, refusal: Refusal) -> Refusal:
-        """Record the first fault and stop the arm: nothing moves until the application connects again."""
+        """Report the first fault, then stop the arm: nothing moves until the application connects again."""
         if self._fault is None:
             self._fault = refusal
+            self._answer({"doubt": refusal.kind, "text": refusal.text})
             with suppress(LinkLost):
                 stop_program(self._host, _STOP_WITHIN_S)
         self._motion = None
-        return refusal
+        return self._fault
 
     def _program_stopped(self) -> Refusal:
-        text = "its program was stopped: on the pendant, or because this computer was silent for too long"
-        return self._record_fault(_failed(text))
+        """Record why the control program was stopped by something else than the application."""
+        gap_s = self._kicks.expired_before(self._program_stopped_s)
+        if gap_s is not None:
+            text = (
+                f"this computer was silent for {gap_s:.2f} s, so the controller's watchdog"
+                f" ({1.0 / self._watchdog_hz:.2f} s) stopped its program"
+            )
+            return self._record_fault(Refusal("stalled", text))
+        fault = self._record_fault(failed("its program was stopped on the pendant"))
+        if fault.kind == "failed" and in_local_control(self._host, _LOCAL_WITHIN_S):
+            text = f"its program was stopped, and {LOCAL_CONTROL}; switch it to Remote"
+            self._fault = fault = Refusal("local", text)
+        return fault
 
     # -- monitoring ----------------------------------------------------------------------------------------------------
 
-    def _monitor(self) -> None:
-        """Check links, faults, motion and rest; called about a hundred times a second."""
+    def _monitor(self, control: UrControl) -> None:
+        """Check links, faults, motion and rest; keep the watchdog from expiring; answer settle requests."""
         now = time.monotonic()
-        if os.name == "posix" and os.getppid() != self._parent:
-            self.exit_orphaned()
-        self._check_links()
-        sample = self._sample()
-        news = self._is_news(sample, now)
-        self._check_faults(sample, now)
+        sample, news = self._look(control)
+        if self.braked and not self._halted:
+            self._take_brake()
+        self._check_program(control, sample, now)
+        self._check_application(now)
         if news:
             self._update_rest(sample)
         if self._motion is not None and self._motion.running:
-            self._track_motion(self._motion, sample, now)
-        if self._fault is None and not self._halted and self._program_stopped_s is None:
-            self._kick_watchdog(now)
-        if self._settle_requests and (news or self._fault is not None):
-            self._settle_requests = [item for item in self._settle_requests if not self._answer_settled(item, sample)]
-        for item in [item for item in self._settle_requests if now > item.deadline_s]:
-            self._settle_requests.remove(item)
-            self._answer({"id": item.request, "error": "timeout", "text": "it did not come to rest in time"})
+            self._track_motion(control, self._motion, sample, now)
+        if self._may_kick() and self._kicks.due(now):
+            self._kicks.kicked(now)
+            control.kick_watchdog()
+        if self._settle_requests:
+            self._answer_settle_requests(sample, now, news)
+
+    def _look(self, control: UrControl) -> tuple[WorkerSample, bool]:
+        """Check what can stop an arm at any time; return its newest state, and whether that is new."""
+        now = time.monotonic()
+        if os.name == "posix" and os.getppid() != self._parent:
+            self.exit_orphaned()
+        self._check_links(control)
+        sample = self._sample(control)
+        news = self._is_news(sample, now)
+        if self._fault is None:
+            with suppress(Refusal):
+                self._require_ready(sample)
+        if now - self._beat_s >= _BEAT_EVERY_S:
+            self._beat_s = now
+            self._answer({"beat": [self._kicks.longest_s, self._kicks.late]})
+        return sample, news
+
+    def _may_kick(self) -> bool:
+        return (
+            self._fault is None
+            and not (self._halted or self.braked or self._orphaned)
+            and self._program_stopped_s is None
+        )
 
     def _is_news(self, sample: WorkerSample, now: float) -> bool:
         """Return whether a sample is new; end if none has come for too long."""
@@ -348,42 +492,43 @@ class Worker:
             self._exit_link_lost(f"no state came for {_SILENT_S:g} s")
         return False
 
-    def _check_faults(self, sample: WorkerSample, now: float) -> None:
-        """Record a fault, even if it is cleared on the pendant before the application polls."""
+    def _check_program(self, control: UrControl, sample: WorkerSample, now: float) -> None:
+        """Record that something else than the application stopped the program."""
         if self._fault is not None:
             return
-        with suppress(Refusal):
-            self._require_ready(sample)
-            # the control stream shows whether the state stream is only older
-            if sample.program == "PLAYING" or self._halted or self._control.isProgramRunning():
-                self._program_stopped_s = None
-            elif self._program_stopped_s is None:
-                self._program_stopped_s = now
-            elif now - self._program_stopped_s > _HALT_WITHIN_S:
-                raise self._program_stopped()
+        # the control stream shows whether the state stream is only older
+        if sample.program == "PLAYING" or self._halted or self.braked or control.program_runs:
+            self._program_stopped_s = None
+        elif self._program_stopped_s is None:
+            self._program_stopped_s = now
+        elif now - self._program_stopped_s > _STOP_SEEN_WITHIN_S:
+            self._program_stopped()
 
-    def _track_motion(self, motion: Motion, sample: WorkerSample, now: float) -> None:
+    def _check_application(self, now: float) -> None:
+        """Stop a motion that an application that hangs, or is suspended, no longer watches."""
+        self._ticks_unheard += 1
+        if self._motion is None or not self._motion.running or self._fault is not None:
+            return
+        if now - self._heard_s > _UNHEARD_S and self._ticks_unheard > _UNHEARD_TICKS:
+            text = f"this program was silent for {_UNHEARD_S:g} s (suspended, or hung), so its worker stopped the arm"
+            self._record_fault(Refusal("stalled", text))
+
+    def _track_motion(self, control: UrControl, motion: Motion, sample: WorkerSample, now: float) -> None:
         """Detect the end of a motion; end the process if the client's report contradicts the arm's state."""
-        status = self._control.getAsyncOperationProgressEx()
-        if status.operationId() != motion.number_before:
-            if not status.isAsyncOperationRunning():
+        number, running = control.operation()
+        if number != motion.number_before:
+            if not running:
                 motion.running, motion.ended_s = False, now
                 self._resting_since = None  # delayed positions from before the motion may have looked like rest
                 return
         elif now - motion.began_s > _STARTS_WITHIN_S:
             self._exit_link_lost("a motion was sent but not begun")
-        if sample.speed > _STANDS_RAD_S or now - motion.began_s < _STARTS_WITHIN_S:
+        if sample.speed > _STANDS_RAD_S or now - motion.began_s < _STARTS_WITHIN_S or sample.slider_down:
             motion.standing_since_s = None
         elif motion.standing_since_s is None:
             motion.standing_since_s = now
         elif now - motion.standing_since_s > _STANDING_S:
             self._exit_link_lost("the arm rests, but its motion is reported as running")
-
-    def _kick_watchdog(self, now: float) -> None:
-        if self._orphaned or now - self._kicked_s < 0.2 / self._watchdog_hz:
-            return
-        self._kicked_s = now
-        self._control.kickWatchdog()
 
     def _update_rest(self, sample: WorkerSample) -> None:
         """Track since when the arm rests."""
@@ -393,71 +538,75 @@ class Worker:
         elif first is None or sample.distance(first.q) > self._rest.position:
             self._resting_since = sample
 
-    def _answer_settled(self, item: SettleRequest, sample: WorkerSample) -> bool:
-        """Answer a settle request if the arm has settled or has a fault; return whether it was answered."""
+    def _answer_settle_requests(self, sample: WorkerSample, now: float, news: bool) -> None:
+        waiting = []
+        for item in self._settle_requests:
+            answer = self._settled(sample, now, news)
+            if answer is None and now > item.deadline_s:
+                why = "; the speed slider is at 0 %" if sample.slider_down else ""
+                answer = {"error": "timeout", "text": f"it did not come to rest in time{why}"}
+            if answer is None:
+                waiting.append(item)
+            else:
+                self._answer({"id": item.request, **answer})
+        self._settle_requests = waiting
+
+    def _settled(self, sample: WorkerSample, now: float, news: bool) -> dict[str, Any] | None:
+        """Return the answer to a settle request if the arm has settled, was stopped or has a fault; else None."""
         if self._fault is not None:
-            self._answer({"id": item.request, "error": self._fault.kind, "text": self._fault.text})
-            return True
-        motion, first, now = self._motion, self._resting_since, time.monotonic()
+            return {"error": self._fault.kind, "text": self._fault.text}
+        if self._cut_short or self.braked:
+            return {"error": "stopped", "text": self._stopped().text}
+        motion, first = self._motion, self._resting_since
         ended_for_s = math.inf if motion is None else now - motion.ended_s
-        if ended_for_s < _STREAMS_APART_S:
-            return False
+        if not news or ended_for_s < _STREAMS_APART_S:
+            return None
         if first is None or sample.time_s - first.time_s < self._rest.dwell_s:
-            return False
+            return None
         off = 0.0 if motion is None else sample.distance(motion.goal)
         if off > _AT_GOAL_RAD and ended_for_s < _CUT_SHORT_S:
-            return False
+            return None
         self._motion = None
         if off > _AT_GOAL_RAD:
-            text = f"its motion was cut short: it rests {math.degrees(off):.2f} deg from its goal"
-            self._answer({"id": item.request, "error": "failed", "text": self._record_fault(_failed(text)).text})
-        else:
-            self._answer({"id": item.request, "ok": {**sample.as_dict(), "moving": False, "fault": None}})
-        return True
+            fault = self._record_fault(
+                failed(f"its motion was cut short: it rests {math.degrees(off):.2f} deg from its goal")
+            )
+            return {"error": fault.kind, "text": fault.text}
+        return {"ok": {**sample.as_dict(), "moving": False, "fault": None}}
 
 
-def _failed(text: str) -> Refusal:
-    return Refusal("failed", text)
+def _raise_priority() -> None:
+    """Run before other programs where that is allowed, so that the watchdog is kicked in time.
 
-
-def _open_refusal(text: str) -> Refusal:
-    """Return why the RTDE client's constructor raised, reworded where its text is unclear."""
-    if "enable remote control" in text:
-        return Refusal("local", "not in remote control; switch the pendant from Local to Remote")
-    if "before timeout of 5 seconds" in text:
-        return Refusal("timeout", "its control program did not start within 5 s; see what the pendant shows")
-    if "already in use" in text:
-        return _failed("another RTDE client (a fieldbus, another program) holds its inputs; end that")
-    return Refusal("link", f"the RTDE client could not connect: {' '.join(text.split())[:200]}")
-
-
-@contextmanager
-def _exit_after(seconds: float) -> Iterator[None]:
-    """End the process if the block hangs, even while it holds the interpreter's lock."""
-    faulthandler.dump_traceback_later(seconds, exit=True)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()
+    Not with real-time priority: the client busy-waits, which would keep a small computer from everything else.
+    """
+    if hasattr(os, "setpriority"):
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, -10)
 
 
 def main() -> None:
     """Serve on standard input and output, kept free of the RTDE client's own messages."""
+    _raise_priority()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the application
-    requests_in, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    messages, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     devnull = os.open(os.devnull, os.O_RDWR)
     os.dup2(devnull, 0)
     os.dup2(devnull, 1)
     faulthandler.enable()
-    requests: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-    worker = Worker(requests, answers)
+    worker = Worker(answers)
 
     def read() -> None:
-        for line in requests_in:
-            requests.put(json.loads(line))
+        for line in messages:
+            worker.heard()
+            message = json.loads(line)
+            if "brake" in message:
+                worker.brake()
+            elif "do" in message:
+                worker.put(message)
         worker.exit_orphaned()
 
-    threading.Thread(target=read, name="requests", daemon=True).start()
+    threading.Thread(target=read, name="messages", daemon=True).start()
     worker.run()
 
 

@@ -1,4 +1,4 @@
-"""The worker process of a UR arm as seen by the application: requests, answers, and its end."""
+"""The worker process of a UR arm as seen by the application: requests, answers, heartbeats, doubts, and its end."""
 
 from __future__ import annotations
 
@@ -8,11 +8,26 @@ import queue
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import drivers
+
+_BEAT_EVERY_S = 0.05
+_SILENT_S = 0.3
+"""The arm's state is unknown if its worker sends no heartbeat for this long."""
+_SILENT_LOOKS = 4
+"""And if this process has looked this often meanwhile: one that was not scheduled has not read either."""
+_LOCK_WITHIN_S = 0.01
+"""Messages are short and the worker reads them at once; a longer wait means that it hangs."""
+_STOPPED: Mapping[str, Any] = {"error": "stopped", "text": "its motion was stopped before the goal"}
+
+Doubted = Callable[[str, str], None]
+"""Receives the kind of a refusal and a sentence, from any thread; returns at once."""
 
 
 class WorkerGone(Exception):
@@ -27,10 +42,42 @@ class WorkerRefusal(Exception):
         self.kind, self.text = kind, text
 
 
-class WorkerProcess:
-    """A worker process. Calls may come from several threads."""
+@dataclass(frozen=True)
+class HeartbeatGaps:
+    """How regularly this computer kept a controller's watchdog from expiring.
 
-    def __init__(self, name: str) -> None:
+    Attributes
+    ----------
+    longest_s : float
+        Longest silence [s].
+    late : int
+        Number of silences longer than half the watchdog's period.
+    """
+
+    longest_s: float = 0.0
+    late: int = 0
+
+    def joined(self, other: HeartbeatGaps) -> HeartbeatGaps:
+        """Return the gaps of both."""
+        return HeartbeatGaps(max(self.longest_s, other.longest_s), self.late + other.late)
+
+
+@dataclass(frozen=True)
+class _Pending:
+    """A request whose answer is waited for."""
+
+    request: str
+    answered: queue.SimpleQueue[Mapping[str, Any] | None]
+
+
+class WorkerProcess:
+    """A worker process. Calls may come from several threads.
+
+    ``doubted`` is called when the worker reports a fault, falls silent or ends, unless it was told to end.
+    ``on_beat`` is called by a thread of its own, 20 times a second.
+    """
+
+    def __init__(self, name: str, doubted: Doubted, on_beat: Callable[[], None]) -> None:
         root = str(Path(drivers.__file__).parents[1])
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         self._process = subprocess.Popen(
@@ -40,14 +87,21 @@ class WorkerProcess:
             stderr=subprocess.DEVNULL,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
             start_new_session=True,  # a Ctrl-C in the terminal must not reach it
+            creationflags=getattr(subprocess, "HIGH_PRIORITY_CLASS", 0),  # Windows; elsewhere it asks for it itself
         )
+        self._doubted, self._on_beat = doubted, on_beat
         self._lock = threading.Lock()
         self._number = 0
-        self._pending: dict[int, queue.SimpleQueue[dict[str, Any] | None]] = {}
+        self._pending: dict[int, _Pending] = {}
         self._hello: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._ended = ""
+        self._ending = threading.Event()
+        self._gaps = HeartbeatGaps()
+        self._beat_s = 0.0
+        self._looks = 0
         self._reader = threading.Thread(target=self._read, name=f"UR worker of {name}", daemon=True)
         self._reader.start()
+        self._heart = threading.Thread(target=self._beat, name=f"heartbeat of {name}", daemon=True)
 
     @property
     def pid(self) -> int:
@@ -59,6 +113,11 @@ class WorkerProcess:
         """Why the process has ended; empty while it runs."""
         return self._ended
 
+    @property
+    def gaps(self) -> HeartbeatGaps:
+        """How regularly it kept the controller's watchdog from expiring."""
+        return self._gaps
+
     def wait_hello(self, timeout_s: float) -> None:
         """Wait until the process serves requests. Raises ``WorkerGone``."""
         try:
@@ -68,20 +127,29 @@ class WorkerProcess:
         if self._ended:
             raise WorkerGone(self._ended)
 
-    def call(self, request: str, within_s: float, **arguments: Any) -> dict[str, Any]:
-        """Send a request and return its answer. Raises ``WorkerGone`` or ``WorkerRefusal``."""
-        answered: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+    def watch(self) -> None:
+        """Exchange heartbeats from now on; call it when the worker looks at its arm."""
+        self._seen()
+        self._heart.start()
+
+    def call(
+        self, request: str, within_s: float, permitted: Callable[[], None] = lambda: None, **arguments: Any
+    ) -> dict[str, Any]:
+        """Send a request and return its answer.
+
+        ``permitted`` is called when no brake can come between it and the sending; it raises to send nothing. A call of
+        ``settled`` also ends when ``brake`` is called. Raises ``WorkerGone`` or ``WorkerRefusal``.
+        """
+        answered: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
         with self._lock:
             if self._ended:
                 raise WorkerGone(self._ended)
+            permitted()
             self._number += 1
             number = self._number
-            self._pending[number] = answered
+            self._pending[number] = _Pending(request, answered)
             try:
-                assert self._process.stdin is not None
-                line = json.dumps({"id": number, "do": request, **arguments})
-                self._process.stdin.write(line.encode("ascii") + b"\n")
-                self._process.stdin.flush()
+                self._write({"id": number, "do": request, **arguments})
             except OSError as error:
                 raise WorkerGone(f"its driver process accepts no requests ({error})") from error
         try:
@@ -97,13 +165,31 @@ class WorkerProcess:
             raise WorkerRefusal(str(answer["error"]), str(answer["text"]))
         return dict(answer["ok"])
 
+    def brake(self) -> None:
+        """Tell the worker to stop its arm and to begin no motion until ``release`` or ``restart`` is asked.
+
+        Takes microseconds; a worker that does not read its messages is left to the controller's watchdog.
+        """
+        if not self._lock.acquire(timeout=_LOCK_WITHIN_S):
+            return
+        try:
+            with suppress(OSError):
+                self._write({"brake": True})
+            waiting = [one for one in self._pending.values() if one.request == "settled"]
+        finally:
+            self._lock.release()
+        for one in waiting:
+            one.answered.put(_STOPPED)
+
     def kill(self) -> None:
         """Kill the process; harmless when it has ended."""
+        self._ending.set()
         self._process.kill()
         self._join()
 
     def end(self, timeout_s: float) -> None:
         """Let the process stop the program and end by itself; kill it if it does not end in time."""
+        self._ending.set()
         with self._lock, suppress(OSError):
             assert self._process.stdin is not None
             self._process.stdin.close()
@@ -114,10 +200,37 @@ class WorkerProcess:
     def _join(self) -> None:
         self._process.wait()
         self._reader.join()
+        if self._heart.is_alive() and self._heart is not threading.current_thread():
+            self._heart.join()
         for pipe in (self._process.stdin, self._process.stdout):
             assert pipe is not None
             with suppress(OSError):
                 pipe.close()
+
+    # -- threads -------------------------------------------------------------------------------------------------------
+
+    def _write(self, message: Mapping[str, Any]) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(message).encode("ascii") + b"\n")
+            self._process.stdin.flush()
+        except ValueError as error:  # closed by ``end`` in another thread
+            raise OSError(str(error)) from error
+
+    def _seen(self) -> None:
+        self._beat_s, self._looks = time.monotonic(), 0
+
+    def _beat(self) -> None:
+        """Send heartbeats and miss those of the worker, until it ends."""
+        silent = False
+        while not self._ending.wait(_BEAT_EVERY_S) and not self._ended:
+            with self._lock, suppress(OSError):
+                self._write({"beat": True})
+            self._looks += 1
+            if not silent and time.monotonic() - self._beat_s > _SILENT_S and self._looks > _SILENT_LOOKS:
+                silent = True
+                self._doubted("link", f"its driver process was silent for {_SILENT_S:g} s")
+            self._on_beat()
 
     def _read(self) -> None:
         reason = ""
@@ -125,20 +238,31 @@ class WorkerProcess:
         for line in self._process.stdout:
             if not line.endswith(b"\n"):  # the process ended in the middle of a line
                 break
-            answer = json.loads(line)
-            if "hello" in answer:
+            self._seen()
+            message = json.loads(line)
+            if "beat" in message:
+                self._gaps = HeartbeatGaps(*message["beat"])
+            elif "doubt" in message:
+                self._report(str(message["doubt"]), str(message["text"]))
+            elif "lost" in message:
+                reason = str(message["lost"])
+            elif "hello" in message:
                 self._hello.put(None)
-            elif "lost" in answer:
-                reason = str(answer["lost"])
             else:
                 with self._lock:
-                    answers = self._pending.get(int(answer["id"]))
-                if answers is not None:
-                    answers.put(answer)
+                    pending = self._pending.get(int(message["id"]))
+                if pending is not None:
+                    pending.answered.put(message)
+        if not reason and not self._ending.is_set():
+            self._report("link", "its driver process ended")
         code = self._process.wait()
         with self._lock:
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             self._ended = reason or f"its driver process ended ({how})"
-            for answers in self._pending.values():
-                answers.put(None)
+            for pending in self._pending.values():
+                pending.answered.put(None)
         self._hello.put(None)
+
+    def _report(self, kind: str, text: str) -> None:
+        if not self._ending.is_set():
+            self._doubted(kind, text)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -18,6 +19,9 @@ class Motion:
 
     The share of the travel is a parabola in each phase: phase k begins at ``times[k]`` after the start with the share
     ``share[k]``, the rate ``rate[k]`` and the constant acceleration ``pull[k]``.
+
+    A speed slider scales the motion's own time: it passes ``scale`` times as fast as the clock since ``scaled_s`` after
+    the start, when ``own_s`` of it had passed.
     """
 
     start_s: float
@@ -28,14 +32,32 @@ class Motion:
     share: Array
     rate: Array
     pull: Array
+    scale: float = 1.0
+    scaled_s: float = 0.0
+    own_s: float = 0.0
 
     @property
     def end_s(self) -> float:
-        """End of the motion [s]."""
-        return self.start_s + self.duration_s
+        """End of the motion [s]; infinite while it is scaled to a standstill."""
+        if self.scale == 0.0:
+            return np.inf
+        return self.start_s + self.scaled_s + (self.duration_s - self.own_s) / self.scale
+
+    @property
+    def mean_speed(self) -> Array:
+        """Mean absolute speed of each joint (N,) at the present scale."""
+        return np.abs(self.q_to - self.q_from) / self.duration_s * self.scale
+
+    def scaled(self, time_s: float, scale: float) -> Self:
+        """Return the same motion along the same path, ``scale`` times as fast as at full speed from ``time_s`` on."""
+        own_s = float(np.clip(self._own(np.array([time_s]))[0], 0.0, self.duration_s))
+        return replace(self, scale=scale, scaled_s=time_s - self.start_s, own_s=own_s)
+
+    def _own(self, time_s: Array) -> Array:
+        return self.own_s + (time_s - self.start_s - self.scaled_s) * self.scale
 
     def _phase(self, time_s: Array) -> tuple[Array, np.ndarray]:
-        t = np.clip(time_s - self.start_s, 0.0, self.duration_s)
+        t = np.clip(self._own(time_s), 0.0, self.duration_s)
         phase = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 1)
         return t - self.times[phase], phase
 
@@ -51,7 +73,7 @@ class Motion:
         t, phase = self._phase(time_s)
         rate = self.rate[phase] + t * self.pull[phase]
         inside = (time_s >= self.start_s) & (time_s < self.end_s)  # a braking motion starts with its full speed
-        return np.where(inside, rate, 0.0)[:, None] * (self.q_to - self.q_from)
+        return np.where(inside, rate * self.scale, 0.0)[:, None] * (self.q_to - self.q_from)
 
 
 def _largest_rate(travel: Array, limit: Array) -> float:

@@ -341,6 +341,17 @@ class Plant:
         """Whether an arm moves."""
         return self._arm(name).motion is not None
 
+    def speeds(self, name: str) -> Array:
+        """Joint speeds of an arm now, (N,) [rad/s]."""
+        arm = self._arm(name)
+        return np.zeros(arm.config.joints) if arm.motion is None else arm.motion.velocity(np.array([self._clock_s]))[0]
+
+    def scale_speed(self, name: str, scale: float) -> None:
+        """Let the running motion of an arm go on along its path at ``scale`` times its own speed; 0: it stands."""
+        arm = self._arm(name)
+        if arm.motion is not None:
+            arm.motion = arm.motion.scaled(self._clock_s, scale)
+
     def rest_s(self, name: str) -> float:
         """When the arm comes or came to rest [s]."""
         arm = self._arm(name)
@@ -367,12 +378,13 @@ class Plant:
         if arm.motion is not None:
             arm.stop_error = self.config.repeatability * arm.repeatability.standard_normal(arm.config.joints)
 
-    def stop(self, name: str) -> None:
-        """Brake all joints of an arm at their greatest acceleration; harmless at rest."""
+    def stop(self, name: str, deceleration: Array | None = None) -> None:
+        """Brake an arm along its path, at most at ``deceleration`` (N,), by default the greatest; harmless at rest."""
         arm = self._arm(name)
         if arm.motion is None:
             return
-        shortened = braked(arm.motion, self._clock_s, arm.config.acceleration)
+        limit = arm.config.acceleration if deceleration is None else deceleration
+        shortened = braked(arm.motion, self._clock_s, limit)
         self._end_motion(arm, self._q(arm), self._clock_s)
         arm.motion = shortened
 
@@ -426,8 +438,7 @@ class Plant:
             resting_s, cold = duration_s, arm.rise
             if arm.motion is not None:
                 turning_s = min(arm.motion.end_s, end_s) - self._clock_s
-                mean = np.abs(arm.motion.q_to - arm.motion.q_from) / arm.motion.duration_s
-                arm.rise = joint_rise(arm.rise, mean, turning_s, self.config.holding_k)
+                arm.rise = joint_rise(arm.rise, arm.motion.mean_speed, turning_s, self.config.holding_k)
                 resting_s -= turning_s
                 if arm.motion.end_s <= end_s:
                     self._end_motion(arm, arm.motion.q_to, arm.motion.end_s)

@@ -22,11 +22,15 @@ Another server on the same plant, such as a tracker's, runs in a thread of the s
 the condition ``server.cell.passed``, which uses the same lock. Only the controllers' loop advances the clock, by
 ``pace`` seconds per second of wall time.
 
+A stop acts after a latency and brakes along the path with a limited deceleration; ``braking.py`` has the figures and
+their sources, the command ``stops`` the times of each.
+
 Not emulated: URScript is not interpreted (a program other than ur_rtde's control script ends at once); servo,
-speed, force, path and Cartesian motions end the program, as a script error would; ``stopJ`` brakes as hard as the
-drives can, whatever deceleration is requested; all currents and forces are zero; the script port sends nothing.
+speed, force, path and Cartesian motions end the program, as a script error would; all currents and forces are zero; the
+script port sends nothing.
 """
 
+from drivers.emulators.ur_controller.braking import Braking
 from drivers.emulators.ur_controller.control import Control, Refused
 from drivers.emulators.ur_controller.links import FAULTS, Fault
 from drivers.emulators.ur_controller.motion import FreeMotions, Motions, PacedCell
@@ -53,6 +57,7 @@ __all__ = [
     "FREE_PORTS",
     "STANDARD_PORTS",
     "Addresses",
+    "Braking",
     "Control",
     "ControllerConfig",
     "EmulatorProcess",

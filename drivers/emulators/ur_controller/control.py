@@ -14,6 +14,10 @@ A request is ``ARM COMMAND [ARGUMENT ...]`` (ARM ``*``: all arms), the answer ``
     estop | estop-release                 the emergency stop button
     power-on | brake-release | power-off  the operator at the pendant
     remote on|off                         the switch of the e-Series
+    slider FRACTION                       the speed slider, 0 to 1; at 0 the arm stands and its program runs
+    foreign playing|paused|off            a person's own program: started, paused, ended
+    stops                                 the stops so far: kind, times of ``time.monotonic``, ideal braking time
+    clearance                             smallest distance [m] between the arms and to the floor, if watched
     load MASS [X Y Z]                     true load of the flange [kg, m], unknown to the controller
 
 PORT is dashboard, primary, script, rtde or ``*``. ``pace FACTOR`` applies to all arms.
@@ -33,9 +37,11 @@ import numpy as np
 
 from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.links import FAULTS, Ending, Port
+from drivers.emulators.ur_controller.modes import Runtime
 from drivers.emulators.ur_controller.motion import PacedCell
 from drivers.emulators.ur_controller.personality import PortName
 from drivers.emulators.ur_controller.rtde import RtdeServer
+from drivers.emulators.ur_controller.script import ForeignProgram
 
 _LONGEST_LINE = 4096
 _TIMEOUT_S = 10.0
@@ -109,7 +115,10 @@ def _status(arm: Emulated, _: Sequence[str], now_s: float) -> dict[str, Any]:
         "runtime_state": c.runtime.name,
         "program": None if c.program is None else c.program.name,
         "remote_control": c.remote_control,
-        "moving": c.moving,
+        "moving": not c.at_rest,
+        "speed_fraction": c.slider.fraction,
+        "speed_scaling": c.slider.scaling,
+        "stop": c.brakes.records[-1].as_dict() if c.brakes.records else None,
         "q": c.motions.q(c.name).tolist(),
         "moves": c.moves,
         "clock_s": c.motions.clock_s,
@@ -161,6 +170,31 @@ def _remote(arm: Emulated, arguments: Sequence[str], _: float) -> None:
     arm.controller.remote_control = _word(arguments, 0, ("on", "off")) == "on"
 
 
+def _slider(arm: Emulated, arguments: Sequence[str], _: float) -> None:
+    arm.controller.set_slider(_number(arguments, 0, limit=1.0))
+
+
+def _foreign(arm: Emulated, arguments: Sequence[str], _: float) -> None:
+    controller = arm.controller
+    wanted = _word(arguments, 0, ("playing", "paused", "off"))
+    mine = isinstance(controller.program, ForeignProgram)
+    if wanted == "off":
+        if mine:
+            controller.stop_program("on the pendant")
+        return
+    if not mine:
+        controller.start_locally(ForeignProgram())
+    if wanted == "paused":
+        controller.pause_program()
+    elif controller.runtime is Runtime.PAUSED:
+        controller.resume_program()
+
+
+def _clearance(arm: Emulated, _: Sequence[str], __: float) -> list[float] | None:
+    seen = arm.controller.motions.clearance
+    return None if seen is None or not math.isfinite(seen.arms_m) else [seen.arms_m, seen.floor_m]
+
+
 def _load(arm: Emulated, arguments: Sequence[str], _: float) -> None:
     mass = _number(arguments, 0)
     try:
@@ -195,6 +229,10 @@ _COMMANDS: dict[str, Callable[[Emulated, Sequence[str], float], object]] = {
     "brake-release": _without_arguments(Controller.release_brakes),
     "power-off": _without_arguments(Controller.power_off),
     "remote": _remote,
+    "slider": _slider,
+    "foreign": _foreign,
+    "stops": lambda arm, _, __: [record.as_dict() for record in arm.controller.brakes.records],
+    "clearance": _clearance,
     "load": _load,
 }
 

@@ -6,6 +6,7 @@ reports that in output registers. Its state stays READY during a blocking motion
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from drivers.emulators.ur_controller import poses
@@ -133,8 +134,10 @@ class ControlScript:
                 self._move(controller)
             case 8 | 20 | 21 | 56 | 57:
                 pass  # force sensor: not emulated
-            case 15 | 16 | 33 | 34:
-                self._stop(controller, asynchronous=command >= 33 and controller.input_int(self._i + 1) == 1)
+            case 15 | 16 | 33:
+                self._stop(controller, None, asynchronous=command == 33 and controller.input_int(self._i + 1) == 1)
+            case 34:
+                self._stop(controller, d(controller, 0, 1)[0], asynchronous=controller.input_int(self._i + 1) == 1)
             case 17 | 65:
                 mass, *center = d(controller, 0, 4)
                 self._payload(controller, mass, center, d(controller, 4, 6) if command == 65 else None)
@@ -179,10 +182,12 @@ class ControlScript:
         self._blocked = True
         self._advance(controller)
 
-    def _stop(self, controller: Controller, *, asynchronous: bool) -> None:
+    def _stop(self, controller: Controller, deceleration: float | None, *, asynchronous: bool) -> None:
+        if deceleration is not None and not 0.0 < deceleration < math.inf:
+            raise ScriptError(f"stopj: a deceleration of {deceleration!r} rad/s^2 is not above 0")
         self._next_move = None
         self._end_thread(controller)
-        controller.brake()
+        controller.brake(deceleration)
         if asynchronous:
             self._asynchronous = True
             self._thread = "starting"

@@ -7,6 +7,7 @@ what a client times with its own clock: the start of an uploaded program and the
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,20 +15,13 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.emulators.ur_controller import poses
-from drivers.emulators.ur_controller.modes import (
-    JOINT_MODE,
-    JOINT_POWER_OFF,
-    SAFETY_BITS,
-    RobotMode,
-    Runtime,
-    SafetyMode,
-)
+from drivers.emulators.ur_controller import poses, streamed
+from drivers.emulators.ur_controller.braking import Brakes
+from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.motion import Array, Motions
 from drivers.emulators.ur_controller.personality import ControllerConfig
-from drivers.emulators.ur_controller.variables import zeros
-
-Values = tuple[float, ...]
+from drivers.emulators.ur_controller.slider import SpeedSlider
+from drivers.emulators.ur_controller.streamed import Values
 
 _TEMPERATURE_EVERY_S = 0.5
 _MAX_PAUSE_S = 0.05
@@ -67,6 +61,10 @@ class Controller:
     ----------
     values : dict
         Every variable that RTDE can stream, as a tuple of numbers.
+    brakes : Brakes
+        The stops so far, and the one in progress.
+    slider : SpeedSlider
+        The speed slider of the pendant.
     log : deque of str
         Events, newest last; shows the reasons of refusals.
     moves : int
@@ -75,7 +73,8 @@ class Controller:
         Wall time from an uploaded program to its start.
     """
 
-    def __init__(self, config: ControllerConfig, motions: Motions) -> None:
+    def __init__(self, config: ControllerConfig, motions: Motions, clock: Callable[[], float] = time.monotonic) -> None:
+        """``clock`` stamps the stops, between two cycles too."""
         self.config = config
         self.motions = motions
         self.name = config.name
@@ -91,7 +90,8 @@ class Controller:
         self.payload_inertia: Values = _ZERO6
         self.tcp: Values = tuple(config.tcp)
         self.gravity: Values = (0.0, 0.0, 9.82)
-        self.speed_fraction = 1.0
+        self.slider = SpeedSlider()
+        self.brakes = Brakes(config.name, motions, config.braking, config.speed, config.acceleration, clock)
         self.program: Program | None = None
         self.log: deque[str] = deque(maxlen=200)
         self.moves = 0
@@ -114,7 +114,8 @@ class Controller:
         self._q: Values = tuple(float(v) for v in motions.q(self.name))
         self._qd: Values = _ZERO6
         self._clock_s = motions.clock_s
-        self.values = self._initial_values()
+        self.values = streamed.initial_values(self._q)
+        self.publish_load()
         self._publish_modes()
 
     # -- state -------------------------------------------------------------------------------------------------------
@@ -131,8 +132,13 @@ class Controller:
 
     @property
     def moving(self) -> bool:
-        """Whether the arm moves."""
+        """Whether a motion is in progress; at speed slider 0 the arm stands in its middle."""
         return self.motions.moving(self.name)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the joints stand still."""
+        return not self.moving or self.slider.scaling == 0.0
 
     @property
     def steady(self) -> bool:
@@ -174,12 +180,19 @@ class Controller:
 
     def write_input(self, name: str, value: Values) -> None:
         """Store an input that a client wrote, and its time for the watchdog."""
+        if name == "speed_slider_fraction":
+            if self.values["speed_slider_mask"][0]:
+                self.set_slider(value[0])
+            return
         self.values[name] = value
         if name.startswith("input_int_register_"):
             self._written_s[int(name[19:])] = self._running_s
-        elif name == "speed_slider_fraction" and self.values["speed_slider_mask"][0]:
-            self.speed_fraction = min(max(value[0], 0.0), 1.0)
-            self.values["target_speed_fraction"] = (self.speed_fraction,)
+
+    def set_slider(self, fraction: float) -> None:
+        """Move the speed slider; a value that is not a finite number is refused and logged."""
+        if not self.slider.set(fraction):
+            self.log.append(f"speed slider: {fraction} is not a finite number; refused")
+        self._publish_speed()
 
     def set_watchdog(self, least_hz: float, register: int) -> None:
         """Stop the program if an input register is written less often than ``least_hz``; 0 switches this off."""
@@ -189,7 +202,7 @@ class Controller:
     # -- motion ------------------------------------------------------------------------------------------------------
 
     def move(self, q: Sequence[float], speed: float, acceleration: float) -> None:
-        """Start a joint motion like ``movej``: no joint exceeds ``speed`` or its own limit.
+        """Start a joint motion like ``movej``: no joint exceeds ``speed`` or its own limit. The slider scales it.
 
         Raises ``ScriptError`` for a goal outside the limits, or a value that is not a finite number.
         """
@@ -200,7 +213,6 @@ class Controller:
         for joint, (value, (low, high)) in enumerate(zip(q, config.limits, strict=True), start=1):
             if not low - 1e-9 <= value <= high + 1e-9:
                 raise ScriptError(f"movej: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
-        speed *= self.speed_fraction
         if speed <= 0.0 or acceleration <= 0.0:
             raise ScriptError("movej: speed and acceleration must be above 0")
         goal = np.array(q, dtype=np.float64)
@@ -210,13 +222,14 @@ class Controller:
         self._goal = (goal, speed, acceleration)
         self._move_from = self.motions.q(self.name)
         self.motions.start_move(self.name, goal, speed, acceleration)
+        self.motions.scale_speed(self.name, self.slider.scaling)
         self._was_moving = True  # at a high pace the motion may end before the next cycle
         self.moves += 1
 
-    def brake(self) -> None:
-        """Stop the arm and forget its goal."""
+    def brake(self, deceleration: float | None = None) -> None:
+        """Stop the arm like ``stopj`` at ``deceleration`` [rad/s^2], and forget its goal."""
         self._goal = None
-        self.motions.stop(self.name)
+        self.brakes.request("stopj", deceleration)
 
     # -- program -----------------------------------------------------------------------------------------------------
 
@@ -232,6 +245,13 @@ class Controller:
         self._uploaded = (self.now_s + self.start_delay_s, program)
         return True
 
+    def start_locally(self, program: Program) -> None:
+        """Start a program as a person does on the pendant. Raises ``ValueError`` if one runs, or without power."""
+        if self.runtime is not Runtime.STOPPED or not self._can_move():
+            raise ValueError(f"arm {self.name}: {self.runtime.name}, {self.robot_mode.name}: no program can start")
+        self.program = program
+        self._set_runtime(Runtime.PLAYING)
+
     def stop_program(self, reason: str = "") -> None:
         """End a program that runs, is paused or is about to start; the arm brakes."""
         self._uploaded = None
@@ -240,7 +260,8 @@ class Controller:
             return
         if reason:
             self.log.append(f"program stopped: {reason}")
-        self.brake()
+        self._goal = None
+        self.brakes.request("program")
         self.program = None
         self._set_runtime(Runtime.STOPPING)
 
@@ -248,7 +269,7 @@ class Controller:
         """Pause the program; return whether one ran."""
         if not self.running:
             return False
-        self.motions.stop(self.name)
+        self.brakes.request("program")
         self._set_runtime(Runtime.PAUSING)
         return True
 
@@ -274,7 +295,7 @@ class Controller:
         self._release_s = math.inf
         self._uploaded = None
         self._stop_trigger = _StopTrigger()
-        self.motions.stop(self.name)
+        self.brakes.request("protective")
         if self.running:
             self._set_runtime(Runtime.PAUSING)
         self._publish_modes()
@@ -294,8 +315,8 @@ class Controller:
     def emergency_stop(self) -> None:
         """Press the emergency stop: the program ends, the arm brakes and loses power."""
         self.log.append("emergency stop")
+        self.brakes.request("emergency")
         self.stop_program()
-        self.motions.stop(self.name)
         self._goal = None
         self._stop_trigger = _StopTrigger()
         self.safety_mode = SafetyMode.ROBOT_EMERGENCY_STOP
@@ -330,8 +351,9 @@ class Controller:
 
     def power_off(self) -> None:
         """End the program and switch power off."""
+        self.brakes.request("program")
         self.stop_program("power off")
-        self.motions.stop(self.name)
+        self._goal = None
         self._mode_due.clear()
         self.robot_mode = RobotMode.POWER_OFF
         self._publish_modes()
@@ -342,6 +364,9 @@ class Controller:
         """Execute one control period at ``now_s`` (``time.monotonic``), after the cell's time has been advanced."""
         self._running_s += min(now_s - self.now_s, _MAX_PAUSE_S)
         self.now_s = now_s
+        self.brakes.cycle(now_s)
+        self.slider.cycle(self.name, self.motions, self.motions.clock_s - self._clock_s)
+        self._publish_speed()
         self._read_drives()
         while self._mode_due and self._clock_s >= self._mode_due[0][0]:
             self.robot_mode = self._mode_due.pop(0)[1]
@@ -430,23 +455,15 @@ class Controller:
         self._publish_modes()
 
     def _publish_modes(self) -> None:
-        values = self.values
-        powered = self.robot_mode not in (RobotMode.POWER_OFF, RobotMode.DISCONNECTED)
-        values["robot_mode"] = (int(self.robot_mode),)
-        values["safety_mode"] = values["safety_status"] = (int(self.safety_mode),)
-        values["runtime_state"] = (int(self.runtime),)
-        values["robot_status_bits"] = (powered * 1 | self.running * 2 | powered * 8,)
-        values["safety_status_bits"] = (SAFETY_BITS[self.safety_mode],)
-        values["joint_mode"] = (JOINT_MODE.get(self.robot_mode, JOINT_POWER_OFF),) * 6
-        values["actual_robot_voltage"] = (48.0 * powered,)
+        self.values |= streamed.of_modes(self.robot_mode, self.safety_mode, self.runtime)
+
+    def _publish_speed(self) -> None:
+        self.values["target_speed_fraction"] = (self.slider.fraction,)
+        self.values["speed_scaling"] = (self.slider.scaling,)
 
     def publish_load(self) -> None:
         """Update the streamed payload and TCP."""
-        values = self.values
-        values["payload"] = (self.payload_mass,)
-        values["payload_cog"] = self.payload_center
-        values["payload_inertia"] = self.payload_inertia
-        values["tcp_offset"] = self.tcp
+        self.values |= streamed.of_load(self.payload_mass, self.payload_center, self.payload_inertia, self.tcp)
         self._pose_inputs = None
 
     def tool_pose(self, q: Sequence[float], tcp: Sequence[float]) -> Values:
@@ -465,15 +482,3 @@ class Controller:
         values = self.values
         values["actual_TCP_pose"] = values["target_TCP_pose"] = poses.pose(tool)
         values["actual_TCP_speed"] = values["target_TCP_speed"] = poses.speed(frames, self._qd, tool.p)
-
-    def _initial_values(self) -> dict[str, Values]:
-        values = zeros()
-        values["actual_q"] = values["target_q"] = self._q
-        values["actual_main_voltage"] = (48.0,)
-        values["speed_scaling"] = values["target_speed_fraction"] = (1.0,)
-        values["actual_tool_accelerometer"] = (0.0, 0.0, 9.82)
-        values["payload"] = (self.payload_mass,)
-        values["payload_cog"] = self.payload_center
-        values["payload_inertia"] = self.payload_inertia
-        values["tcp_offset"] = self.tcp
-        return values

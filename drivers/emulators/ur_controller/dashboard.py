@@ -6,14 +6,31 @@ from collections.abc import Callable
 
 from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.modes import Runtime, SafetyMode
+from drivers.emulators.ur_controller.script import ForeignProgram
 
 GREETING = "Connected: Universal Robots Dashboard Server"
 
-_LOCAL = "Failed to execute: {line}: the robot is in local control"
+_LOCAL = (
+    "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to port"
+    " 29999"
+)
+"""As real controllers answer; a connection that was opened in local control stays refused."""
 _TOO_EARLY = (
     "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
 )
-_REMOTE_ONLY = ("play", "load", "load installation", "power on", "brake release", "unlock protective stop")
+_REMOTE_ONLY = (
+    "play",
+    "pause",
+    "stop",
+    "load",
+    "load installation",
+    "power on",
+    "power off",
+    "brake release",
+    "unlock protective stop",
+    "restart safety",
+    "shutdown",
+)
 _PROGRAM_STATES = {
     Runtime.STOPPED: "STOPPED",
     Runtime.STOPPING: "STOPPED",
@@ -36,16 +53,17 @@ _NOT_EMULATED = (
 )
 
 
-def answer(controller: Controller, line: str) -> str:
-    """Execute a line and return the answer."""
+def answer(controller: Controller, line: str, *, opened_in_remote: bool = True) -> str:
+    """Execute a line and return the answer; ``opened_in_remote``: commands were allowed when the connection opened."""
     answer_to_question = _questions(controller).get(line)
     if answer_to_question is not None:
         return answer_to_question
     commands = _commands(controller)
     refused = f"Failed to execute: {line}"
+    allowed = controller.accepts_commands and opened_in_remote
+    if not allowed and any(_is_command(line, command) for command in _REMOTE_ONLY):
+        return _LOCAL
     if line in commands:
-        if line in _REMOTE_ONLY and not controller.accepts_commands:
-            return _LOCAL.format(line=line)
         return commands[line]() or refused
     for command, acknowledged in _ACKNOWLEDGED.items():
         if _is_command(line, command):
@@ -71,8 +89,8 @@ def _questions(controller: Controller) -> dict[str, str]:
         "robotmode": f"Robotmode: {controller.robot_mode.name}",
         "safetymode": f"Safetymode: {safety}",
         "running": f"Program running: {str(controller.running).lower()}",
-        "programState": f"{_PROGRAM_STATES.get(controller.runtime, 'PLAYING')} <unnamed>",
-        "get loaded program": "No program loaded",
+        "programState": f"{_PROGRAM_STATES.get(controller.runtime, 'PLAYING')} {_program_name(controller)}",
+        "get loaded program": _loaded(controller),
         "isProgramSaved": "true <unnamed>",
         "quit": "Disconnected",
     }
@@ -83,6 +101,16 @@ def _questions(controller: Controller) -> dict[str, str]:
             "get operational mode": "NONE",
         }
     return known
+
+
+def _program_name(controller: Controller) -> str:
+    return controller.program.name if isinstance(controller.program, ForeignProgram) else "<unnamed>"
+
+
+def _loaded(controller: Controller) -> str:
+    if isinstance(controller.program, ForeignProgram):
+        return f"Loaded program: /programs/{controller.program.name}"
+    return "No program loaded"
 
 
 def _safety(controller: Controller) -> str:

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.plant.clearance import Clearance
 from drivers.plant.motion import Motion, braked, travel
 
 Array = NDArray[np.float64]
@@ -40,8 +41,18 @@ class Motions(Protocol):
     def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
         """Start a joint motion of an arm at rest, at most at ``speed`` and ``acceleration`` (6,)."""
 
-    def stop(self, name: str) -> None:
-        """Brake; harmless at rest."""
+    def stop(self, name: str, deceleration: Array | None = None) -> None:
+        """Brake at most at ``deceleration`` (6,), by default the greatest; harmless at rest."""
+
+    def speeds(self, name: str) -> Array:
+        """Joint speeds (6,) now [rad/s]."""
+
+    def scale_speed(self, name: str, scale: float) -> None:
+        """Continue the running motion at ``scale`` times its own speed, from 0 to 1."""
+
+    @property
+    def clearance(self) -> Clearance | None:
+        """Smallest distances of the arms so far; None if they are not watched."""
 
     def joint_temperatures_c(self, name: str) -> Array:
         """Joint temperatures (6,) now [degC]."""
@@ -52,6 +63,8 @@ class Motions(Protocol):
 
 class FreeMotions:
     """Ideal joints without a plant: exact, without load, at constant temperature."""
+
+    clearance: Clearance | None = None
 
     def __init__(self, homes: Mapping[str, Array], accelerations: Mapping[str, Array]) -> None:
         self._q = {name: np.array(home, dtype=np.float64) for name, home in homes.items()}
@@ -91,12 +104,24 @@ class FreeMotions:
             raise ValueError(f"arm {name} is still moving")
         self._motions[name] = travel(self._clock_s, self._q[name], np.array(q), speed, acceleration)
 
-    def stop(self, name: str) -> None:
-        """Brake at the greatest acceleration."""
+    def stop(self, name: str, deceleration: Array | None = None) -> None:
+        """Brake at most at ``deceleration`` (6,), by default the greatest acceleration."""
         motion = self._motions[name]
         if motion is not None:
             self._q[name] = self.q(name)
-            self._motions[name] = braked(motion, self._clock_s, self._accelerations[name])
+            limit = self._accelerations[name] if deceleration is None else deceleration
+            self._motions[name] = braked(motion, self._clock_s, limit)
+
+    def speeds(self, name: str) -> Array:
+        """Joint speeds (6,) now [rad/s]."""
+        motion = self._motions[name]
+        return np.zeros(6) if motion is None else motion.velocity(np.array([self._clock_s]))[0]
+
+    def scale_speed(self, name: str, scale: float) -> None:
+        """Continue the running motion at ``scale`` times its own speed."""
+        motion = self._motions[name]
+        if motion is not None:
+            self._motions[name] = motion.scaled(self._clock_s, scale)
 
     def joint_temperatures_c(self, name: str) -> Array:
         """Room temperature (6,) [degC]."""

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from drivers.emulators.ur_controller.braking import Braking
+
 Series = Literal["CB3", "e-Series"]
 PortName = Literal["dashboard", "primary", "script", "rtde"]
 Rows = tuple[tuple[float, float, float, float], ...]
@@ -116,6 +118,8 @@ class ControllerConfig:
         In the cell's time: power on to idle, idle to running, protective stop to the earliest unlocking [s].
     start_delay_s : float
         Wall time from an uploaded program to its start [s].
+    braking : Braking
+        How soon and how hard a stop acts.
     """
 
     name: str
@@ -135,6 +139,7 @@ class ControllerConfig:
     brake_release_s: float = 1.5
     unlock_after_s: float = 5.0
     start_delay_s: float = 0.05
+    braking: Braking = field(default_factory=Braking)
     beyond_loopback: bool = False
 
     def __post_init__(self) -> None:

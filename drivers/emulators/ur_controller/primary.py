@@ -85,7 +85,7 @@ def _state(controller: Controller) -> list[bytes]:
         paused,
         int(controller.robot_mode),
         0,
-        controller.speed_fraction,
+        controller.slider.fraction,
         1.0,
         1.0,
         0,

@@ -34,6 +34,20 @@ class UnknownProgram:
         return False
 
 
+@dataclass
+class ForeignProgram:
+    """A program that a person loaded and started on the pendant; it moves nothing and does not end by itself."""
+
+    name: str = "palletizing.urp"
+
+    def begin(self, controller: Controller) -> None:
+        """Do nothing."""
+
+    def cycle(self, controller: Controller) -> bool:
+        """Continue."""
+        return True
+
+
 def program_of(name: str, block: bytes) -> Program:
     """Return the program of a block of text."""
     offsets = [pattern.search(block) for pattern in (_INT_OFFSET, _FLOAT_OFFSET)]

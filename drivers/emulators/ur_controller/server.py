@@ -46,6 +46,7 @@ class _DashboardSession:
     def __init__(self, arm: Controller, link: Link, received: deque[str]) -> None:
         self._arm, self._link, self._log = arm, link, received
         self._received = bytearray()
+        self._opened_in_remote = arm.accepts_commands
         link.send(f"{dashboard.GREETING}\n".encode())
 
     def received(self, data: bytes) -> None:
@@ -54,7 +55,8 @@ class _DashboardSession:
             line = self._received[:end].decode("utf-8", errors="replace").strip()
             del self._received[: end + 1]
             self._log.append(line)
-            self._link.send(f"{dashboard.answer(self._arm, line)}\n".encode())
+            answer = dashboard.answer(self._arm, line, opened_in_remote=self._opened_in_remote)
+            self._link.send(f"{answer}\n".encode())
             if line == "quit":
                 self._link.close_after_send()
         if len(self._received) > _LONGEST_LINE:

@@ -32,7 +32,7 @@ class Bench:
         who = personality(series, "UR5", "20150001")
         self.config = ControllerConfig("arm", "127.0.0.1", who, **changes)
         self.motions = FreeMotions({"arm": np.array(self.config.home)}, {"arm": np.full(6, 10.0)})
-        self.controller = Controller(self.config, self.motions)
+        self.controller = Controller(self.config, self.motions, lambda: self.now_s)
         self.offset = offset
         self.pace = pace
         self.now_s = 100.0
@@ -339,8 +339,9 @@ def test_an_emergency_stop_takes_the_power_and_coming_back_goes_in_order() -> No
     bench.controller.emergency_stop()
     braking = bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
     assert not bench.controller.moving
-    assert braking == pytest.approx(speed / 10.0, abs=2 * bench.controller.period_s), "as hard as the drives can"
-    assert bench.controller.q[0] - at == pytest.approx(0.5 * speed**2 / 10.0, rel=0.1)
+    ramp = math.pi / 0.5  # from the speed limit to rest in half a second
+    assert braking == pytest.approx(speed / ramp + 0.024, abs=2 * bench.controller.period_s)
+    assert bench.controller.q[0] - at == pytest.approx(0.5 * speed**2 / ramp + 0.022 * speed, rel=0.1)
     assert bench.bits == (0, 1 << 6 | 1 << 7 | 1 << 10)
     assert answer(bench.controller, "robotmode") == "Robotmode: POWER_OFF"
     assert answer(bench.controller, "power on") == "Failed to execute: power on"
@@ -378,7 +379,12 @@ def test_local_control_refuses_network_commands_on_the_e_series_only() -> None:
     local = Bench("e-Series", remote_control=False)
     assert not local.controller.upload(ControlScript(0, 0))
     assert answer(local.controller, "is in remote control") == "false"
-    assert "local control" in answer(local.controller, "power on")
+    for command in ("stop", "play", "pause", "power on", "unlock protective stop"):
+        assert answer(local.controller, command).startswith("Command is not allowed due to safety reasons")
+    assert answer(local.controller, "running") == "Program running: false"
+    local.controller.remote_control = True
+    assert answer(local.controller, "stop") == "Stopped"
+    assert "not allowed" in answer(local.controller, "stop", opened_in_remote=False)
     old = Bench("CB3", remote_control=False)
     old.start_script()
     assert answer(old.controller, "is in remote control").startswith("could not understand")

@@ -1,0 +1,184 @@
+"""The RTDE client of one UR arm, inside its worker process: connection, control program, motion, stop.
+
+ur_rtde's object for control may be used by one thread only. It busy-waits for the controller, up to minutes where its
+link broke; hence every call that could hang ends the process after a time limit.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control
+from drivers.arms.ur_motion import VARIABLES, WorkerSample, read_worker_sample
+
+_FREQUENCY_HZ = 125.0
+_PROGRAM_WITHIN_S = 5.0
+_COMMAND_WITHIN_S = 5.0
+"""The client itself gives up a command that the control program does not take after 4 s."""
+_STOP_WITHIN_S = 1.0
+_DECELERATION = 10.0
+"""Of the leading joint in a stop [rad/s^2]: the value with which ur_rtde itself stops a motion at a given speed."""
+_ASK_AGAIN_S = 0.002
+_ASKED_WITHIN_S = 0.3
+
+
+class Refusal(Exception):
+    """A request that cannot be served: its kind, one of ``drivers.arms.ur.REFUSALS``, and a sentence."""
+
+    def __init__(self, kind: str, text: str) -> None:
+        super().__init__(text)
+        self.kind, self.text = kind, text
+
+
+def failed(text: str) -> Refusal:
+    """Return a refusal without a special kind."""
+    return Refusal("failed", text)
+
+
+class UrControl:
+    """The client's two connections: ``receive`` for states, ``control`` for commands to its program."""
+
+    def __init__(self, host: str, control: Any, receive: Any, optional: Sequence[str] = ()) -> None:
+        self.host = host
+        self._control, self._receive, self._optional = control, receive, optional
+
+    @classmethod
+    def open(cls, host: str, optional: Sequence[str], timeout_s: float, opening: Callable[[], None]) -> UrControl:
+        """Connect and start the control program; the states also have the ``optional`` variables.
+
+        ``opening`` is called just before a program may run on the controller. Raises ``Refusal``.
+        """
+        from rtde_control import RTDEControlInterface
+        from rtde_receive import RTDEReceiveInterface
+
+        # the constructors hold the interpreter's lock, so no thread of this process could end one that hangs
+        with exit_after(timeout_s):
+            try:
+                receive = RTDEReceiveInterface(host, _FREQUENCY_HZ, [*VARIABLES, *optional])
+                if not receive.isConnected():
+                    raise Refusal("link", "the controller accepts RTDE connections but sends no state")
+                opening()
+                return cls(host, RTDEControlInterface(host), receive, optional)
+            except RuntimeError as error:
+                raise _open_refusal(str(error)) from error
+
+    # -- state ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def connected(self) -> bool:
+        """Whether both connections are open."""
+        return bool(self._control.isConnected() and self._receive.isConnected())
+
+    @property
+    def program_runs(self) -> bool:
+        """Whether the control program runs, from the connection that commands it."""
+        return bool(self._control.isProgramRunning())
+
+    @property
+    def time_s(self) -> float:
+        """Controller time of the newest state [s]."""
+        return float(self._receive.getTimestamp())
+
+    def sample(self) -> WorkerSample:
+        """Return the newest state."""
+        return read_worker_sample(self._receive, self._optional)
+
+    def operation(self) -> tuple[int, bool]:
+        """Return the number of the last motion that the program began, and whether it runs."""
+        status = self._control.getAsyncOperationProgressEx()
+        return int(status.operationId()), bool(status.isAsyncOperationRunning())
+
+    # -- the control program -------------------------------------------------------------------------------------------
+
+    def upload(self, meanwhile: Callable[[], None]) -> None:
+        """Upload the control program again and wait until it runs; ``meanwhile`` is called often and may raise.
+
+        Raises ``Refusal``.
+        """
+        deadline = time.monotonic() + _PROGRAM_WITHIN_S
+        while self.program_runs:  # the client learns of a stop one period later than the state
+            if time.monotonic() > deadline:
+                raise failed("the control program was stopped but still runs")
+            meanwhile()
+            time.sleep(_ASK_AGAIN_S)
+        meanwhile()
+        try:
+            self._control.reuploadScript()
+        except RuntimeError as error:
+            raise failed(f"the control program could not be uploaded again: {error}") from error
+        while not self.program_runs:
+            if time.monotonic() > deadline:
+                raise self._not_started()
+            meanwhile()
+            time.sleep(_ASK_AGAIN_S)
+
+    def _not_started(self) -> Refusal:
+        if in_local_control(self.host, _ASKED_WITHIN_S):
+            return Refusal("local", f"{LOCAL_CONTROL}, so the control program did not start; switch it to Remote")
+        return Refusal("timeout", f"the control program did not start within {_PROGRAM_WITHIN_S:g} s")
+
+    def set_watchdog(self, hertz: float) -> None:
+        """Let the controller stop the program if it receives nothing for the inverse of ``hertz``."""
+        with exit_after(_COMMAND_WITHIN_S):
+            if not self._control.setWatchdog(hertz):
+                raise failed("the control program does not respond (it refused the watchdog)")
+
+    def kick_watchdog(self) -> None:
+        """Restart the watchdog's period."""
+        self._control.kickWatchdog()
+
+    def tcp(self) -> tuple[float, ...] | None:
+        """Return the tool centre point that the program sees, position [m] and rotation vector [rad]; None if none."""
+        with exit_after(_COMMAND_WITHIN_S):
+            tcp = self._control.getTCPOffset()
+        return tuple(tcp) if len(tcp) == 6 else None
+
+    def within_safety_limits(self, q: Sequence[float]) -> bool:
+        """Return whether the controller's safety configuration allows the joint positions. Raises ``Refusal``."""
+        with exit_after(_COMMAND_WITHIN_S):
+            allowed = self._control.isJointsWithinSafetyLimits(q)
+        # an unanswered question also counts as "not allowed" in the client
+        if not allowed and not (self.connected and self.program_runs):
+            raise failed("its control program ended while it was asked about safety limits")
+        return bool(allowed)
+
+    # -- motion --------------------------------------------------------------------------------------------------------
+
+    def move(self, goal: Sequence[float], speed: float, acceleration: float) -> bool:
+        """Begin a joint motion; return whether the program took it. Raises ``Refusal``."""
+        with exit_after(_COMMAND_WITHIN_S):
+            try:
+                return bool(self._control.moveJ(goal, speed, acceleration, True))
+            except (RuntimeError, ValueError) as error:
+                raise failed(f"the RTDE client refused the motion: {error}") from error
+
+    def brake(self) -> None:
+        """Stop a motion with full deceleration; without effect if the program has ended."""
+        with exit_after(_STOP_WITHIN_S):
+            if self.connected and self.program_runs:
+                self._control.stopJ(_DECELERATION, True)
+
+
+def _open_refusal(text: str) -> Refusal:
+    """Return why the RTDE client's constructor raised, reworded where its text is unclear."""
+    if "enable remote control" in text:
+        return Refusal("local", "not in remote control; switch the pendant from Local to Remote")
+    if "before timeout of 5 seconds" in text:
+        return Refusal("timeout", "its control program did not start within 5 s; see what the pendant shows")
+    if "already in use" in text:
+        return failed("another RTDE client (a fieldbus, another program) holds its inputs; end that")
+    return Refusal("link", f"the RTDE client could not connect: {' '.join(text.split())[:200]}")
+
+
+@contextmanager
+def exit_after(seconds: float) -> Iterator[None]:
+    """End the process if the block hangs, even while it holds the interpreter's lock."""
+    faulthandler.dump_traceback_later(seconds, exit=True)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
