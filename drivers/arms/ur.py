@@ -5,8 +5,9 @@ bounded time. On any doubt the listener is told, then the worker process is kill
 dashboard connection, and the arm is monitored over a separate RTDE connection until it rests. If even that fails, the
 controller's watchdog expires and stops the program.
 
-``brake`` stops the arm on three ways at once: a line on an open dashboard connection; the worker, which decelerates
-the motion through the control program and stops the program again; and the watchdog, which the worker no longer kicks.
+``brake`` stops the arm in three ways: the worker decelerates the motion through the control program; at most 20 ms later
+a line on an open dashboard connection, and the worker on another one, end the program; and the worker no longer kicks
+the watchdog.
 
 After a fault or a brake nothing moves until ``connect`` is called again. The driver never releases a protective stop.
 """
@@ -221,7 +222,7 @@ class UrArm:
         return arm_state(answer, self._settings.settle_speed)
 
     def brake(self) -> None:
-        """Stop at full deceleration; returns within milliseconds, within 0.3 s if the dashboard does not answer.
+        """Stop at full deceleration; returns within some 20 ms, within 0.4 s if the dashboard does not answer.
 
         Raises ``LinkLost`` if the controller did not confirm the stop; the worker no longer kicks its watchdog then.
         """
