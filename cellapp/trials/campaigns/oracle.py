@@ -78,7 +78,9 @@ def _lost_or_doubled(world: World, readings: Mapping[str, Readings]) -> list[str
     ]
     used = Counter(found.values())
     failures += [f"reading doubled: the point of stop {where}" for where, p in found.items() if used[p] > 1]
-    failures += [f"reading of stop {where} was never measured" for where, p in found.items() if not monitor.delivered[p]]
+    failures += [
+        f"reading of stop {where} was never measured" for where, p in found.items() if not monitor.delivered[p]
+    ]
     return failures
 
 
@@ -106,7 +108,9 @@ def _missing(run: RunFile, readings: Mapping[str, Readings], stops: int) -> tupl
     reasons = {(one.stop, one.arm): one.reason for one in run.outcomes()}
     there = {(int(stop), name) for name, arm in readings.items() for stop in arm.configuration}
     gaps = [(stop, name) for stop in range(stops) for name in readings if (stop, name) not in there]
-    unlisted = [f"stop {stop}, arm {name}: no reading and no reason" for stop, name in gaps if not reasons.get((stop, name))]
+    unlisted = [
+        f"stop {stop}, arm {name}: no reading and no reason" for stop, name in gaps if not reasons.get((stop, name))
+    ]
     return len(gaps), unlisted
 
 
