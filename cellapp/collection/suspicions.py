@@ -131,6 +131,11 @@ class _History:
         self._table = np.zeros((_HISTORY, _COLUMNS))
         self.freedom = _LEAST_FREEDOM
 
+    @property
+    def count(self) -> int:
+        """Number of stops with a reading."""
+        return int(self._table[:, _COUNT].sum())
+
     def clear(self) -> None:
         """Forget all stops."""
         self._table[:] = 0.0
@@ -205,7 +210,7 @@ class Suspicions:
 
     def _explanations(self) -> list[_Explanation]:
         """The best explanation of each kind, for each arm and for all together."""
-        sums = {name: history.sums() for name, history in self._histories.items()}
+        sums = {name: history.sums() for name, history in self._histories.items() if history.count}
         freedom = {name: history.freedom for name, history in self._histories.items()}
         found = []
         for name in sums:
