@@ -144,7 +144,7 @@ HOMES = {"left": np.array([3.0, 1.0, 0.0]), "right": np.array([3.0, -1.0, 0.0])}
 def references(*shifts: Mapping[str, float]) -> list[list[tuple[str, str | None]]]:
     """Kind and arm of what is raised at each reference measurement; shifts [m] of references from their places."""
     watch = ReferenceWatch(100e-6)
-    found = []
+    found: list[list[tuple[str, str | None]]] = []
     for shift in shifts:
         points = {name: p + np.array([0.0, 0.0, shift.get(name, 0.0)]) for name, p in (NESTS | HOMES).items()}
         found.append([(one.kind, one.arm) for one in watch.at_reference(points, HOMES)])
