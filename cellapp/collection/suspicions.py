@@ -78,6 +78,7 @@ def _shares() -> Array:
 
 
 _SHARES = _shares()
+_SQUARED_SHARES = _SHARES**2
 _STOPS = np.array([*_STEPS, *_RAMPS])
 _SUDDEN, _SLOW = slice(0, len(_STEPS)), slice(len(_STEPS), None)
 _SLIP_B, _SLIP_A, _SLIP_RAW = slice(0, 3), slice(3, 12), slice(12, 15)
@@ -162,7 +163,7 @@ class _History:
 
     def sums(self) -> tuple[Array, Array]:
         """Sums of the columns over the stops of each pattern (patterns, columns), with its shares and their squares."""
-        return _SHARES @ self._table, _SHARES**2 @ self._table
+        return _SHARES @ self._table, _SQUARED_SHARES @ self._table
 
 
 class Suspicions:
