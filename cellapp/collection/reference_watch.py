@@ -13,6 +13,8 @@ from cellapp.progress import Suspicion
 class ReferenceWatch:
     """Judge reference measurements, each against the one before (a jump) and against the first (drift).
 
+    Drift of a reference is raised once until it is back within the limit.
+
     Parameters
     ----------
     limit_m : float
@@ -23,11 +25,14 @@ class ReferenceWatch:
         self._limit_m = limit_m
         self._first: dict[str, Array] = {}
         self._last: dict[str, Array] = {}
+        self._drifted: set[str] = set()
 
     def at_reference(self, points_M: Mapping[str, Array], arms: Collection[str]) -> tuple[Suspicion, ...]:
         """Suspicions from the references' positions (3,) [m]: ``arms`` by their names, the others are nests."""
         jumps = self._beyond(points_M, self._last)
-        drifts = {name: size for name, size in self._beyond(points_M, self._first).items() if name not in jumps}
+        beyond = {name: size for name, size in self._beyond(points_M, self._first).items() if name not in jumps}
+        drifts = {name: size for name, size in beyond.items() if name not in self._drifted}
+        self._drifted = (self._drifted - points_M.keys()) | beyond.keys()
         shared = len(self._last.keys() & points_M.keys())
         for name, point in points_M.items():
             if name in jumps or name not in self._first:  # a jump is raised once: the next ones are judged from here
