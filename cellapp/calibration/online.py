@@ -168,7 +168,7 @@ class OnlineFit:
     Raises
     ------
     InputError
-        If the parameter set is not for this arm.
+        If the parameter set is not for this arm, or the planned stops do not determine the SMR offset.
     """
 
     def __init__(
@@ -190,6 +190,8 @@ class OnlineFit:
         self._parameters = _parameter_set(arm, parameter_set, nominal, planned_q)
         self._precision = _precision(self._parameters, prior_sigma or {}, tool_unknown=tool_unknown)
         self._rows = _Rows(self._parameters, planned_q, gravity)
+        if not set(TOOL_NAMES) <= set(self._parameters.names):
+            raise InputError(f"arm {arm}: the planned stops are too few or too alike to determine the SMR offset")
         self._tool = [self._parameters.names.index(name) for name in TOOL_NAMES]
         self._readings = StoredReadings(nominal.joints)
         self._models: _Models | None = None
