@@ -720,10 +720,8 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path)
         assert "collect: paused" in process.stderr.readline()
         one_sentence(shell("collect", long_run.name, "--resume", cwd=long_run.parent), "another job runs here")
         one_sentence(shell("pause", long_run.name, cwd=long_run.parent), "paused already")
-        assert shell("resume", long_run.name, "--json", "-", cwd=long_run.parent).json["request"] == "resume"
-        assert "collect: running" in process.stderr.readline()
-        stopped = shell("stop", long_run.name, cwd=long_run.parent)
-        assert stopped.out.startswith("stopped: all arms brake"), stopped.err
+        stopped = shell("stop", long_run.name, "--json", "-", cwd=long_run.parent)
+        assert stopped.json["answer"].startswith("stopped: all arms brake")
         process.communicate(timeout=WAIT_S)
         assert process.returncode == 4
     finally:
@@ -733,7 +731,7 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path)
     one_sentence(shell("stop", long_run.name, cwd=long_run.parent), "no job runs in planned")
     with RunFile.open(long_run) as run:
         (session,) = run.sessions()
-        assert [request[1] for request in session.requests][:2] == ["pause", "resume"]
+        assert session.requests[0][1] == "pause"
         assert session.outcome == "stopped"
     check_resumes(long_run)
 

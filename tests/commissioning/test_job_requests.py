@@ -91,7 +91,7 @@ def test_no_run_no_job_and_a_job_that_ended(tmp_path: Path, folder: Path) -> Non
         stale = (folder / JOB_FILE).read_text()
     assert not (folder / JOB_FILE).exists()
     (folder / JOB_FILE).write_text(stale)  # as a killed job leaves it
-    with pytest.raises(InputError, match="the last one was killed"):
+    with pytest.raises(InputError, match="the last one has ended"):
         ask_running_job(folder, "stop")
 
 
