@@ -103,7 +103,7 @@ class LinksResult(Result):
     """
 
     schema_: Literal["cellapp-trials-links"] = "cellapp-trials-links"
-    version: Literal[2] = 2
+    version: Literal[1] = 1
     moves: int
     faults: int
     complaints: tuple[str, ...]
