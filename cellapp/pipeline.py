@@ -20,6 +20,7 @@ from cellapp.calibration.result import calibrate_result
 from cellapp.collection.cell import Cell
 from cellapp.collection.collect import collect_run, missing_share, reference_drifts
 from cellapp.collection.controllers import check_controllers
+from cellapp.collection.motion import Confirm
 from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
@@ -86,7 +87,12 @@ def default_folder(profile_name: str) -> Path:
 
 
 def run_whole(
-    profile_path: Path, folder: Path | None, listener: Listener = ignore, control: JobControl | None = None
+    profile_path: Path,
+    folder: Path | None,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    confirm: Confirm | None = None,
 ) -> WholeRunResult:
     """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report.
 
@@ -104,13 +110,14 @@ def run_whole(
         targets = load_targets(profile_path.parent / profile.targets, profile)
     notes: list[str] = []
     with new_planned_run(profile, folder or default_folder(profile.name), listener, control) as run:
-        notes += collect_run(run, listener, control).notes
+        collected = collect_stops(run, listener, control, confirm=confirm)
+        notes += collected.notes
         notes += calibrate_run(run, listener, control).notes
         discover_run(run, listener, control)
         if targets:
-            notes += push_run(run, targets, listener, control, verify=True).notes
+            notes += push_run(run, targets, listener, control, verify=True, confirm=confirm).notes
         write_page(run)
-        return _shown(WholeRunResult, read_results(run), notes=tuple(notes))
+        return _shown(WholeRunResult, read_results(run), notes=tuple(notes), collect=collected)
 
 
 # -- plan, collect, import, export ------------------------------------------------------------------------------------
@@ -149,9 +156,10 @@ def collect_stops(
     *,
     resume: bool = False,
     accept_drift: bool = False,
+    confirm: Confirm | None = None,
 ) -> CollectResult:
     """Measure the planned stops. Raises as ``collect_run`` does."""
-    summary = collect_run(run, listener, control, resume=resume, accept_drift=accept_drift)
+    summary = collect_run(run, listener, control, resume=resume, accept_drift=accept_drift, confirm=confirm)
     return CollectResult(
         stops=len(run.stops_done()),
         notes=summary.notes,
@@ -329,6 +337,7 @@ def push_run(
     *,
     verify: bool,
     out_of_date: bool = False,
+    confirm: Confirm | None = None,
 ) -> VerifyResult:
     """Compensate and push targets; with ``verify`` measure them before and after compensation.
 
@@ -356,7 +365,9 @@ def push_run(
     def opened(cell: Cell) -> None:
         notes.extend(check_controllers(run, cell).notes)
 
-    pushed = push(run.profile, _model(run, used), commands, listener, control, verify=verify, opened=opened)
+    pushed = push(
+        run.profile, _model(run, used), commands, listener, control, verify=verify, confirm=confirm, opened=opened
+    )
     notes += [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
     result = pushed.model_copy(update={"notes": tuple(notes)})
     append_stage(run, VERIFY if verify else PUSH, result, basis_on_model(run, used, _targets_json(targets)))

@@ -16,7 +16,7 @@ _HUBER = 2.5003
 """Root of the 90 % quantile of chi-square with 3 degrees of freedom: the norm that 90 % of good points stay below."""
 _TUKEY = 6.0
 """Norm beyond which a point has no weight: about four times the median norm of a good point."""
-_MEDIAN_NORM = 1.5382
+MEDIAN_NORM = 1.5382
 """Median of the norm of three independent standard normal variables."""
 _CHANCE = 3.0
 """Standard deviations by which chi-square must exceed its degrees of freedom before the scatter counts as excess."""
@@ -37,7 +37,7 @@ def robust_weights(norm: Array, robust: Literal["huber", "tukey"]) -> Array:
 
     Source: Huber, Robust Statistics (1981); Beaton, Tukey, Technometrics 16 (1974) 147 (biweight).
     """
-    u = norm / max(float(np.median(norm)) / _MEDIAN_NORM, 1e-300)
+    u = norm / max(float(np.median(norm)) / MEDIAN_NORM, 1e-300)
     if robust == "huber":
         return np.asarray(np.minimum(1.0, _HUBER / np.maximum(u, 1e-12)))
     return np.asarray(np.where(u < _TUKEY, (1.0 - (np.minimum(u, _TUKEY) / _TUKEY) ** 2) ** 2, 0.0))

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.options import JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
+from cellapp.cli.requests import abort, pause, resume, stop
 from cellapp.cli.show import schema, show
 from cellapp.cli.trials import trials_app
 from cellapp.errors import CheckFailed, InputError
-
-if TYPE_CHECKING:
-    from cellapp.results import VerifyResult
 
 app = typer.Typer(
     help="Calibrate a dual-arm robot cell with a laser tracker, and name the physics that the model is missing.",
@@ -64,7 +62,8 @@ def run(
             job.say(*tracker_sentences(result.calibrate))
         job.say(*result.notes, f"run: {result.run}   report: {Path(result.run) / 'report.html'}")
         job.result(result)
-        _check_verified(result.verify)
+        _check([] if result.collect is None else result.collect.complaints(), "collect")
+        _check([] if result.verify is None else result.verify.complaints(), "verification")
 
 
 @app.command()
@@ -108,6 +107,7 @@ def collect(
         result = collect_stops(opened, job.listen, job.control, resume=resume)
         job.say(f"{result.stops} stops stored", *result.notes)
         job.result(result)
+        _check(result.complaints(), "collect")
 
 
 @app.command("import")
@@ -245,7 +245,7 @@ def push(
         job.say(*result.notes)
         job.result(result)
         if verify:
-            _check_verified(result)
+            _check(result.complaints(), "verification")
 
 
 @app.command()
@@ -261,8 +261,8 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-app.command()(show)
-app.command()(schema)
+for command in (pause, resume, stop, abort, show, schema):
+    app.command()(command)
 
 
 @app.command()
@@ -345,7 +345,6 @@ def tracker_bridge(
 app.add_typer(trials_app, name="trials")
 
 
-def _check_verified(verification: VerifyResult | None) -> None:
-    complaints = [] if verification is None else verification.complaints()
+def _check(complaints: Sequence[str], what: str) -> None:
     if complaints:
-        raise CheckFailed(f"verification: {'; '.join(complaints)}")
+        raise CheckFailed(f"{what}: {'; '.join(complaints)}")

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from cellapp.collection.reaction import Together, in_threads, one_by_one
+from cellapp.collection.tracker_watch import Watch, unwatched, watched
 from cellapp.errors import HardwareError, InputError
 from cellapp.model.nominal import pose_matrix
 from cellapp.profile import Arm as ArmProfile
@@ -42,7 +43,7 @@ class Cell:
     """An open cell: connected devices and their common clock.
 
     ``air`` is None without a weather station, ``clearance`` None if distances are not observed. ``together`` calls
-    functions of several devices at once.
+    functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
     """
 
     arms: Mapping[str, Arm]
@@ -51,6 +52,7 @@ class Cell:
     air: AirSensor | None = None
     clearance: ClearanceObserver | None = None
     together: Together = in_threads
+    watch_tracker: Watch = watched
 
 
 @contextmanager
@@ -88,7 +90,7 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
         if plant is None:
             yield Cell(arms, tracker, RealClock(), air)
         else:
-            yield Cell(arms, tracker, SimulatedClock(plant), air, plant.clearance, one_by_one)
+            yield Cell(arms, tracker, SimulatedClock(plant), air, plant.clearance, one_by_one, unwatched)
 
 
 def _needs_plant(profile: Profile) -> bool:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.controllers import check_controllers
+from cellapp.collection.motion import Confirm
 from cellapp.collection.session import CollectSession, End
 from cellapp.collection.supervision import reacting
 from cellapp.collection.work import remaining_work, reserve_stops
@@ -20,6 +21,7 @@ from cellapp.progress import Listener, ignore
 from cellapp.results import MissingReading, ReferenceDrift
 from cellapp.run import RunFile, SessionEnd
 from cellapp.safety.cell_bodies import cell_bodies
+from drivers.arms.protocol import ArmError
 
 Opened = Callable[..., AbstractContextManager[Cell]]
 """Opens the cell of a profile; ``watch_clearance`` observes distances in a simulated cell."""
@@ -43,6 +45,7 @@ def collect_run(
     resume: bool = False,
     accept_drift: bool = False,
     watch_clearance: bool = False,
+    confirm: Confirm | None = None,
     opened: Opened | None = None,
 ) -> CollectSummary:
     """Collect all planned stops that are not stored yet.
@@ -54,7 +57,8 @@ def collect_run(
     Raises
     ------
     InputError
-        If there is no plan, stops are stored and ``resume`` is False, or the run file cannot be written.
+        If there is no plan, stops are stored and ``resume`` is False, the first motion is not confirmed, or the run
+        file cannot be written.
     HardwareError
         If an arm or the tracker fails, or nothing could be measured; all committed stops stay.
     Stopped, Aborted
@@ -65,21 +69,23 @@ def collect_run(
     if not work.stops:
         return CollectSummary("complete", (f"all {work.total} stops were stored already",), missing_readings(run))
     bodies = cell_bodies(run.profile)
-    number = run.begin_session()
-    notes: list[str] = []
-    with _session_recorded(run, number):
-        with (opened or open_cell)(run.profile, watch_clearance=watch_clearance) as cell:
-            notes += check_controllers(run, cell).notes
-            with reacting(cell, control) as reaction:
-                session = CollectSession(
-                    run, work, cell, bodies, reaction, control, listener, number, accept_drift, notes
-                )
-                outcome = session.collect()
-        if not run.stops_done():
-            reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
-            raise HardwareError(f"nothing could be measured: {reason}")
-        run.end_session(number, outcome, "")
-    return CollectSummary(outcome, tuple(notes), missing_readings(run))
+    with (opened or open_cell)(run.profile, watch_clearance=watch_clearance) as cell:
+        notes = list(check_controllers(run, cell).notes)
+        number = run.begin_session()
+        with (
+            _session_recorded(run, number),
+            _late_heartbeats_noted(run, cell, notes),
+            reacting(cell, control) as reaction,
+        ):
+            session = CollectSession(
+                run, work, cell, bodies, reaction, control, listener, number, accept_drift, confirm, notes
+            )
+            outcome = session.collect()
+            if not run.stops_done():
+                reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
+                raise HardwareError(f"nothing could be measured: {reason}")
+            run.end_session(number, outcome, "")
+    return CollectSummary(outcome, tuple(notes), missing_readings(run), session.standard_error_mm)
 
 
 def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
@@ -120,6 +126,19 @@ def reference_drifts(run: RunFile) -> tuple[ReferenceDrift, ...]:
         )
         for row in run.references()
     )
+
+
+@contextmanager
+def _late_heartbeats_noted(run: RunFile, cell: Cell, notes: list[str]) -> Iterator[None]:
+    """Note the warnings that drivers have gained meanwhile, as of late heartbeats, however the session ends."""
+    try:
+        yield
+    finally:
+        with suppress(ArmError, InputError):  # the session's own end is the one to report
+            for text in (text for arm in cell.arms.values() for text in arm.warnings()):
+                if text not in notes:
+                    notes.append(text)
+                    run.log("warning", text)
 
 
 @contextmanager

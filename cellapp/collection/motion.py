@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.collection.cell import Cell
 from cellapp.collection.reaction import CellStopped, StopCause, StopReaction, cause_of
-from cellapp.errors import CellappError
+from cellapp.errors import CellappError, InputError
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
 from cellapp.safety.cell_bodies import home_positions
@@ -37,6 +37,10 @@ _STILL_RAD = 1e-9
 """Smaller commanded steps are rounding: the joint does not move."""
 _MEASURING_TRIES = 2
 """A beam that somebody crossed is usually free at the second try."""
+
+
+Confirm = Callable[[Mapping[str, Vector], Mapping[str, Vector]], bool]
+"""Shows a person where the arms are and where the first motion leads, name -> (N,) [rad]; whether it is allowed."""
 
 
 class MotionRefused(CellappError):
@@ -92,6 +96,18 @@ class Mover:
             start = end
         return ""
 
+    def confirm_first(self, targets: Mapping[str, Vector], confirm: Confirm | None) -> None:
+        """Let a person confirm the first motion, which goes home first if the gate refuses ``targets``.
+
+        Raises ``InputError`` if the person does not allow it; nothing has moved.
+        """
+        if confirm is None:
+            return
+        start = self.positions()
+        first = {**start, **(home_positions(self._profile) if self.refusal(targets) else targets)}
+        if not confirm(start, first):
+            raise InputError("the first motion was not confirmed; nothing was moved")
+
     def move(self, targets: Mapping[str, Vector], speed: float = 1.0) -> dict[str, ArmState]:
         """Move to ``targets`` (name -> (N,) [rad]), all arms at once, and wait until they are at rest.
 
@@ -110,6 +126,14 @@ class Mover:
             raise MotionRefused(f"refused to move: {refusal}")
         self._record_foreign_steps(start)
         self._departure = start
+        with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
+            states = self._drive(start, targets, speed)
+        for name, q in targets.items():
+            self._record_step(name, start[name], q, states[name].q)
+        return states
+
+    def _drive(self, start: Mapping[str, Vector], targets: Mapping[str, Vector], speed: float) -> dict[str, ArmState]:
+        """Start all arms and wait until they have settled. The gate has accepted the motion."""
         timeout_s = 0.0
         for name, q in targets.items():
             speeds, accelerations = self._rates(name)
@@ -121,10 +145,10 @@ class Mover:
                 self._cell.arms[name].start_move(q, speed * speeds, accelerations)
             except ArmError as error:
                 raise self._stopped(cause_of(name, error)) from error
-        states = self._settled(list(targets), timeout_s)
-        for name, q in targets.items():
-            self._record_step(name, start[name], q, states[name].q)
-        return states
+        return self._settled(list(targets), timeout_s)
+
+    def _tracker_died(self, reason: str) -> None:
+        self._reaction.trigger(StopCause("tracker", reason))
 
     def _record_foreign_steps(self, start: Mapping[str, Vector]) -> None:
         """Record motions since the last one of this object that ended: one cut short, or an arm moved by hand."""

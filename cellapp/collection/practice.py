@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from cellapp.calibration.online import OnlineFit, online_fit
+from cellapp.collection.suspicions import Suspicions
+from cellapp.collection.work import Work
+from cellapp.errors import InputError
+from cellapp.progress import StopReport, Suspicion
+from cellapp.run import Reading, RunFile
 from drivers.sensors.protocol import AirReading, AirSensor, SensorError
 
 Note = Callable[[str, str], None]
@@ -40,3 +49,69 @@ class AirTemperature:
             self.note("info", f"stop {stop + 1}: {reading}")
         self.state = "working"
         return reading
+
+
+class LiveModel:
+    """The models of all arms, refitted after each stop. An arm whose model cannot be fitted is measured without one."""
+
+    def __init__(self, run: RunFile, work: Work, note: Note) -> None:
+        """Start with the readings that the run has."""
+        profile = run.profile
+        self._finish = profile.collection.finish
+        self._note = note
+        self._fits: dict[str, OnlineFit] = {}
+        self._latest: dict[str, StopReport] = {}
+        for name, planned in work.plan.items():
+            try:
+                self._fits[name] = online_fit(profile, name, planned)
+                self._add_stored(run, name)
+            except (InputError, np.linalg.LinAlgError) as error:
+                self._drop(name, error)
+        normals = {name: np.array(arm.smr.normal) / math.hypot(*arm.smr.normal) for name, arm in profile.arms.items()}
+        self._suspicions = Suspicions(normals)
+
+    def _add_stored(self, run: RunFile, name: str) -> None:
+        stored = run.readings(name)
+        report = self._fits[name].add_all(stored.configuration.tolist(), stored.q, stored.p_M, stored.covariance_M)
+        if report is not None:
+            self._latest[name] = report
+
+    def add(self, stop: int, rows: Mapping[str, Reading]) -> list[StopReport | Suspicion]:
+        """Refit with the readings of a stop; return a report for each arm that has a model, and suspicions."""
+        found: list[StopReport | Suspicion] = []
+        innovations = {}
+        for name, reading in rows.items():
+            fit = self._fits.get(name)
+            if fit is None:
+                continue
+            try:
+                report = fit.add(stop, reading.q, reading.p_M, reading.covariance_M)
+            except np.linalg.LinAlgError as error:
+                self._drop(name, error)
+                continue
+            innovations[name] = fit.innovation
+            if report is not None:
+                self._latest[name] = report
+                found.append(report)
+        return [*found, *self._suspicions.at_stop(stop, innovations)]
+
+    def forget_suspicions(self) -> None:
+        """Start afresh, after a person has looked at the cell."""
+        self._suspicions.forget()
+
+    @property
+    def standard_error_mm(self) -> dict[str, float]:
+        """Standard uncertainty of a predicted SMR position from the parameters, by arm; arms without a model lack."""
+        return {name: report.standard_error_mm for name, report in self._latest.items()}
+
+    def accurate_enough(self, stops_done: int) -> bool:
+        """Whether the asked standard error is reached by every arm, after the least number of stops."""
+        asked = self._finish.standard_error
+        if asked is None or stops_done < self._finish.least_stops or set(self._latest) != set(self._fits):
+            return False
+        return bool(self._fits) and all(error <= asked * 1e3 for error in self.standard_error_mm.values())
+
+    def _drop(self, name: str, error: Exception) -> None:
+        self._fits.pop(name, None)
+        self._latest.pop(name, None)
+        self._note("info", f"arm {name}: measured without a running model: {error}")

@@ -11,8 +11,8 @@ import numpy as np
 
 from cellapp.collection.cell import Cell, start_tracker
 from cellapp.collection.measuring import SmrMeasurement
-from cellapp.collection.motion import MotionRefused, Mover, Vector
-from cellapp.collection.practice import AirTemperature
+from cellapp.collection.motion import Confirm, MotionRefused, Mover, Vector
+from cellapp.collection.practice import AirTemperature, LiveModel
 from cellapp.collection.reaction import CellStopped, StopCause, StopReaction
 from cellapp.collection.references import References
 from cellapp.collection.supervision import Supervisor
@@ -20,7 +20,7 @@ from cellapp.collection.work import StopQueue, Work
 from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
 from cellapp.planning.stop_conditions import StopConditions
-from cellapp.progress import Detail, Listener, Progress
+from cellapp.progress import Detail, Listener, Progress, Suspicion
 from cellapp.run import Outcome, Reading, RunFile
 from cellapp.run.collection_rows import OutcomeKind
 from cellapp.safety.cell_bodies import home_positions
@@ -45,7 +45,7 @@ class CollectSession:
     """Collects the remaining stops of a run with the devices of an open cell.
 
     ``number`` is the session's number in the run. With ``accept_drift``, drift counts from this session's first
-    reference measurements.
+    reference measurements. ``confirm`` is asked once, before the first motion.
     """
 
     run: RunFile
@@ -57,6 +57,7 @@ class CollectSession:
     listener: Listener
     number: int
     accept_drift: bool = False
+    confirm: Confirm | None = None
     notes: list[str] = field(default_factory=list)
     began_s: float | None = None
     """Start of the run on the cell's clock [s]; controllers have clocks of their own, which are not used."""
@@ -83,6 +84,7 @@ class CollectSession:
             self.run, self.number, self._measurement, self._supervisor, accept_drift=self.accept_drift
         )
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log)
+        self._model = LiveModel(self.run, self.work, self._log)
         self._slow_stops = self._first_slow_stops()
         self._missed = 0
         self._until_reference = 0
@@ -101,6 +103,9 @@ class CollectSession:
             If the run file cannot be written.
         """
         self._with_recovery(self._leave_out_forbidden_stops)
+        first = self._queue.next()
+        if first is not None:
+            self._mover.confirm_first(self.work.targets(first), self.confirm)
         self._with_recovery(self._warm_up)
         end: End = "complete"
         while (stop := self._queue.next()) is not None:
@@ -128,6 +133,7 @@ class CollectSession:
                 self.reaction.trigger(StopCause("tracker", str(error)))
                 self._supervisor.recover(CellStopped(self.reaction.cause or StopCause("tracker", str(error))))
             self._slow_stops = self._first_slow_stops()
+            self._model.forget_suspicions()
 
     def _visit_next(self) -> bool:
         """Move to the next stop, measure, store; return whether the asked accuracy is reached."""
@@ -147,8 +153,21 @@ class CollectSession:
             self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
         self._slow_stops = max(self._slow_stops - 1, 0)
         self._until_reference -= 1
+        self._report(stop, rows)
         self._check_missed(rows)
-        return False
+        return self._model.accurate_enough(self._queue.finished)
+
+    def _report(self, stop: int, rows: Mapping[str, Reading]) -> None:
+        """Refit the running model and say what it shows; suspicions are logged."""
+        for detail in self._model.add(stop, rows):
+            self._emit(detail)
+            if isinstance(detail, Suspicion):
+                self._note(f"stop {stop + 1}: {detail.kind}: {detail.text}")
+
+    @property
+    def standard_error_mm(self) -> dict[str, float]:
+        """Standard uncertainty of a predicted SMR position from the parameters, by arm."""
+        return self._model.standard_error_mm
 
     def _check_missed(self, rows: Mapping[str, Reading]) -> None:
         """Hold, or raise ``HardwareError``, after too many stops in a row without any reading."""

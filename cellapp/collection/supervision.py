@@ -64,9 +64,16 @@ def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -
     """Hold here, with the arms at rest, while a person pauses. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
     control.check()
     while control.request == "pause":
-        cell.clock.wait(_POLL_S, control.wait)
+        _attend(cell, control)
+        reaction.check()
     control.check()
     reaction.check()
+
+
+def _attend(cell: Cell, control: JobControl) -> None:
+    """Wait a moment for a person, in real time; in a simulated cell, its time passes too."""
+    control.wait_while("pause", "stop", timeout_s=_POLL_S)
+    cell.clock.wait(_POLL_S, lambda duration_s: None)
 
 
 def ignore_record(kind: str, reason: str) -> None:
@@ -161,7 +168,7 @@ class Supervisor:
         while True:
             self.emit(StateChange("stopped", f"{reason}; resume when the cell is clear, or abort"))
             while self.control.request in ("stop", "pause"):
-                self.cell.clock.wait(_POLL_S, self._attend)
+                _attend(self.cell, self.control)
             self.control.check()
             try:
                 self._release()
@@ -178,9 +185,6 @@ class Supervisor:
         if self.reaction.cause is not None and self.reaction.cause.kind == "tracker":
             self.reconnect_tracker()
         self.reaction.release()
-
-    def _attend(self, timeout_s: float) -> object:
-        return self.control.wait_while("stop", "pause", timeout_s=timeout_s)
 
     def _begin(self, kind: SuspensionKind, reason: str) -> bool:
         """Whether another suspension for this cause is allowed; counts and announces it."""

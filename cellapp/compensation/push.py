@@ -9,7 +9,7 @@ import numpy as np
 
 from cellapp.calibration.evaluation import summarise
 from cellapp.collection.cell import Cell, open_cell
-from cellapp.collection.motion import MotionRefused, Mover
+from cellapp.collection.motion import Confirm, MotionRefused, Mover
 from cellapp.collection.supervision import hold_while_paused, reacting
 from cellapp.compensation.compensate import Command, with_approach
 from cellapp.control import JobControl
@@ -33,11 +33,13 @@ def push(
     control: JobControl | None = None,
     *,
     verify: bool,
+    confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
 ) -> VerifyResult:
     """Send every command to its arm, the other arms at home; with ``verify`` both commands, and measure.
 
-    ``opened`` is called with the open cell before anything moves; what it raises ends the job.
+    ``opened`` is called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked
+    before the first motion.
 
     Raises
     ------
@@ -58,6 +60,7 @@ def push(
     with open_cell(profile) as cell, reacting(cell, control) as reaction:
         opened(cell)
         mover = Mover(profile, cell, bodies, reaction)
+        mover.confirm_first(homes, confirm)
         mover.go_home()
         busy = ""
         for done, command in enumerate(commands):

@@ -55,6 +55,25 @@ class CollectResult(Result):
     references: tuple[ReferenceDrift, ...] = ()
     standard_error_mm: Mapping[str, float] = Field(default_factory=dict)
 
+    def complaints(self) -> list[str]:
+        """Why this collection does not count as done, in words; empty if it does."""
+        if self.outcome == "accurate enough" or self.missing_share <= self.tolerated_share:
+            return []
+        return [
+            f"{self.missing_share:.1%} of the planned readings are missing, the profile tolerates"
+            f" {self.tolerated_share:.1%} (collection.tolerated)"
+        ]
+
+
+class RequestResult(Result):
+    """``pause``, ``resume``, ``stop`` and ``abort``: what the running job was asked, and its answer."""
+
+    schema_: Literal["cellapp-request"] = "cellapp-request"
+    version: Literal[1] = 1
+    run: str
+    request: Literal["pause", "resume", "stop", "abort"]
+    answer: str
+
 
 class ImportResult(Result):
     """``import``: number of readings of each arm."""

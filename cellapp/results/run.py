@@ -7,6 +7,7 @@ from typing import Literal
 
 from cellapp.results.base import Record, Result, StageName
 from cellapp.results.calibration import CalibrateResult
+from cellapp.results.collection import CollectResult
 from cellapp.results.discovery import DiscoverResult
 from cellapp.results.targets import CompensateResult, VerifyResult
 
@@ -36,6 +37,7 @@ class WholeRunResult(RunResults):
 
     schema_: Literal["cellapp-run"] = "cellapp-run"
     version: Literal[1] = 1
+    collect: CollectResult | None = None
     notes: tuple[str, ...] = ()
 
 

@@ -47,10 +47,15 @@ class ArmBodies:
 
     @cached_property
     def levers(self) -> Array:
-        """Upper bound on the distance of any body point from each joint's axis, over all q, shape (N,) [m].
+        """Upper bound on the distance of any body point from each joint's axis, over all q, shape (N,) [m]."""
+        return np.asarray(self.body_levers.max(axis=0, initial=0.0))
+
+    @cached_property
+    def body_levers(self) -> Array:
+        """Upper bound on the distance of any point of a body from each joint's axis, over all q, shape (m, N) [m].
 
         It is the path length along the chain: the distances between successive frames, and of a body from the frame
-        before its own, do not depend on q.
+        before its own, do not depend on q. Zero for joints that do not move the body.
         """
         joints = self.geometry.joints
         zero = np.zeros((1, joints))
@@ -60,7 +65,24 @@ class ArmBodies:
         ends = np.stack([bodies.start[0], bodies.end[0]])
         reach = np.linalg.norm(ends - origins[before], axis=2).max(axis=0) + self.radius + along[before]
         carried = self.frames[:, None] > np.arange(joints)
-        return np.asarray(np.where(carried, reach[:, None] - along[:-1], 0.0).max(axis=0, initial=0.0))
+        return np.asarray(np.where(carried, reach[:, None] - along[:-1], 0.0))
+
+    @cached_property
+    def own_pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bodies that do not overlap by design, two by two: their places, (p,) int each."""
+        i, k = np.triu_indices(len(self.radius), 1)
+        apart = np.abs(self.frames[i] - self.frames[k]) > _TOUCHING_FRAMES
+        return i[apart], k[apart]
+
+    @cached_property
+    def pair_levers(self) -> Array:
+        """Like ``body_levers``, for the motion of one body of ``own_pairs`` as seen from the other, (p, N) [m]."""
+        i, k = self.own_pairs
+        low, high = np.minimum(self.frames[i], self.frames[k]), np.maximum(self.frames[i], self.frames[k])
+        outer = np.where(self.frames[i] > self.frames[k], i, k)
+        joints = np.arange(self.geometry.joints)
+        between = (joints >= low[:, None]) & (joints < high[:, None])
+        return np.asarray(np.where(between, self.body_levers[outer], 0.0))
 
 
 @dataclass(frozen=True)
@@ -120,6 +142,12 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
     return np.asarray(np.sqrt(_dot(gap, gap)))
 
 
+def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray) -> Array:
+    """Distances (n, p) [m] between the surfaces of bodies ``i`` and ``k`` (p,) of one arm; negative where they meet."""
+    gap = segment_distance(placed.start[:, i], placed.end[:, i], placed.start[:, k], placed.end[:, k])
+    return np.asarray(gap - placed.radius[i] - placed.radius[k])
+
+
 def self_clearance(placed: Placed) -> Array:
     """Smallest distance between capsules of one arm that do not overlap by design, (n,) [m]; infinite without any."""
     i, k = np.triu_indices(len(placed.radius), 1)
@@ -127,8 +155,7 @@ def self_clearance(placed: Placed) -> Array:
     i, k = i[apart], k[apart]
     if len(i) == 0:
         return np.full(len(placed.smr), np.inf)
-    gap = segment_distance(placed.start[:, i], placed.end[:, i], placed.start[:, k], placed.end[:, k])
-    return np.asarray((gap - placed.radius[i] - placed.radius[k]).min(axis=1))
+    return np.asarray(pair_gaps(placed, i, k).min(axis=1))
 
 
 def floor_clearance(placed: Placed, floor: float) -> Array:

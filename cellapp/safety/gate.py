@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -20,6 +21,7 @@ from cellapp.safety.bodies import (
     beam_clearance,
     ceiling_clearance,
     floor_clearance,
+    pair_gaps,
     place,
     segment_distance,
     self_clearance,
@@ -36,6 +38,8 @@ _STEPS = (0.02, 0.04)
 _EVERY = 2
 """Stride of the samples that are checked against other arms, where all pairs of samples are compared. Floor and self
 checks use all samples. The coarser spacing is added to the clearance."""
+_STRIDE = 8
+"""Stride of the samples that are looked at first, a multiple of 2 * ``_EVERY``."""
 _PAIRS_AT_ONCE = 20_000
 """Pairs of capsules per batch: some MB of memory, and an early end at the first collision."""
 _ROUNDING_RAD = 1e-9
@@ -104,10 +108,8 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
             refusal = _refuse_alone(cell, paths[name])
         if refusal:
             return f"arm {name}: {refusal}"
-    coarse = {name: path.thinned() for name, path in paths.items()}
-    for first, second in combinations(coarse, 2):
-        deviation = coarse[first].deviation + coarse[second].deviation
-        if not _keeps_clearance(coarse[first].bodies, coarse[second].bodies, cell.clearance + deviation):
+    for first, second in combinations(paths, 2):
+        if not _keep_apart(paths[first], paths[second], cell.clearance):
             return f"arms {first} and {second}: come nearer than {cell.clearance * 1e3:.0f} mm"
     return ""
 
@@ -161,23 +163,53 @@ def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
     return np.asarray((place(cell.arms[name], q).smr - T_C_M[:3, 3]) @ T_C_M[:3, :3])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Path:
-    """Samples of one arm's path; no point of a body is farther than ``deviation`` [m] from its nearest sample."""
+    """Evenly spaced samples of one arm's path; no point of a body is farther than ``deviation`` [m] from its nearest.
 
-    bodies: Placed
+    Most of a path is far from everything. Every ``_STRIDE``-th sample is looked at first; the samples around it are
+    placed only where a body, displaced as far as it can be there, could come too near.
+    """
+
+    arm: ArmBodies
+    start: Array
+    target: Array
+    count: int
     deviation: float
 
-    def thinned(self) -> _Path:
-        return _Path(self.bodies.take(slice(None, None, _EVERY)), _EVERY * self.deviation)
+    def placed(self, samples: np.ndarray) -> Placed:
+        """The bodies at some of the samples."""
+        share = np.linspace(0.0, 1.0, self.count)[samples]
+        return place(self.arm, self.start + share[:, None] * (self.target - self.start))
+
+    @property
+    def spread(self) -> float:
+        """Farthest that a point of a body at any sample is from where it is at the nearest coarse sample [m]."""
+        return _STRIDE * self.deviation
+
+    @cached_property
+    def coarse(self) -> np.ndarray:
+        """Every ``_STRIDE``-th sample and the last one."""
+        return np.append(np.arange(0, self.count - 1, _STRIDE), self.count - 1)
+
+    @cached_property
+    def coarse_bodies(self) -> Placed:
+        """The bodies at the coarse samples."""
+        return self.placed(self.coarse)
+
+    def around(self, doubtful: np.ndarray, every: int = 1) -> np.ndarray:
+        """Of every ``every``-th sample, those nearest to the ``doubtful`` ones (bool) of the coarse samples."""
+        near = self.coarse[doubtful][:, None] + np.arange(-(_STRIDE // 2), _STRIDE // 2 + 1)
+        chosen = np.zeros(self.count, dtype=bool)
+        chosen[np.clip(near, 0, self.count - 1)] = True
+        return np.flatnonzero(chosen[::every]) * every
 
 
 def _sample_path(arm: ArmBodies, start: Array, target: Array, spacing: float) -> _Path:
     """Sample a path so that no point of a body moves more than ``spacing`` [m] in ``_EVERY`` steps."""
     longest = float(np.abs(target - start) @ arm.levers)
     count = _EVERY * max(1, math.ceil(longest / spacing)) + 1
-    q = start + np.linspace(0.0, 1.0, count)[:, None] * (target - start)
-    return _Path(place(arm, q), 0.5 * longest / (count - 1))
+    return _Path(arm, start, target, count, 0.5 * longest / (count - 1))
 
 
 def _refuse_values(arm: ArmBodies, start: Array, target: Array) -> str:
@@ -203,25 +235,71 @@ def _refuse_alone(cell: CellBodies, path: _Path) -> str:
 
     The comparisons are negated so that a NaN refuses.
     """
-    bodies, needed = path.bodies, cell.clearance + path.deviation
-    if not floor_clearance(bodies, cell.floor).min() >= needed:
-        return f"comes nearer to the floor than {cell.clearance * 1e3:.0f} mm"
-    if not ceiling_clearance(bodies, cell.ceiling).min() >= needed:
-        return f"comes nearer to the ceiling than {cell.clearance * 1e3:.0f} mm"
-    if not self_clearance(bodies).min() >= max(min(cell.clearance, _SELF_CLEARANCE), path.deviation):
+    needed = cell.clearance + path.deviation
+    bodies = path.coarse_bodies
+    heights = np.minimum(floor_clearance(bodies, cell.floor), ceiling_clearance(bodies, cell.ceiling))
+    doubtful = ~(heights >= needed + path.spread)
+    if doubtful.any():
+        bodies = path.placed(path.around(doubtful))
+        if not floor_clearance(bodies, cell.floor).min() >= needed:
+            return f"comes nearer to the floor than {cell.clearance * 1e3:.0f} mm"
+        if not ceiling_clearance(bodies, cell.ceiling).min() >= needed:
+            return f"comes nearer to the ceiling than {cell.clearance * 1e3:.0f} mm"
+    if not _clear_of_itself(path, max(min(cell.clearance, _SELF_CLEARANCE), path.deviation)):
         return "comes too near to itself"
     return ""
 
 
-def _keeps_clearance(first: Placed, second: Placed, clearance: float) -> bool:
-    """Whether all samples of one arm keep the clearance [m] from all samples of the other."""
-    # Extent along the line between the bases: only bodies that reach past the other arm's nearest one can meet it.
+def _clear_of_itself(path: _Path, needed: float) -> bool:
+    """Whether an arm keeps ``needed`` [m] from itself at all samples of its path."""
+    i, k = path.arm.own_pairs
+    if len(i) == 0:
+        return True
+    # one body of a pair, as seen from the other, moves by the joints between them only
+    spread = path.arm.pair_levers @ np.abs(path.target - path.start) * (0.5 * _STRIDE / (path.count - 1))
+    doubtful = ~(pair_gaps(path.coarse_bodies, i, k) >= needed + spread)
+    pairs = np.any(doubtful, axis=0)
+    if not pairs.any():
+        return True
+    bodies = path.placed(path.around(np.any(doubtful, axis=1)))
+    return bool(pair_gaps(bodies, i[pairs], k[pairs]).min() >= needed)
+
+
+def _keep_apart(first: _Path, second: _Path, clearance: float) -> bool:
+    """Whether two arms keep ``clearance`` [m] at any relative speed on their paths."""
+    needed = clearance + _EVERY * (first.deviation + second.deviation)
+    rows_first, rows_second = _within_reach(
+        first.coarse_bodies, second.coarse_bodies, needed + first.spread + second.spread
+    )
+    if not (rows_first.any() and rows_second.any()):
+        return True
+    return _keeps_clearance(
+        first.placed(first.around(np.any(rows_first, axis=1), _EVERY)),
+        second.placed(second.around(np.any(rows_second, axis=1), _EVERY)),
+        needed,
+    )
+
+
+def _within_reach(first: Placed, second: Placed, clearance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Bodies of each arm that reach past the other's nearest one, (n, m) bool each: only these can meet it.
+
+    The extent is along the line between the bases. A NaN counts as within reach.
+    """
     along = second.start[0, 0] - first.start[0, 0]
     along = along / max(float(np.linalg.norm(along)), 1e-12)
     reach_first = np.maximum(first.start @ along, first.end @ along) + first.radius
     reach_second = np.minimum(second.start @ along, second.end @ along) - second.radius
-    i, a = np.nonzero(reach_first > reach_second.min() - clearance)
-    k, b = np.nonzero(reach_second < reach_first.max() + clearance)
+    return (
+        ~(reach_first <= reach_second.min() - clearance),
+        ~(reach_second >= reach_first.max() + clearance),
+    )
+
+
+def _keeps_clearance(first: Placed, second: Placed, clearance: float) -> bool:
+    """Whether all samples of one arm keep the clearance [m] from all samples of the other."""
+    near_first, near_second = _within_reach(first, second, clearance)
+    i, a = np.nonzero(near_first)
+    k, b = np.nonzero(near_second)
     if len(i) == 0 or len(k) == 0:
         return True
     first_radius, second_radius = first.radius[a], second.radius[b]

@@ -166,17 +166,22 @@ class SimulatedArm:
         self._plant.start_move(self._name, goal, rates[0], rates[1])
 
     def wait_settled(self, timeout_s: float) -> ArmState:
-        """Advance until the arm was at rest for ``SETTLE_S``.
+        """Advance until the arm was at rest for ``SETTLE_S``, or until the plant's schedule brings a fault.
 
         Raises ``ArmTimeout``, or what stopped it: a fault, or ``MotionStopped``.
         """
         self._link()
-        needed = self._plant.rest_s(self._name) + SETTLE_S - self._plant.clock_s
-        if needed > timeout_s:
-            self._plant.advance(max(timeout_s, 0.0))
-            raise ArmTimeout(f"arm {self._name} needs {needed:.2f} s to come to rest, {timeout_s:g} s were allowed")
-        if needed > 0.0:
-            self._plant.advance(needed)
+        left = max(timeout_s, 0.0)
+        while (needed := self._plant.rest_s(self._name) + SETTLE_S - self._plant.clock_s) > 0.0:
+            step = min(needed, left, self._plant.undisturbed_s)
+            self._plant.advance(step)
+            self._link()
+            self._no_fault()
+            if self._cut_short or step == needed:
+                break
+            if step == left:
+                raise ArmTimeout(f"arm {self._name} needs {needed:.2f} s to come to rest, {timeout_s:g} s were allowed")
+            left -= step
         self._no_fault()
         if self._cut_short:
             raise MotionStopped(f"arm {self._name}: its motion was stopped before the goal")

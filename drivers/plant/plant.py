@@ -28,6 +28,7 @@ from drivers.plant.mechanism import (
 )
 from drivers.plant.motion import Motion, braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
+from drivers.plant.schedule import Schedule
 
 _EQUILIBRIUM_RAD = 1e-12
 _MAX_ITERATIONS = 200
@@ -88,8 +89,9 @@ def _broadcast(name: str, value: ArrayLike | None, default: ArrayLike, shape: tu
 class Plant:
     """A cell with true geometry and hidden effects according to a configuration and its seed.
 
-    Time is simulated: it passes only in ``advance``, which the simulated drivers call. ``watch_clearance`` records in
-    ``clearance`` the smallest distances of the arms' capsules from each other and from the floor during motions.
+    Time is simulated: it passes only in ``advance``, which the simulated drivers call; actions in ``schedule`` happen
+    at their time meanwhile. ``watch_clearance`` records in ``clearance`` the smallest distances of the arms' capsules
+    from each other and from the floor during motions.
 
     Raises ``ValueError`` for an unknown effect, or an unknown or invalid parameter.
     """
@@ -97,9 +99,12 @@ class Plant:
     def __init__(self, config: PlantConfig, *, watch_clearance: bool = False) -> None:
         self.config = config
         self.clearance = Clearance() if watch_clearance else None
+        self.schedule = Schedule()
         self._clock_s = 0.0
         self._T_M_C = inverse(config.tracker.T_C_M)
         self._air = Air(config.temperature_c, np.random.default_rng([config.seed, 0]))
+        self._air_now = (np.nan, np.nan)
+        """A time [s] and the air temperature at it [degC]."""
         self._noise = np.random.default_rng([config.seed, 1])
         # one random stream per arm and purpose: draws of one do not change another
         self._arms = {
@@ -315,7 +320,11 @@ class Plant:
     @property
     def air_temperature_c(self) -> float:
         """Air temperature now [degC]."""
-        return float(self._air.temperature_c(np.array([self._clock_s]))[0])
+        time_s, temperature_c = self._air_now
+        if time_s != self._clock_s:
+            temperature_c = float(self._air.temperature_c(np.array([self._clock_s]))[0])
+            self._air_now = self._clock_s, temperature_c
+        return temperature_c
 
     def joint_temperatures_c(self, name: str) -> Array:
         """Joint temperatures of an arm now, (N,) [degC]."""
@@ -379,6 +388,12 @@ class Plant:
         self._end_motion(arm, self._q(arm), self._clock_s)
         arm.motion = shortened
 
+    def braking_s(self, name: str) -> float:
+        """Time that an arm would need to come to rest if ``stop`` were called now [s]."""
+        arm = self._arm(name)
+        shortened = None if arm.motion is None else braked(arm.motion, self._clock_s, arm.config.acceleration)
+        return 0.0 if shortened is None else shortened.duration_s
+
     @staticmethod
     def _end_motion(arm: _Arm, q: Array, time_s: float) -> None:
         """Update the arm's state and memories after a motion to ``q``."""
@@ -394,7 +409,23 @@ class Plant:
         arm.motion = None
 
     def advance(self, duration_s: float) -> None:
-        """Advance the clock."""
+        """Advance the clock; actions of ``schedule`` happen at their time. An error that one raises passes through."""
+        end_s = self._clock_s + duration_s
+        if self.schedule.next_s > end_s:
+            self._pass(duration_s)
+            return
+        while self.schedule.next_s <= end_s:
+            self._pass(max(self.schedule.next_s - self._clock_s, 0.0))
+            self.schedule.run_next()
+        self._pass(max(end_s - self._clock_s, 0.0))
+
+    @property
+    def undisturbed_s(self) -> float:
+        """Time until the next action of ``schedule`` [s]; infinite without one."""
+        return max(self.schedule.next_s - self._clock_s, 0.0)
+
+    def _pass(self, duration_s: float) -> None:
+        """Let time pass in which nothing happens but the motions under way."""
         end_s = self._clock_s + duration_s
         if self.clearance is not None:
             ends = [arm.motion.end_s for arm in self._arms.values() if arm.motion is not None]

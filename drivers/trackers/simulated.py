@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import numpy as np
@@ -160,6 +160,8 @@ class SimulatedTracker:
         self._pass_time = plant.advance if pass_time is None else pass_time
         self._watch_s = watch_s
         self._bodies = {arm.name: nominal(arm) for arm in plant.config.arms}
+        self._placed: dict[str, tuple[bytes, tuple[Vector, Vector]]] = {}
+        """Arm -> joint positions, and the ends of its capsules there."""
         self._settings = Preparation()
         self._initialised = True
         self._tilt_drift_rad = 0.0
@@ -291,7 +293,7 @@ class SimulatedTracker:
         for target in self._targets():
             distance = float(np.linalg.norm(target.p_M - expected))
             if distance <= SEARCH_RADIUS_M:
-                around.append((distance, target))
+                around.append((distance, self._behind_bodies(target)))
         visible = [(distance, target) for distance, target in around if not target.hidden]
         if not visible:
             place = ", ".join(f"{v:.3f}" for v in expected)
@@ -300,18 +302,22 @@ class SimulatedTracker:
         return min(visible, key=lambda pair: pair[0])[1]
 
     def _targets(self) -> list[_Smr]:
-        """Return all SMRs of arms and nests."""
+        """Return all SMRs of arms and nests, without regard to bodies in the beam."""
         found = []
         for target in self._plant.targets():
             why = "something covers it" if target.arm in self.covered else target.hidden
-            why = why or self._beam_obstacle(target.p_M, target.arm)
             found.append(_Smr(f"arm {target.arm}", target.arm, target.p_M, why, target.moving))
         for name, p_M in self._nests.items():
             facing = -p_M / np.linalg.norm(p_M)
             why = "something covers it" if name in self.covered else ""
-            why = why or why_hidden(self._plant.config.tracker, p_M, facing, math.pi) or self._beam_obstacle(p_M, None)
+            why = why or why_hidden(self._plant.config.tracker, p_M, facing, math.pi)
             found.append(_Smr(f"nest {name}", None, p_M, why))
         return found
+
+    def _behind_bodies(self, target: _Smr) -> _Smr:
+        """Return the SMR, hidden if a body is in the beam."""
+        why = target.hidden or self._beam_obstacle(target.p_M, target.arm)
+        return replace(target, hidden=why)
 
     def _beam_obstacle(self, p_M: Vector, owner: str | None) -> str:
         """Return in words whose body is between the tracker and ``p_M``; "" if none is.
@@ -323,12 +329,22 @@ class SimulatedTracker:
             counted = capsules.frames < len(mechanism.masses) if name == owner else np.ones(len(capsules.frames), bool)
             if not counted.any():
                 continue
-            posture = Posture(mechanism, self._plant.q(name)[None], np.zeros(3))
-            start, end = (carry(self._plant.true_T_M_B(name), ends[counted, 0]) for ends in posture.segments())
+            start, end = (ends[counted] for ends in self._segments(name))
             gaps = segment_distances(np.zeros_like(start), np.broadcast_to(p_M, start.shape), start, end)
             if (gaps < capsules.radii[counted]).any():
                 return f"{'its own arm' if name == owner else f'arm {name}'} blocks the beam"
         return ""
+
+    def _segments(self, name: str) -> tuple[Vector, Vector]:
+        """Return the ends (k, 3) of an arm's capsules in M, which stay while the arm rests."""
+        q = self._plant.q(name)
+        key = q.tobytes()
+        if name not in self._placed or self._placed[name][0] != key:
+            posture = Posture(self._bodies[name], q[None], np.zeros(3))
+            T_M_B = self._plant.true_T_M_B(name)
+            start, end = (carry(T_M_B, ends[:, 0]) for ends in posture.segments())
+            self._placed[name] = (key, (start, end))
+        return self._placed[name][1]
 
     # -- time ----------------------------------------------------------------------------------------------------------
 
@@ -336,23 +352,25 @@ class SimulatedTracker:
         return any(self._plant.moving(name) for name in self._plant.names)
 
     def _wait(self, duration_s: float) -> None:
-        """Let time pass in steps of at most ``watch_s``. Raises ``Halted``."""
+        """Let time pass in steps of at most ``watch_s``, up to each event. Raises ``Halted`` or ``TrackerLinkLost``."""
         end_s = self._plant.clock_s + duration_s
         left = duration_s
         while left > 0.0:
-            self._pass_time(min(left, self._watch_s))
+            step = min(left, self._watch_s, self._plant.undisturbed_s)
+            self._pass_time(step)
+            self._link()  # before the halt: a restart is a lost link
             if self._halt.is_set():
-                self._link()  # a restart is a lost link, not a halt
                 raise Halted("tracker: a halt was requested; no measurement was made")
-            left = 0.0 if left <= self._watch_s else end_s - self._plant.clock_s
+            left = 0.0 if left <= step else end_s - self._plant.clock_s
 
     def _average(self, locked: _Smr, averaging_s: float) -> None:
-        """Wait for the end of the averaging, and check the target while anything moves."""
+        """Wait for the end of the averaging, and check the target while anything moves or is changed by an event."""
         began_s = self._plant.clock_s
         left = averaging_s
         while left > 0.0:
-            step = min(left, self._watch_s, _WATCH_S if self._moving() else math.inf)
-            moved = self._moving()
+            undisturbed_s = self._plant.undisturbed_s
+            step = min(left, self._watch_s, undisturbed_s, _WATCH_S if self._moving() else math.inf)
+            moved = self._moving() or step == undisturbed_s
             self._wait(step)
             moved = moved or any(self._plant.moving(n) or self._plant.rest_s(n) > began_s for n in self._plant.names)
             if moved:
@@ -360,7 +378,7 @@ class SimulatedTracker:
             left = 0.0 if left <= step else began_s + averaging_s - self._plant.clock_s
 
     def _check_target(self, locked: _Smr, began_s: float) -> None:
-        now = next(target for target in self._targets() if target.owner == locked.owner)
+        now = self._behind_bodies(next(target for target in self._targets() if target.owner == locked.owner))
         if now.hidden:
             raise TargetLost(f"tracker: the beam to the SMR of {locked.owner} broke in mid-measurement: {now.hidden}")
         own_motion = locked.arm is not None and self._plant.rest_s(locked.arm) > began_s

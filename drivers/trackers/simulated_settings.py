@@ -9,7 +9,7 @@ from drivers.settings import simulated_cell
 from drivers.trackers.settings import TrackerContext, TrackerSettings
 
 if TYPE_CHECKING:
-    from drivers.trackers.protocol import Tracker
+    from drivers.trackers.protocol import Preparation, Tracker
 
 
 class SimulatedTrackerSettings(TrackerSettings):
@@ -17,6 +17,12 @@ class SimulatedTrackerSettings(TrackerSettings):
 
     kind: Literal["simulated"] = "simulated"
     needs_plant: ClassVar[bool] = True
+
+    def preparation(self) -> Preparation:
+        """Return that it is prepared as it is: after a restart this initialises it."""
+        from drivers.trackers.protocol import Preparation
+
+        return Preparation()
 
     def open(self, tracker: TrackerContext) -> Tracker:
         """Return the tracker of the plant."""

@@ -24,7 +24,7 @@ from hypothesis.extra import numpy as hnp
 
 from cellapp.errors import InputError
 from cellapp.profile import Profile
-from cellapp.run import Reading, Readings, RunFile
+from cellapp.run import Outcome, Reading, Readings, RunFile
 from tests.run.two_arm_cell import assert_same, two_arms
 
 pytestmark = pytest.mark.fast
@@ -545,7 +545,8 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
         connection.execute("ALTER TABLE reading DROP COLUMN step")
         connection.execute("ALTER TABLE reading DROP COLUMN dwell_s")
-        connection.execute("DROP TABLE stage")
+        for table in ("stage", "session", "request", "outcome", "reference"):
+            connection.execute(f"DROP TABLE {table}")
         connection.execute("UPDATE meta SET value = '1' WHERE key = 'version'")
         connection.execute("PRAGMA user_version=1")
         connection.commit()
@@ -561,3 +562,42 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
         assert left.dwell_s is not None
         np.testing.assert_array_equal(left.step, [[np.nan, np.nan], [0.1, -0.2]])
         np.testing.assert_array_equal(left.dwell_s, [np.nan, 1.5])
+
+
+def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_stages(
+    profile: Profile, folder: Path
+) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.append_stage("calibrate", None, "{}", None)
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        for table in ("session", "request", "outcome", "reference"):
+            connection.execute(f"DROP TABLE {table}")
+        connection.execute("PRAGMA user_version=3")
+        connection.commit()
+    with RunFile.open(folder) as run:
+        assert (run.sessions(), run.outcomes(), run.references()) == ([], [], [])
+    with RunFile.open(folder, write=True) as run:
+        session = run.begin_session()
+        run.record_request(session, "pause", "by a person")
+        run.end_session(session, "stopped", "by a person")
+        assert [row.name for row in run.stage_rows()] == ["calibrate"]
+        (found,) = run.sessions()
+    assert (found.outcome, found.reason) == ("stopped", "by a person")
+    assert [request[1:] for request in found.requests] == [("pause", "by a person")]
+
+
+def test_an_outcome_counts_until_the_stop_is_measured(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(1, {"left": reading(1)}, [Outcome(1, "right", "not measured", "hidden")])
+        run.add_stop(2, {}, [Outcome(2, "left", "left out", "too near"), Outcome(2, "right", "left out", "too near")])
+        assert [(one.stop, one.arm, one.kind) for one in run.outcomes()] == [
+            (1, "right", "not measured"),
+            (2, "left", "left out"),
+            (2, "right", "left out"),
+        ]
+        assert run.stops_done() == {1}
+        run.add_stop(2, {"left": reading(2)}, [Outcome(2, "right", "not measured", "hidden")])
+        assert [(one.stop, one.arm, one.reason) for one in run.outcomes()] == [
+            (1, "right", "hidden"),
+            (2, "right", "hidden"),
+        ]

@@ -1,0 +1,451 @@
+"""Identification of one arm while its stops are measured: a new estimate and its standard errors after every stop.
+
+Between renewals the measurement model is linear about one geometry, and a new reading adds three rows to the normal
+equations. A renewal linearises all readings again at the present estimate. Renewals follow a growing schedule, and come
+at once where the estimate has left the range in which the linear model holds.
+
+Few readings do not determine all parameters. Weak priors about the nominal arm then do; with many readings they have no
+effect. The weights are those of ``identification.identify_with_excess``: stated covariance plus the excess variance
+that unmodelled physics leaves. A gross error (a wrong target) gets no weight.
+
+Predictions come from a second model with the same geometry and the joints' compliance under gravity. The first model
+is what ``calibrate`` identifies; on a UR10 gravity leaves it residuals of half a millimetre, which hide a loose SMR.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.calibration.identification import SetName, start_from_nominal
+from cellapp.calibration.normal_equations import Linearisation, Observations, normal_equations
+from cellapp.calibration.online_model import GROSS, LinearModel, StoredReadings, excess_of, gross_weights
+from cellapp.calibration.parameters import ParameterSet, auto_set, full_set, gram_matrix, paper_set
+from cellapp.calibration.weights import RobustName, robust_weights, whitener
+from cellapp.errors import InputError
+from cellapp.kinematics.chain import BASE_NAMES, TOOL_NAMES, Geometry, JointAngles, frame_poses, jacobian
+from cellapp.kinematics.statics import Bodies, gravity_loads
+from cellapp.kinematics.transforms import Array
+from cellapp.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
+from cellapp.profile import Profile
+from cellapp.progress import StopReport
+
+_PRIOR = {"m": 10e-3, "rad": 20e-3}
+"""Standard deviation of the arm's own parameters about the nominal ones: ten times what arms of this size show, so that
+a few stops are enough to predict, and 100 stops leave no trace of it."""
+_TOOL_PRIOR_M = 20e-3
+"""Standard deviation of the SMR offset: an adapter measured with a ruler."""
+_UNKNOWN_TOOL_PRIOR_M = 0.3
+"""The same for an offset that the profile calls unknown: any adapter."""
+_FIRST_READINGS = 4
+"""Readings from which the base is found. Three determine it; a fourth shows whether they fit."""
+_LEAST_SPREAD_M = 0.05
+"""Least rms distance of the first points from their common line: with errors of some millimetres, the base is then
+known to 0.1 rad, from where Gauss-Newton steps converge."""
+_REGISTERED_AGAIN = (8, 16)
+"""Numbers of readings with which the base is registered again: the first four may have been a poor start."""
+_GROWTH = 1.2
+"""Growth of the number of readings between renewals: 20 renewals up to 400 readings."""
+_LINEAR = 3e-4
+"""Largest change of a parameter at arm's length [m] for one linearisation; the neglected second order is 0.1 um."""
+_STEPS = 4
+"""Most Gauss-Newton steps of a renewal; one is enough after the first readings."""
+_FIRST_EXCESS_M = 1e-4
+"""Excess standard deviation of a coordinate until the readings tell it: what gravity and backlash leave in UR arms."""
+_LEAST_FREEDOM = 10.0
+"""Degrees of freedom from which the excess is estimated."""
+_GRAM_VALID = 2e-3
+"""Largest change of a parameter [m or rad] for one Jacobian of the planned stops; it changes by about as much."""
+_COMPLIANCE_PRIOR = 5e-5
+"""Standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
+_PLANNED_RAD = 0.01
+"""Joint positions nearer than this to the planned ones have the same gravity torques, to a percent."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where the model expects an SMR.
+
+    Attributes
+    ----------
+    p_M : array, shape (3,)
+        [m]
+    covariance_M : array, shape (3, 3)
+        From the parameters alone [m^2].
+    scatter_m : float
+        Standard deviation of a measured coordinate about the model [m].
+    """
+
+    p_M: Array
+    covariance_M: Array
+    scatter_m: float
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard uncertainty of the distance between the SMR that will be measured and ``p_M`` [m]."""
+        return math.sqrt(float(np.trace(self.covariance_M)) + 3.0 * self.scatter_m**2)
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """A reading against the model that did not know it yet.
+
+    Attributes
+    ----------
+    stop : int
+    p_M : array, shape (3,)
+        Measured SMR position [m].
+    off_M : array, shape (3,)
+        Measured minus predicted position [m].
+    covariance_M : array, shape (3, 3)
+        Of ``off_M``: parameters, stated noise, excess scatter [m^2].
+    R_M_F : array, shape (3, 3)
+        Rotation of the flange.
+    scatter_m : float
+        Standard deviation of a coordinate about the model [m].
+    freedom : float
+        Degrees of freedom from which the scatter was estimated.
+    """
+
+    stop: int
+    p_M: Array
+    off_M: Array
+    covariance_M: Array
+    R_M_F: Array
+    scatter_m: float
+    freedom: float
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """Masses of the arm and the direction (3,) against gravity in the tracker frame, for its joint compliance."""
+
+    bodies: Bodies
+    up_M: Array
+
+
+def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
+    """The fit of an arm as the profile's calibration section asks; ``planned_q`` (n, N) [rad] are the planned stops."""
+    arm, settings = profile.arms[name], profile.calibration
+    nominal = nominal_arm(arm)
+    return OnlineFit(
+        name,
+        nominal,
+        planned_q,
+        parameter_set=settings.parameter_set,
+        prior_sigma=prior_sigmas(nominal, settings.priors),
+        robust=settings.robust,
+        tool_unknown=arm.smr.offset == "unknown",
+        gravity=Gravity(bodies_of(arm), up_in_tracker(profile)),
+    )
+
+
+class OnlineFit:
+    """The geometry of one arm, refitted after every stop. It has no model until ``ready``.
+
+    Parameters
+    ----------
+    arm : str
+        Name, for the reports.
+    nominal : Geometry
+        Nominal chain; its base is not used.
+    planned_q : array, shape (n, N)
+        Joint positions [rad] of the planned stops, over which the uncertainty of a prediction is averaged.
+    parameter_set : str
+        ``auto``, ``paper`` or ``full``. Redundant parameters of ``full`` are held by the priors.
+    prior_sigma : mapping, optional
+        Parameter -> standard deviation about the nominal one, instead of the weak ones of this module.
+    robust : str
+        ``none``, ``huber`` or ``tukey``; these weights are renewed with the linearisation.
+    tool_unknown : bool
+        Whether the SMR offset is unknown.
+    gravity : Gravity, optional
+        Without it, predictions do not know joint compliance.
+
+    Raises
+    ------
+    InputError
+        If the parameter set is not for this arm, or the planned stops do not determine the SMR offset.
+    """
+
+    def __init__(
+        self,
+        arm: str,
+        nominal: Geometry,
+        planned_q: Array,
+        *,
+        parameter_set: SetName = "auto",
+        prior_sigma: Mapping[str, float] | None = None,
+        robust: RobustName = "none",
+        tool_unknown: bool = False,
+        gravity: Gravity | None = None,
+    ) -> None:
+        self.arm = arm
+        self.innovation: Innovation | None = None
+        """The newest reading against the model before it; None where there was none."""
+        self._nominal, self._tool_unknown, self._robust = nominal, tool_unknown, robust
+        self._parameters = _parameter_set(arm, parameter_set, nominal, planned_q)
+        self._precision = _precision(self._parameters, prior_sigma or {}, tool_unknown=tool_unknown)
+        self._rows = _Rows(self._parameters, planned_q, gravity)
+        if not set(TOOL_NAMES) <= set(self._parameters.names):
+            raise InputError(f"arm {arm}: the planned stops are too few or too alike to determine the SMR offset")
+        self._tool = [self._parameters.names.index(name) for name in TOOL_NAMES]
+        self._readings = StoredReadings(nominal.joints)
+        self._models: _Models | None = None
+        self._next_renewal = 0
+
+    @property
+    def count(self) -> int:
+        """Number of readings."""
+        return self._readings.count
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a model: after four readings, if their points are spread."""
+        return self._models is not None
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """The present estimate, without compliance."""
+        return None if self._models is None else self._estimate(self._models)
+
+    @property
+    def scatter_m(self) -> float | None:
+        """Standard deviation of a measured coordinate about the geometry alone [m]."""
+        return None if self._models is None else self._models.geometry.scatter_m
+
+    def predict(self, stop: int, q: Array) -> Prediction | None:
+        """Where the SMR is expected at ``q`` (N,) [rad], at or near a planned stop; None without a model."""
+        if self._models is None:
+            return None
+        model = self._models.predicting
+        P, J = self._rows.at(self._models.origin, stop, q)
+        return Prediction(P + J @ model.step, J @ model.covariance @ J.T, model.scatter_m)
+
+    def add(self, stop: int, q: Array, p_M: Array, covariance_M: Array | None = None) -> StopReport | None:
+        """Refit with one reading: ``q`` (N,) [rad], ``p_M`` (3,) [m], ``covariance_M`` (3, 3) [m^2].
+
+        None while there is no model.
+        """
+        self._readings.append(q, p_M, covariance_M)
+        self.innovation = None
+        if self._models is not None:
+            self._insert(self._models, stop, q, p_M)
+        if self._models is None or self.count in _REGISTERED_AGAIN:
+            self._renew(registered=True)
+        elif self.count >= self._next_renewal or self._models.geometry.moved > _LINEAR:
+            self._renew()
+        return self._report(stop, q, p_M)
+
+    def add_all(
+        self, stops: Sequence[int], q: Array, p_M: Array, covariance_M: Array | None = None
+    ) -> StopReport | None:
+        """Refit with stored readings: ``q`` (n, N) [rad], ``p_M`` (n, 3) [m], ``covariance_M`` (n, 3, 3), NaN: none.
+
+        The report is that of the last one.
+        """
+        if not len(stops):
+            return None
+        for row in range(len(stops)):
+            self._readings.append(q[row], p_M[row], None if covariance_M is None else covariance_M[row])
+        self.innovation = None
+        self._renew(registered=True)
+        return self._report(stops[-1], q[-1], p_M[-1])
+
+    def _report(self, stop: int, q: Array, p_M: Array) -> StopReport | None:
+        if self._models is None:
+            return None
+        origin, model = self._models.origin, self._models.geometry
+        P, J = self._rows.at(origin, stop, q)
+        errors = np.sqrt(np.diag(model.covariance)).tolist()
+        return StopReport(
+            stop=stop,
+            arm=self.arm,
+            residual_mm=1e3 * float(np.linalg.norm(p_M - P - J[:, : len(model.step)] @ model.step)),
+            standard_error_mm=1e3 * math.sqrt(float(np.vdot(self._rows.planned_gram(origin), model.covariance))),
+            parameter_errors=dict(zip(self._parameters.names, errors, strict=True)),
+        )
+
+    def _estimate(self, models: _Models) -> Geometry:
+        vector = models.origin.vector()
+        vector[list(self._parameters.columns)] += models.geometry.step
+        return models.origin.with_vector(vector)
+
+    def _insert(self, models: _Models, stop: int, q: Array, p_M: Array) -> None:
+        """Add the newest reading to both models, unless it is a gross error."""
+        P, J = self._rows.at(models.origin, stop, q)
+        stated, off, model = self._readings.newest_stated(), p_M - P, models.predicting
+        innovation = off - J @ model.step
+        expected = J @ model.covariance @ J.T + model.variance * (stated + model.excess * np.eye(3))
+        self.innovation = Innovation(stop, p_M, innovation, expected, J[:, self._tool], model.scatter_m, model.freedom)
+        if innovation @ np.linalg.solve(expected, innovation) <= GROSS**2:
+            model.add(J, off, stated)
+            models.geometry.add(J[:, : len(self._precision)], off, stated)
+
+    def _renew(self, *, registered: bool = False) -> None:
+        """Linearise all readings at the present estimate, or, ``registered``, from the nominal arm again."""
+        start = self._registered() if registered else self.geometry
+        if start is None:
+            return
+        before = None if registered else self._models
+        for _ in range(_STEPS):
+            self._models = before = self._linearised(start, before)
+            if before.geometry.moved <= _LINEAR:
+                break
+            start = self._estimate(before)
+        self._next_renewal = math.ceil(_GROWTH * self.count)
+
+    def _registered(self) -> Geometry | None:
+        """The nominal arm with its base at the points; None if they are too few or nearly on one line."""
+        q, p_M = self._readings.q, self._readings.p_M
+        if len(q) < _FIRST_READINGS:
+            return None
+        spread = np.linalg.svd(p_M - p_M.mean(axis=0), compute_uv=False)[1] / math.sqrt(len(q))
+        if spread < _LEAST_SPREAD_M:
+            return None
+        return start_from_nominal(self._nominal, q, p_M, tool_unknown=self._tool_unknown)
+
+    def _linearised(self, origin: Geometry, before: _Models | None) -> _Models:
+        """Both models at ``origin``; their weights follow from the residuals that the models ``before`` leave."""
+        readings, k = self._readings, len(self._precision)
+        P, J = self._rows.of(origin, readings.q)
+        off, stated = readings.p_M - P.T, readings.stated()
+        both = []
+        for which, columns in enumerate((J[:, :k], J)):
+            weighting = _Weighting(np.ones(readings.count), _FIRST_EXCESS_M**2, 1.0)
+            if before is not None:
+                model = (before.geometry, before.predicting)[which]
+                step = model.step.copy()
+                step[:k] += (before.origin.vector() - origin.vector())[list(self._parameters.columns)]
+                weighting = self._weighting(model, off - columns.transpose(2, 0, 1) @ step, stated)
+            both.append(self._solved(origin, P, columns, weighting))
+        return _Models(origin, both[0], both[1])
+
+    def _weighting(self, model: LinearModel, residuals: Array, stated: Array) -> _Weighting:
+        """Weights of the readings from the residuals (n, 3) [m] that ``model`` leaves."""
+        weights, excess = gross_weights(residuals, stated, model.excess), model.excess
+        if model.freedom >= _LEAST_FREEDOM:
+            excess = excess_of(residuals, stated, weights, model.freedom)
+        if self._robust != "none":
+            white = whitener(stated + excess * np.eye(3))
+            weights = weights * robust_weights(
+                np.linalg.norm(np.einsum("ijn,nj->ni", white, residuals), axis=1), self._robust
+            )
+        return _Weighting(weights, excess, model.variance)
+
+    def _solved(self, origin: Geometry, P: Array, J: Array, weighting: _Weighting) -> LinearModel:
+        """The model with the Jacobian ``J`` (3, k + m, n): geometry first, then compliances."""
+        readings, k = self._readings, len(self._precision)
+        stated = readings.stated()
+        white = whitener(stated + weighting.excess * np.eye(3))
+        observations = Observations(JointAngles.of(readings.q), readings.q, readings.p_M.T, white, None)
+        extra = J.shape[1] - k
+        columns = list(self._parameters.columns)
+        values = np.concatenate([origin.vector()[columns], np.zeros(extra)])
+        linear = Linearisation(P, J, gram_matrix(J))
+        normal = normal_equations(origin, observations, self._parameters, values, weighting.weights, linear)
+        model = LinearModel(
+            A=normal.A,
+            b=normal.b,
+            cost=normal.cost,
+            scale=normal.scale,
+            precision=np.concatenate([self._precision, np.full(extra, _COMPLIANCE_PRIOR**-2)]),
+            prior_step=np.concatenate([self._nominal.vector()[columns], np.zeros(extra)]) - values,
+            used=int(np.count_nonzero(weighting.weights)),
+            excess=weighting.excess,
+            mean_stated=float(np.trace(stated, axis1=1, axis2=2).mean()) / 3.0,
+            variance=weighting.variance,
+        )
+        model.solve()
+        model.solve()  # with the scatter that the first solution left
+        return model
+
+
+@dataclass(frozen=True)
+class _Models:
+    """The geometry alone, and the geometry with compliance, for predictions; both linear about ``origin``."""
+
+    origin: Geometry
+    geometry: LinearModel
+    predicting: LinearModel
+
+
+@dataclass(frozen=True)
+class _Weighting:
+    """Weights (n,) of the readings, excess variance of a coordinate [m^2], chi-square per degree of freedom."""
+
+    weights: Array
+    excess: float
+    variance: float
+
+
+class _Rows:
+    """SMR positions and their derivatives by the parameters (k), then by the compliances of the joints (m)."""
+
+    def __init__(self, parameters: ParameterSet, planned_q: Array, gravity: Gravity | None) -> None:
+        self._gravity, self._planned_q, self._planned = gravity, planned_q, JointAngles.of(planned_q)
+        joints, k = parameters.joints, len(parameters.columns)
+        of_joints = tuple(6 + 5 * joint for joint in range(joints)) if gravity is not None else ()
+        self._joints = [parameters.columns.index(c) if c in parameters.columns else k for c in of_joints]
+        missing = [c for c in of_joints if c not in parameters.columns]
+        for place, joint in enumerate(missing):
+            self._joints[of_joints.index(joint)] = k + place
+        self._columns, self._k = (*parameters.columns, *missing), k
+        self._gram_at: Array | None = None
+        self._gram, self._torques = np.zeros((k, k)), np.zeros((0, joints))
+        self._last: tuple[Geometry, Array, Array, Array] | None = None
+
+    def of(self, origin: Geometry, q: Array, torques: Array | None = None) -> tuple[Array, Array]:
+        """SMR positions (3, n) [m] and their derivatives (3, k + m, n) at joint positions ``q`` (n, N) [rad]."""
+        P, J = jacobian(origin, JointAngles.of(q), self._columns)
+        if self._gravity is None:
+            return P, J
+        torques = self._torques_of(origin, q) if torques is None else torques
+        return P, np.concatenate([J[:, : self._k], J[:, self._joints] * torques.T], axis=1)
+
+    def at(self, origin: Geometry, stop: int, q: Array) -> tuple[Array, Array]:
+        """The same at one stop, (3,) and (3, k + m); those of the last one are kept."""
+        last = self._last
+        if last is None or last[0] is not origin or not np.array_equal(last[1], q):
+            planned = 0 <= stop < len(self._torques) and np.abs(self._planned_q[stop] - q).max() < _PLANNED_RAD
+            P, J = self.of(origin, q[None], self._torques[stop : stop + 1] if planned else None)
+            self._last = last = (origin, q.copy(), P[:, 0], np.ascontiguousarray(J[:, :, 0]))
+        return last[2], last[3]
+
+    def planned_gram(self, origin: Geometry) -> Array:
+        """Mean of ``J^T J`` (k, k) over the planned stops; renewed where the geometry has changed much."""
+        vector = origin.vector()
+        if self._gram_at is None or np.max(np.abs(vector - self._gram_at)) > _GRAM_VALID:
+            _, J = jacobian(origin, self._planned, self._columns[: self._k])
+            self._gram, self._gram_at = gram_matrix(J) / self._planned.count, vector
+            if self._gravity is not None:
+                self._torques = self._torques_of(origin, self._planned_q)
+        return self._gram
+
+    def _torques_of(self, origin: Geometry, q: Array) -> Array:
+        """Gravity torques (n, N) [Nm]."""
+        assert self._gravity is not None
+        return gravity_loads(frame_poses(origin, q), self._gravity.bodies, self._gravity.up_M).joint_torques()
+
+
+def _parameter_set(arm: str, wanted: SetName, nominal: Geometry, planned_q: Array) -> ParameterSet:
+    try:
+        if wanted == "auto":
+            return auto_set(nominal, planned_q)
+        return paper_set(nominal) if wanted == "paper" else full_set(nominal)
+    except ValueError as error:
+        raise InputError(f"arm '{arm}': calibration.parameter_set: {error}") from None
+
+
+def _precision(parameters: ParameterSet, given: Mapping[str, float], *, tool_unknown: bool) -> Array:
+    """Prior precision (k,) of each parameter: zero for the base, which four points determine."""
+    tool = _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M
+    weak = {name: math.inf for name in BASE_NAMES} | {name: tool for name in TOOL_NAMES}
+    sigma = [
+        given.get(name, weak.get(name, _PRIOR[unit]))
+        for name, unit in zip(parameters.names, parameters.units, strict=True)
+    ]
+    return 1.0 / np.array(sigma) ** 2

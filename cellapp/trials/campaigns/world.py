@@ -1,0 +1,179 @@
+"""The world of one campaign: the devices, the disk, the person, and the program that runs in it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.collection.cell import Cell, build_plant, start_tracker
+from cellapp.collection.reaction import one_by_one
+from cellapp.control import JobControl
+from cellapp.errors import HardwareError
+from cellapp.profile import Profile
+from cellapp.progress import Progress, StateChange
+from cellapp.trials.campaigns.disk import CampaignRun, Disk, copy_run
+from cellapp.trials.campaigns.doubles import CampaignAir, CampaignArm, CampaignTracker, Process, ProgramKilled
+from cellapp.trials.campaigns.faults import KINDS, Fault
+from cellapp.trials.campaigns.monitor import Monitor
+from drivers.arms.protocol import ArmError
+from drivers.clock import SimulatedClock
+from drivers.sensors.protocol import SensorError
+
+_COMES_S = (2.0, 60.0)
+"""Earliest and latest time at which the person is there after an alarm."""
+
+
+class World:
+    """Everything around the engine. Time passes in ``plant`` only."""
+
+    def __init__(self, profile: Profile, seed: int, folder: Path) -> None:
+        self.plant = build_plant(profile, watch_clearance=True)
+        self.monitor = Monitor(self.plant)
+        self.process = Process()
+        self.arms = {name: CampaignArm(self.plant, name, self.process, self.monitor) for name in profile.arms}
+        self.tracker = CampaignTracker(self.plant, self.process, self.monitor)
+        self.air = CampaignAir(self.plant, self.process)
+        self.disk = Disk(self.plant, self.process, self.monitor, self.kill)
+        self.person = Person(self, np.random.default_rng([seed, 1]))
+        self.stall_allowed = profile.collection.suspend.host_stall.times > 0
+        self.struck: Counter[str] = Counter()
+        self._folder, self._copies = folder, 0
+        self.run_folder = folder / "run"
+        """Folder of the run; a copy after the program was killed."""
+
+    def later(self, after_s: float, act: Callable[[], None]) -> None:
+        """Do something ``after_s`` from now."""
+        self.plant.schedule.at(self.plant.clock_s + after_s, act)
+
+    def expect(self, faults: tuple[Fault, ...]) -> None:
+        """Let all faults strike at their times, those that do while a program runs."""
+        for fault in faults:
+            self.plant.schedule.at(fault.at_s, lambda fault=fault: self._strike(fault))  # type: ignore[misc]
+
+    def _strike(self, fault: Fault) -> None:
+        if self.process.alive:
+            self.struck[fault.kind] += 1
+            self.monitor.note(fault.kind)
+            KINDS[fault.kind](self, fault)
+
+    def repair(self) -> None:
+        """Do what a person does before resuming: release the arms, free the disk."""
+        for arm in self.arms.values():
+            arm.release()
+        self.tracker.release()
+        self.disk.state = "healthy"
+
+    # -- the program ---------------------------------------------------------------------------------------------------
+
+    def begin(self, control: JobControl) -> CampaignRun:
+        """Start the program: the person allows motion by that. Returns its run file."""
+        self.monitor.release("the program was started")
+        self.process.alive = True
+        self.person.control = control
+        run = CampaignRun.open(self.run_folder, write=True)
+        run.attach(self.disk)
+        return run
+
+    def end(self, run: CampaignRun) -> None:
+        """The program has ended, or is dead."""
+        if self.process.alive and any(self.plant.moving(name) for name in self.plant.names):
+            self.monitor.violation("the program ended while an arm moved")
+        self.process.alive = False
+        self.person.control = None
+        self.disk.dies = None
+        for arm in self.arms.values():
+            arm.forget_program()
+        run.close()
+
+    def kill(self) -> None:
+        """Kill the program now: what is on the disk stays, and nothing else of it. Raises ``ProgramKilled``."""
+        if not self.process.alive:
+            return
+        self.monitor.stop("the death of the program", unreachable=True)
+        self.process.alive = False
+        self._copies += 1
+        copy = self._folder / f"run-{self._copies}"
+        copy_run(self.run_folder, copy)
+        self.run_folder = copy
+        for arm in self.arms.values():
+            arm.forget_program()
+        raise ProgramKilled
+
+    @contextmanager
+    def opened(self, profile: Profile, *, watch_clearance: bool = False) -> Iterator[Cell]:
+        """Connect to all devices, as ``open_cell`` does."""
+        with ExitStack() as stack:
+            try:
+                for arm in self.arms.values():
+                    stack.callback(_disconnect, arm)
+                    arm.connect()
+                stack.callback(self.tracker.disconnect)
+                start_tracker(self.tracker, profile.tracker.driver)
+                stack.callback(self.air.disconnect)
+                self.air.connect()
+            except (ArmError, SensorError) as error:
+                raise HardwareError(str(error)) from error
+            yield Cell(self.arms, self.tracker, SimulatedClock(self.plant), self.air, None, one_by_one)
+
+
+def _disconnect(arm: CampaignArm) -> None:
+    with suppress(ArmError):
+        arm.disconnect()
+
+
+class Person:
+    """Who attends the cell: asks the job, hears its alarms, repairs, resumes, and never gives up."""
+
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
+        self._world, self._rng = world, rng
+        self.control: JobControl | None = None
+        self._coming = False
+
+    def delay_s(self) -> float:
+        """Return how long it takes until the person is there [s]."""
+        return float(self._rng.uniform(*_COMES_S))
+
+    def hear(self, event: Progress) -> None:
+        """Come when the job says that it is stopped."""
+        if not isinstance(event.detail, StateChange):
+            return
+        self._world.monitor.counts[event.detail.state] += 1
+        if event.detail.state == "stopped" and not self._coming:
+            self._coming = True
+            self._world.later(self.delay_s(), self._arrive)
+        elif event.detail.state == "running" and self._world.stall_allowed:
+            self._world.monitor.resumed_by_itself()
+
+    def _arrive(self) -> None:
+        self._coming = False
+        self.resume()
+
+    def pause(self, lasts_s: float) -> None:
+        """Pause the job for a while."""
+        if self.control is not None and self.control.request == "none":
+            self._world.monitor.pause()
+            self.control.pause()
+            self._world.later(lasts_s, self.resume)
+
+    def stop(self) -> None:
+        """Stop all arms now."""
+        if self.control is not None:
+            self._world.monitor.stop("a person's stop")
+            self.control.stop()
+
+    def abort(self) -> None:
+        """End the job now."""
+        if self.control is not None:
+            self._world.monitor.stop("a person's abort")
+            self.control.abort()
+
+    def resume(self) -> None:
+        """Look at everything, repair it, and let a job that waits go on."""
+        if self.control is not None and self.control.request in ("stop", "pause"):
+            self._world.repair()
+            self._world.monitor.release("a person resumed")
+            self.control.resume()
