@@ -99,8 +99,9 @@ class FaultTimes(Record):
 class LinksResult(Result):
     """``trials links``: times, and what did not happen as specified (``complaints``, empty if nothing).
 
-    ``commanded_within_s`` and ``rest_beyond_braking_s`` are the bars. ``host_stalls`` counts motions in which this computer
-    was silent for too long, so that a watchdog stopped an arm and the reaction the others: no fault of the cell.
+    ``commanded_within_s`` and ``rest_beyond_braking_s`` are the bars. ``host_stalls`` counts motions in which this
+    computer was silent for too long, so that a watchdog stopped an arm and the reaction the others: no fault of the
+    cell.
     """
 
     schema_: Literal["cellapp-trials-links"] = "cellapp-trials-links"

@@ -150,7 +150,7 @@ class Event:
 def drawn_events(
     stops: int, faults: int, kills: int, arms: tuple[str, ...], random: np.random.Generator
 ) -> list[Event]:
-    """Draw the events of a run of ``stops`` stops, in the order in which they are due; all kinds about equally often."""
+    """Draw the events of a run of ``stops`` stops in the order in which they are due, all kinds about equally often."""
     kinds = [kind for kind in FAULTS if kind != KILL]
     names = [*random.permutation(np.resize(np.array(kinds), faults)).tolist(), *[KILL] * kills]
     at_stops = np.sort(random.integers(0, max(1, int(_LAST_STOP * stops)), len(names)))

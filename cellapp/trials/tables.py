@@ -143,6 +143,7 @@ def storm_tables(result: StormResult) -> list[Table]:
         (f"arm {name}: the same in standard deviations", Number(one.max_sigmas, 1))
         for name, one in result.deviation.items()
     ]
+    clearance = None if result.clearance_mm is None else Number(result.clearance_mm, 0, "mm")
     outcome: list[tuple[Cell, ...]] = [
         ("planned stops", result.stops),
         ("readings stored", result.readings),
