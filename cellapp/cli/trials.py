@@ -136,6 +136,9 @@ def storm(
     pace: Annotated[
         float, typer.Option("--pace", metavar="X", min=1.0, max=100.0, help="Simulated seconds for each real one.")
     ] = 50.0,
+    keep: Annotated[
+        Path | None, typer.Option("--keep", metavar="DIR", help="New folder that keeps the runs and what was printed.")
+    ] = None,
     json_file: JsonOption = None,
 ) -> None:
     """A whole collection over the wire in a storm of faults: nothing lost, nothing doubled, no motion after a stop."""
@@ -144,7 +147,7 @@ def storm(
     from cellapp.trials.tables import storm_tables
 
     with Job(json_file) as job:
-        result = storm_trial(load_profile(profile), stops, faults, kills, seed, pace, job.listen, job.control)
+        result = storm_trial(load_profile(profile), stops, faults, kills, seed, pace, keep, job.listen, job.control)
         job.show(storm_tables(result))
         job.say(
             f"{result.readings} readings at {result.stops} stops, {len(result.missing)} missing with their reason;"

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -93,15 +94,18 @@ def storm_trial(
     kills: int = 50,
     seed: int = 0,
     pace: float = PACE,
+    keep: Path | None = None,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> StormResult:
     """Collect ``stops`` stops over the wire while ``faults`` faults of all kinds and ``kills`` SIGKILLs happen.
 
+    ``keep`` is a new folder for the run, the undisturbed one, and what the programs printed; None: they are removed.
+
     Raises
     ------
     InputError
-        If the profile's devices cannot be emulated on this computer.
+        If the profile's devices cannot be emulated on this computer, or ``keep`` exists.
     HardwareError
         If the emulated cell does not start, or cannot be repaired.
     Cancelled
@@ -112,21 +116,34 @@ def storm_trial(
     profile = wire_profile(profile, stops)
     random = np.random.default_rng(seed)
     events = drawn_events(stops, faults, kills, tuple(profile.arms), random)
-    with tempfile.TemporaryDirectory(prefix="cellapp-storm-") as parent:
-        folder = Path(parent) / "run"
+    with _folder(keep) as parent:
+        folder = parent / "run"
         with new_planned_run(profile, folder, listener, cancel) as run:
             plan = run.read_plan()
         listener(Progress("undisturbed run", 0, 1))
-        quiet = _undisturbed(profile, plan, Path(parent) / "undisturbed")
+        quiet = _undisturbed(profile, plan, parent / "undisturbed")
         listener(Progress("undisturbed run", 1, 1))
         began_s = time.monotonic()
-        with (Path(parent) / "output.txt").open("wb") as output, emulated_cell(profile, pace) as cell:
+        with (parent / "output.txt").open("wb") as output, emulated_cell(profile, pace) as cell:
             log = Operator(cell, folder, events, stops, output, listener, cancel).work()
             clearance_m = cell.clearance_m()
         took_s = time.monotonic() - began_s
         listener(Progress("storm", stops, stops, "done"))
         with RunFile.open(folder) as run, RunFile.open(quiet) as reference:
             return _judged(run, reference, log, len(events), clearance_m, took_s)
+
+
+@contextmanager
+def _folder(keep: Path | None) -> Iterator[Path]:
+    if keep is None:
+        with tempfile.TemporaryDirectory(prefix="cellapp-storm-") as folder:
+            yield Path(folder)
+        return
+    try:
+        keep.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"{keep}: cannot be made ({error.strerror}); give the path of a new folder") from error
+    yield keep.absolute()
 
 
 def _undisturbed(profile: Profile, plan: Mapping[str, np.ndarray], folder: Path) -> Path:

@@ -154,10 +154,7 @@ def storm_tables(result: StormResult) -> list[Table]:
         ("faults", result.faults),
         ("SIGKILLs", result.kills),
         ("motions after a stop", result.motions_after_a_stop),
-        (
-            "smallest distance between the arms",
-            None if result.clearance_mm is None else Number(result.clearance_mm, 0, "mm"),
-        ),
+        ("smallest distance between the arms", clearance),
         *deviations,
         *sigmas,
         ("duration", Number(result.seconds / 60.0, 1, "min")),
