@@ -11,7 +11,7 @@ import numpy as np
 
 from cellapp.collection.cell import Cell, build_plant, start_tracker
 from cellapp.collection.reaction import one_by_one
-from cellapp.control import JobControl
+from cellapp.control import JobControl, Request
 from cellapp.errors import HardwareError
 from cellapp.profile import Profile
 from cellapp.progress import Progress, StateChange
@@ -31,7 +31,7 @@ class World:
     """Everything around the engine. Time passes in ``plant`` only."""
 
     def __init__(self, profile: Profile, seed: int, folder: Path) -> None:
-        self.plant = build_plant(profile, watch_clearance=True)
+        self.plant = build_plant(profile, keep_motions=True)
         self.monitor = Monitor(self.plant)
         self.process = Process()
         self.arms = {name: CampaignArm(self.plant, name, self.process, self.monitor) for name in profile.arms}
@@ -118,6 +118,14 @@ class World:
             except (ArmError, SensorError) as error:
                 raise HardwareError(str(error)) from error
             yield Cell(self.arms, self.tracker, SimulatedClock(self.plant), self.air, None, one_by_one)
+
+
+class SimulatedControl(JobControl):
+    """A person's requests in simulated time: waiting for one takes no real time."""
+
+    def wait_while(self, *requests: Request, timeout_s: float | None = None) -> Request:
+        """Return the request that stands; the caller lets simulated time pass."""
+        return self.request
 
 
 def _disconnect(arm: CampaignArm) -> None:
