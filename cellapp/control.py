@@ -58,34 +58,33 @@ class JobControl(CancelToken):
         """Do what a verb says."""
         {"pause": self.pause, "resume": self.resume, "stop": self.stop, "abort": self.abort}[verb]()
 
+    @property
+    def has_brakes(self) -> bool:
+        """Whether arms are open that ``stop`` and ``abort`` brake."""
+        return bool(self._brakes)
+
     def pause(self) -> None:
         """Ask the job to wait after the present stop."""
-        if self._request == "none":
-            self._set("pause")
+        self._set("pause", replaces=("none",))
 
     def resume(self) -> None:
-        """Let a paused or stopped job continue."""
-        if self._request in ("pause", "stop"):
-            self._set("none")
+        """Let a paused or stopped job continue; one that ends because of the stop ends all the same."""
+        self._set("none", replaces=("pause",) if self.cancelled else ("pause", "stop"))
 
     def stop(self) -> None:
         """Brake all arms now."""
-        attended = self.holds and bool(self._brakes)  # a job without arms has nothing to hold
-        self._brake("stop")
-        if self._request != "abort":
-            self._set("stop")
+        attended = self.holds and self.has_brakes  # a job without arms has nothing to hold
+        self._brake_and_set("stop", replaces=("none", "pause", "stop"))
         if not attended:
             super().cancel()
 
     def hold(self) -> None:
         """Ask for a person's ``resume`` after the cell stopped by itself; the arms brake already."""
-        if self._request != "abort":
-            self._set("stop")
+        self._set("stop", replaces=("none", "pause", "stop"))
 
     def abort(self) -> None:
         """Brake all arms now and end the job."""
-        self._brake("abort")
-        self._set("abort")
+        self._brake_and_set("abort", replaces=("none", "pause", "stop", "abort"))
         super().cancel()
 
     def cancel(self) -> None:
@@ -127,11 +126,19 @@ class JobControl(CancelToken):
         finally:
             self._brakes.remove(brake)
 
-    def _brake(self, verb: str) -> None:
-        for brake in tuple(self._brakes):
+    def _brake_and_set(self, verb: Literal["stop", "abort"], replaces: tuple[Request, ...]) -> None:
+        """Brake first: a job that sees the request must find its arms stopped. Then set the request."""
+        reached = tuple(self._brakes)
+        for brake in reached:
             brake(verb)
+        self._set(verb, replaces)
+        for brake in tuple(self._brakes):
+            if brake not in reached:  # opened meanwhile, before it could see the request
+                brake(verb)
 
-    def _set(self, request: Request) -> None:
+    def _set(self, request: Request, replaces: tuple[Request, ...]) -> None:
+        """Set the request if one of ``replaces`` stands: a late ``resume`` must not undo an ``abort``."""
         with self._changed:
-            self._request = request
-            self._changed.notify_all()
+            if self._request in replaces:
+                self._request = request
+                self._changed.notify_all()

@@ -10,6 +10,7 @@ import typer
 
 from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.options import JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
+from cellapp.cli.requests import abort, pause, resume, stop
 from cellapp.cli.show import schema, show
 from cellapp.cli.trials import trials_app
 from cellapp.errors import CheckFailed, InputError
@@ -260,8 +261,8 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-app.command()(show)
-app.command()(schema)
+for command in (pause, resume, stop, abort, show, schema):
+    app.command()(command)
 
 
 @app.command()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 import traceback
@@ -10,9 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellapp.control import JobControl
+from cellapp.control import Aborted, JobControl
 from cellapp.errors import CellappError, InputError
-from cellapp.progress import Cancelled, Progress
+from cellapp.progress import Cancelled, Progress, StateChange, Suspicion, eta_words
+from cellapp.signals import available, watch_signals
 
 if TYPE_CHECKING:
     from cellapp.reporting.table import Table
@@ -21,11 +23,16 @@ if TYPE_CHECKING:
 
 EXIT_INTERRUPTED = 4
 _ERROR_LOG = "cellapp-error.log"
+_INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
+_HANGUP = available("SIGHUP")
+"""The terminal was closed. It may come twice: once from the system, once from the shell."""
+_SUSPENDS = available("SIGTSTP")
+_CONTINUES = available("SIGCONT")
 
 
 def run_program(app: Callable[[], object]) -> None:
     """Run the program; an error or a signal becomes one sentence on standard error and an exit code."""
-    handlers = {number: signal.signal(number, _stop_before_job) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.signal(number, _stop_before_job) for number in (*_INTERRUPTS, *_HANGUP)}
     try:
         app()
     except Cancelled as error:
@@ -58,7 +65,10 @@ def open_run(folder: Path, *, write: bool = False) -> Iterator[RunFile]:
 
 
 class Job:
-    """One command: progress bars, a cancel token that Ctrl-C sets, tables and sentences, and the JSON.
+    """One command: progress bars, what signals ask of the job, tables and sentences, and the JSON.
+
+    Ctrl-C and SIGTERM stop: all arms brake at once, and the job ends. The second one aborts: it ends at once. A closed
+    terminal stops. Ctrl-Z pauses after the present stop if arms are open, the second one resumes.
 
     Raises
     ------
@@ -73,30 +83,43 @@ class Job:
             if Path(json_file).is_dir():
                 raise InputError(f"--json: {json_file} is a folder; give the path of a file. Nothing was done")
         self.control = JobControl()
+        self.suspicions: list[Suspicion] = []
         self._json_file = json_file
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
-        self._handlers: dict[int, Any] = {}
+        self._signals = contextlib.ExitStack()
+        self._interrupts = 0
 
     def __enter__(self) -> Job:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._handlers[number] = signal.signal(number, self._interrupt)
+        numbers = (*_INTERRUPTS, *_HANGUP, *_SUSPENDS, *_CONTINUES)
+        self._signals.enter_context(watch_signals(numbers, self._react, self._interrupt))
         return self
 
     def __exit__(self, *exception: object) -> None:
         self._stop_bars()
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
+        self._signals.close()
 
     def listen(self, event: Progress) -> None:
-        """Draw one bar for each job on standard error, if that is a terminal."""
+        """Draw one bar for each job on standard error, if that is a terminal, and say what a person must know."""
+        match event.detail:
+            case StateChange(state, reason):
+                self._tell(f"{event.job}: {state}: {reason}")
+            case Suspicion():
+                self.suspicions.append(event.detail)
+                self._tell(f"{event.job}: suspicion: {event.detail.text}")
         if not sys.stderr.isatty():
             return
         if self._bars is None:
             self._start_bars()
         if event.job not in self._tasks:
-            self._tasks[event.job] = self._bars.add_task(event.job, total=event.total, note="")
-        self._bars.update(self._tasks[event.job], completed=event.done, total=event.total, note=event.note)
+            self._tasks[event.job] = self._bars.add_task(event.job, total=event.total, note="", eta="")
+        self._bars.update(
+            self._tasks[event.job],
+            completed=event.done,
+            total=event.total,
+            note=event.note,
+            eta=eta_words(event.eta_s),
+        )
 
     def say(self, *lines: str) -> None:
         """Print lines on standard output, or on standard error where standard output carries the JSON."""
@@ -133,11 +156,39 @@ class Job:
         except OSError as error:
             raise CellappError(f"--json: {self._json_file} cannot be written ({error.strerror})") from None
 
+    def _react(self, number: int) -> None:
+        """Do what a signal asks for, in the thread that watches the signals; the brakes come before any word."""
+        arms = self.control.has_brakes
+        if number in _INTERRUPTS and self.control.request in ("stop", "abort"):
+            self.control.abort()
+            self._tell("abort: the job ends at once")
+        elif number in _INTERRUPTS or number in _HANGUP:
+            self.control.stop()
+            what = "all arms brake now; the job then ends" if arms else "the job ends at its next step"
+            self._tell(f"stop: {what} and can be resumed. Once more: end at once")
+        elif number in _SUSPENDS and not arms:
+            os.kill(os.getpid(), signal.SIGSTOP)  # nothing can move: what Ctrl-Z does to any program
+        elif number in _SUSPENDS and self.control.request != "pause":
+            self.control.pause()
+            self._tell("pause: the arms rest after this stop. Ctrl-Z again: resume; Ctrl-C: stop")
+        elif self.control.request == "pause":
+            self.control.resume()
+            self._tell("resume: the job continues")
+
     def _interrupt(self, number: int, frame: object) -> None:
-        if self.control.cancelled:
-            raise Cancelled("stopped at once")
-        self.control.stop()
-        print("stopping at the next step; once more to stop at once", file=sys.stderr)
+        """End the job at the second interrupt, wherever the main thread is. ``_react`` does all that is urgent."""
+        if number in _INTERRUPTS:
+            self._interrupts += 1
+            if self._interrupts > 1 or self.control.request == "abort":  # Python may report two signals as one
+                raise Aborted("aborted at once")
+
+    def _tell(self, text: str) -> None:
+        """Print a line on standard error, above the bars; from any thread, whether or not the terminal is there."""
+        with contextlib.suppress(OSError):
+            if self._bars is None:
+                print(f"cellapp: {text}", file=sys.stderr, flush=True)
+            else:
+                self._bars.console.print(f"cellapp: {text}", markup=False, highlight=False)
 
     def _start_bars(self) -> None:
         from rich.console import Console
@@ -149,6 +200,7 @@ class Job:
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
+            TextColumn("{task.fields[eta]}"),
             TextColumn("{task.fields[note]}"),
             console=Console(stderr=True),
         )
@@ -156,7 +208,8 @@ class Job:
 
     def _stop_bars(self) -> None:
         if self._bars is not None:
-            self._bars.stop()
+            with contextlib.suppress(OSError):  # the terminal was closed
+                self._bars.stop()
             self._bars, self._tasks = None, {}
 
 
@@ -166,4 +219,5 @@ def _stop_before_job(number: int, frame: object) -> None:
 
 
 def _complain(text: str) -> None:
-    print(f"cellapp: {text}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # the terminal was closed
+        print(f"cellapp: {text}", file=sys.stderr, flush=True)

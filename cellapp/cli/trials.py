@@ -77,13 +77,13 @@ def links(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Draws targets and faults.")] = 0,
     json_file: JsonOption = None,
 ) -> None:
-    """Two emulated UR arms under the real client, random faults: what is reported, and how soon all is at rest."""
+    """Two emulated UR arms under the real client, random faults: how soon every arm of the cell stops."""
     from cellapp.trials.links import link_trials
-    from cellapp.trials.tables import link_table
+    from cellapp.trials.tables import link_tables
 
     with Job(json_file) as job:
         result = link_trials(moves, every, seed, job.listen, job.control)
-        job.show([link_table(result)])
+        job.show(link_tables(result))
         job.say(f"{result.moves} moves, {result.faults} faults, {len(result.complaints)} complaints")
         job.say(*result.complaints)
         job.result(result)

@@ -21,6 +21,7 @@ from cellapp.progress import Listener, ignore
 from cellapp.results import MissingReading, ReferenceDrift
 from cellapp.run import RunFile, SessionEnd
 from cellapp.safety.cell_bodies import cell_bodies
+from drivers.arms.protocol import ArmError
 
 Opened = Callable[..., AbstractContextManager[Cell]]
 """Opens the cell of a profile; ``watch_clearance`` observes distances in a simulated cell."""
@@ -71,7 +72,11 @@ def collect_run(
     with (opened or open_cell)(run.profile, watch_clearance=watch_clearance) as cell:
         notes = list(check_controllers(run, cell).notes)
         number = run.begin_session()
-        with _session_recorded(run, number), reacting(cell, control) as reaction:
+        with (
+            _session_recorded(run, number),
+            _late_heartbeats_noted(run, cell, notes),
+            reacting(cell, control) as reaction,
+        ):
             session = CollectSession(
                 run, work, cell, bodies, reaction, control, listener, number, accept_drift, confirm, notes
             )
@@ -121,6 +126,19 @@ def reference_drifts(run: RunFile) -> tuple[ReferenceDrift, ...]:
         )
         for row in run.references()
     )
+
+
+@contextmanager
+def _late_heartbeats_noted(run: RunFile, cell: Cell, notes: list[str]) -> Iterator[None]:
+    """Note the warnings that drivers have gained meanwhile, as of late heartbeats, however the session ends."""
+    try:
+        yield
+    finally:
+        with suppress(ArmError, InputError):  # the session's own end is the one to report
+            for text in (text for arm in cell.arms.values() for text in arm.warnings()):
+                if text not in notes:
+                    notes.append(text)
+                    run.log("warning", text)
 
 
 @contextmanager

@@ -101,12 +101,13 @@ class StopReaction:
 
     def wait_at_rest(self) -> dict[str, str]:
         """Wait until every arm rests, all at once; return why an arm was not seen at rest, name -> reason."""
-        unseen: dict[str, str] = {}
+        unseen = {name: f"arm {name}: its driver gave no answer" for name in self._arms}
         waiting = [threading.Event() for _ in self._arms]
 
         def rest(name: str, done: threading.Event) -> None:
             try:
                 self._arms[name].stop()
+                del unseen[name]
             except ArmError as error:
                 unseen[name] = str(error)
             finally:

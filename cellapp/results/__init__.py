@@ -45,6 +45,7 @@ from cellapp.results.collection import (
     MissingReading,
     PlanResult,
     ReferenceDrift,
+    RequestResult,
 )
 from cellapp.results.commissioning import (
     DoctorResult,
@@ -170,6 +171,7 @@ __all__ = [
     "ReferenceDrift",
     "Repeatability",
     "ReportResult",
+    "RequestResult",
     "Result",
     "RunResults",
     "RunnerUp",

@@ -65,6 +65,16 @@ class CollectResult(Result):
         ]
 
 
+class RequestResult(Result):
+    """``pause``, ``resume``, ``stop`` and ``abort``: what the running job was asked, and its answer."""
+
+    schema_: Literal["cellapp-request"] = "cellapp-request"
+    version: Literal[1] = 1
+    run: str
+    request: Literal["pause", "resume", "stop", "abort"]
+    answer: str
+
+
 class ImportResult(Result):
     """``import``: number of readings of each arm."""
 

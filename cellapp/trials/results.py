@@ -5,7 +5,7 @@ from __future__ import annotations
 from cellapp.results import Result
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.coverage import CoverageResult
-from cellapp.trials.links import LinksResult
+from cellapp.trials.link_results import LinksResult
 from cellapp.trials.paper import PaperResult
 from cellapp.trials.parameter_sets import ParameterSetsResult
 from cellapp.trials.scoring import JudgeResult

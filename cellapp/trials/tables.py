@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from cellapp.reporting.table import Cell, Column, Number, Table, number_column
 from cellapp.trials.bridge import BridgeResult
-from cellapp.trials.links import LinksResult, Times
+from cellapp.trials.link_results import LinksResult, Times
 from cellapp.trials.paper import PaperResult
 from cellapp.trials.parameter_sets import ParameterSetsResult
 from cellapp.trials.scoring import (
@@ -78,19 +78,49 @@ def paper_tables(result: PaperResult) -> list[Table]:
     return tables
 
 
-def link_table(result: LinksResult) -> Table:
-    """Times of emulated arms under the real client, without and with faults."""
-    rows = [
+def link_tables(result: LinksResult) -> list[Table]:
+    """Times of emulated arms under the real client: without faults, then the reaction of the cell to each fault."""
+    rows = (
         _times("connect", result.connect_s),
         _times("ask for the state", result.state_s),
         _times("motion, beyond its ideal time", result.move_overhead_s),
-    ]
-    for fault, times in result.by_fault.items():
-        rows.append(_times(f"{fault}: reported", times.reported_s))
-        rows.append(_times(f"{fault}: at rest", times.at_rest_s))
-        rows.append(_times(f"{fault}: ready again", times.recovered_s))
+    )
     numbers = (number_column(title, _SECONDS) for title in ("median", "95 %", "max"))
-    return Table("Times [s]", (Column("what"), *numbers, number_column("n", "d")), tuple(rows))
+    quiet = Table("Times without a fault [s]", (Column("what"), *numbers, number_column("n", "d")), rows)
+    longest = [
+        (
+            fault,
+            None if times.recovered_s is None else times.recovered_s.n,
+            *(
+                None if one is None else one.max
+                for one in (
+                    times.detected_s,
+                    times.at_rest_s,
+                    times.commanded_s,
+                    times.beyond_braking_s,
+                    times.recovered_s,
+                )
+            ),
+            "none to stop" if times.commanded_s is None else "kept" if times.kept else "MISSED",
+        )
+        for fault, times in result.by_fault.items()
+    ]
+    columns = (
+        Column("fault"),
+        number_column("n", "d"),
+        number_column("doubt", _SECONDS),
+        number_column("arm at rest", _SECONDS),
+        number_column("others: stop received", _SECONDS),
+        number_column("others: rest beyond braking", _SECONDS),
+        number_column("ready again", _SECONDS),
+        Column("bars"),
+    )
+    title = (
+        "Longest times after a fault [s]; bars of the other arms, from the first doubt:"
+        f" {result.commanded_within_s:g} s to the stop received,"
+        f" {result.rest_beyond_braking_s:g} s to rest beyond the ideal braking time"
+    )
+    return [quiet, Table(title, columns, tuple(longest))]
 
 
 def bridge_table(result: BridgeResult) -> Table:

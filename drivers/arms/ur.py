@@ -13,9 +13,8 @@ After a fault or a brake nothing moves until ``connect`` is called again. The dr
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -25,46 +24,26 @@ from drivers.arms.protocol import (
     ArmError,
     ArmIdentity,
     ArmState,
-    ArmTimeout,
     DoubtListener,
-    EmergencyStop,
-    HostStalled,
     JointLimits,
     LinkLost,
     MotionStopped,
-    NotInRemoteControl,
-    ProtectiveStop,
     Tool,
     WrongRobot,
     stale,
 )
-from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, load_checks, safety_error, safety_remedy
+from drivers.arms.ur_answers import arm_error, arm_state
+from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, load_checks
+from drivers.arms.ur_doubt import FirstDoubt
 from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_motion import OPTIONAL_VARIABLES
 from drivers.arms.ur_probe import UrProbe, probe_ur
 from drivers.arms.ur_requests import checked_acceleration, checked_goal, checked_speed, narrower
 from drivers.arms.ur_rtde_reader import wait_at_rest
 from drivers.arms.ur_settings import UrSettings
-from drivers.arms.ur_stop_line import StopLine
+from drivers.arms.ur_stop_line import StopLatch, StopLine
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess, WorkerRefusal
 
-REFUSALS: Mapping[str, type[ArmError]] = {
-    "protective": ProtectiveStop,
-    "emergency": EmergencyStop,
-    "local": NotInRemoteControl,
-    "link": LinkLost,
-    "timeout": ArmTimeout,
-    "stopped": MotionStopped,
-    "stalled": HostStalled,
-    "failed": ArmError,
-}
-"""Exception for each kind of refusal of the worker."""
-_REMEDIES = {
-    "protective": safety_remedy("PROTECTIVE_STOP"),
-    "emergency": safety_remedy("ROBOT_EMERGENCY_STOP"),
-    "stopped": "connect again when it may move",
-    "stalled": "nothing is wrong at the arm; close other programs on this computer",
-}
 LONGEST_PROBE_S = 5.0
 LONGEST_BRAKING_S = 3.0
 """Several times what a UR arm takes to brake from full speed."""
@@ -101,17 +80,8 @@ class UrArm:
         self._warnings: tuple[str, ...] = ()
         self._gaps = HeartbeatGaps()
         self._limits = expected.limits
-        self._brakes = 0
-        self._released = 0
-        """Brakes up to this number are no longer in force."""
-        self._stops = 0
-        """Stops that are being commanded or waited for."""
-        self._stops_changed = threading.Condition()
-        self._listener: DoubtListener = lambda error: None
-        self._doubt: ArmError | None = None
-        self._doubt_text = ""
-        self._doubts_reported = False
-        self._doubt_lock = threading.Lock()
+        self._latch = StopLatch()
+        self._doubt = FirstDoubt()
 
     # -- the protocol --------------------------------------------------------------------------------------------------
 
@@ -128,17 +98,17 @@ class UrArm:
         Harmless when connected, without a fault and not braked. Raises as the protocol specifies, and ``MotionStopped``
         if ``brake`` is called meanwhile.
         """
-        brakes = self._brakes
-        self._wait_for_stops()
+        brakes = self._latch.brakes
+        self._latch.wait_for_stops(self._rest_s + _STOP_WITHIN_S)
         if not self._is_well(brakes):
             self._connect_anew()
-        self._released = max(self._released, brakes)
+        self._latch.release(brakes)
         self._require_not_braked()
-        self._report_doubts()
+        self._doubt.report()
 
     def _connect_anew(self) -> None:
         self._drop_worker()
-        self._doubt = None
+        self._doubt.clear()
         probe = self._probe()
         self._raise_failed(
             [check for check in checks(self._expected, probe) if check.subject not in ("program", "state")]
@@ -203,7 +173,7 @@ class UrArm:
 
     def watch(self, listener: DoubtListener) -> None:
         """Report the first doubt after each ``connect`` to ``listener``, from a thread of this driver."""
-        self._listener = listener
+        self._doubt.listener = listener
 
     def refused_by_controller(self, q: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which joint positions (n, 6) [rad] the controller's safety configuration forbids, shape (n,).
@@ -220,7 +190,7 @@ class UrArm:
 
     def state(self) -> ArmState:
         """Return the first state that the controller sends after this call."""
-        return self._arm_state(self._call("state", _ANSWER_WITHIN_S))
+        return arm_state(self._call("state", _ANSWER_WITHIN_S), self._settings.settle_speed)
 
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Start a joint motion to ``q`` (6,), all joints together; no joint exceeds its speed or acceleration (6,).
@@ -247,18 +217,15 @@ class UrArm:
         Raises ``ArmTimeout`` (the motion continues), or the cause of the stop: then nothing moves until ``connect``.
         """
         timeout = max(timeout_s, 0.0)
-        try:
-            answer = self._call("settled", timeout + _ANSWER_WITHIN_S, self._require_not_braked, timeout_s=timeout)
-        except ArmTimeout as error:
-            raise ArmTimeout(f"{error} ({timeout_s:g} s)") from None
-        return self._arm_state(answer)
+        answer = self._call("settled", timeout + _ANSWER_WITHIN_S, self._require_not_braked, timeout_s=timeout)
+        return arm_state(answer, self._settings.settle_speed)
 
     def brake(self) -> None:
         """Stop at full deceleration; returns within milliseconds, within 0.3 s if the dashboard does not answer.
 
         Raises ``LinkLost`` if the controller did not confirm the stop; the worker no longer kicks its watchdog then.
         """
-        with self._stopping(brakes=1):
+        with self._latch.stopping(brakes=1):
             self._command_stop()
 
     def stop(self) -> None:
@@ -268,7 +235,7 @@ class UrArm:
         """
         if not self._may_run_program:
             return
-        with self._stopping():
+        with self._latch.stopping():
             worker = self._worker
             if worker is None or worker.ended or isinstance(self._fault, LinkLost):
                 self._drop_worker()
@@ -285,7 +252,7 @@ class UrArm:
     def disconnect(self) -> None:
         """Stop the arm, its program and the client; nothing stays on the controller. Harmless when closed."""
         worker, self._worker = self._worker, None
-        self._doubts_reported = False
+        self._doubt.mute()
         if worker is not None:
             worker.end(3.0 * _STOP_WITHIN_S)
             self._gaps = self._gaps.joined(worker.gaps)
@@ -316,72 +283,52 @@ class UrArm:
                 f" {1.0 / self._settings.watchdog_hz:.1f} s, but treat it as moving until you see it at rest"
             ) from error
 
-    @contextmanager
-    def _stopping(self, brakes: int = 0) -> Iterator[None]:
-        """Count a stop that is under way: a program that is started meanwhile would be stopped by it."""
-        with self._stops_changed:
-            self._brakes += brakes
-            self._stops += 1
-        try:
-            yield
-        finally:
-            with self._stops_changed:
-                self._stops -= 1
-                self._stops_changed.notify_all()
-
-    def _wait_for_stops(self) -> None:
-        with self._stops_changed:
-            self._stops_changed.wait_for(lambda: not self._stops, self._rest_s + _STOP_WITHIN_S)
-
     def _require_not_braked(self) -> None:
-        if self._brakes > self._released:
-            raise MotionStopped(f"arm {self._name}: it was stopped; {_REMEDIES['stopped']}")
+        if self._latch.in_force:
+            raise arm_error(self._name, "stopped", "it was stopped")
 
     def _require_last_stop(self) -> None:
         """Raise ``MotionStopped`` if another stop or a brake must stay in force."""
         self._require_not_braked()
-        if self._stops > 1:
-            raise MotionStopped(f"arm {self._name}: it is being stopped")
+        if self._latch.stops > 1:
+            raise arm_error(self._name, "stopped", "it is being stopped")
 
     # -- doubts --------------------------------------------------------------------------------------------------------
 
     def _doubted(self, kind: str, text: str) -> None:
-        """Keep the first doubt since ``connect`` and report it; called from the worker's threads, too."""
-        remedy = _REMEDIES.get(kind, "")
-        error = REFUSALS[kind](f"arm {self._name}: {text}" + (f"; {remedy}" if remedy else ""))
-        with self._doubt_lock:
-            if self._doubt is not None:
-                return
-            self._doubt, self._doubt_text = error, text
-            reported = self._doubts_reported
-        if reported:
-            self._listener(error)
-
-    def _report_doubts(self) -> None:
-        """Report doubts from now on, and one that came while the arm was being connected."""
-        with self._doubt_lock:
-            reported, self._doubts_reported = self._doubts_reported, True
-            doubt = self._doubt
-        if doubt is not None and not reported:
-            self._listener(doubt)
+        """Report the first doubt since ``connect``; called from the worker's threads, too."""
+        self._doubt.note(arm_error(self._name, kind, text), text)
 
     def _check_stop_line(self) -> None:
         lost = self._stop_line.check()
         if lost:
             self._doubted("link", f"the dashboard, over which it is stopped, does not answer: {lost}")
 
+    def _fault_or(self, stopped: ArmError) -> ArmError:
+        """Return the fault that came before a stop, if any: it is what a person must know."""
+        doubt, worker = self._doubt.error, self._worker
+        if doubt is None or worker is None:
+            return doubt or stopped
+        if isinstance(doubt, LinkLost):
+            return self._link_in_doubt(self._doubt.text)
+        with suppress(WorkerGone, WorkerRefusal):
+            fault = worker.call("state", _ANSWER_WITHIN_S)["fault"]  # its cause may be known better by now
+            if fault is not None:
+                return arm_error(self._name, fault["kind"], fault["text"])
+        return type(doubt)(*doubt.args)
+
     # -- connecting ----------------------------------------------------------------------------------------------------
 
     def _is_well(self, brakes: int) -> bool:
-        """Return whether the client runs without a fault; release brakes up to number ``brakes``, if any is in force.
+        """Return whether the client runs without a fault; after ``brakes`` brakes, restart its program.
 
         Raises what keeps a braked arm from moving again.
         """
         worker, probe = self._worker, self._probed
-        if worker is None or probe is None or self._doubt is not None:
+        if worker is None or probe is None or self._doubt.error is not None:
             return False
         try:
-            if brakes == self._released:
+            if not self._latch.in_force:
                 return worker.call("state", _ANSWER_WITHIN_S)["fault"] is None
             self._open_stop_line()
             answer = worker.call("restart", self._settings.startup_timeout, lambda: self._require_brakes(brakes))
@@ -392,8 +339,8 @@ class UrArm:
         return True
 
     def _require_brakes(self, brakes: int) -> None:
-        if self._brakes != brakes:
-            raise MotionStopped(f"arm {self._name}: it was stopped again; {_REMEDIES['stopped']}")
+        if self._latch.brakes != brakes:
+            raise arm_error(self._name, "stopped", "it was stopped again")
 
     def _open_stop_line(self) -> None:
         try:
@@ -449,7 +396,7 @@ class UrArm:
             with suppress(LinkLost):
                 self._bring_to_rest()
             self._may_run_program = True  # an uploaded program may still start
-            raise self._as_arm_error(error) from error
+            raise arm_error(self._name, error.kind, error.text) from error
         except WorkerGone as error:
             doubt = self._link_in_doubt(f"the client did not start: {error}")
             self._may_run_program = True
@@ -489,24 +436,10 @@ class UrArm:
         except MotionStopped as stopped:
             raise self._fault_or(stopped) from stopped
         except WorkerRefusal as error:
-            refused = self._as_arm_error(error)
+            refused = arm_error(self._name, error.kind, error.text)
             raise (self._fault_or(refused) if isinstance(refused, MotionStopped) else refused) from error
         except WorkerGone as error:
             raise self._link_in_doubt(str(error)) from error
-
-    def _fault_or(self, stopped: ArmError) -> ArmError:
-        """Return the fault that came before a stop, if any: it is what a person must know."""
-        if self._doubt is None:
-            return stopped
-        if isinstance(self._doubt, LinkLost):
-            return self._link_in_doubt(self._doubt_text)
-        return type(self._doubt)(*self._doubt.args)
-
-    def _as_arm_error(self, refusal: WorkerRefusal) -> ArmError:
-        """Return the protocol's exception for a refusal of the worker."""
-        remedy = _REMEDIES.get(refusal.kind, "")
-        text = f"arm {self._name}: {refusal.text}" + (f"; {remedy}" if remedy else "")
-        return REFUSALS[refusal.kind](text)
 
     def _link_in_doubt(self, why: str) -> LinkLost:
         """Report, kill the client, stop the arm, monitor it until it rests if possible; return what to raise."""
@@ -526,7 +459,7 @@ class UrArm:
 
     def _drop_worker(self) -> None:
         worker, self._worker = self._worker, None
-        self._doubts_reported = False
+        self._doubt.mute()
         if worker is not None:
             worker.kill()
             self._gaps = self._gaps.joined(worker.gaps)
@@ -545,29 +478,3 @@ class UrArm:
         if not_stopped is not None and sample.program == "PLAYING":
             raise not_stopped
         self._may_run_program = False
-
-    def _arm_state(self, answer: Mapping[str, Any]) -> ArmState:
-        mode, safety, fault = str(answer["robot_mode"]), str(answer["safety_mode"]), answer["fault"]
-        reason = ""
-        if safety != "NORMAL":
-            kind = {ProtectiveStop: "protective stop", EmergencyStop: "emergency stop"}.get(safety_error(safety))
-            reason = f"{kind or safety}: {safety_remedy(safety)}"
-        elif mode != "RUNNING":
-            reason = f"robot mode {mode}; power the arm on and release its brakes on the pendant"
-        elif fault is not None:
-            reason = f"{fault['text']}; connect again when the arm may move"
-        qd = np.array(answer["qd"], dtype=np.float64)
-        temperatures = answer["temperatures"]
-        return ArmState(
-            q=np.array(answer["q"], dtype=np.float64),
-            time_s=float(answer["time_s"]),
-            moving=bool(answer["moving"]) or float(np.abs(qd).max()) > self._settings.settle_speed,
-            ready=not reason,
-            reason=reason,
-            payload_kg=answer["payload_kg"],
-            joint_temperature_c=np.array(temperatures, dtype=np.float64) if len(temperatures) == JOINTS else None,
-            robot_mode=mode,
-            safety_mode=safety,
-            program=str(answer["program"]),
-            speed_fraction=answer["speed_fraction"],
-        )

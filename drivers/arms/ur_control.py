@@ -27,7 +27,7 @@ _ASKED_WITHIN_S = 0.3
 
 
 class Refusal(Exception):
-    """A request that cannot be served: its kind, one of ``drivers.arms.ur.REFUSALS``, and a sentence."""
+    """A request that cannot be served: its kind, one of ``drivers.arms.ur_answers.REFUSALS``, and a sentence."""
 
     def __init__(self, kind: str, text: str) -> None:
         super().__init__(text)

@@ -1,4 +1,4 @@
-"""A dashboard connection that is kept open, so that a stop costs one line.
+"""Stops of a UR arm: a dashboard connection that is kept open for them, and the latch that keeps the arm stopped.
 
 The connection is checked while it is not needed. If it fails when it is needed, a new one is tried, for a short time.
 """
@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 from drivers.arms.protocol import LinkLost
 from drivers.arms.ur_links import DASHBOARD_PORT, Connection, Dashboard, require_stopped, stop_program
@@ -19,6 +20,52 @@ _OPEN_WITHIN_S = 0.25
 _CHECK_EVERY_S = 0.5
 _TRIES = 3
 """A dashboard that could not be opened again this often, ``_CHECK_EVERY_S`` apart, is lost."""
+
+
+class StopLatch:
+    """Counts brakes, and stops that are under way. Any thread may call any method.
+
+    Attributes
+    ----------
+    brakes : int
+        Number of brakes so far.
+    stops : int
+        Stops that are being commanded or waited for: a program that is started meanwhile would be stopped by them.
+    """
+
+    def __init__(self) -> None:
+        self.brakes = 0
+        self.stops = 0
+        self._released = 0
+        self._changed = threading.Condition()
+
+    @property
+    def in_force(self) -> bool:
+        """Whether there was a brake that has not been released."""
+        return self.brakes > self._released
+
+    @contextmanager
+    def stopping(self, brakes: int = 0) -> Iterator[None]:
+        """Count a stop that is under way, and a brake."""
+        with self._changed:
+            self.brakes += brakes
+            self.stops += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self.stops -= 1
+                self._changed.notify_all()
+
+    def wait_for_stops(self, timeout_s: float) -> None:
+        """Wait until no stop is under way."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self.stops, timeout_s)
+
+    def release(self, brakes: int) -> None:
+        """Release all brakes up to number ``brakes``."""
+        with self._changed:
+            self._released = max(self._released, brakes)
 
 
 class StopLine:

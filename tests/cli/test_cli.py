@@ -21,7 +21,7 @@ import pytest
 
 from cellapp import cli
 from cellapp.run import RunFile
-from cellapp.trials.links import LinkLog, Struck
+from cellapp.trials.link_results import LinkLog, OtherArm, Struck
 from tests.twin import PROFILES, write_profile
 
 ROOT = Path(__file__).parents[2]
@@ -308,14 +308,15 @@ def test_a_trial_of_the_bridge(work: Path, call: Any) -> None:
 def test_a_trial_of_links_that_breaks_a_promise_exits_with_one(
     work: Path, call: Any, monkeypatch: pytest.MonkeyPatch, complaints: list[str]
 ) -> None:
-    struck = [Struck("link closed", "during", "left", 0.07, 0.15, 0.22)]
+    struck = [Struck("link closed", "during", "left", 0.07, 0.15, 0.22, (OtherArm("right", 0.01, 0.05),))]
     monkeypatch.setattr(
         "cellapp.trials.links.link_trials",
         lambda *_: LinkLog(4, struck, complaints, connect_s=[0.2], state_s=[0.005], overhead_s=[0.04]).result(),
     )
     ended = call("trials", "links", "--moves", "4", "--every", "2")
     assert ended.code == (1 if complaints else 0)
-    assert "link closed: reported" in ended.out
+    assert "link closed" in ended.out
+    assert "kept" in ended.out
     assert all(complaint in ended.out for complaint in complaints)
     found = call("trials", "links", "--json", "-").json
     assert found["by_fault"]["link closed"]["at_rest_s"]["max"] == 0.15

@@ -16,7 +16,7 @@ A request is ``ARM COMMAND [ARGUMENT ...]`` (ARM ``*``: all arms), the answer ``
     remote on|off                         the switch of the e-Series
     slider FRACTION                       the speed slider, 0 to 1; at 0 the arm stands and its program runs
     foreign playing|paused|off            a person's own program: started, paused, ended
-    stops                                 the stops so far: kind, times of ``time.monotonic``, ideal braking time
+    stops [SINCE]                         the stops received: kind, times of ``time.monotonic``, ideal braking time
     clearance                             smallest distance [m] between the arms and to the floor, if watched
     load MASS [X Y Z]                     true load of the flange [kg, m], unknown to the controller
 
@@ -190,6 +190,11 @@ def _foreign(arm: Emulated, arguments: Sequence[str], _: float) -> None:
         controller.resume_program()
 
 
+def _stops(arm: Emulated, arguments: Sequence[str], _: float) -> list[dict[str, Any]]:
+    since_s = _number(arguments, 0, default=0.0)
+    return [record.as_dict() for record in arm.controller.brakes.records if record.received_s >= since_s]
+
+
 def _clearance(arm: Emulated, _: Sequence[str], __: float) -> list[float] | None:
     seen = arm.controller.motions.clearance
     return None if seen is None or not math.isfinite(seen.arms_m) else [seen.arms_m, seen.floor_m]
@@ -231,7 +236,7 @@ _COMMANDS: dict[str, Callable[[Emulated, Sequence[str], float], object]] = {
     "remote": _remote,
     "slider": _slider,
     "foreign": _foreign,
-    "stops": lambda arm, _, __: [record.as_dict() for record in arm.controller.brakes.records],
+    "stops": _stops,
     "clearance": _clearance,
     "load": _load,
 }

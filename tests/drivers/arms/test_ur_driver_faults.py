@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.arms.protocol import ArmError, ArmTimeout, EmergencyStop, LinkLost, ProtectiveStop
+from drivers.arms.protocol import ArmError, ArmTimeout, EmergencyStop, LinkLost, MotionStopped, ProtectiveStop
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess
@@ -320,11 +320,15 @@ def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     stopper = threading.Thread(target=arm.stop)
     stopper.start()
-    state = arm.wait_settled(PATIENT_S)
+    with pytest.raises(MotionStopped, match=f"arm {arm.name}: "):
+        arm.wait_settled(PATIENT_S)
     stopper.join(PATIENT_S)
     assert not stopper.is_alive()
+    state = arm.state()
     assert not state.moving
     assert np.abs(state.q - FAR).max() > 0.3
+    with pytest.raises(MotionStopped):
+        arm.wait_settled(PATIENT_S)
     assert_stays_at_rest(emulator, arm.name)
     go(arm, HOME)
 

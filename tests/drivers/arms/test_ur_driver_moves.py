@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import queue
 import socket
 import subprocess
 import sys
@@ -22,8 +21,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.trials.links import link_trials, travel_s
-from drivers.arms import ur_worker
+from cellapp.trials.link_bench import travel_s
+from cellapp.trials.links import link_trials
+from drivers.arms import ur_supervisor, ur_worker
 from drivers.arms.protocol import (
     ArmError,
     JointLimits,
@@ -34,6 +34,7 @@ from drivers.arms.protocol import (
     WrongRobot,
 )
 from drivers.arms.ur import UrArm
+from drivers.arms.ur_control import UrControl
 from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_motion import MAX_SPEED, Motion, RestCriterion, leading_rates
 from drivers.arms.ur_rtde_reader import wait_at_rest
@@ -446,7 +447,8 @@ class DelayedClient:
 
     def __init__(self) -> None:
         self.q, self.stamp = list(HOME), 0.0
-        self.playing = True
+        self.playing, self.running, self.local = True, False, False
+        self.fraction = 1.0
 
     def tick(self, _: float) -> None:
         self.stamp += 0.16  # a cell at twenty times the pace
@@ -488,31 +490,56 @@ class DelayedClient:
         return 2
 
     def isAsyncOperationRunning(self) -> bool:
-        return False
+        return self.running
+
+    def getTargetSpeedFraction(self) -> float:
+        return self.fraction
+
+    def setWatchdog(self, hertz: float) -> bool:
+        return True
+
+    def getTCPOffset(self) -> list[float]:
+        return [0.0] * 6
+
+    def stopJ(self, deceleration: float, asynchronous: bool) -> None:
+        self.running = False
 
 
 @pytest.fixture
 def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Callable[..., list[dict[str, Any]]]]:
-    """The client, and a function that sends a request, runs the worker for some seconds and returns its answers."""
+    """The client, and a function that sends a message, runs the worker for some seconds and returns its answers."""
     client, answers, now = DelayedClient(), io.BytesIO(), [1000.0]
-    monkeypatch.setattr(ur_worker, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=client.tick))
-    monkeypatch.setattr(ur_worker, "stop_program", lambda host, within_s: None)
-    worker = ur_worker.Worker(queue.SimpleQueue(), answers)
-    worker._control = worker._receive = client
-    worker._watchdog_hz = 5.0
-    worker._rest = RestCriterion(dwell_s=0.1, speed=0.005, position=2e-4)
-    worker._motion = Motion(list(AWAY), number_before=1, began_s=now[0])
-    worker._settle_requests = [ur_worker.SettleRequest(7, now[0] + 60.0)]
+    clock = SimpleNamespace(monotonic=lambda: now[0], sleep=client.tick)
+    for module in (ur_worker, ur_supervisor):
+        monkeypatch.setattr(module, "time", clock)
+        monkeypatch.setattr(module, "stop_program", lambda host, within_s: None)
+    monkeypatch.setattr(ur_supervisor, "in_local_control", lambda host, within_s: client.local)
+    worker = ur_worker.Worker(answers)
+    control = UrControl("127.0.0.1", client, client)
+    supervisor = ur_supervisor.Supervisor(worker, control, 5.0, RestCriterion(dwell_s=0.1, speed=0.005, position=2e-4))
+    supervisor.begin()
+    supervisor._motion = Motion(list(AWAY), number_before=1, began_s=now[0])
+    supervisor.wait_settled(7, 60.0)
+    worker._supervisor = supervisor
+    worker._host = "127.0.0.1"
+    answers.truncate(0)
 
-    def monitor(for_s: float, **request: Any) -> list[dict[str, Any]]:
-        if request:
-            worker._serve({"id": 8, "timeout_s": 5.0, **request})
+    def monitor(for_s: float, message: dict[str, Any] | None = None, beats: bool = True) -> list[dict[str, Any]]:
+        if message:
+            worker.received({"id": 8, "timeout_s": 5.0, **message})
         end_s = now[0] + for_s
         while now[0] < end_s:
             now[0] += 0.008
             client.tick(0.008)
-            worker._monitor()
-        return [json.loads(line) for line in answers.getvalue().splitlines()]
+            if beats:
+                worker.received({"beat": True})
+            while not worker._requests.empty():
+                request = worker._requests.get()
+                if request is not None:
+                    worker._serve(request)
+            supervisor.monitor()
+        said = [json.loads(line) for line in answers.getvalue().splitlines()]
+        return [message for message in said if "beat" not in message]
 
     return client, monitor
 
@@ -527,21 +554,23 @@ def test_positions_from_before_a_motion_do_not_end_it(delayed: Any) -> None:
 
 def test_an_arm_that_does_not_reach_its_goal_is_reported(delayed: Any) -> None:
     _, monitor = delayed
-    (answer,) = monitor(1.0)
+    doubt, answer = monitor(1.0)
     assert (answer["error"], answer["id"]) == ("failed", 7)
     assert "cut short: it rests 20.05 deg from its goal" in answer["text"]
+    assert doubt == {"doubt": "failed", "text": answer["text"]}
 
 
-def test_a_stop_by_the_application_is_not_a_fault_even_if_halt_comes_late(delayed: Any) -> None:
+def test_a_stop_by_the_application_is_not_a_fault_even_if_its_message_comes_late(delayed: Any) -> None:
     client, monitor = delayed
     client.playing = False
-    assert monitor(0.1) == []
-    assert monitor(2.0, do="halt")[0] == {"id": 8, "ok": {}}
-    assert monitor(0.1, do="state")[-1]["ok"]["fault"] is None
+    assert monitor(0.04) == []
+    (stopped,) = monitor(2.0, {"brake": True})
+    assert (stopped["id"], stopped["error"]) == (7, "stopped")
+    assert monitor(0.1, {"do": "state"})[-1]["ok"]["fault"] is None
 
 
 @pytest.mark.parametrize("moves_at_once", [False, True], ids=["waited for", "moved at once"])
-def test_a_stop_without_halt_is_a_fault(delayed: Any, moves_at_once: bool) -> None:
+def test_a_stop_by_something_else_is_a_fault(delayed: Any, moves_at_once: bool) -> None:
     client, monitor = delayed
     if moves_at_once:
         client.q = list(AWAY)
@@ -549,10 +578,12 @@ def test_a_stop_without_halt_is_a_fault(delayed: Any, moves_at_once: bool) -> No
     client.playing = False
     if moves_at_once:
         monitor(0.02)
-        answer = monitor(0.01, do="move", q=list(HOME), speed=[1.0] * 6, acceleration=[1.0] * 6)[-1]
+        move = {"do": "move", "q": list(HOME), "speed": [1.0] * 6, "acceleration": [1.0] * 6}
+        doubt, answer = monitor(0.01, move)[-2:]
     else:
-        (answer,) = monitor(0.4)
-    assert "its program was stopped: on the pendant" in answer["text"]
+        doubt, answer = monitor(0.4)
+    assert "its program was stopped on the pendant" in answer["text"]
+    assert doubt["doubt"] == "failed"
 
 
 # -- many motions, many faults ----------------------------------------------------------------------------------------

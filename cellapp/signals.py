@@ -1,0 +1,58 @@
+"""Signals that reach their reaction at once, whatever the main thread is doing.
+
+Python runs a signal handler between two instructions of the main thread: not while that is inside a long call of numpy
+or SQLite. The operating system's own handler writes the signal's number into a socket at once; a thread waits there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+
+Handler = Callable[[int, FrameType | None], object]
+
+_END = b"\0"
+"""No signal has the number 0."""
+_LONGEST_REACTION_S = 2.0
+"""A reaction that hangs must not keep the program from ending."""
+
+
+def available(*names: str) -> tuple[int, ...]:
+    """Return the numbers of those signals that this platform has: Windows lacks SIGHUP, SIGTSTP and SIGCONT."""
+    return tuple(int(getattr(signal, name)) for name in names if hasattr(signal, name))
+
+
+@contextlib.contextmanager
+def watch_signals(numbers: tuple[int, ...], react: Callable[[int], None], handler: Handler) -> Iterator[None]:
+    """Call ``react(number)`` in a thread of its own for each signal in ``numbers``, in the order of their arrival.
+
+    Python calls ``handler`` in the main thread as soon as that runs Python code. Call this in the main thread; earlier
+    handlers return at the end.
+    """
+    receiver, sender = socket.socketpair()
+    sender.setblocking(False)
+
+    def watch() -> None:
+        with receiver:
+            while (byte := receiver.recv(1)) not in (_END, b""):
+                if byte[0] in numbers:
+                    react(byte[0])
+
+    watcher = threading.Thread(target=watch, name="signals", daemon=True)
+    earlier = {number: signal.signal(number, handler) for number in numbers}
+    earlier_fd = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
+    watcher.start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(earlier_fd)
+        for number, before in earlier.items():
+            signal.signal(number, before or signal.SIG_DFL)
+        with sender:
+            sender.setblocking(True)
+            sender.sendall(_END)
+        watcher.join(_LONGEST_REACTION_S)

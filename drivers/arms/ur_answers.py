@@ -1,0 +1,73 @@
+"""What a UR arm's worker answers, in the terms of the arm's protocol: errors with their remedies, and states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from drivers.arms.protocol import (
+    ArmError,
+    ArmState,
+    ArmTimeout,
+    EmergencyStop,
+    HostStalled,
+    LinkLost,
+    MotionStopped,
+    NotInRemoteControl,
+    ProtectiveStop,
+)
+from drivers.arms.ur_checks import JOINTS, safety_error, safety_remedy
+
+REFUSALS: Mapping[str, type[ArmError]] = {
+    "protective": ProtectiveStop,
+    "emergency": EmergencyStop,
+    "local": NotInRemoteControl,
+    "link": LinkLost,
+    "timeout": ArmTimeout,
+    "stopped": MotionStopped,
+    "stalled": HostStalled,
+    "failed": ArmError,
+}
+"""Exception for each kind of refusal of the worker."""
+_REMEDIES = {
+    "protective": safety_remedy("PROTECTIVE_STOP"),
+    "emergency": safety_remedy("ROBOT_EMERGENCY_STOP"),
+    "stopped": "connect again when it may move",
+    "stalled": "nothing is wrong at the arm; close other programs on this computer",
+}
+
+
+def arm_error(name: str, kind: str, text: str) -> ArmError:
+    """Return the exception for a refusal of arm ``name``: what is wrong, and what to do."""
+    remedy = _REMEDIES.get(kind, "")
+    return REFUSALS[kind](f"arm {name}: {text}" + (f"; {remedy}" if remedy else ""))
+
+
+def arm_state(answer: Mapping[str, Any], moving_rad_s: float) -> ArmState:
+    """Return the state that a worker answered; a joint faster than ``moving_rad_s`` moves."""
+    mode, safety, fault = str(answer["robot_mode"]), str(answer["safety_mode"]), answer["fault"]
+    reason = ""
+    if safety != "NORMAL":
+        kind = {ProtectiveStop: "protective stop", EmergencyStop: "emergency stop"}.get(safety_error(safety))
+        reason = f"{kind or safety}: {safety_remedy(safety)}"
+    elif mode != "RUNNING":
+        reason = f"robot mode {mode}; power the arm on and release its brakes on the pendant"
+    elif fault is not None:
+        reason = f"{fault['text']}; connect again when the arm may move"
+    qd = np.array(answer["qd"], dtype=np.float64)
+    temperatures = answer["temperatures"]
+    return ArmState(
+        q=np.array(answer["q"], dtype=np.float64),
+        time_s=float(answer["time_s"]),
+        moving=bool(answer["moving"]) or float(np.abs(qd).max()) > moving_rad_s,
+        ready=not reason,
+        reason=reason,
+        payload_kg=answer["payload_kg"],
+        joint_temperature_c=np.array(temperatures, dtype=np.float64) if len(temperatures) == JOINTS else None,
+        robot_mode=mode,
+        safety_mode=safety,
+        program=str(answer["program"]),
+        speed_fraction=answer["speed_fraction"],
+    )

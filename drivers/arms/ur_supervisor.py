@@ -1,0 +1,418 @@
+"""One connected UR arm as its worker process sees it: requests, faults, the watchdog, motion and rest.
+
+Everything here runs in the worker's main thread. ``braked`` may become true at any moment; ``drivers.arms.ur_worker``
+explains why no motion escapes it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, NoReturn, Protocol
+
+from drivers.arms.protocol import LinkLost
+from drivers.arms.ur_control import Refusal, UrControl, failed
+from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control, stop_program
+from drivers.arms.ur_motion import Kicks, Motion, RestCriterion, WorkerSample, leading_rates
+
+_SILENT_S = 0.3
+"""The arm's state is unknown if no new one comes for this long."""
+_SILENT_LOOKS = 10
+"""And if the worker has looked this often meanwhile: a process that was not scheduled has not looked."""
+_STARTS_WITHIN_S = 1.0
+_STOP_SEEN_WITHIN_S = 0.05
+"""The application sends ``brake`` before it stops the program over another connection. A program that has been seen
+stopped for this long without ``brake`` was stopped by something else."""
+_STANDING_S = 1.0
+"""A motion reported as running while the arm rests for this long is a fault of the link."""
+_STREAMS_APART_S = 0.05
+"""The end of a motion comes over another connection than positions, which may be older by this much."""
+_CUT_SHORT_S = 0.5
+"""An arm that rests away from its goal for this long after the end of a motion will not reach it."""
+_STANDS_RAD_S = 1e-4
+_AT_GOAL_RAD = 2e-3
+_STOP_WITHIN_S = 1.0
+_LOCAL_WITHIN_S = 0.3
+_REST_WITHIN_S = 3.0
+_REST_DWELL_S = 0.05
+_EMERGENCY = ("SYSTEM_EMERGENCY_STOP", "ROBOT_EMERGENCY_STOP")
+
+
+class Application(Protocol):
+    """The application as the supervisor needs it."""
+
+    @property
+    def braked(self) -> bool:
+        """Whether a brake is in force."""
+
+    def answer(self, message: Mapping[str, Any]) -> None:
+        """Send a message."""
+
+    def check(self, kicks: Kicks, *, moving: bool) -> str:
+        """Exchange heartbeats; return why the application no longer watches a motion, empty if it does."""
+
+    def exit_link_lost(self, text: str) -> NoReturn:
+        """Report, stop the arm over the dashboard, and end the process."""
+
+
+@dataclass
+class SettleRequest:
+    """A request to be answered when the arm has settled."""
+
+    request: int
+    timeout_s: float
+    deadline_s: float
+
+
+class Supervisor:
+    """Executes requests for one arm; ``monitor`` is to be called a hundred times a second or more."""
+
+    def __init__(self, application: Application, control: UrControl, watchdog_hz: float, rest: RestCriterion) -> None:
+        self._application, self._control, self._rest = application, control, rest
+        self._watchdog_hz = watchdog_hz
+        self._kicks = Kicks()
+        self._motion: Motion | None = None
+        self._cut_short = False
+        self._settle_requests: list[SettleRequest] = []
+        self._resting_since: WorkerSample | None = None
+        self._fault: Refusal | None = None
+        self._halted = False
+        self._program_stopped_s: float | None = None  # since when the program is seen stopped without a brake
+        self._last_time = -1.0
+        self._last_news_s = time.monotonic()
+        self._looks_without_news = 0
+
+    # -- requests ------------------------------------------------------------------------------------------------------
+
+    def begin(self) -> dict[str, Any]:
+        """Start the watchdog of a program that has just been started; return the state as ``restart`` does."""
+        self._start_watchdog()
+        return self._state_with_tcp()
+
+    def state(self) -> dict[str, Any]:
+        """Return the next state of the arm."""
+        state = self._next_sample().as_dict()
+        fault = self._fault
+        return {
+            **state,
+            "moving": self._motion is not None and self._motion.running,
+            "fault": None if fault is None else {"kind": fault.kind, "text": fault.text},
+        }
+
+    def _state_with_tcp(self) -> dict[str, Any]:
+        """Return the state with the tool centre point, read while the program runs: the program could set both."""
+        return {**self.state(), "tcp": self._control.tcp()}
+
+    def move(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Begin a motion."""
+        sample = self._require_movable()
+        goal = request["q"]
+        speed, acceleration = leading_rates(sample.q, goal, request["speed"], request["acceleration"])
+        self._ensure_program_runs(sample)
+        number, _ = self._control.operation()
+        self._require_not_braked()
+        accepted = self._control.move(goal, speed, acceleration)
+        if self._application.braked:  # perhaps before the motion began
+            stopped = self._stopped()
+            self._stop_program()
+            raise stopped
+        if not accepted:
+            self._require_ready(self._next_sample())
+            raise self._record_fault(failed("the control program did not take the motion"))
+        self._check_links()  # the client may report success on a link that has just broken
+        now = time.monotonic()
+        self._kicks.kicked(now)
+        self._resting_since, self._cut_short = None, False
+        self._motion = Motion(goal, number, now)
+        return {}
+
+    def _require_movable(self) -> WorkerSample:
+        """Return the state of an arm that may begin a motion; refuse otherwise."""
+        self._require_no_fault()
+        self._require_not_braked()
+        still_moving = failed("it is still moving; wait until it rests, or stop it")
+        if self._motion is not None and self._motion.running:
+            raise still_moving
+        self._motion = None
+        sample = self._next_sample()
+        self._require_ready(sample)
+        if self._program_stopped_s is not None:
+            raise self._program_stopped()
+        if sample.speed > self._rest.speed:
+            raise still_moving
+        if sample.slider_down:
+            raise failed("the speed slider is at 0 %; raise it on the pendant")
+        return sample
+
+    def wait_settled(self, number: int, timeout_s: float) -> None:
+        """Answer request ``number`` when the arm has settled."""
+        self._settle_requests.append(SettleRequest(number, timeout_s, time.monotonic() + timeout_s))
+
+    def allowed(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Return which joint positions the controller's safety configuration allows."""
+        self._ensure_program_runs(self._require_movable())
+        allowed = []
+        for q in request["q"]:
+            self._require_not_braked()
+            allowed.append(self._control.within_safety_limits(q))
+            self.monitor()
+        return {"allowed": allowed}
+
+    def take_brake(self) -> None:
+        """Stop a motion through the control program too, and forget it: its program is being stopped."""
+        if not self._halted:
+            self._control.brake()
+        if self._motion is not None:
+            self._motion, self._cut_short = None, True
+        self._halted = True
+        self._kicks.end()
+        self._program_stopped_s = None
+        self._resting_since = None
+
+    def require_restartable(self) -> None:
+        """Wait until a braked arm rests; refuse if it has a fault, or moves."""
+        self._require_no_fault()
+        deadline, since = time.monotonic() + _REST_WITHIN_S, None
+        while True:
+            sample = self._next_sample()
+            if sample.speed > self._rest.speed:
+                since = None
+            elif since is None:
+                since = sample.time_s
+            elif sample.time_s - since >= _REST_DWELL_S:
+                break
+            if time.monotonic() > deadline:
+                raise failed(f"it still moves {_REST_WITHIN_S:g} s after it was stopped")
+            self.monitor()
+        self._require_no_fault()
+
+    def restart(self) -> dict[str, Any]:
+        """Start the control program again, after a brake; return the state with the tool centre point."""
+        sample = self._next_sample()
+        self._require_ready(sample)
+        self._ensure_program_runs(sample)
+        state = self._state_with_tcp()
+        self._require_no_fault()
+        return state
+
+    # -- the controller ------------------------------------------------------------------------------------------------
+
+    def _start_watchdog(self) -> None:
+        self._control.set_watchdog(self._watchdog_hz)
+        self._kicks.start(time.monotonic(), 1.0 / self._watchdog_hz)
+
+    def _stop_program(self) -> None:
+        with suppress(LinkLost):
+            stop_program(self._control.host, _STOP_WITHIN_S)
+
+    def _check_links(self) -> None:
+        """End if a link broke: the client would reconnect by itself again and again, and crash in the end."""
+        if not self._control.connected:
+            self._application.exit_link_lost("the RTDE link broke")
+
+    def _sample(self) -> WorkerSample:
+        """Return the newest state."""
+        sample = self._control.sample()
+        if not sample.valid:
+            self._application.exit_link_lost("the controller's state is not one of six joints")
+        return sample
+
+    def _next_sample(self) -> WorkerSample:
+        """Return the first state that comes after this call."""
+        before = self._control.time_s
+        deadline = time.monotonic() + _SILENT_S
+        while self._control.time_s == before:
+            self._check_links()
+            if time.monotonic() > deadline:
+                self._application.exit_link_lost(f"no state came for {_SILENT_S:g} s")
+            time.sleep(0.0005)
+        return self._sample()
+
+    def _require_ready(self, sample: WorkerSample) -> None:
+        """Raise and record what keeps the arm from moving."""
+        mode = sample.safety_mode
+        if mode == "PROTECTIVE_STOP":
+            raise self._record_fault(Refusal("protective", "protective stop"))
+        if mode in _EMERGENCY:
+            raise self._record_fault(Refusal("emergency", "emergency stop"))
+        if mode != "NORMAL":
+            raise self._record_fault(failed(f"safety mode {mode}"))
+        if sample.robot_mode != "RUNNING":
+            raise self._record_fault(failed(f"robot mode {sample.robot_mode}, needed is RUNNING"))
+
+    def _require_no_fault(self) -> None:
+        if self._fault is not None:
+            raise self._fault
+
+    def _require_not_braked(self) -> None:
+        if self._application.braked:
+            raise self._stopped()
+
+    def _stopped(self) -> Refusal:
+        self.take_brake()
+        return Refusal("stopped", "its motion was stopped before the goal")
+
+    def _ensure_program_runs(self, sample: WorkerSample) -> None:
+        """Upload the control program again if it was stopped on purpose."""
+        if sample.program == "PLAYING" and not self._halted:
+            return
+        if sample.program != "STOPPED":
+            self._stop_program()
+
+        def meanwhile() -> None:
+            self._require_not_braked()
+            self._look()
+
+        try:
+            self._control.upload(meanwhile)
+            self._start_watchdog()
+        except Refusal as refusal:
+            if refusal.kind == "stopped":
+                self._stop_program()  # an uploaded program may still start
+            else:
+                self._record_fault(refusal)
+            raise
+        self._halted = False
+
+    def _record_fault(self, refusal: Refusal) -> Refusal:
+        """Report the first fault, then stop the arm: nothing moves until the application connects again."""
+        if self._fault is None:
+            self._fault = refusal
+            self._application.answer({"doubt": refusal.kind, "text": refusal.text})
+            self._stop_program()
+        self._motion = None
+        return self._fault
+
+    def _program_stopped(self) -> Refusal:
+        """Record why the control program was stopped by something else than the application."""
+        gap_s = self._kicks.expired_before(self._program_stopped_s)
+        if gap_s is not None:
+            text = (
+                f"this computer was silent for {gap_s:.2f} s, so the controller's watchdog"
+                f" ({1.0 / self._watchdog_hz:.2f} s) stopped its program"
+            )
+            return self._record_fault(Refusal("stalled", text))
+        fault = self._record_fault(failed("its program was stopped on the pendant"))
+        if fault.kind == "failed" and in_local_control(self._control.host, _LOCAL_WITHIN_S):
+            self._fault = fault = Refusal("local", f"its program was stopped, and {LOCAL_CONTROL}; switch it to Remote")
+        return fault
+
+    # -- monitoring ----------------------------------------------------------------------------------------------------
+
+    def monitor(self) -> None:
+        """Check links, faults, motion and rest; keep the watchdog from expiring; answer settle requests."""
+        now = time.monotonic()
+        sample, news = self._look()
+        if self._application.braked and not self._halted:
+            self.take_brake()
+        self._check_program(sample, now)
+        if news:
+            self._update_rest(sample)
+        if self._motion is not None and self._motion.running:
+            self._track_motion(self._motion, sample, now)
+        may_kick = self._fault is None and self._program_stopped_s is None and not self._halted
+        if may_kick and not self._application.braked and self._kicks.due(now):
+            self._kicks.kicked(now)
+            self._control.kick_watchdog()
+        if self._settle_requests:
+            self._answer_settle_requests(sample, now, news)
+
+    def _look(self) -> tuple[WorkerSample, bool]:
+        """Check what can stop an arm at any time; return its newest state, and whether that is new."""
+        moving = self._motion is not None and self._motion.running
+        unwatched = self._application.check(self._kicks, moving=moving)
+        self._check_links()
+        sample = self._sample()
+        news = self._is_news(sample, time.monotonic())
+        if self._fault is None:
+            with suppress(Refusal):
+                self._require_ready(sample)
+                if unwatched:
+                    self._record_fault(Refusal("stalled", unwatched))
+        return sample, news
+
+    def _is_news(self, sample: WorkerSample, now: float) -> bool:
+        """Return whether a sample is new; end if none has come for too long."""
+        if sample.time_s != self._last_time:
+            self._last_time, self._last_news_s, self._looks_without_news = sample.time_s, now, 0
+            return True
+        self._looks_without_news += 1
+        if now - self._last_news_s > _SILENT_S and self._looks_without_news > _SILENT_LOOKS:
+            self._application.exit_link_lost(f"no state came for {_SILENT_S:g} s")
+        return False
+
+    def _check_program(self, sample: WorkerSample, now: float) -> None:
+        """Record that something else than the application stopped the program."""
+        if self._fault is not None:
+            return
+        # the control stream shows whether the state stream is only older
+        meant = self._halted or self._application.braked
+        if sample.program == "PLAYING" or meant or self._control.program_runs:
+            self._program_stopped_s = None
+        elif self._program_stopped_s is None:
+            self._program_stopped_s = now
+        elif now - self._program_stopped_s > _STOP_SEEN_WITHIN_S:
+            self._program_stopped()
+
+    def _track_motion(self, motion: Motion, sample: WorkerSample, now: float) -> None:
+        """Detect the end of a motion; end the process if the client's report contradicts the arm's state."""
+        number, running = self._control.operation()
+        if number != motion.number_before:
+            if not running:
+                motion.running, motion.ended_s = False, now
+                self._resting_since = None  # delayed positions from before the motion may have looked like rest
+                return
+        elif now - motion.began_s > _STARTS_WITHIN_S:
+            self._application.exit_link_lost("a motion was sent but not begun")
+        if sample.speed > _STANDS_RAD_S or now - motion.began_s < _STARTS_WITHIN_S or sample.slider_down:
+            motion.standing_since_s = None
+        elif motion.standing_since_s is None:
+            motion.standing_since_s = now
+        elif now - motion.standing_since_s > _STANDING_S:
+            self._application.exit_link_lost("the arm rests, but its motion is reported as running")
+
+    def _update_rest(self, sample: WorkerSample) -> None:
+        """Track since when the arm rests."""
+        first = self._resting_since
+        if sample.speed > self._rest.speed:
+            self._resting_since = None
+        elif first is None or sample.distance(first.q) > self._rest.position:
+            self._resting_since = sample
+
+    def _answer_settle_requests(self, sample: WorkerSample, now: float, news: bool) -> None:
+        waiting = []
+        for item in self._settle_requests:
+            answer = self._settled(sample, now, news)
+            if answer is None and now > item.deadline_s:
+                why = "; it stands, because the speed slider is at 0 %: raise it" if sample.slider_down else ""
+                answer = {"error": "timeout", "text": f"it did not come to rest within {item.timeout_s:g} s{why}"}
+            if answer is None:
+                waiting.append(item)
+            else:
+                self._application.answer({"id": item.request, **answer})
+        self._settle_requests = waiting
+
+    def _settled(self, sample: WorkerSample, now: float, news: bool) -> dict[str, Any] | None:
+        """Return the answer to a settle request if the arm has settled, was stopped or has a fault; else None."""
+        if self._fault is not None:
+            return {"error": self._fault.kind, "text": self._fault.text}
+        if self._cut_short or self._application.braked:
+            return {"error": "stopped", "text": self._stopped().text}
+        motion, first = self._motion, self._resting_since
+        ended_for_s = math.inf if motion is None else now - motion.ended_s
+        if not news or ended_for_s < _STREAMS_APART_S:
+            return None
+        if first is None or sample.time_s - first.time_s < self._rest.dwell_s:
+            return None
+        off = 0.0 if motion is None else sample.distance(motion.goal)
+        if off > _AT_GOAL_RAD and ended_for_s < _CUT_SHORT_S:
+            return None
+        self._motion = None
+        if off > _AT_GOAL_RAD:
+            text = f"its motion was cut short: it rests {math.degrees(off):.2f} deg from its goal"
+            fault = self._record_fault(failed(text))
+            return {"error": fault.kind, "text": fault.text}
+        return {"ok": {**sample.as_dict(), "moving": False, "fault": None}}
