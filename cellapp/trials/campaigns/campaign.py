@@ -28,7 +28,7 @@ Plan = Mapping[str, NDArray[np.float64]]
 """Arm -> joint positions (n, N) [rad] of the planned stops and the reserves after them."""
 Ended = Literal["complete", "accurate enough", "stopped", "aborted", "failed", "killed"]
 
-STOPS_TO_A_FAULT = 20
+STOPS_TO_A_FAULT = 8
 """Mean number of stops between two faults."""
 RESERVE = 20
 _MOST_SESSIONS_TO_A_FAULT = 3
