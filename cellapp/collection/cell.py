@@ -196,7 +196,7 @@ def _air_sensor(profile: Profile, plant: Plant | None) -> AirSensor | None:
 # -- the simulated cell -----------------------------------------------------------------------------------------------
 
 
-def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:
+def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions: bool = False) -> Plant:
     """Return the simulated cell that a profile describes. Raises ``InputError`` on an unknown effect or parameter."""
     settings = profile.plant
     tracker = profile.tracker
@@ -222,7 +222,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:
             noise=settings.noise,
             floor=profile.plan.floor,
         )
-        return Plant(config, watch_clearance=watch_clearance)
+        return Plant(config, watch_clearance=watch_clearance, keep_motions=keep_motions)
     except ValueError as error:
         raise InputError(f"profile {profile.name}: plant: {error}") from error
 
