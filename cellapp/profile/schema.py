@@ -301,6 +301,8 @@ class Profile(Section):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         self._check_plant()
+        if self.collection.air.temperature is not None and self.sensors.air is None:
+            raise ValueError("collection.air: limits of the air need a weather station; add 'sensors.air'")
         for name, arm in self.arms.items():
             if arm.driver.has_device:
                 needed = {
