@@ -262,12 +262,13 @@ class OnlineFit:
         origin, model = self._models.origin, self._models.geometry
         row = self._rows.at(origin, stop, q)
         residual = p_M - row.P - row.J[:, : len(model.step)] @ model.step
-        errors = np.sqrt(np.diag(model.covariance)).tolist()
+        errors = np.sqrt(np.maximum(np.diag(model.covariance), 0.0)).tolist()  # rounding may leave less than zero
+        mean_square = max(float(np.vdot(self._rows.planned_gram(origin), model.covariance)), 0.0)
         return StopReport(
             stop=stop,
             arm=self.arm,
             residual_mm=1e3 * float(np.linalg.norm(residual)),
-            standard_error_mm=1e3 * math.sqrt(float(np.vdot(self._rows.planned_gram(origin), model.covariance))),
+            standard_error_mm=1e3 * math.sqrt(mean_square),
             parameter_errors=dict(zip(self._parameters.names, errors, strict=True)),
         )
 
