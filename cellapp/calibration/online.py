@@ -1,7 +1,7 @@
 """Identification of one arm while its stops are measured: a new estimate and its standard errors after every stop.
 
-Between renewals the measurement model is linear about one geometry, and a new reading adds three rows to the normal
-equations. A renewal linearises all readings again at the present estimate. Renewals follow a growing schedule, and come
+Between renewals the measurement model is linear about one geometry, and a new reading is a step of recursive least
+squares. A renewal linearises all readings again at the present estimate. Renewals follow a growing schedule, and come
 at once where the estimate has left the range in which the linear model holds.
 
 Few readings do not determine all parameters. Weak priors about the nominal arm then do; with many readings they have no
@@ -51,8 +51,9 @@ _REGISTERED_AGAIN = (8, 16)
 """Numbers of readings with which the base is registered again: the first four may have been a poor start."""
 _GROWTH = 1.2
 """Growth of the number of readings between renewals: 20 renewals up to 400 readings."""
-_LINEAR = 3e-4
-"""Largest change of a parameter at arm's length [m] for one linearisation; the neglected second order is 0.1 um."""
+_LINEAR = 1e-3
+"""Largest change of a parameter at arm's length [m] for one linearisation; the neglected second order is 1 um, and
+standard errors are far larger as long as single readings change the estimate by this much."""
 _STEPS = 4
 """Most Gauss-Newton steps of a renewal; one is enough after the first readings."""
 _FIRST_EXCESS_M = 1e-4
@@ -261,12 +262,13 @@ class OnlineFit:
         origin, model = self._models.origin, self._models.geometry
         row = self._rows.at(origin, stop, q)
         residual = p_M - row.P - row.J[:, : len(model.step)] @ model.step
-        errors = np.sqrt(np.diag(model.covariance)).tolist()
+        errors = np.sqrt(np.maximum(np.diag(model.covariance), 0.0)).tolist()  # rounding may leave less than zero
+        mean_square = max(float(np.vdot(self._rows.planned_gram(origin), model.covariance)), 0.0)
         return StopReport(
             stop=stop,
             arm=self.arm,
             residual_mm=1e3 * float(np.linalg.norm(residual)),
-            standard_error_mm=1e3 * math.sqrt(float(np.vdot(self._rows.planned_gram(origin), model.covariance))),
+            standard_error_mm=1e3 * math.sqrt(mean_square),
             parameter_errors=dict(zip(self._parameters.names, errors, strict=True)),
         )
 
@@ -279,8 +281,7 @@ class OnlineFit:
         """Add the newest reading to both models, unless it is a gross error."""
         row = self._rows.at(models.origin, stop, q)
         J, off, stated, model = row.J, p_M - row.P, self._readings.newest_stated(), models.predicting
-        innovation = off - J @ model.step
-        expected = J @ model.covariance @ J.T + model.variance * (stated + model.excess * np.eye(3))
+        innovation, expected = model.innovation(J, off, stated)
         self.innovation = Innovation(stop, p_M, innovation, expected, row.R_M_F, model.scatter_m, model.freedom)
         if innovation @ np.linalg.solve(expected, innovation) <= GROSS**2:
             model.add(J, off, stated)
