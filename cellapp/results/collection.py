@@ -65,6 +65,44 @@ class CollectResult(Result):
         ]
 
 
+class SessionRequest(Record):
+    """What a person asked in a session, or what suspended or resumed it; ``written`` is UTC."""
+
+    written: str
+    kind: str
+    reason: str
+
+
+class SessionRecord(Record):
+    """One session of collecting; ``ended`` and ``outcome`` are None if the program died in it."""
+
+    number: int
+    began: str
+    ended: str | None
+    outcome: str | None
+    reason: str | None
+    requests: tuple[SessionRequest, ...]
+
+
+class CollectionResult(Result):
+    """``show DIR collection``: sessions, missing readings, reference drift, standard errors reached.
+
+    ``missing_share`` and ``tolerated_share`` are as in ``CollectResult``; ``standard_error_mm`` maps each arm to the
+    standard uncertainty of a predicted SMR position from its parameters.
+    """
+
+    schema_: Literal["cellapp-collection"] = "cellapp-collection"
+    version: Literal[1] = 1
+    run: str
+    sessions: tuple[SessionRecord, ...]
+    missing: tuple[MissingReading, ...]
+    missing_share: float
+    tolerated_share: float
+    references: tuple[ReferenceDrift, ...]
+    drift_limit_mm: float
+    standard_error_mm: Mapping[str, float]
+
+
 class RequestResult(Result):
     """``pause``, ``resume``, ``stop`` and ``abort``: what the running job was asked, and its answer."""
 

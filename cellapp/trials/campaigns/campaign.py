@@ -20,7 +20,7 @@ from cellapp.run import RunFile
 from cellapp.trials.campaigns.doubles import ProgramKilled
 from cellapp.trials.campaigns.faults import Fault, draw_faults
 from cellapp.trials.campaigns.oracle import ArmEstimate, judge
-from cellapp.trials.campaigns.world import World
+from cellapp.trials.campaigns.world import SimulatedControl, World
 from cellapp.trials.coverage import bare_profile
 from drivers.sensors.simulated_settings import SimulatedAirSensorSettings
 
@@ -28,7 +28,7 @@ Plan = Mapping[str, NDArray[np.float64]]
 """Arm -> joint positions (n, N) [rad] of the planned stops and the reserves after them."""
 Ended = Literal["complete", "accurate enough", "stopped", "aborted", "failed", "killed"]
 
-STOPS_TO_A_FAULT = 20
+STOPS_TO_A_FAULT = 8
 """Mean number of stops between two faults."""
 RESERVE = 20
 _MOST_SESSIONS_TO_A_FAULT = 3
@@ -133,13 +133,12 @@ def run_campaign(
         if sessions.last:
             world.plant.advance(world.person.delay_s())
             world.repair()
-        _session(world, sessions, JobControl(holds=bool(rng.random() < 0.6)))
+        _session(world, sessions, SimulatedControl(holds=bool(rng.random() < 0.6)))
     with RunFile.open(world.run_folder) as run:
         found = judge(world, run, plan, sessions.last, undisturbed)
     failures = found.failures
     if sessions.last not in ("complete", "accurate enough"):
         failures = (*failures, f"not complete after {most} sessions; the last {sessions.last}: {sessions.reason}")
-    clearance = world.plant.clearance
     campaign = Campaign(
         seed=seed,
         failures=failures,
@@ -151,7 +150,7 @@ def run_campaign(
         suspensions=world.monitor.counts["suspended"],
         readings=found.readings,
         missing=found.missing,
-        clearance_m=np.inf if clearance is None else clearance.arms_m,
+        clearance_m=found.clearance_m,
         digest=world.monitor.digest(),
     )
     return campaign, found.estimates

@@ -139,11 +139,13 @@ def _wrong_smr(world: World, fault: Fault) -> None:
 
 def _tracker_link_cut(world: World, fault: Fault) -> None:
     world.tracker.cut_link()
+    world.tracker_dies()
     world.later(fault.lasts_s, world.tracker.release)
 
 
 def _tracker_reboot(world: World, fault: Fault) -> None:
     world.tracker.reboot(fault.lasts_s)
+    world.tracker_dies()
 
 
 def _tracker_halted(world: World, fault: Fault) -> None:

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from cellapp.calibration.identification import Identification, identify, start_from_nominal
 from cellapp.model.nominal import nominal_arm
 from cellapp.run import Readings, RunFile
+from drivers.plant import Clearance
 
 if TYPE_CHECKING:
     from cellapp.trials.campaigns.world import World
@@ -22,6 +23,9 @@ FALSE_ALARM = 1e-12
 """Chance of a false alarm of one statistical check: none in 10 000 campaigns of 400 stops."""
 _PLANNED_RAD = 1e-9
 """Joint positions of a reading and of its planned stop agree but for rounding: the plant's arms are exact."""
+
+_NEAR_M = 0.02
+"""Distances below this are looked at closely: base and axes of the true arms differ by millimetres from the planned."""
 
 ArmEstimate = Identification
 
@@ -33,6 +37,7 @@ class Judgement:
     failures: tuple[str, ...]
     readings: int
     missing: int
+    clearance_m: float
     estimates: dict[str, ArmEstimate]
 
 
@@ -52,7 +57,8 @@ def judge(
     missing, unlisted = _missing(run, readings, run.profile.plan.stops)
     if ended == "complete":
         failures += unlisted
-    failures += _collisions(world)
+    clearance = world.plant.executed_clearance(_NEAR_M)
+    failures += _collisions(clearance)
     moving = [name for name in world.plant.names if world.plant.moving(name)]
     failures += [f"arm {name} moves at the end" for name in moving]
     failures += _unrecorded(run)
@@ -60,7 +66,7 @@ def judge(
     if not failures:
         estimates = {name: _identified(run, name, arm, undisturbed) for name, arm in readings.items()}
         failures += _other_calibration(estimates, undisturbed)
-    return Judgement(tuple(failures), sum(len(arm) for arm in readings.values()), missing, estimates)
+    return Judgement(tuple(failures), sum(len(arm) for arm in readings.values()), missing, clearance.arms_m, estimates)
 
 
 def _lost_or_doubled(world: World, readings: Mapping[str, Readings]) -> list[str]:
@@ -78,7 +84,9 @@ def _lost_or_doubled(world: World, readings: Mapping[str, Readings]) -> list[str
     ]
     used = Counter(found.values())
     failures += [f"reading doubled: the point of stop {where}" for where, p in found.items() if used[p] > 1]
-    failures += [f"reading of stop {where} was never measured" for where, p in found.items() if not monitor.delivered[p]]
+    failures += [
+        f"reading of stop {where} was never measured" for where, p in found.items() if not monitor.delivered[p]
+    ]
     return failures
 
 
@@ -106,14 +114,14 @@ def _missing(run: RunFile, readings: Mapping[str, Readings], stops: int) -> tupl
     reasons = {(one.stop, one.arm): one.reason for one in run.outcomes()}
     there = {(int(stop), name) for name, arm in readings.items() for stop in arm.configuration}
     gaps = [(stop, name) for stop in range(stops) for name in readings if (stop, name) not in there]
-    unlisted = [f"stop {stop}, arm {name}: no reading and no reason" for stop, name in gaps if not reasons.get((stop, name))]
+    unlisted = [
+        f"stop {stop}, arm {name}: no reading and no reason" for stop, name in gaps if not reasons.get((stop, name))
+    ]
     return len(gaps), unlisted
 
 
-def _collisions(world: World) -> list[str]:
+def _collisions(clearance: Clearance) -> list[str]:
     """Collisions by the plant's own check, which knows the true arms and every motion, braked ones too."""
-    clearance = world.plant.clearance
-    assert clearance is not None
     return [
         f"collision of {what} at {time_s:.3f} s: {distance_m * 1e3:.1f} mm"
         for what, distance_m, time_s in (
