@@ -159,6 +159,38 @@ def storm(
             raise CheckFailed(f"trials storm: {len(result.complaints)} things were not as specified; see above")
 
 
+@trials_app.command("campaigns")
+def campaigns(
+    profile: Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")] = Path(
+        "profiles/twin.yaml"
+    ),
+    n: Annotated[int, typer.Option("--n", min=1, help="Campaigns.")] = 50,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first; the next has the next one.")] = 0,
+    stops: Annotated[int, typer.Option("--stops", min=30, help="Stops of each campaign.")] = 400,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
+    json_file: JsonOption = None,
+) -> None:
+    """The whole engine on simulated devices, disk and person, with seeded faults of all kinds on simulated time."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.campaigns.trial import campaign_trials
+    from cellapp.trials.tables import campaign_tables
+
+    with Job(json_file) as job:
+        result = campaign_trials(load_profile(profile), n, seed, stops, jobs, job.listen, job.control)
+        job.show(campaign_tables(result))
+        job.say(
+            f"{result.n - len(result.failed)} of {result.n} campaigns as they should be; {result.missing} planned"
+            f" readings are missing with a reason; a campaign took {result.seconds_mean:.2f} s, at most"
+            f" {result.seconds_worst:.2f} s, for {3600 * result.simulated_h / result.n:.0f} s of simulated time"
+        )
+        for failed in result.failed:
+            job.say(f"seed {failed.seed}: {'; '.join(failed.failures[:3])}")
+            job.say(f"  again: cellapp trials campaigns {profile} --n 1 --seed {failed.seed} --stops {stops}")
+        job.result(result)
+        if result.failed:
+            raise CheckFailed(f"trials campaigns: {len(result.failed)} of {result.n} campaigns failed; see above")
+
+
 @trials_app.command("seal")
 def seal(
     profile: ProfilePath,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cellapp.results import Result
 from cellapp.trials.bridge import BridgeResult
+from cellapp.trials.campaigns.trial import CampaignsResult
 from cellapp.trials.coverage import CoverageResult
 from cellapp.trials.link_results import LinksResult
 from cellapp.trials.paper import PaperResult
@@ -19,6 +20,7 @@ TRIAL_RESULTS: tuple[type[Result], ...] = (
     LinksResult,
     StormResult,
     BridgeResult,
+    CampaignsResult,
     SealResult,
     JudgeResult,
 )

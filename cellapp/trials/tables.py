@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from cellapp.reporting.table import Cell, Column, Number, Table, number_column
 from cellapp.trials.bridge import BridgeResult
+from cellapp.trials.campaigns.trial import CampaignsResult
 from cellapp.trials.link_results import LinksResult, Times
 from cellapp.trials.paper import PaperResult
 from cellapp.trials.parameter_sets import ParameterSetsResult
@@ -122,6 +123,15 @@ def link_tables(result: LinksResult) -> list[Table]:
         f" {result.rest_beyond_braking_s:g} s to rest beyond the ideal braking time"
     )
     return [quiet, Table(title, columns, tuple(longest))]
+
+
+def campaign_tables(result: CampaignsResult) -> list[Table]:
+    """What must not be and how often it was, what struck, how sessions ended."""
+    title = f"{result.n} campaigns of {result.stops} stops, {result.readings} readings"
+    judged = Table(title, (Column("must not be"), number_column("found", "d")), tuple(result.failures.items()))
+    struck = Table("Faults", (Column("fault"), number_column("struck", "d")), tuple(result.faults.items()))
+    ends = (*result.sessions.items(), ("holds for a person", result.holds), ("suspended", result.suspensions))
+    return [struck, Table("Sessions", (Column("end"), number_column("n", "d")), ends), judged]
 
 
 def bridge_table(result: BridgeResult) -> Table:

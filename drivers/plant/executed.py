@@ -53,14 +53,15 @@ def executed_clearance(plant: Plant, executed: Mapping[str, Sequence[Executed]],
     times = _times(executed, _COARSE_S)
     if len(times) > 1:
         gaps = _watch(plant, executed, times, below_m, clearance)
-        fine = [np.linspace(*times[k : k + 2], _count(times[k : k + 2]))[1:-1] for k in np.flatnonzero(gaps)]
+        fine = [_within(times[k], times[k + 1]) for k in np.flatnonzero(gaps)]
         if fine:
             _watch(plant, executed, np.unique(np.concatenate(fine)), below_m, clearance)
     return clearance
 
 
-def _count(interval: Array) -> int:
-    return max(int(np.ceil((interval[1] - interval[0]) / _FINE_S)) + 1, 3)
+def _within(start_s: float, end_s: float) -> Array:
+    """Return times at most ``_FINE_S`` apart between two times, and these."""
+    return np.linspace(start_s, end_s, max(int(np.ceil((end_s - start_s) / _FINE_S)), 1) + 1)
 
 
 def _times(executed: Mapping[str, Sequence[Executed]], step_s: float) -> Array:

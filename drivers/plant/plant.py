@@ -99,7 +99,9 @@ class Plant:
 
     def __init__(self, config: PlantConfig, *, watch_clearance: bool = False, keep_motions: bool = False) -> None:
         self.config = config
-        self._executed: dict[str, list[Executed]] | None = {arm.name: [] for arm in config.arms} if keep_motions else None
+        self._executed: dict[str, list[Executed]] | None = (
+            {arm.name: [] for arm in config.arms} if keep_motions else None
+        )
         self.clearance = Clearance() if watch_clearance else None
         self.schedule = Schedule()
         self._clock_s = 0.0

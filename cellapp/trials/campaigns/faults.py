@@ -55,7 +55,7 @@ def draw_faults(rng: np.random.Generator, arms: Sequence[str], stops: int, count
         burst = rng.random() < _BURST
         at_s += rng.uniform(0.0, _BURST_S) if burst else rng.exponential(stops * _STOP_S / count)
         lasts_s = min(float(rng.exponential(0.2 * _LONGEST_S)), _LONGEST_S)
-        kind, arm = kinds[rng.integers(len(kinds))], arms[rng.integers(len(arms))]
+        kind, arm = kinds[int(rng.integers(len(kinds)))], arms[int(rng.integers(len(arms)))]
         faults.append(Fault(kind, float(at_s), arm, lasts_s, float(rng.random())))
     return tuple(faults)
 

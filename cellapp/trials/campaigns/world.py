@@ -25,6 +25,8 @@ from drivers.clock import SimulatedClock
 from drivers.sensors.protocol import SensorError
 from drivers.trackers.protocol import Tracker
 
+_MOST_S = 7200.0
+"""Longest campaign without faults, and longest delay by one fault [s]."""
 _COMES_S = (2.0, 60.0)
 """Earliest and latest time at which the person is there after an alarm."""
 
@@ -54,8 +56,13 @@ class World:
 
     def expect(self, faults: tuple[Fault, ...]) -> None:
         """Let all faults strike at their times, those that do while a program runs."""
+        self.plant.schedule.at(_MOST_S * (1 + len(faults)), self._give_up)
         for fault in faults:
             self.plant.schedule.at(fault.at_s, lambda fault=fault: self._strike(fault))  # type: ignore[misc]
+
+    def _give_up(self) -> None:
+        self.process.alive = False
+        raise Endless
 
     def _strike(self, fault: Fault) -> None:
         if self.process.alive:
@@ -86,7 +93,7 @@ class World:
         if self.process.alive:
             for name, arm in self.arms.items():
                 if self.plant.moving(name) and arm.reachable:
-                    self.monitor.violation(f"the program ended while arm {name} moved")
+                    self.monitor.violation("motion after a stop", f"the program ended while arm {name} moved")
         self.process.alive = False
         self.person.control = None
         self.disk.dies = None
@@ -145,6 +152,10 @@ class World:
         if self._tracker_died is not None:
             self.monitor.stop("a lost tracker")
             self._tracker_died("tracker: the simulated link is cut")
+
+
+class Endless(BaseException):
+    """The campaign takes longer than any can."""
 
 
 class SimulatedControl(JobControl):
