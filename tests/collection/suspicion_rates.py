@@ -27,7 +27,7 @@ def random_slip(seed: int) -> Fault:
 def main(runs: int) -> None:
     """Print false alarms of clean series, and delays and names by fault."""
     clean = [raised(seed, stops=CLEAN_STOPS) for seed in range(2 * runs)]
-    print(f"clean, {CLEAN_STOPS} stops: {sum(map(bool, clean))} of {2 * runs} series raise anything")
+    sys.stdout.write(f"clean, {CLEAN_STOPS} stops: {sum(map(bool, clean))} of {2 * runs} series raise anything\n")
     for name, fault in FAULTS.items():
         delays, kinds, early, more = [], Counter[str](), 0, 0
         for seed in range(runs):
@@ -38,8 +38,10 @@ def main(runs: int) -> None:
                 delays.append(after[0][0] - BEGIN + 1)
                 kinds[after[0][1].kind] += 1
         stops = "/".join(f"{value:g}" for value in np.percentile(delays, [50, 90, 100]))
-        print(f"{name}: {len(delays)} of {runs} found, after {stops} stops (median/90 %/most), named {dict(kinds)};")
-        print(f"    before the fault {early}, more than once {more}")
+        sys.stdout.write(
+            f"{name}: {len(delays)} of {runs} found, after {stops} stops (median/90 %/most), named {dict(kinds)};"
+            f" before the fault {early}, more than once {more}\n"
+        )
 
 
 if __name__ == "__main__":
