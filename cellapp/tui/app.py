@@ -21,6 +21,7 @@ from textual import on
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, ItemGrid, Vertical, VerticalScroll
+from textual.css.query import NoMatches
 from textual.events import DescendantFocus
 from textual.message import Message
 from textual.widget import Widget
@@ -404,8 +405,9 @@ class CellApp(App[None]):
 
     def _draw_events(self, most: int = _MOST_DRAWN) -> None:
         """Draw the oldest events of the run that are not drawn yet."""
-        for _ in range(min(len(self._events), most)):
-            self._show_progress(self._events.popleft())
+        with contextlib.suppress(NoMatches):  # the screen is going away
+            for _ in range(min(len(self._events), most)):
+                self._show_progress(self._events.popleft())
 
     def _show_progress(self, event: Progress) -> None:
         self._last = event
@@ -427,6 +429,8 @@ class CellApp(App[None]):
         """Draw the results, or state in words why there are none."""
         self._draw_events(len(self._events))
         self._worker = None
+        if not self.query("#status"):  # the screen is going away
+            return
         self._panel.show_state(None)
         ending = message.ending
         if isinstance(ending, WholeRunResult):
