@@ -154,7 +154,11 @@ def plan_new_run(
 ) -> PlanResult:
     """Make a new run with its plan. Raises as ``new_planned_run`` does."""
     with new_planned_run(profile, folder, listener, cancel) as run:
-        return PlanResult(run=str(folder), stops={name: len(q) for name, q in run.read_plan().items()})
+        plan = run.read_plan()
+        reserves = len(profile.plan.reserves(len(next(iter(plan.values())))))
+        return PlanResult(
+            run=str(folder), stops={name: len(q) - reserves for name, q in plan.items()}, reserves=reserves
+        )
 
 
 def collect_stops(

@@ -100,7 +100,8 @@ def plan(profile: ProfilePath, folder: NewRun, json_file: JsonOption = None) -> 
 
     with Job(json_file) as job:
         result = plan_new_run(load_profile(profile), folder, job.listen, job.control)
-        job.say(*(f"arm {name}: {count} stops planned" for name, count in result.stops.items()))
+        more = f" and {result.reserves} in reserve" if result.reserves else ""
+        job.say(*(f"arm {name}: {count} stops planned{more}" for name, count in result.stops.items()))
         job.result(result)
 
 

@@ -85,6 +85,10 @@ def links(
         result = link_trials(moves, every, seed, job.listen, job.control)
         job.show(link_tables(result))
         job.say(f"{result.moves} moves, {result.faults} faults, {len(result.complaints)} complaints")
+        if result.host_stalls:
+            job.say(
+                f"this computer stalled in {result.host_stalls} motions; the controllers' watchdogs stopped the arms"
+            )
         job.say(*result.complaints)
         job.result(result)
         if result.complaints:
@@ -118,6 +122,73 @@ def bridge(
         job.result(result)
         if result.lost or result.doubled or result.strange:
             raise CheckFailed("trials bridge: measurements were lost, doubled or mixed up")
+
+
+@trials_app.command("storm")
+def storm(
+    profile: Annotated[Path, typer.Argument(metavar="PROFILE", help="Profile with loopback devices.")] = Path(
+        "profiles/twin-rtde.yaml"
+    ),
+    stops: Annotated[int, typer.Option("--stops", min=2, help="Planned stops.")] = 400,
+    faults: Annotated[int, typer.Option("--faults", min=0, help="Faults of all kinds.")] = 200,
+    kills: Annotated[int, typer.Option("--kills", min=0, help="SIGKILLs of the collecting program.")] = 50,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults and their moments.")] = 0,
+    pace: Annotated[
+        float, typer.Option("--pace", metavar="X", min=1.0, max=100.0, help="Simulated seconds for each real one.")
+    ] = 50.0,
+    keep: Annotated[
+        Path | None, typer.Option("--keep", metavar="DIR", help="New folder that keeps the runs and what was printed.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """A whole collection over the wire in a storm of faults: nothing lost, nothing doubled, no motion after a stop."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.storm import storm_trial
+    from cellapp.trials.tables import storm_tables
+
+    with Job(json_file) as job:
+        result = storm_trial(load_profile(profile), stops, faults, kills, seed, pace, keep, job.listen, job.control)
+        job.show(storm_tables(result))
+        job.say(
+            f"{result.readings} readings at {result.stops} stops, {len(result.missing)} missing with their reason;"
+            f" {result.lost} lost, {result.doubled} doubled; {result.motions_after_a_stop} motions after a stop"
+        )
+        job.say(*result.complaints)
+        job.result(result)
+        if result.complaints:
+            raise CheckFailed(f"trials storm: {len(result.complaints)} things were not as specified; see above")
+
+
+@trials_app.command("campaigns")
+def campaigns(
+    profile: Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")] = Path(
+        "profiles/twin.yaml"
+    ),
+    n: Annotated[int, typer.Option("--n", min=1, help="Campaigns.")] = 50,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first; the next has the next one.")] = 0,
+    stops: Annotated[int, typer.Option("--stops", min=30, help="Stops of each campaign.")] = 400,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
+    json_file: JsonOption = None,
+) -> None:
+    """The whole engine on simulated devices, disk and person, with seeded faults of all kinds on simulated time."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.campaigns.trial import campaign_trials
+    from cellapp.trials.tables import campaign_tables
+
+    with Job(json_file) as job:
+        result = campaign_trials(load_profile(profile), n, seed, stops, jobs, job.listen, job.control)
+        job.show(campaign_tables(result))
+        job.say(
+            f"{result.n - len(result.failed)} of {result.n} campaigns as they should be; {result.missing} planned"
+            f" readings are missing with a reason; a campaign took {result.seconds_mean:.2f} s, at most"
+            f" {result.seconds_worst:.2f} s, for {3600 * result.simulated_h / result.n:.0f} s of simulated time"
+        )
+        for failed in result.failed:
+            job.say(f"seed {failed.seed}: {'; '.join(failed.failures[:3])}")
+            job.say(f"  again: cellapp trials campaigns {profile} --n 1 --seed {failed.seed} --stops {stops}")
+        job.result(result)
+        if result.failed:
+            raise CheckFailed(f"trials campaigns: {len(result.failed)} of {result.n} campaigns failed; see above")
 
 
 @trials_app.command("seal")

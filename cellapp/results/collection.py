@@ -11,12 +11,13 @@ from cellapp.results.base import Record, Result
 
 
 class PlanResult(Result):
-    """``plan``: number of planned stops of each arm."""
+    """``plan``: number of planned stops of each arm, and of further ones in reserve."""
 
     schema_: Literal["cellapp-plan"] = "cellapp-plan"
     version: Literal[1] = 1
     run: str
     stops: Mapping[str, int]
+    reserves: int = 0
 
 
 class MissingReading(Record):

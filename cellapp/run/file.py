@@ -148,7 +148,7 @@ class RunFile:
         return cls.open(folder, write=True)
 
     @classmethod
-    def open(cls, folder: Path, *, write: bool = False) -> RunFile:
+    def open(cls, folder: Path, *, write: bool = False) -> Self:
         """Open an existing run for reading, or with ``write`` to add to it.
 
         Raises

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from cellapp.results import Result
 from cellapp.trials.bridge import BridgeResult
+from cellapp.trials.campaigns.trial import CampaignsResult
 from cellapp.trials.coverage import CoverageResult
 from cellapp.trials.link_results import LinksResult
 from cellapp.trials.paper import PaperResult
 from cellapp.trials.parameter_sets import ParameterSetsResult
 from cellapp.trials.scoring import JudgeResult
 from cellapp.trials.sealed import SealResult
+from cellapp.trials.storm import StormResult
 
 TRIAL_RESULTS: tuple[type[Result], ...] = (
     CoverageResult,
     ParameterSetsResult,
     PaperResult,
     LinksResult,
+    StormResult,
     BridgeResult,
+    CampaignsResult,
     SealResult,
     JudgeResult,
 )

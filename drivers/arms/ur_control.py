@@ -105,6 +105,8 @@ class UrControl:
                 raise failed("the control program was stopped but still runs")
             meanwhile()
             time.sleep(_ASK_AGAIN_S)
+        if in_local_control(self.host, _ASKED_WITHIN_S):  # it would not start, and nothing would say why
+            raise Refusal("local", f"{LOCAL_CONTROL}, so it accepts no program; switch it to Remote")
         meanwhile()
         try:
             self._control.reuploadScript()
@@ -112,14 +114,9 @@ class UrControl:
             raise failed(f"the control program could not be uploaded again: {error}") from error
         while not self.program_runs:
             if time.monotonic() > deadline:
-                raise self._not_started()
+                raise Refusal("timeout", f"the control program did not start within {_PROGRAM_WITHIN_S:g} s")
             meanwhile()
             time.sleep(_ASK_AGAIN_S)
-
-    def _not_started(self) -> Refusal:
-        if in_local_control(self.host, _ASKED_WITHIN_S):
-            return Refusal("local", f"{LOCAL_CONTROL}, so the control program did not start; switch it to Remote")
-        return Refusal("timeout", f"the control program did not start within {_PROGRAM_WITHIN_S:g} s")
 
     def set_watchdog(self, hertz: float) -> None:
         """Let the controller stop the program if it receives nothing for the inverse of ``hertz``."""

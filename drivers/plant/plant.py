@@ -13,6 +13,7 @@ from drivers.plant.clearance import Clearance, segment_distances
 from drivers.plant.climate import Air, joint_rise
 from drivers.plant.config import ArmConfig, Array, PlantConfig
 from drivers.plant.effect import Effect, Situation
+from drivers.plant.executed import Executed, executed_clearance
 from drivers.plant.lines import carry, inverse, rigid
 from drivers.plant.mechanism import (
     NO_DEFLECTION,
@@ -91,13 +92,16 @@ class Plant:
 
     Time is simulated: it passes only in ``advance``, which the simulated drivers call; actions in ``schedule`` happen
     at their time meanwhile. ``watch_clearance`` records in ``clearance`` the smallest distances of the arms' capsules
-    from each other and from the floor during motions.
+    from each other and from the floor during motions; ``keep_motions`` keeps all motions for a check afterwards.
 
     Raises ``ValueError`` for an unknown effect, or an unknown or invalid parameter.
     """
 
-    def __init__(self, config: PlantConfig, *, watch_clearance: bool = False) -> None:
+    def __init__(self, config: PlantConfig, *, watch_clearance: bool = False, keep_motions: bool = False) -> None:
         self.config = config
+        self._executed: dict[str, list[Executed]] | None = (
+            {arm.name: [] for arm in config.arms} if keep_motions else None
+        )
         self.clearance = Clearance() if watch_clearance else None
         self.schedule = Schedule()
         self._clock_s = 0.0
@@ -153,6 +157,10 @@ class Plant:
     def true_T_C_B(self, name: str) -> Array:
         """True base pose of an arm in the cell, (4, 4), at rest and undeflected."""
         return self._arm(name).T_C_B.copy()
+
+    def true_mechanism(self, name: str) -> Mechanism:
+        """True mechanism of an arm, undeflected."""
+        return self._arm(name).mechanism
 
     def true_T_M_B(self, name: str) -> Array:
         """True base pose of an arm in the tracker frame, (4, 4)."""
@@ -394,9 +402,10 @@ class Plant:
         shortened = None if arm.motion is None else braked(arm.motion, self._clock_s, arm.config.acceleration)
         return 0.0 if shortened is None else shortened.duration_s
 
-    @staticmethod
-    def _end_motion(arm: _Arm, q: Array, time_s: float) -> None:
+    def _end_motion(self, arm: _Arm, q: Array, time_s: float) -> None:
         """Update the arm's state and memories after a motion to ``q``."""
+        if self._executed is not None and arm.motion is not None:
+            self._executed[arm.config.name].append(Executed(arm.motion, time_s))
         step = q - arm.q
         arm.memories = [
             effect.memory_after_motion(memory, q[None])
@@ -504,7 +513,16 @@ class Plant:
             measured += noise(self.config.tracker, p_M, averaging_s, self._noise if rng is None else rng)
         return measured, covariances(self.config.tracker, p_M, averaging_s)
 
-    # -- collision monitor -------------------------------------------------------------------------------------------
+    # -- collisions --------------------------------------------------------------------------------------------------
+
+    def executed_clearance(self, below_m: float) -> Clearance:
+        """Return the smallest distances during all motions that have ended; exact where they are below ``below_m``.
+
+        Raises ``ValueError`` without ``keep_motions``.
+        """
+        if self._executed is None:
+            raise ValueError("the simulated cell was not asked to keep motions")
+        return executed_clearance(self, self._executed, below_m)
 
     def _watch(self, times_s: Array) -> None:
         """Update ``clearance`` with all capsules at some times of the current motions."""

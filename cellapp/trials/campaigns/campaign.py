@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+import os
 import time
+import traceback
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.collection.collect import collect_run
-from cellapp.control import Aborted, JobControl, Stopped
+from cellapp.control import Aborted, Stopped
 from cellapp.errors import CellappError, InputError
+from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
 from cellapp.profile.collection import AirLimits, Collection, Reference, Suspend, Suspension
+from cellapp.progress import CancelToken
 from cellapp.run import RunFile
 from cellapp.trials.campaigns.doubles import ProgramKilled
 from cellapp.trials.campaigns.faults import Fault, draw_faults
+from cellapp.trials.campaigns.monitor import Failure
 from cellapp.trials.campaigns.oracle import ArmEstimate, judge
-from cellapp.trials.campaigns.world import World
+from cellapp.trials.campaigns.world import Endless, SimulatedControl, World
 from cellapp.trials.coverage import bare_profile
 from drivers.sensors.simulated_settings import SimulatedAirSensorSettings
 
@@ -28,10 +35,14 @@ Plan = Mapping[str, NDArray[np.float64]]
 """Arm -> joint positions (n, N) [rad] of the planned stops and the reserves after them."""
 Ended = Literal["complete", "accurate enough", "stopped", "aborted", "failed", "killed"]
 
-STOPS_TO_A_FAULT = 20
+STOPS_TO_A_FAULT = 8
 """Mean number of stops between two faults."""
 RESERVE = 20
-_MOST_SESSIONS_TO_A_FAULT = 3
+"""Reserve stops: some SMRs stay lost for longer than a campaign waits for them."""
+_SESSIONS_TO_A_FAULT = 3
+"""More sessions than this to a fault mean that the program does not get on."""
+_ATTENDED = 0.6
+"""Share of sessions that a person attends, who resumes after a stop; others end and are started again."""
 _AIR_C = (10.0, 30.0)
 """Far from the plant's air, so that only a fault leaves it."""
 
@@ -42,7 +53,7 @@ class Campaign:
 
     Attributes
     ----------
-    failures : tuple of str
+    failures : tuple of Failure
         What must not be, and was; empty for a campaign as it should be.
     struck : mapping
         Fault -> how often it struck while a program ran.
@@ -53,7 +64,7 @@ class Campaign:
     """
 
     seed: int
-    failures: tuple[str, ...]
+    failures: tuple[Failure, ...]
     seconds: float
     simulated_s: float
     struck: Mapping[str, int]
@@ -95,74 +106,118 @@ def drawn_collection(rng: np.random.Generator) -> Collection:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What all campaigns share: the cell, its planned stops, and what the campaign without faults identified."""
+
+    profile: Profile
+    plan: Plan
+    undisturbed: Mapping[str, ArmEstimate] | None = None
+
+
+def make_bench(profile: Profile, stops: int, cancel: CancelToken | None = None) -> Bench:
+    """Plan the stops of ``profile`` and run the campaign without faults.
+
+    Raises ``InputError`` if the profile has no simulated cell, or ``CellappError`` if already that campaign fails.
+    """
+    bare = campaign_profile(profile, stops)
+    bench = Bench(bare, plan_stops(bare, cancel=cancel))
+    campaign, estimates = run_campaign(bench, 0)
+    if campaign.failures:
+        raise CellappError(f"trials campaigns: the campaign without faults failed: {campaign.failures[0]}")
+    return replace(bench, undisturbed=estimates)
+
+
 @dataclass
 class _Sessions:
     """How the sessions of a campaign ended."""
 
-    ended: dict[str, int] = field(default_factory=dict)
+    ended: Counter[str] = field(default_factory=Counter)
     last: str = ""
     reason: str = ""
 
     def count(self, word: Ended, reason: str = "") -> None:
-        self.ended[word] = self.ended.get(word, 0) + 1
+        self.ended[word] += 1
         self.last, self.reason = word, reason
 
+    @property
+    def complete(self) -> bool:
+        """Whether all is collected."""
+        return self.last in ("complete", "accurate enough")
 
-def run_campaign(
-    profile: Profile, plan: Plan, seed: int, folder: Path, undisturbed: Mapping[str, ArmEstimate] | None
-) -> tuple[Campaign, dict[str, ArmEstimate]]:
-    """Run the campaign of a seed in an empty folder; return what became of it, and the identified arms.
 
-    ``undisturbed`` is what the campaign without faults identified; None runs that campaign.
+def run_campaign(bench: Bench, seed: int) -> tuple[Campaign, dict[str, ArmEstimate]]:
+    """Run the campaign of a seed; return what became of it, and the identified arms.
+
+    A bench without ``undisturbed`` gets no faults. The run file is in memory, where the system has such a folder.
     """
-    began_s = time.perf_counter()
+    with TemporaryDirectory(prefix="campaign-", dir=_memory()) as folder:
+        began_s = time.perf_counter()
+        campaign, estimates = _run(bench, seed, Path(folder))
+        return replace(campaign, seconds=time.perf_counter() - began_s), estimates
+
+
+def _memory() -> str | None:
+    """A folder in memory, None without one."""
+    return "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+
+
+def _run(bench: Bench, seed: int, folder: Path) -> tuple[Campaign, dict[str, ArmEstimate]]:
     rng = np.random.default_rng([seed, 0])
-    collection = drawn_collection(rng)
-    stops = profile.plan.stops
+    stops, arms = bench.profile.plan.stops, tuple(bench.profile.arms)
+    profile = bench.profile.model_copy(update={"collection": drawn_collection(rng)})
     faults: tuple[Fault, ...] = ()
-    if undisturbed is not None:
-        count = max(1, int(rng.poisson(stops / STOPS_TO_A_FAULT)))
-        faults = draw_faults(rng, tuple(profile.arms), stops, count)
-    profile = profile.model_copy(update={"collection": collection})
-    RunFile.create(folder / "run", profile, lambda run: run.write_plan(plan)).close()
+    if bench.undisturbed is not None:
+        faults = draw_faults(rng, arms, stops, max(1, int(rng.poisson(stops / STOPS_TO_A_FAULT))))
+    RunFile.create(folder / "run", profile, lambda run: run.write_plan(bench.plan)).close()
     world = World(profile, seed, folder)
     world.expect(faults)
     sessions = _Sessions()
-    most = 10 + _MOST_SESSIONS_TO_A_FAULT * len(faults)
-    while sessions.last not in ("complete", "accurate enough") and sum(sessions.ended.values()) < most:
-        if sessions.last:
-            world.plant.advance(world.person.delay_s())
-            world.repair()
-        _session(world, sessions, JobControl(holds=bool(rng.random() < 0.6)))
+    problems = _sessions(world, sessions, rng, 10 + _SESSIONS_TO_A_FAULT * len(faults))
     with RunFile.open(world.run_folder) as run:
-        found = judge(world, run, plan, sessions.last, undisturbed)
-    failures = found.failures
-    if sessions.last not in ("complete", "accurate enough"):
-        failures = (*failures, f"not complete after {most} sessions; the last {sessions.last}: {sessions.reason}")
-    clearance = world.plant.clearance
+        found = judge(world, run, bench.plan, bench.undisturbed)
     campaign = Campaign(
         seed=seed,
-        failures=failures,
-        seconds=time.perf_counter() - began_s,
+        failures=(*problems, *found.failures),
+        seconds=0.0,
         simulated_s=world.plant.clock_s,
         struck=dict(world.struck),
-        ended=sessions.ended,
+        ended=dict(sessions.ended),
         holds=world.monitor.counts["stopped"],
         suspensions=world.monitor.counts["suspended"],
         readings=found.readings,
         missing=found.missing,
-        clearance_m=np.inf if clearance is None else clearance.arms_m,
+        clearance_m=found.clearance_m,
         digest=world.monitor.digest(),
     )
     return campaign, found.estimates
 
 
-def _session(world: World, sessions: _Sessions, control: JobControl) -> None:
+def _sessions(world: World, sessions: _Sessions, rng: np.random.Generator, most: int) -> tuple[Failure, ...]:
+    """Run the program again and again until all is collected; return what nobody expects."""
+    while not sessions.complete:
+        if sessions.ended.total() >= most:
+            text = f"not complete after {most} sessions; the last {sessions.last}: {sessions.reason}"
+            return (Failure("other", text),)
+        if sessions.last:
+            world.plant.advance(world.person.delay_s())
+            world.repair()
+        try:
+            _session(world, sessions, SimulatedControl(holds=bool(rng.random() < _ATTENDED)))
+        except Endless:
+            return (Failure("other", f"does not end; simulated time is {world.plant.clock_s:.0f} s"),)
+        except Exception as error:  # noqa: BLE001 - whatever the engine raises is a finding, and others go on
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            text = f"unexpected {type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
+            return (Failure("other", text),)
+    return ()
+
+
+def _session(world: World, sessions: _Sessions, control: SimulatedControl) -> None:
     """Run the program once."""
     run = world.begin(control)
     try:
-        resume = bool(sessions.last)
-        summary = collect_run(run, world.person.hear, control, resume=resume, opened=world.opened)
+        summary = collect_run(run, world.person.hear, control, resume=bool(sessions.last), opened=world.opened)
         sessions.count(summary.outcome)
     except ProgramKilled:
         sessions.count("killed")

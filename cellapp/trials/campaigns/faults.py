@@ -55,7 +55,7 @@ def draw_faults(rng: np.random.Generator, arms: Sequence[str], stops: int, count
         burst = rng.random() < _BURST
         at_s += rng.uniform(0.0, _BURST_S) if burst else rng.exponential(stops * _STOP_S / count)
         lasts_s = min(float(rng.exponential(0.2 * _LONGEST_S)), _LONGEST_S)
-        kind, arm = kinds[rng.integers(len(kinds))], arms[rng.integers(len(arms))]
+        kind, arm = kinds[int(rng.integers(len(kinds)))], arms[int(rng.integers(len(arms)))]
         faults.append(Fault(kind, float(at_s), arm, lasts_s, float(rng.random())))
     return tuple(faults)
 
@@ -139,11 +139,13 @@ def _wrong_smr(world: World, fault: Fault) -> None:
 
 def _tracker_link_cut(world: World, fault: Fault) -> None:
     world.tracker.cut_link()
+    world.tracker_dies()
     world.later(fault.lasts_s, world.tracker.release)
 
 
 def _tracker_reboot(world: World, fault: Fault) -> None:
     world.tracker.reboot(fault.lasts_s)
+    world.tracker_dies()
 
 
 def _tracker_halted(world: World, fault: Fault) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,22 @@ STALL = "a stall of the computer"
 _ROUNDING_S = 1e-6
 
 Vector = NDArray[np.float64]
+Kind = Literal[
+    "reading lost", "reading doubled", "reading false", "motion after a stop", "collision", "not listed", "calibration",
+    "other",
+]  # fmt: skip
+KINDS_OF_FAILURE: tuple[Kind, ...] = get_args(Kind)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What must never happen, and did."""
+
+    kind: Kind
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.text}"
 
 
 @dataclass
@@ -27,7 +44,7 @@ class Monitor:
 
     Attributes
     ----------
-    violations : list of str
+    violations : list of Failure
         What must never happen, and did.
     delivered : Counter
         Bytes of each point that the tracker returned -> how often.
@@ -38,7 +55,7 @@ class Monitor:
     """
 
     plant: Plant
-    violations: list[str] = field(default_factory=list)
+    violations: list[Failure] = field(default_factory=list)
     delivered: Counter[bytes] = field(default_factory=Counter)
     stored: dict[tuple[int, str], bytes] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
@@ -61,9 +78,9 @@ class Monitor:
         """SHA-256 of all events so far: equal for equal campaigns."""
         return self._digest.hexdigest()
 
-    def violation(self, text: str) -> None:
+    def violation(self, kind: Kind, text: str) -> None:
         """Record what must never happen."""
-        self.violations.append(f"at {self.plant.clock_s:.3f} s: {text}")
+        self.violations.append(Failure(kind, f"{text}, at {self.plant.clock_s:.3f} s"))
 
     # -- stops ---------------------------------------------------------------------------------------------------------
 
@@ -88,7 +105,7 @@ class Monitor:
     def _at_rest(self, reason: str) -> None:
         moving = [name for name in self.plant.names if self.plant.moving(name)]
         if moving and self._latched:
-            self.violation(f"arm {', '.join(moving)} still moves after {reason}")
+            self.violation("motion after a stop", f"arm {', '.join(moving)} still moves after {reason}")
 
     def braked(self, name: str) -> None:
         """The program braked an arm."""
@@ -117,9 +134,9 @@ class Monitor:
         self.counts["motions"] += 1
         self.note(f"move {name} {q.tobytes().hex()}")
         if self._latched:
-            self.violation(f"motion of arm {name} after {self._latched}")
+            self.violation("motion after a stop", f"motion of arm {name} after {self._latched}")
         if self._paused:
-            self.violation(f"motion of arm {name} to another stop while paused")
+            self.violation("motion after a stop", f"motion of arm {name} to another stop while paused")
 
     # -- measurements --------------------------------------------------------------------------------------------------
 
@@ -134,5 +151,5 @@ class Monitor:
         self._paused = self._pausing
         for name, p_M in points.items():
             if (stop, name) in self.stored:
-                self.violation(f"stop {stop}, arm {name} was stored twice")
+                self.violation("reading doubled", f"stop {stop}, arm {name} was stored twice")
             self.stored[stop, name] = p_M.tobytes()

@@ -14,6 +14,8 @@ from scipy.stats import chi2
 from cellapp.calibration.identification import Identification, identify, start_from_nominal
 from cellapp.model.nominal import nominal_arm
 from cellapp.run import Readings, RunFile
+from cellapp.trials.campaigns.monitor import Failure
+from drivers.plant import Clearance
 
 if TYPE_CHECKING:
     from cellapp.trials.campaigns.world import World
@@ -23,6 +25,9 @@ FALSE_ALARM = 1e-12
 _PLANNED_RAD = 1e-9
 """Joint positions of a reading and of its planned stop agree but for rounding: the plant's arms are exact."""
 
+_NEAR_M = 0.02
+"""Distances below this are looked at closely: base and axes of the true arms differ by millimetres from the planned."""
+
 ArmEstimate = Identification
 
 
@@ -30,9 +35,10 @@ ArmEstimate = Identification
 class Judgement:
     """What is wrong with a campaign, its numbers of readings and of planned ones that are missing, its estimates."""
 
-    failures: tuple[str, ...]
+    failures: tuple[Failure, ...]
     readings: int
     missing: int
+    clearance_m: float
     estimates: dict[str, ArmEstimate]
 
 
@@ -40,7 +46,6 @@ def judge(
     world: World,
     run: RunFile,
     plan: Mapping[str, NDArray[np.float64]],
-    ended: str,
     undisturbed: Mapping[str, ArmEstimate] | None,
 ) -> Judgement:
     """Check the run of a campaign against what the devices of its ``world`` did."""
@@ -48,22 +53,22 @@ def judge(
     failures = list(world.monitor.violations)
     failures += _lost_or_doubled(world, readings)
     for name, arm in readings.items():
-        failures += _untrue(world, name, arm, plan[name])
+        failures += _false(world, name, arm, plan[name])
     missing, unlisted = _missing(run, readings, run.profile.plan.stops)
-    if ended == "complete":
-        failures += unlisted
-    failures += _collisions(world)
+    failures += unlisted
+    clearance = world.plant.executed_clearance(_NEAR_M)
+    failures += _collisions(clearance)
     moving = [name for name in world.plant.names if world.plant.moving(name)]
-    failures += [f"arm {name} moves at the end" for name in moving]
+    failures += [Failure("motion after a stop", f"arm {name} moves at the end") for name in moving]
     failures += _unrecorded(run)
     estimates = {}
     if not failures:
         estimates = {name: _identified(run, name, arm, undisturbed) for name, arm in readings.items()}
         failures += _other_calibration(estimates, undisturbed)
-    return Judgement(tuple(failures), sum(len(arm) for arm in readings.values()), missing, estimates)
+    return Judgement(tuple(failures), sum(map(len, readings.values())), missing, clearance.arms_m, estimates)
 
 
-def _lost_or_doubled(world: World, readings: Mapping[str, Readings]) -> list[str]:
+def _lost_or_doubled(world: World, readings: Mapping[str, Readings]) -> list[Failure]:
     """Readings that were reported as stored and are not there, or that are there twice or never were measured."""
     monitor = world.monitor
     found = {
@@ -71,55 +76,60 @@ def _lost_or_doubled(world: World, readings: Mapping[str, Readings]) -> list[str
         for name, arm in readings.items()
         for stop, p_M in zip(arm.configuration, arm.p_M, strict=True)
     }
-    failures = [
-        f"reading lost: stop {stop}, arm {name} was reported as stored"
-        for (stop, name), point in monitor.stored.items()
-        if found.get((stop, name)) != point
-    ]
     used = Counter(found.values())
-    failures += [f"reading doubled: the point of stop {where}" for where, p in found.items() if used[p] > 1]
-    failures += [
-        f"reading of stop {where} was never measured" for where, p in found.items() if not monitor.delivered[p]
+    return [
+        *(
+            Failure("reading lost", f"stop {stop}, arm {name} was reported as stored")
+            for (stop, name), point in monitor.stored.items()
+            if found.get((stop, name)) != point
+        ),
+        *(Failure("reading doubled", f"the point of {where}") for where, p in found.items() if used[p] > 1),
+        *(
+            Failure("reading false", f"the tracker never returned the point of {where}")
+            for where, p in found.items()
+            if not monitor.delivered[p]
+        ),
     ]
-    return failures
 
 
-def _untrue(world: World, name: str, readings: Readings, q: NDArray[np.float64]) -> list[str]:
+def _false(world: World, name: str, readings: Readings, q: NDArray[np.float64]) -> list[Failure]:
     """Readings at other joint positions than planned, or at another place than the arm's true SMR."""
     if not len(readings):
         return []
-    planned = q[readings.configuration]
-    failures = [
-        f"reading of stop {stop}, arm {name}: not at the planned joint positions"
-        for stop in readings.configuration[np.abs(readings.q - planned).max(axis=1) > _PLANNED_RAD]
-    ]
+    elsewhere = np.abs(readings.q - q[readings.configuration]).max(axis=1) > _PLANNED_RAD
     off = readings.p_M - world.plant.smr_positions(name, readings.q)
     assert readings.covariance_M is not None
     square = np.einsum("na,na->n", off, np.linalg.solve(readings.covariance_M, off[..., None])[..., 0])
-    limit = chi2.isf(FALSE_ALARM, 3)
-    return failures + [
-        f"reading of stop {stop}, arm {name}: {1e3 * np.linalg.norm(d):.3f} mm from the SMR"
-        for stop, d in zip(readings.configuration[square > limit], off[square > limit], strict=True)
+    away = square > chi2.isf(FALSE_ALARM, 3)
+    return [
+        *(
+            Failure("reading false", f"stop {stop}, arm {name}: not at the planned joint positions")
+            for stop in readings.configuration[elsewhere]
+        ),
+        *(
+            Failure("reading false", f"stop {stop}, arm {name}: {1e3 * np.linalg.norm(d):.3f} mm from the SMR")
+            for stop, d in zip(readings.configuration[away], off[away], strict=True)
+        ),
     ]
 
 
-def _missing(run: RunFile, readings: Mapping[str, Readings], stops: int) -> tuple[int, list[str]]:
+def _missing(run: RunFile, readings: Mapping[str, Readings], stops: int) -> tuple[int, list[Failure]]:
     """Number of planned readings that are missing, and those of them without a reason."""
     reasons = {(one.stop, one.arm): one.reason for one in run.outcomes()}
     there = {(int(stop), name) for name, arm in readings.items() for stop in arm.configuration}
     gaps = [(stop, name) for stop in range(stops) for name in readings if (stop, name) not in there]
     unlisted = [
-        f"stop {stop}, arm {name}: no reading and no reason" for stop, name in gaps if not reasons.get((stop, name))
+        Failure("not listed", f"stop {stop}, arm {name}: no reading and no reason")
+        for stop, name in gaps
+        if not reasons.get((stop, name))
     ]
     return len(gaps), unlisted
 
 
-def _collisions(world: World) -> list[str]:
+def _collisions(clearance: Clearance) -> list[Failure]:
     """Collisions by the plant's own check, which knows the true arms and every motion, braked ones too."""
-    clearance = world.plant.clearance
-    assert clearance is not None
     return [
-        f"collision of {what} at {time_s:.3f} s: {distance_m * 1e3:.1f} mm"
+        Failure("collision", f"{what} at {time_s:.3f} s: {distance_m * 1e3:.1f} mm")
         for what, distance_m, time_s in (
             ("the arms", clearance.arms_m, clearance.arms_time_s),
             ("an arm with the floor", clearance.floor_m, clearance.floor_time_s),
@@ -128,10 +138,10 @@ def _collisions(world: World) -> list[str]:
     ]
 
 
-def _unrecorded(run: RunFile) -> list[str]:
-    """Sessions without an end that are not the last one to be killed, and ends without a reason."""
+def _unrecorded(run: RunFile) -> list[Failure]:
+    """Sessions that ended before the end without a reason."""
     return [
-        f"session {one.number} ended as {one.outcome} without a reason"
+        Failure("not listed", f"session {one.number} ended as {one.outcome} without a reason")
         for one in run.sessions()
         if one.outcome in ("failed", "stopped", "aborted") and not one.reason
     ]
@@ -150,7 +160,7 @@ def _identified(
 
 def _other_calibration(
     estimates: Mapping[str, ArmEstimate], undisturbed: Mapping[str, ArmEstimate] | None
-) -> list[str]:
+) -> list[Failure]:
     """Arms whose parameters differ from the undisturbed ones by more than their standard errors explain."""
     failures = []
     for name, before in (undisturbed or {}).items():
@@ -158,7 +168,5 @@ def _other_calibration(
         covariance = estimates[name].covariance + before.covariance
         square = float(off @ np.linalg.solve(covariance, off))
         if not square <= chi2.isf(FALSE_ALARM, len(off)):
-            failures.append(
-                f"calibration of arm {name} differs from the undisturbed one: chi-square {square:.0f} of {len(off)}"
-            )
+            failures.append(Failure("calibration", f"arm {name}: chi-square {square:.0f} of {len(off)} parameters"))
     return failures

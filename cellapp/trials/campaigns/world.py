@@ -11,7 +11,8 @@ import numpy as np
 
 from cellapp.collection.cell import Cell, build_plant, start_tracker
 from cellapp.collection.reaction import one_by_one
-from cellapp.control import JobControl
+from cellapp.collection.tracker_watch import Died
+from cellapp.control import JobControl, Request
 from cellapp.errors import HardwareError
 from cellapp.profile import Profile
 from cellapp.progress import Progress, StateChange
@@ -22,7 +23,10 @@ from cellapp.trials.campaigns.monitor import Monitor
 from drivers.arms.protocol import ArmError
 from drivers.clock import SimulatedClock
 from drivers.sensors.protocol import SensorError
+from drivers.trackers.protocol import Tracker
 
+_MOST_S = 7200.0
+"""Longest campaign without faults, and longest delay by one fault [s]."""
 _COMES_S = (2.0, 60.0)
 """Earliest and latest time at which the person is there after an alarm."""
 
@@ -31,7 +35,7 @@ class World:
     """Everything around the engine. Time passes in ``plant`` only."""
 
     def __init__(self, profile: Profile, seed: int, folder: Path) -> None:
-        self.plant = build_plant(profile, watch_clearance=True)
+        self.plant = build_plant(profile, keep_motions=True)
         self.monitor = Monitor(self.plant)
         self.process = Process()
         self.arms = {name: CampaignArm(self.plant, name, self.process, self.monitor) for name in profile.arms}
@@ -41,6 +45,7 @@ class World:
         self.person = Person(self, np.random.default_rng([seed, 1]))
         self.stall_allowed = profile.collection.suspend.host_stall.times > 0
         self.struck: Counter[str] = Counter()
+        self._tracker_died: Died | None = None
         self._folder, self._copies = folder, 0
         self.run_folder = folder / "run"
         """Folder of the run; a copy after the program was killed."""
@@ -51,8 +56,13 @@ class World:
 
     def expect(self, faults: tuple[Fault, ...]) -> None:
         """Let all faults strike at their times, those that do while a program runs."""
+        self.plant.schedule.at(_MOST_S * (1 + len(faults)), self._give_up)
         for fault in faults:
             self.plant.schedule.at(fault.at_s, lambda fault=fault: self._strike(fault))  # type: ignore[misc]
+
+    def _give_up(self) -> None:
+        self.process.alive = False
+        raise Endless
 
     def _strike(self, fault: Fault) -> None:
         if self.process.alive:
@@ -80,8 +90,10 @@ class World:
 
     def end(self, run: CampaignRun) -> None:
         """The program has ended, or is dead."""
-        if self.process.alive and any(self.plant.moving(name) for name in self.plant.names):
-            self.monitor.violation("the program ended while an arm moved")
+        if self.process.alive:
+            for name, arm in self.arms.items():
+                if self.plant.moving(name) and arm.reachable:
+                    self.monitor.violation("motion after a stop", f"the program ended while arm {name} moved")
         self.process.alive = False
         self.person.control = None
         self.disk.dies = None
@@ -117,7 +129,41 @@ class World:
                 self.air.connect()
             except (ArmError, SensorError) as error:
                 raise HardwareError(str(error)) from error
-            yield Cell(self.arms, self.tracker, SimulatedClock(self.plant), self.air, None, one_by_one)
+            yield Cell(
+                self.arms,
+                self.tracker,
+                SimulatedClock(self.plant),
+                self.air,
+                together=one_by_one,
+                watch_tracker=self._watched,
+            )
+
+    @contextmanager
+    def _watched(self, tracker: Tracker, died: Died) -> Iterator[None]:
+        """Tell the program of a tracker that dies meanwhile."""
+        self._tracker_died = died
+        try:
+            yield
+        finally:
+            self._tracker_died = None
+
+    def tracker_dies(self) -> None:
+        """The tracker was lost; the program hears of it now if it watches, else at its next measurement."""
+        if self._tracker_died is not None:
+            self.monitor.stop("a lost tracker")
+            self._tracker_died("tracker: the simulated link is cut")
+
+
+class Endless(BaseException):
+    """The campaign takes longer than any can."""
+
+
+class SimulatedControl(JobControl):
+    """A person's requests in simulated time: waiting for one takes no real time."""
+
+    def wait_while(self, *requests: Request, timeout_s: float | None = None) -> Request:
+        """Return the request that stands; the caller lets simulated time pass."""
+        return self.request
 
 
 def _disconnect(arm: CampaignArm) -> None:
