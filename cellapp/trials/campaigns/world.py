@@ -90,9 +90,9 @@ class World:
 
     def end(self, run: CampaignRun) -> None:
         """The program has ended, or is dead."""
-        if self.process.alive:
-            for name, arm in self.arms.items():
-                if self.plant.moving(name) and arm.reachable:
+        if self.process.alive and not self.monitor.latched:  # else the monitor checks soon that all arms rest
+            for name in self.plant.names:
+                if self.plant.moving(name):
                     self.monitor.violation("motion after a stop", f"the program ended while arm {name} moved")
         self.process.alive = False
         self.person.control = None
