@@ -78,6 +78,11 @@ class JobControl(CancelToken):
         if not attended:
             super().cancel()
 
+    def leave(self) -> None:
+        """Brake all arms now and end the job as stopped: the person who attended it goes away."""
+        self.holds = False
+        self.stop()
+
     def hold(self) -> None:
         """Ask for a person's ``resume`` after the cell stopped by itself; the arms brake already."""
         self._set("stop", replaces=("none", "pause", "stop"))

@@ -20,7 +20,8 @@ from cellapp.calibration.result import calibrate_result
 from cellapp.collection.cell import Cell
 from cellapp.collection.collect import collect_run, missing_share, reference_drifts
 from cellapp.collection.controllers import check_controllers
-from cellapp.collection.motion import Confirm
+from cellapp.commissioning.confirm import Ask, asked_once, confirmation, require_permission
+from cellapp.commissioning.job_requests import taking_requests
 from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
@@ -36,7 +37,7 @@ from cellapp.model import CellModel
 from cellapp.planning.plan import plan_run
 from cellapp.planning.stop_conditions import read_stop_conditions, write_stop_conditions
 from cellapp.profile import Profile, load_profile
-from cellapp.progress import CancelToken, Listener, ignore
+from cellapp.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.reporting.page import write_page
 from cellapp.results import (
     CALIBRATE,
@@ -92,9 +93,11 @@ def run_whole(
     listener: Listener = ignore,
     control: JobControl | None = None,
     *,
-    confirm: Confirm | None = None,
+    ask: Ask | None = None,
 ) -> WholeRunResult:
     """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report.
+
+    ``ask`` is asked before the first motion of real arms, once.
 
     Raises
     ------
@@ -105,17 +108,22 @@ def run_whole(
     """
     control = control or JobControl()
     profile = load_profile(profile_path)
+    require_permission(profile, ask)
+    ask = None if ask is None else asked_once(ask)
     targets: tuple[Target, ...] = ()
     if profile.targets is not None:  # read now: a misspelt list should not show after hours of measuring
         targets = load_targets(profile_path.parent / profile.targets, profile)
     notes: list[str] = []
-    with new_planned_run(profile, folder or default_folder(profile.name), listener, control) as run:
-        collected = collect_stops(run, listener, control, confirm=confirm)
+    with (
+        new_planned_run(profile, folder or default_folder(profile.name), listener, control) as run,
+        taking_requests(run.folder, control),
+    ):
+        collected = _collect(run, listener, control, ask)
         notes += collected.notes
         notes += calibrate_run(run, listener, control).notes
         discover_run(run, listener, control)
         if targets:
-            notes += push_run(run, targets, listener, control, verify=True, confirm=confirm).notes
+            notes += _push(run, targets, listener, control, ask, verify=True).notes
         write_page(run)
         return _shown(WholeRunResult, read_results(run), notes=tuple(notes), collect=collected)
 
@@ -136,7 +144,7 @@ def new_planned_run(
     """
 
     def fill(run: RunFile) -> None:
-        plan_run(run, listener, cancel)
+        plan_run(run, with_eta(listener), cancel)
 
     return RunFile.create(folder, profile, fill)
 
@@ -146,7 +154,11 @@ def plan_new_run(
 ) -> PlanResult:
     """Make a new run with its plan. Raises as ``new_planned_run`` does."""
     with new_planned_run(profile, folder, listener, cancel) as run:
-        return PlanResult(run=str(folder), stops={name: len(q) for name, q in run.read_plan().items()})
+        plan = run.read_plan()
+        reserves = len(profile.plan.reserves(len(next(iter(plan.values())))))
+        return PlanResult(
+            run=str(folder), stops={name: len(q) - reserves for name, q in plan.items()}, reserves=reserves
+        )
 
 
 def collect_stops(
@@ -156,10 +168,28 @@ def collect_stops(
     *,
     resume: bool = False,
     accept_drift: bool = False,
-    confirm: Confirm | None = None,
+    ask: Ask | None = None,
 ) -> CollectResult:
-    """Measure the planned stops. Raises as ``collect_run`` does."""
-    summary = collect_run(run, listener, control, resume=resume, accept_drift=accept_drift, confirm=confirm)
+    """Measure the planned stops; ``ask`` is asked before the first motion of real arms.
+
+    Raises as ``collect_run`` and ``confirmation`` do, and ``InputError`` if another job runs in the folder.
+    """
+    control = control or JobControl()
+    with taking_requests(run.folder, control):
+        return _collect(run, listener, control, ask, resume=resume, accept_drift=accept_drift)
+
+
+def _collect(
+    run: RunFile,
+    listener: Listener,
+    control: JobControl,
+    ask: Ask | None,
+    *,
+    resume: bool = False,
+    accept_drift: bool = False,
+) -> CollectResult:
+    confirm = confirmation(run.profile, ask)
+    summary = collect_run(run, with_eta(listener), control, resume=resume, accept_drift=accept_drift, confirm=confirm)
     return CollectResult(
         stops=len(run.stops_done()),
         notes=summary.notes,
@@ -227,7 +257,7 @@ def calibrate_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken
     """
     notes = draw_missing_splits(run)
     with _one_blas_thread():
-        calibration = calibrate_readings(run.profile, _readings(run), listener, cancel)
+        calibration = calibrate_readings(run.profile, _readings(run), with_eta(listener), cancel)
     result = calibrate_result(replace(calibration, notes=(*notes, *calibration.notes)))
     _append_with_model(run, CALIBRATE, result, calibration.model, basis_of(run))
     stages = read_stages(run)
@@ -286,7 +316,9 @@ def propose_after(
     """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose_stops``."""
     readings = _readings(run)
     with _one_blas_thread():
-        proposed = propose_stops(run.profile, found.model, readings, found.arms, count, listener, cancel, effort)
+        proposed = propose_stops(
+            run.profile, found.model, readings, found.arms, count, with_eta(listener), cancel, effort
+        )
     if why := _not_driven(run):
         note = f"{why}: the stops are listed only; measure them, then import them with the earlier readings"
         return proposal_result(proposed, None, (*proposed.notes, note))
@@ -337,20 +369,38 @@ def push_run(
     *,
     verify: bool,
     out_of_date: bool = False,
-    confirm: Confirm | None = None,
+    ask: Ask | None = None,
 ) -> VerifyResult:
     """Compensate and push targets; with ``verify`` measure them before and after compensation.
 
     ``out_of_date`` uses the model in force even where it, or a discovery, is out of date; result and log say so.
+    ``ask`` is asked before the first motion of real arms.
 
     Raises
     ------
     InputError
         If the model is out of date and the operator does not insist, or no target can be commanded. Nothing has moved.
+    CheckFailed
+        If the doctor finds a fault before real arms move. Nothing has moved.
     HardwareError
         If a device refused or failed.
     Cancelled
     """
+    control = control or JobControl()
+    with taking_requests(run.folder, control):
+        return _push(run, targets, listener, control, ask, verify=verify, out_of_date=out_of_date)
+
+
+def _push(
+    run: RunFile,
+    targets: Sequence[Target],
+    listener: Listener,
+    control: JobControl,
+    ask: Ask | None,
+    *,
+    verify: bool,
+    out_of_date: bool = False,
+) -> VerifyResult:
     stages = read_stages(run)
     stale = stages.stale_model()
     if stale and not out_of_date:
@@ -365,6 +415,7 @@ def push_run(
     def opened(cell: Cell) -> None:
         notes.extend(check_controllers(run, cell).notes)
 
+    confirm, listener = confirmation(run.profile, ask), with_eta(listener)
     pushed = push(
         run.profile, _model(run, used), commands, listener, control, verify=verify, confirm=confirm, opened=opened
     )
@@ -406,7 +457,7 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
             " run 'cellapp calibrate' again"
         )
     with _one_blas_thread():
-        found = discover_cell(run.profile, _model(run, calibrated), _readings(run), listener, cancel)
+        found = discover_cell(run.profile, _model(run, calibrated), _readings(run), with_eta(listener), cancel)
     result = discover_result(found)
     model = replace(found.model, provenance=provenance_of(run.profile).model_dump())
     _append_with_model(run, DISCOVER, result, model, basis_of(run, {CALIBRATE: calibrated.digest}))

@@ -1,7 +1,7 @@
 """Identification of one arm while its stops are measured: a new estimate and its standard errors after every stop.
 
-Between renewals the measurement model is linear about one geometry, and a new reading adds three rows to the normal
-equations. A renewal linearises all readings again at the present estimate. Renewals follow a growing schedule, and come
+Between renewals the measurement model is linear about one geometry, and a new reading is a step of recursive least
+squares. A renewal linearises all readings again at the present estimate. Renewals follow a growing schedule, and come
 at once where the estimate has left the range in which the linear model holds.
 
 Few readings do not determine all parameters. Weak priors about the nominal arm then do; with many readings they have no
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,8 @@ _TOOL_PRIOR_M = 20e-3
 """Standard deviation of the SMR offset: an adapter measured with a ruler."""
 _UNKNOWN_TOOL_PRIOR_M = 0.3
 """The same for an offset that the profile calls unknown: any adapter."""
+_OFF_AXIS = np.array([0.05, 0.03, 0.05])
+"""Any SMR offset [m] that is not on the last axis: on it, fewer parameters would be identifiable."""
 _FIRST_READINGS = 4
 """Readings from which the base is found. Three determine it; a fourth shows whether they fit."""
 _LEAST_SPREAD_M = 0.05
@@ -49,8 +51,9 @@ _REGISTERED_AGAIN = (8, 16)
 """Numbers of readings with which the base is registered again: the first four may have been a poor start."""
 _GROWTH = 1.2
 """Growth of the number of readings between renewals: 20 renewals up to 400 readings."""
-_LINEAR = 3e-4
-"""Largest change of a parameter at arm's length [m] for one linearisation; the neglected second order is 0.1 um."""
+_LINEAR = 1e-3
+"""Largest change of a parameter at arm's length [m] for one linearisation; the neglected second order is 1 um, and
+standard errors are far larger as long as single readings change the estimate by this much."""
 _STEPS = 4
 """Most Gauss-Newton steps of a renewal; one is enough after the first readings."""
 _FIRST_EXCESS_M = 1e-4
@@ -168,7 +171,7 @@ class OnlineFit:
     Raises
     ------
     InputError
-        If the parameter set is not for this arm, or the planned stops do not determine the SMR offset.
+        If the parameter set is not for this arm.
     """
 
     def __init__(
@@ -187,12 +190,10 @@ class OnlineFit:
         self.innovation: Innovation | None = None
         """The newest reading against the model before it; None where there was none."""
         self._nominal, self._tool_unknown, self._robust = nominal, tool_unknown, robust
-        self._parameters = _parameter_set(arm, parameter_set, nominal, planned_q)
+        typical = replace(nominal, tool=_OFF_AXIS) if tool_unknown else nominal
+        self._parameters = _parameter_set(arm, parameter_set, typical, planned_q)
         self._precision = _precision(self._parameters, prior_sigma or {}, tool_unknown=tool_unknown)
         self._rows = _Rows(self._parameters, planned_q, gravity)
-        if not set(TOOL_NAMES) <= set(self._parameters.names):
-            raise InputError(f"arm {arm}: the planned stops are too few or too alike to determine the SMR offset")
-        self._tool = [self._parameters.names.index(name) for name in TOOL_NAMES]
         self._readings = StoredReadings(nominal.joints)
         self._models: _Models | None = None
         self._next_renewal = 0
@@ -222,8 +223,8 @@ class OnlineFit:
         if self._models is None:
             return None
         model = self._models.predicting
-        P, J = self._rows.at(self._models.origin, stop, q)
-        return Prediction(P + J @ model.step, J @ model.covariance @ J.T, model.scatter_m)
+        row = self._rows.at(self._models.origin, stop, q)
+        return Prediction(row.P + row.J @ model.step, row.J @ model.covariance @ row.J.T, model.scatter_m)
 
     def add(self, stop: int, q: Array, p_M: Array, covariance_M: Array | None = None) -> StopReport | None:
         """Refit with one reading: ``q`` (N,) [rad], ``p_M`` (3,) [m], ``covariance_M`` (3, 3) [m^2].
@@ -259,13 +260,15 @@ class OnlineFit:
         if self._models is None:
             return None
         origin, model = self._models.origin, self._models.geometry
-        P, J = self._rows.at(origin, stop, q)
-        errors = np.sqrt(np.diag(model.covariance)).tolist()
+        row = self._rows.at(origin, stop, q)
+        residual = p_M - row.P - row.J[:, : len(model.step)] @ model.step
+        errors = np.sqrt(np.maximum(np.diag(model.covariance), 0.0)).tolist()  # rounding may leave less than zero
+        mean_square = max(float(np.vdot(self._rows.planned_gram(origin), model.covariance)), 0.0)
         return StopReport(
             stop=stop,
             arm=self.arm,
-            residual_mm=1e3 * float(np.linalg.norm(p_M - P - J[:, : len(model.step)] @ model.step)),
-            standard_error_mm=1e3 * math.sqrt(float(np.vdot(self._rows.planned_gram(origin), model.covariance))),
+            residual_mm=1e3 * float(np.linalg.norm(residual)),
+            standard_error_mm=1e3 * math.sqrt(mean_square),
             parameter_errors=dict(zip(self._parameters.names, errors, strict=True)),
         )
 
@@ -276,11 +279,10 @@ class OnlineFit:
 
     def _insert(self, models: _Models, stop: int, q: Array, p_M: Array) -> None:
         """Add the newest reading to both models, unless it is a gross error."""
-        P, J = self._rows.at(models.origin, stop, q)
-        stated, off, model = self._readings.newest_stated(), p_M - P, models.predicting
-        innovation = off - J @ model.step
-        expected = J @ model.covariance @ J.T + model.variance * (stated + model.excess * np.eye(3))
-        self.innovation = Innovation(stop, p_M, innovation, expected, J[:, self._tool], model.scatter_m, model.freedom)
+        row = self._rows.at(models.origin, stop, q)
+        J, off, stated, model = row.J, p_M - row.P, self._readings.newest_stated(), models.predicting
+        innovation, expected = model.innovation(J, off, stated)
+        self.innovation = Innovation(stop, p_M, innovation, expected, row.R_M_F, model.scatter_m, model.freedom)
         if innovation @ np.linalg.solve(expected, innovation) <= GROSS**2:
             model.add(J, off, stated)
             models.geometry.add(J[:, : len(self._precision)], off, stated)
@@ -382,38 +384,55 @@ class _Weighting:
     variance: float
 
 
+@dataclass(frozen=True)
+class _Row:
+    """SMR position (3,), its derivatives (3, k + m) and the rotation of the flange (3, 3) at one stop."""
+
+    origin: Geometry
+    q: Array
+    P: Array
+    J: Array
+    R_M_F: Array
+
+
 class _Rows:
     """SMR positions and their derivatives by the parameters (k), then by the compliances of the joints (m)."""
 
     def __init__(self, parameters: ParameterSet, planned_q: Array, gravity: Gravity | None) -> None:
         self._gravity, self._planned_q, self._planned = gravity, planned_q, JointAngles.of(planned_q)
         joints, k = parameters.joints, len(parameters.columns)
-        of_joints = tuple(6 + 5 * joint for joint in range(joints)) if gravity is not None else ()
-        self._joints = [parameters.columns.index(c) if c in parameters.columns else k for c in of_joints]
-        missing = [c for c in of_joints if c not in parameters.columns]
-        for place, joint in enumerate(missing):
-            self._joints[of_joints.index(joint)] = k + place
+        of_joints = [6 + 5 * joint for joint in range(joints)]
+        of_tool = list(range(6 + 5 * joints, 9 + 5 * joints))
+        missing = [column for column in of_joints + of_tool if column not in parameters.columns]
         self._columns, self._k = (*parameters.columns, *missing), k
+        self._joints, self._tool = ([self._columns.index(c) for c in group] for group in (of_joints, of_tool))
         self._gram_at: Array | None = None
         self._gram, self._torques = np.zeros((k, k)), np.zeros((0, joints))
-        self._last: tuple[Geometry, Array, Array, Array] | None = None
+        self._last: _Row | None = None
 
-    def of(self, origin: Geometry, q: Array, torques: Array | None = None) -> tuple[Array, Array]:
+    def of(self, origin: Geometry, q: Array) -> tuple[Array, Array]:
         """SMR positions (3, n) [m] and their derivatives (3, k + m, n) at joint positions ``q`` (n, N) [rad]."""
         P, J = jacobian(origin, JointAngles.of(q), self._columns)
-        if self._gravity is None:
-            return P, J
-        torques = self._torques_of(origin, q) if torques is None else torques
-        return P, np.concatenate([J[:, : self._k], J[:, self._joints] * torques.T], axis=1)
+        return P, self._with_compliances(J, None if self._gravity is None else self._torques_of(origin, q))
 
-    def at(self, origin: Geometry, stop: int, q: Array) -> tuple[Array, Array]:
-        """The same at one stop, (3,) and (3, k + m); those of the last one are kept."""
+    def at(self, origin: Geometry, stop: int, q: Array) -> _Row:
+        """The same at one stop; the last one is kept."""
         last = self._last
-        if last is None or last[0] is not origin or not np.array_equal(last[1], q):
-            planned = 0 <= stop < len(self._torques) and np.abs(self._planned_q[stop] - q).max() < _PLANNED_RAD
-            P, J = self.of(origin, q[None], self._torques[stop : stop + 1] if planned else None)
-            self._last = last = (origin, q.copy(), P[:, 0], np.ascontiguousarray(J[:, :, 0]))
-        return last[2], last[3]
+        if last is None or last.origin is not origin or not np.array_equal(last.q, q):
+            P, J = jacobian(origin, JointAngles.of(q[None]), self._columns)
+            torques = None
+            if self._gravity is not None:
+                planned = 0 <= stop < len(self._torques) and np.abs(self._planned_q[stop] - q).max() < _PLANNED_RAD
+                torques = self._torques[stop : stop + 1] if planned else self._torques_of(origin, q[None])
+            row = self._with_compliances(J, torques)[:, :, 0]
+            self._last = last = _Row(origin, q.copy(), P[:, 0], np.ascontiguousarray(row), J[:, self._tool, 0])
+        return last
+
+    def _with_compliances(self, J: Array, torques: Array | None) -> Array:
+        """Columns of the parameters, then of the compliances at gravity torques (n, N) [Nm] if there are any."""
+        if torques is None:
+            return J[:, : self._k]
+        return np.concatenate([J[:, : self._k], J[:, self._joints] * torques.T], axis=1)
 
     def planned_gram(self, origin: Geometry) -> Array:
         """Mean of ``J^T J`` (k, k) over the planned stops; renewed where the geometry has changed much."""

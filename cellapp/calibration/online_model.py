@@ -21,7 +21,9 @@ _LEAST_VARIANCE = 1e-14
 
 @dataclass
 class LinearModel:
-    """Normal equations of all readings about one geometry, and their solution with priors.
+    """Normal equations of the readings about one geometry, and their solution with priors.
+
+    ``solve`` solves them; ``add`` then takes readings one by one, into the solution only.
 
     Attributes
     ----------
@@ -58,6 +60,9 @@ class LinearModel:
     freedom: float = 1.0
     step: Array = field(default_factory=lambda: np.zeros(0))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    _weight: float = 1.0
+    """The ``variance`` with which the readings were weighed against the priors."""
+    _chi_square: float = 0.0
 
     @property
     def moved(self) -> float:
@@ -69,17 +74,6 @@ class LinearModel:
         """Standard deviation of a measured coordinate about the model [m]."""
         return math.sqrt(self.variance * (self.excess + self.mean_stated))
 
-    def add(self, J: Array, off: Array, stated: Array) -> None:
-        """Add a reading: Jacobian (3, k), measured minus computed position (3,) [m], stated covariance (3, 3)."""
-        noise = stated + self.excess * np.eye(3)
-        weighted = np.linalg.solve(noise, np.column_stack([J, off]))
-        added = J.T @ weighted
-        self.A += added[:, :-1]
-        self.b += added[:, -1]
-        self.cost += float(off @ weighted[:, -1])
-        self.used += 1
-        self.solve()
-
     def solve(self) -> None:
         """Compute estimate and covariance with the present scatter, then the scatter that they leave."""
         unit = 1.0 / self.scale
@@ -87,10 +81,33 @@ class LinearModel:
         H.flat[:: len(H) + 1] += self.precision
         self.covariance = inverse_psd(H * unit * unit[:, None]) * unit * unit[:, None]
         self.step = self.covariance @ (self.b / self.variance + self.precision * self.prior_step)
+        self._weight = self.variance
         by_priors = float(self.precision @ np.diag(self.covariance))  # number of parameters that the priors determine
         self.freedom = max(1.0, 3.0 * self.used - len(self.precision) + by_priors)
-        chi_square = self.cost - float(self.step @ (2.0 * self.b - self.A @ self.step))
-        self.variance = (max(chi_square, 0.0) + _ANCHOR) / (self.freedom + _ANCHOR)
+        self._chi_square = max(self.cost - float(self.step @ (2.0 * self.b - self.A @ self.step)), 0.0)
+        self._find_variance()
+
+    def innovation(self, J: Array, off: Array, stated: Array) -> tuple[Array, Array]:
+        """Measured position less the predicted one (3,) [m] and its covariance (3, 3), of a reading not yet added.
+
+        ``J`` (3, k) is its Jacobian, ``off`` (3,) [m] its position less that of the geometry, ``stated`` (3, 3) [m^2]
+        its stated covariance.
+        """
+        return off - J @ self.step, J @ self.covariance @ J.T + self._weight * (stated + self.excess * np.eye(3))
+
+    def add(self, J: Array, off: Array, stated: Array) -> None:
+        """Add a reading to estimate and covariance: a step of recursive least squares."""
+        innovation, expected = self.innovation(J, off, stated)
+        seen = J @ self.covariance
+        solved = np.linalg.solve(expected, np.column_stack([seen, innovation]))
+        self.step = self.step + seen.T @ solved[:, -1]
+        self.covariance = self.covariance - seen.T @ solved[:, :-1]
+        self._chi_square += self._weight * float(innovation @ solved[:, -1])
+        self.freedom += 3.0
+        self._find_variance()
+
+    def _find_variance(self) -> None:
+        self.variance = (self._chi_square + _ANCHOR) / (self.freedom + _ANCHOR)
 
 
 class StoredReadings:

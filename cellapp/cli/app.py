@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from cellapp.cli.job import Job, open_run, run_program
-from cellapp.cli.options import JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
+from cellapp.cli.motion import asking
+from cellapp.cli.options import AllowMotion, JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
 from cellapp.cli.requests import abort, pause, resume, stop
 from cellapp.cli.show import schema, show
 from cellapp.cli.trials import trials_app
@@ -43,15 +44,21 @@ def run(
     folder: Annotated[
         Path | None, typer.Option("--run", metavar="DIR", help="Folder of the new run; else a new one below logs/.")
     ] = None,
+    allow_motion: AllowMotion = False,
     json_file: JsonOption = None,
 ) -> None:
     """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report."""
     from cellapp.pipeline import run_whole
+    from cellapp.profile import load_profile
+    from cellapp.reporting.collection_text import collect_lines, other_notes
     from cellapp.reporting.discovery_text import discovery_lines
     from cellapp.reporting.tables import calibration_tables, tracker_sentences, verification_tables
 
     with Job(json_file) as job:
-        result = run_whole(profile, folder, job.listen, job.control)
+        ask = asking(job, load_profile(profile).name, allowed=allow_motion)
+        result = run_whole(profile, folder, job.listen, job.control, ask=ask)
+        if result.collect is not None:
+            job.say(*collect_lines(result.collect))
         if result.calibrate is not None:
             job.show(calibration_tables(result.calibrate))
         if result.discover is not None:
@@ -60,7 +67,10 @@ def run(
             job.show(verification_tables(result.verify))
         if result.calibrate is not None:
             job.say(*tracker_sentences(result.calibrate))
-        job.say(*result.notes, f"run: {result.run}   report: {Path(result.run) / 'report.html'}")
+        job.say(
+            *other_notes(result.collect, result.notes),
+            f"run: {result.run}   report: {Path(result.run) / 'report.html'}",
+        )
         job.result(result)
         _check([] if result.collect is None else result.collect.complaints(), "collect")
         _check([] if result.verify is None else result.verify.complaints(), "verification")
@@ -90,7 +100,8 @@ def plan(profile: ProfilePath, folder: NewRun, json_file: JsonOption = None) -> 
 
     with Job(json_file) as job:
         result = plan_new_run(load_profile(profile), folder, job.listen, job.control)
-        job.say(*(f"arm {name}: {count} stops planned" for name, count in result.stops.items()))
+        more = f" and {result.reserves} in reserve" if result.reserves else ""
+        job.say(*(f"arm {name}: {count} stops planned{more}" for name, count in result.stops.items()))
         job.result(result)
 
 
@@ -98,14 +109,20 @@ def plan(profile: ProfilePath, folder: NewRun, json_file: JsonOption = None) -> 
 def collect(
     folder: RunFolder,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a run that was interrupted.")] = False,
+    accept_drift: Annotated[
+        bool, typer.Option("--accept-drift", help="Count drift from new reference measurements on.")
+    ] = False,
+    allow_motion: AllowMotion = False,
     json_file: JsonOption = None,
 ) -> None:
     """Drive the planned stops and measure; every stop is committed before the next move."""
     from cellapp.pipeline import collect_stops
+    from cellapp.reporting.collection_text import collect_lines, other_notes
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = collect_stops(opened, job.listen, job.control, resume=resume)
-        job.say(f"{result.stops} stops stored", *result.notes)
+        ask = asking(job, opened.profile.name, allowed=allow_motion)
+        result = collect_stops(opened, job.listen, job.control, resume=resume, accept_drift=accept_drift, ask=ask)
+        job.say(*collect_lines(result), *other_notes(result, result.notes))
         job.result(result)
         _check(result.complaints(), "collect")
 
@@ -228,6 +245,7 @@ def push(
     out_of_date: Annotated[
         bool, typer.Option("--out-of-date", help="Use the latest model even if it no longer fits the run's data.")
     ] = False,
+    allow_motion: AllowMotion = False,
     json_file: JsonOption = None,
 ) -> None:
     """Move the arms to compensated targets; with --verify, measure them before and after compensation."""
@@ -237,7 +255,8 @@ def push(
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         listed = load_targets(targets, opened.profile)
-        result = push_run(opened, listed, job.listen, job.control, verify=verify, out_of_date=out_of_date)
+        ask = asking(job, opened.profile.name, allowed=allow_motion)
+        result = push_run(opened, listed, job.listen, job.control, verify=verify, out_of_date=out_of_date, ask=ask)
         job.show(verification_tables(result))
         if not verify:
             reached = sum(not target.note for target in result.targets)

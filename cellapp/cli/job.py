@@ -83,7 +83,6 @@ class Job:
             if Path(json_file).is_dir():
                 raise InputError(f"--json: {json_file} is a folder; give the path of a file. Nothing was done")
         self.control = JobControl()
-        self.suspicions: list[Suspicion] = []
         self._json_file = json_file
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
@@ -104,9 +103,8 @@ class Job:
         match event.detail:
             case StateChange(state, reason):
                 self._tell(f"{event.job}: {state}: {reason}")
-            case Suspicion():
-                self.suspicions.append(event.detail)
-                self._tell(f"{event.job}: suspicion: {event.detail.text}")
+            case Suspicion(kind, text):
+                self._tell(f"{event.job}: suspicion, {kind}: {text}")
         if not sys.stderr.isatty():
             return
         if self._bars is None:

@@ -14,3 +14,7 @@ TargetsPath = Annotated[Path, typer.Argument(metavar="TARGETS", help="Target lis
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
 ]
+AllowMotion = Annotated[
+    bool,
+    typer.Option("--allow-motion", help="Let real arms move without asking: the cell is clear, a person watches it."),
+]

@@ -24,6 +24,7 @@ class Part(StrEnum):
     PARAMETERS = "parameters"
     DISCOVERY = "discovery"
     PLAN = "plan"
+    COLLECTION = "collection"
     TARGETS = "targets"
     VERIFICATION = "verification"
     LOG = "log"
@@ -73,6 +74,8 @@ def show(
                 if not stops.stops:
                     job.say("no stops are planned")
                 job.result(stops)
+            case Part.COLLECTION:
+                _show_collection(job, run)
             case Part.LOG:
                 log = overview.run_log(run, level, last)
                 job.say(*(run_tables.log_lines(log) or ["no log lines to show"]))
@@ -103,6 +106,19 @@ def schema(
         if json_file is None:
             job.say(text)
         job.write_json(text)
+
+
+def _show_collection(job: Job, run: RunFile) -> None:
+    from cellapp.reporting.collection_section import collection_state
+    from cellapp.reporting.collection_text import collection_tables
+
+    state = collection_state(run)
+    if state is None:
+        raise InputError(
+            f"{run.path}: no session of collecting is recorded; an import or an older version made this run"
+        )
+    job.show(collection_tables(state))
+    job.result(state)
 
 
 def _show_result(job: Job, run: RunFile, part: Part) -> None:

@@ -85,6 +85,10 @@ def links(
         result = link_trials(moves, every, seed, job.listen, job.control)
         job.show(link_tables(result))
         job.say(f"{result.moves} moves, {result.faults} faults, {len(result.complaints)} complaints")
+        if result.host_stalls:
+            job.say(
+                f"this computer stalled in {result.host_stalls} motions; the controllers' watchdogs stopped the arms"
+            )
         job.say(*result.complaints)
         job.result(result)
         if result.complaints:
@@ -118,6 +122,41 @@ def bridge(
         job.result(result)
         if result.lost or result.doubled or result.strange:
             raise CheckFailed("trials bridge: measurements were lost, doubled or mixed up")
+
+
+@trials_app.command("storm")
+def storm(
+    profile: Annotated[Path, typer.Argument(metavar="PROFILE", help="Profile with loopback devices.")] = Path(
+        "profiles/twin-rtde.yaml"
+    ),
+    stops: Annotated[int, typer.Option("--stops", min=2, help="Planned stops.")] = 400,
+    faults: Annotated[int, typer.Option("--faults", min=0, help="Faults of all kinds.")] = 200,
+    kills: Annotated[int, typer.Option("--kills", min=0, help="SIGKILLs of the collecting program.")] = 50,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults and their moments.")] = 0,
+    pace: Annotated[
+        float, typer.Option("--pace", metavar="X", min=1.0, max=100.0, help="Simulated seconds for each real one.")
+    ] = 50.0,
+    keep: Annotated[
+        Path | None, typer.Option("--keep", metavar="DIR", help="New folder that keeps the runs and what was printed.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """A whole collection over the wire in a storm of faults: nothing lost, nothing doubled, no motion after a stop."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.storm import storm_trial
+    from cellapp.trials.tables import storm_tables
+
+    with Job(json_file) as job:
+        result = storm_trial(load_profile(profile), stops, faults, kills, seed, pace, keep, job.listen, job.control)
+        job.show(storm_tables(result))
+        job.say(
+            f"{result.readings} readings at {result.stops} stops, {len(result.missing)} missing with their reason;"
+            f" {result.lost} lost, {result.doubled} doubled; {result.motions_after_a_stop} motions after a stop"
+        )
+        job.say(*result.complaints)
+        job.result(result)
+        if result.complaints:
+            raise CheckFailed(f"trials storm: {len(result.complaints)} things were not as specified; see above")
 
 
 @trials_app.command("campaigns")

@@ -22,7 +22,7 @@ from drivers.clock import Clock, RealClock, SimulatedClock
 from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
 from drivers.sensors.protocol import AirSensor, SensorError
 from drivers.settings import SettingError
-from drivers.trackers.protocol import Tracker, TrackerError
+from drivers.trackers.protocol import NotReady, Tracker, TrackerError
 from drivers.trackers.settings import TrackerContext, TrackerSettings
 
 
@@ -44,6 +44,7 @@ class Cell:
 
     ``air`` is None without a weather station, ``clearance`` None if distances are not observed. ``together`` calls
     functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
+    ``tracker_unmet`` lists what kept the tracker from measuring when the cell was opened.
     """
 
     arms: Mapping[str, Arm]
@@ -53,6 +54,12 @@ class Cell:
     clearance: ClearanceObserver | None = None
     together: Together = in_threads
     watch_tracker: Watch = watched
+    tracker_unmet: tuple[str, ...] = ()
+
+    def require_tracker(self) -> None:
+        """Raise ``HardwareError`` if the tracker was not ready to measure when the cell was opened."""
+        if self.tracker_unmet:
+            raise HardwareError(f"tracker: not ready: {'; '.join(self.tracker_unmet)}")
 
 
 @contextmanager
@@ -80,7 +87,7 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
             except ArmError as error:
                 raise HardwareError(str(error)) from error
         stack.callback(tracker.disconnect)
-        start_tracker(tracker, profile.tracker.driver)
+        unmet = start_tracker(tracker, profile.tracker.driver)
         if air is not None:
             stack.callback(air.disconnect)
             try:
@@ -88,9 +95,9 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
             except SensorError as error:
                 raise HardwareError(str(error)) from error
         if plant is None:
-            yield Cell(arms, tracker, RealClock(), air)
+            yield Cell(arms, tracker, RealClock(), air, tracker_unmet=unmet)
         else:
-            yield Cell(arms, tracker, SimulatedClock(plant), air, plant.clearance, one_by_one, unwatched)
+            yield Cell(arms, tracker, SimulatedClock(plant), air, plant.clearance, one_by_one, unwatched, unmet)
 
 
 def _needs_plant(profile: Profile) -> bool:
@@ -108,20 +115,28 @@ def _disconnect(arm: Arm) -> None:
         arm.disconnect()
 
 
-def start_tracker(tracker: Tracker, settings: TrackerSettings) -> None:
-    """Connect and prepare the tracker. Raises ``InputError`` for a setting it lacks, ``HardwareError``."""
+def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...]:
+    """Connect and prepare the tracker; return what keeps it from measuring, as sentences.
+
+    Raises
+    ------
+    InputError
+        If a setting is one that this tracker does not have.
+    HardwareError
+        If it cannot be reached.
+    """
     try:
         tracker.connect()
         preparation = settings.preparation()
         if preparation is not None:
             tracker.prepare(preparation)
-        unmet = tracker.unmet()
+        return tuple(tracker.unmet())
+    except NotReady as error:
+        return (str(error),)
     except TrackerError as error:
         raise HardwareError(str(error)) from error
     except ValueError as error:  # a setting that this tracker does not have
         raise InputError(str(error)) from error
-    if unmet:
-        raise HardwareError(f"tracker: not ready: {'; '.join(unmet)}")
 
 
 # -- drivers ----------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from cellapp.collection.controllers import check_controllers
 from cellapp.collection.motion import Confirm
 from cellapp.collection.session import CollectSession, End
 from cellapp.collection.supervision import reacting
-from cellapp.collection.work import remaining_work, reserve_stops
+from cellapp.collection.work import remaining_work
 from cellapp.control import Aborted, JobControl, Stopped
 from cellapp.errors import HardwareError, InputError
 from cellapp.progress import Listener, ignore
@@ -94,7 +94,7 @@ def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
     total = len(next(iter(plan.values()))) if plan else 0
     outcomes = {(one.stop, one.arm): one for one in run.outcomes()}
     stored = {name: set(run.readings(name).configuration.tolist()) for name in plan}
-    reserves = reserve_stops(run, total)
+    reserves = run.profile.plan.reserves(total)
     missing = []
     for stop in range(total):
         for name in plan:
@@ -110,7 +110,7 @@ def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
 
 def missing_share(run: RunFile, missing: Sequence[MissingReading]) -> float:
     """Share of the asked readings that is missing: a reserve stop that was measured replaces one that is missing."""
-    asked = sum(len(q) - len(reserve_stops(run, len(q))) for q in run.read_plan().values())
+    asked = sum(len(q) - len(run.profile.plan.reserves(len(q))) for q in run.read_plan().values())
     measured = sum(len(run.readings(name)) for name in run.read_plan())
     return max(asked - measured, 0) / asked if asked and missing else 0.0
 

@@ -14,9 +14,7 @@ from cellapp.profile.collection import Repeat
 from drivers.trackers.protocol import (
     NotReady,
     Point,
-    Preparation,
     TargetLost,
-    Tracker,
     TrackerError,
     Unstable,
     WrongTarget,
@@ -32,10 +30,10 @@ class SmrMeasurement:
     """Measures SMRs with the repeats and waits of a profile."""
 
     mover: Mover
-    tracker: Tracker
     supervisor: Supervisor
     repeat: Repeat
-    preparation: Preparation | None
+    tracker_ready: Callable[[], bool]
+    """Connects and prepares the tracker again; whether it is ready then."""
 
     def at_arm(self, name: str, q: Vector) -> Point:
         """Measure the SMR of an arm at rest at ``q`` (N,) [rad]. Raises like ``Mover.measure``."""
@@ -63,7 +61,7 @@ class SmrMeasurement:
             try:
                 return measure()
             except NotReady as error:
-                if not self.supervisor.suspended("tracker_warm_up", str(error), self._tracker_ready):
+                if not self.supervisor.suspended("tracker_warm_up", str(error), self.tracker_ready):
                     raise HardwareError(f"{what}: {error}") from error
             except _MISSED as error:
                 found = self._wait_for_target(what, error, measure)
@@ -82,15 +80,6 @@ class SmrMeasurement:
             return True
 
         return found[0] if self.supervisor.suspended("target", f"{what}: {error}", ready) else None
-
-    def _tracker_ready(self) -> bool:
-        """Whether the tracker is ready, after it was prepared again where it has to be."""
-        try:
-            if self.preparation is not None:
-                self.tracker.prepare(self.preparation)
-            return not self.tracker.unmet()
-        except NotReady:
-            return False
 
 
 def mean_point(points: list[Point]) -> Point:

@@ -1,4 +1,4 @@
-"""Suspicions from reference measurements: nests that stand still, and the arms at home."""
+"""Suspicions from reference measurements: nests that stand still, and the arms at the reference stop."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from cellapp.progress import Suspicion
 class ReferenceWatch:
     """Judge reference measurements, each against the one before (a jump) and against the first (drift).
 
+    Drift of a reference is raised once until it is back within the limit.
+
     Parameters
     ----------
     limit_m : float
@@ -23,11 +25,14 @@ class ReferenceWatch:
         self._limit_m = limit_m
         self._first: dict[str, Array] = {}
         self._last: dict[str, Array] = {}
+        self._drifted: set[str] = set()
 
     def at_reference(self, points_M: Mapping[str, Array], arms: Collection[str]) -> tuple[Suspicion, ...]:
-        """Suspicions from the references' positions (3,) [m]: ``arms`` at home by their names, the others are nests."""
+        """Suspicions from the references' positions (3,) [m]: ``arms`` by their names, the others are nests."""
         jumps = self._beyond(points_M, self._last)
-        drifts = {name: size for name, size in self._beyond(points_M, self._first).items() if name not in jumps}
+        beyond = {name: size for name, size in self._beyond(points_M, self._first).items() if name not in jumps}
+        drifts = {name: size for name, size in beyond.items() if name not in self._drifted}
+        self._drifted = (self._drifted - points_M.keys()) | beyond.keys()
         shared = len(self._last.keys() & points_M.keys())
         for name, point in points_M.items():
             if name in jumps or name not in self._first:  # a jump is raised once: the next ones are judged from here
@@ -47,10 +52,11 @@ class ReferenceWatch:
 def _jump(name: str, size: float, arms: Collection[str]) -> Suspicion:
     if name in arms:
         text = (
-            f"arm {name}: its SMR at home moved by {size * 1e3:.2f} mm since the last time: check that it sits firmly"
+            f"{name}: its SMR at the reference stop moved by {size * 1e3:.2f} mm since the last time: check that it"
+            " sits firmly"
         )
-        return Suspicion("loose SMR", text, name)
-    return Suspicion("loose SMR", f"nest {name} moved by {size * 1e3:.2f} mm since the last time: check it")
+        return Suspicion("loose SMR", text, name.removeprefix("arm "))
+    return Suspicion("loose SMR", f"{name} moved by {size * 1e3:.2f} mm since the last time: check it")
 
 
 def _drifts(drifts: Mapping[str, float], arms: Collection[str]) -> tuple[Suspicion, ...]:
@@ -58,7 +64,7 @@ def _drifts(drifts: Mapping[str, float], arms: Collection[str]) -> tuple[Suspici
         return ()
     arm = next(iter(drifts)) if len(drifts) == 1 and next(iter(drifts)) in arms else None
     text = f"{', '.join(sorted(drifts))}: drifted by {_largest_mm(drifts)} since the first time: check warm-up and air"
-    return (Suspicion("drift", text, arm),)
+    return (Suspicion("drift", text, None if arm is None else arm.removeprefix("arm ")),)
 
 
 def _largest_mm(sizes: Mapping[str, float]) -> str:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.collection.measuring import SmrMeasurement
 from cellapp.collection.motion import Vector
+from cellapp.collection.reference_watch import ReferenceWatch
 from cellapp.collection.supervision import Supervisor
 from cellapp.errors import HardwareError
 from cellapp.model.nominal import pose_matrix
 from cellapp.profile import Profile
-from cellapp.progress import ReferenceReport
+from cellapp.progress import ReferenceReport, Suspicion
 from cellapp.run import ReferenceRow, RunFile
 from drivers.trackers.protocol import Point, TargetLost, Unstable, WrongTarget
 
@@ -39,10 +41,12 @@ class References:
     session: int
     measurement: SmrMeasurement
     supervisor: Supervisor
+    suspect: Callable[[Suspicion], None]
     accept_drift: bool = False
     _first_M: dict[str, Vector] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._watch = ReferenceWatch(self.run.profile.collection.reference.drift)
         if not self.accept_drift:
             for row in self.run.references():
                 self._first_M.setdefault(row.name, row.p_M)
@@ -82,17 +86,10 @@ class References:
         return latest[0]
 
     def _measured(self, states: Mapping[str, Vector], stops_done: int, began_s: float) -> ReferenceReport:
-        points: dict[str, Point] = {}
-        for name, q in states.items():
-            try:
-                points[f"arm {name}"] = self.measurement.at_arm(name, q)
-            except (TargetLost, WrongTarget, Unstable) as error:
-                self.supervisor.record("reference", f"arm {name}: not measured: {error}")
-        for name, expected_M in nests_in_M(self.run.profile).items():
-            try:
-                points[f"nest {name}"] = self.measurement.at_nest(name, expected_M)
-            except (TargetLost, WrongTarget, Unstable) as error:
-                self.supervisor.record("reference", f"nest {name}: not measured: {error}")
+        points = self._points(states)
+        arms = [f"arm {name}" for name in states]
+        for suspicion in self._watch.at_reference({name: point.p_M for name, point in points.items()}, arms):
+            self.suspect(suspicion)
         drift_mm = {}
         for name, point in points.items():
             first_M = self._first_M.setdefault(name, point.p_M)
@@ -100,6 +97,21 @@ class References:
             row = ReferenceRow(name, stops_done, point.time_s - began_s, point.p_M, self.session)
             self.run.add_reference(row)
         return ReferenceReport(drift_mm, self.run.profile.collection.reference.drift * 1e3)
+
+    def _points(self, states: Mapping[str, Vector]) -> dict[str, Point]:
+        """Measure the arms at ``states`` and the nests; one that cannot be measured is recorded."""
+        measure: dict[str, Callable[[], Point]] = {
+            f"arm {name}": partial(self.measurement.at_arm, name, q) for name, q in states.items()
+        }
+        for name, expected_M in nests_in_M(self.run.profile).items():
+            measure[f"nest {name}"] = partial(self.measurement.at_nest, name, expected_M)
+        points: dict[str, Point] = {}
+        for name, at_reference in measure.items():
+            try:
+                points[name] = at_reference()
+            except (TargetLost, WrongTarget, Unstable) as error:
+                self.supervisor.record("reference", f"{name}: not measured: {error}")
+        return points
 
 
 def _worst(report: ReferenceReport) -> str | None:

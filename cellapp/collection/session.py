@@ -76,12 +76,9 @@ class CollectSession:
             self._record,
             self._emit,
         )
-        preparation = profile.tracker.driver.preparation()
-        self._measurement = SmrMeasurement(
-            self._mover, self.cell.tracker, self._supervisor, self._settings.repeat, preparation
-        )
+        self._measurement = SmrMeasurement(self._mover, self._supervisor, self._settings.repeat, self._tracker_ready)
         self._references = References(
-            self.run, self.number, self._measurement, self._supervisor, accept_drift=self.accept_drift
+            self.run, self.number, self._measurement, self._supervisor, self._suspect, self.accept_drift
         )
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log)
         self._model = LiveModel(self.run, self.work, self._log)
@@ -102,6 +99,7 @@ class CollectSession:
         InputError
             If the run file cannot be written.
         """
+        self._with_recovery(self._wait_for_tracker)
         self._with_recovery(self._leave_out_forbidden_stops)
         first = self._queue.next()
         if first is not None:
@@ -160,9 +158,14 @@ class CollectSession:
     def _report(self, stop: int, rows: Mapping[str, Reading]) -> None:
         """Refit the running model and say what it shows; suspicions are logged."""
         for detail in self._model.add(stop, rows):
-            self._emit(detail)
             if isinstance(detail, Suspicion):
-                self._note(f"stop {stop + 1}: {detail.kind}: {detail.text}")
+                self._suspect(detail)
+            else:
+                self._emit(detail)
+
+    def _suspect(self, suspicion: Suspicion) -> None:
+        self._emit(suspicion)
+        self._note(f"after {self._queue.finished} stops: {suspicion.kind}: {suspicion.text}")
 
     @property
     def standard_error_mm(self) -> dict[str, float]:
@@ -180,6 +183,14 @@ class CollectSession:
         self._missed = 0
 
     # -- before and between stops --------------------------------------------------------------------------------------
+
+    def _wait_for_tracker(self) -> None:
+        """Wait for a tracker that was not ready when the cell was opened, as the profile allows."""
+        if not self.cell.tracker_unmet:
+            return
+        text = "; ".join(self.cell.tracker_unmet)
+        if not self._supervisor.suspended("tracker_warm_up", text, self._tracker_ready):
+            self.cell.require_tracker()
 
     def _leave_out_forbidden_stops(self) -> None:
         """Ask every controller about the joint positions of all stops before anything moves."""
@@ -402,6 +413,10 @@ class CollectSession:
         self.run.log(level, text)
         if level == "warning":
             self.notes.append(text)
+
+    def _tracker_ready(self) -> bool:
+        """Connect and prepare the tracker again; whether it is ready to measure."""
+        return not start_tracker(self.cell.tracker, self.run.profile.tracker.driver)
 
     def _reconnect_tracker(self) -> None:
         self.cell.tracker.disconnect()

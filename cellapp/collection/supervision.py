@@ -168,6 +168,7 @@ class Supervisor:
         while True:
             self.emit(StateChange("stopped", f"{reason}; resume when the cell is clear, or abort"))
             while self.control.request in ("stop", "pause"):
+                self.control.check()
                 _attend(self.cell, self.control)
             self.control.check()
             try:

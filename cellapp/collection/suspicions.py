@@ -78,6 +78,7 @@ def _shares() -> Array:
 
 
 _SHARES = _shares()
+_SQUARED_SHARES = _SHARES**2
 _STOPS = np.array([*_STEPS, *_RAMPS])
 _SUDDEN, _SLOW = slice(0, len(_STEPS)), slice(len(_STEPS), None)
 _SLIP_B, _SLIP_A, _SLIP_RAW = slice(0, 3), slice(3, 12), slice(12, 15)
@@ -131,6 +132,11 @@ class _History:
         self._table = np.zeros((_HISTORY, _COLUMNS))
         self.freedom = _LEAST_FREEDOM
 
+    @property
+    def count(self) -> int:
+        """Number of stops with a reading."""
+        return int(self._table[:, _COUNT].sum())
+
     def clear(self) -> None:
         """Forget all stops."""
         self._table[:] = 0.0
@@ -157,7 +163,7 @@ class _History:
 
     def sums(self) -> tuple[Array, Array]:
         """Sums of the columns over the stops of each pattern (patterns, columns), with its shares and their squares."""
-        return _SHARES @ self._table, _SHARES**2 @ self._table
+        return _SHARES @ self._table, _SQUARED_SHARES @ self._table
 
 
 class Suspicions:
@@ -205,7 +211,7 @@ class Suspicions:
 
     def _explanations(self) -> list[_Explanation]:
         """The best explanation of each kind, for each arm and for all together."""
-        sums = {name: history.sums() for name, history in self._histories.items()}
+        sums = {name: history.sums() for name, history in self._histories.items() if history.count}
         freedom = {name: history.freedom for name, history in self._histories.items()}
         found = []
         for name in sums:

@@ -75,7 +75,7 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
     readings = [run.readings(name) for name in run.arms()]
     proposed = read_stop_conditions(run)
     drawn = bool(proposed) and any(arm.split is not None for arm in readings)
-    reserves = reserve_stops(run, total)
+    reserves = run.profile.plan.reserves(total)
     return Work(
         plan=plan,
         stops=tuple(stop for stop in range(total) if stop not in done and stop not in reserves),
@@ -85,12 +85,6 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
         split="train" if drawn else None,
         earlier_s=max((float(arm.time_s.max()) for arm in readings), default=0.0) if done else 0.0,
     )
-
-
-def reserve_stops(run: RunFile, total: int) -> range:
-    """Numbers of the reserve stops of a plan of ``total`` stops: they follow the profile's number of stops."""
-    plan = run.profile.plan
-    return range(min(plan.stops, total), min(plan.stops + plan.reserve, total))
 
 
 class StopQueue:

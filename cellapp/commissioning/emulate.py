@@ -141,6 +141,7 @@ def emulate(
     pace: float = 1.0,
     tracker: EmulatedTracker | None = None,
     announce_tracker: Callable[[EmulatedTracker], None] = lambda _: None,
+    watch_clearance: bool = False,
 ) -> None:
     """Emulate the controllers of a profile until ``cancel``; all ports are free again when this returns.
 
@@ -158,6 +159,8 @@ def emulate(
         Address instead of ``emulated_tracker``. The tracker measures the same cell.
     announce_tracker : callable
         Called before ``announce`` with the tracker's address.
+    watch_clearance : bool
+        Whether the control channel's command ``clearance`` gives the smallest distances; this takes time.
 
     Raises
     ------
@@ -168,7 +171,7 @@ def emulate(
     """
     chosen = emulated_arms(profile) if arms is None else arms
     served = emulated_tracker(profile) if tracker is None else tracker
-    plant = None if profile.plant is None else build_plant(profile)
+    plant = None if profile.plant is None else build_plant(profile, watch_clearance=watch_clearance)
     controllers = [_config(arm, profile.arms[arm.arm]) for arm in chosen]
     try:
         server = UrControllerServer(controllers, plant, pace)

@@ -87,7 +87,7 @@ def ask_running_job(folder: Path, verb: Verb) -> str:
         raise InputError(f"the job in {folder} runs on computer '{address.computer}'; give the command there")
     answer = _exchange(folder, address, verb)
     if answer is None:
-        raise InputError(f"no job runs in {folder}; the last one was killed")
+        raise InputError(f"no job runs in {folder}; the last one has ended")
     word, _, text = answer.partition(" ")
     if word != "done":
         raise InputError(f"{folder}: {text or 'the request was refused'}")

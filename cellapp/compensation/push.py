@@ -59,6 +59,7 @@ def push(
     kinds: tuple[CommandKind, ...] = ("nominal", "compensated") if verify else ("compensated",)
     with open_cell(profile) as cell, reacting(cell, control) as reaction:
         opened(cell)
+        cell.require_tracker()
         mover = Mover(profile, cell, bodies, reaction)
         mover.confirm_first(homes, confirm)
         mover.go_home()

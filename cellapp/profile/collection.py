@@ -77,8 +77,8 @@ class Suspend(Section):
     """The air is out of ``air.temperature``."""
     drift: Suspension = Suspension(times=5, wait=600.0, retry=60.0)
     """A reference measurement is out of ``reference.drift``."""
-    tracker_warm_up: Suspension = Suspension(times=3, wait=3600.0, retry=10.0)
-    """The tracker is not ready to measure: it warms up or initialises."""
+    tracker_warm_up: Suspension = Suspension(times=0, wait=3600.0, retry=10.0)
+    """The tracker is not ready to measure: it warms up, or lacks something that a person must do. Opt-in."""
     host_stall: Suspension = Suspension(times=0, wait=30.0, retry=1.0)
     """This computer was silent, so that a controller's watchdog stopped its arm. Opt-in."""
 

@@ -196,6 +196,10 @@ class Plan(Section):
     ranges: tuple[tuple[Turn, Turn], ...] | None = None
     """Joint ranges to draw from, for all arms; None: the limits of each arm, at most one turn."""
 
+    def reserves(self, total: int) -> range:
+        """Return the numbers of the reserve stops in a plan of ``total`` stops: they follow the asked ones."""
+        return range(min(self.stops, total), min(self.stops + self.reserve, total))
+
 
 class Splits(Section):
     """Number of stops for each use; ``rest`` is all that remain. Those of the pair are drawn from all common stops."""
@@ -297,6 +301,8 @@ class Profile(Section):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         self._check_plant()
+        if self.collection.air.temperature is not None and self.sensors.air is None:
+            raise ValueError("collection.air: limits of the air need a weather station; add 'sensors.air'")
         for name, arm in self.arms.items():
             if arm.driver.has_device:
                 needed = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from cellapp.kinematics.transforms import Array
 from cellapp.reporting.svg import (
+    ARM_COLOUR,
+    ARM_COLOURS,
     GRID,
     INK,
     SIZE,
@@ -112,6 +114,21 @@ def steps_figure(key: str, gaps_mm: Array, floor_mm: float | None) -> str:
         axes.set_ylabel("held-out rms [mm]")
         if floor_mm is not None:
             axes.axhline(floor_mm, color=INK, linewidth=1.0, linestyle="--")
+        return to_svg(figure, key)
+
+
+def drift_figure(key: str, drift_mm: Sequence[Sequence[tuple[int, float]]], limit_mm: float) -> str:
+    """Drift of each reference, as pairs of stops done and drift [mm], against the limit."""
+    with drawing_settings(key):
+        figure, axes = new_axes()
+        for number, rows in enumerate(drift_mm):
+            stops, drift = zip(*rows, strict=True)
+            axes.plot(stops, drift, "o-", color=ARM_COLOUR[number % ARM_COLOURS], linewidth=1.3, markersize=3.5)
+        axes.axhline(limit_mm, color=INK, linewidth=1.0, linestyle="--")
+        axes.set_ylim(bottom=0.0)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_xlabel("stops done")
+        axes.set_ylabel("distance from the first one [mm]")
         return to_svg(figure, key)
 
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from cellapp.errors import InputError
 from cellapp.reporting.cell_views import cell_views
+from cellapp.reporting.collection_section import collection_state, drift_figures
+from cellapp.reporting.collection_text import collection_tables
 from cellapp.reporting.discovery_section import arm_sections
 from cellapp.reporting.headlines import headlines, missing_results, out_of_date_lines, warnings
 from cellapp.reporting.page_figures import accuracy_figures, pair_figures, residual_vector_figures, target_figures
@@ -76,6 +78,7 @@ def page_text(run: RunFile, written: datetime) -> str:
         **_accuracy(data),
         **_discovery(data),
         **_verification(data),
+        **_collection(run),
         cell=cell_views(data.model, data.readings),
         cell_table=base_table(data.model),
         parameter_tables=nominal_and_identified_tables(data.calibrate, data.calibrated),
@@ -141,6 +144,14 @@ def _verification(data: ReportData) -> Mapping[str, object]:
         "targets": target_figures(data),
         "verification_tables": [] if data.verify is None else verification_tables(data.verify),
         "target_tables": [] if data.verify is None else target_tables(data.verify),
+    }
+
+
+def _collection(run: RunFile) -> Mapping[str, object]:
+    state = collection_state(run)
+    return {
+        "collection_tables": [] if state is None else collection_tables(state),
+        "drift": drift_figures(state),
     }
 
 

@@ -39,6 +39,7 @@ from cellapp.results.calibration import (
     Scatter,
 )
 from cellapp.results.collection import (
+    CollectionResult,
     CollectResult,
     ExportResult,
     ImportResult,
@@ -46,6 +47,8 @@ from cellapp.results.collection import (
     PlanResult,
     ReferenceDrift,
     RequestResult,
+    SessionRecord,
+    SessionRequest,
 )
 from cellapp.results.commissioning import (
     DoctorResult,
@@ -125,6 +128,7 @@ __all__ = [
     "BeforeAfter",
     "CalibrateResult",
     "CollectResult",
+    "CollectionResult",
     "CompensateResult",
     "Correlation",
     "CurveRecord",
@@ -176,6 +180,8 @@ __all__ = [
     "RunResults",
     "RunnerUp",
     "Scatter",
+    "SessionRecord",
+    "SessionRequest",
     "SmallestSize",
     "Stage",
     "StageErrors",

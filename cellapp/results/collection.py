@@ -11,12 +11,13 @@ from cellapp.results.base import Record, Result
 
 
 class PlanResult(Result):
-    """``plan``: number of planned stops of each arm."""
+    """``plan``: number of planned stops of each arm, and of further ones in reserve."""
 
     schema_: Literal["cellapp-plan"] = "cellapp-plan"
     version: Literal[1] = 1
     run: str
     stops: Mapping[str, int]
+    reserves: int = 0
 
 
 class MissingReading(Record):
@@ -63,6 +64,44 @@ class CollectResult(Result):
             f"{self.missing_share:.1%} of the planned readings are missing, the profile tolerates"
             f" {self.tolerated_share:.1%} (collection.tolerated)"
         ]
+
+
+class SessionRequest(Record):
+    """What a person asked in a session, or what suspended or resumed it; ``written`` is UTC."""
+
+    written: str
+    kind: str
+    reason: str
+
+
+class SessionRecord(Record):
+    """One session of collecting; ``ended`` and ``outcome`` are None if the program died in it."""
+
+    number: int
+    began: str
+    ended: str | None
+    outcome: str | None
+    reason: str | None
+    requests: tuple[SessionRequest, ...]
+
+
+class CollectionResult(Result):
+    """``show DIR collection``: sessions, missing readings, reference drift, standard errors reached.
+
+    ``missing_share`` and ``tolerated_share`` are as in ``CollectResult``; ``standard_error_mm`` maps each arm to the
+    standard uncertainty of a predicted SMR position from its parameters.
+    """
+
+    schema_: Literal["cellapp-collection"] = "cellapp-collection"
+    version: Literal[1] = 1
+    run: str
+    sessions: tuple[SessionRecord, ...]
+    missing: tuple[MissingReading, ...]
+    missing_share: float
+    tolerated_share: float
+    references: tuple[ReferenceDrift, ...]
+    drift_limit_mm: float
+    standard_error_mm: Mapping[str, float]
 
 
 class RequestResult(Result):

@@ -6,7 +6,14 @@ from typing import Any
 
 from cellapp.results.base import Result
 from cellapp.results.calibration import CalibrateResult
-from cellapp.results.collection import CollectResult, ExportResult, ImportResult, PlanResult, RequestResult
+from cellapp.results.collection import (
+    CollectionResult,
+    CollectResult,
+    ExportResult,
+    ImportResult,
+    PlanResult,
+    RequestResult,
+)
 from cellapp.results.commissioning import DoctorResult, EmulateResult, TrackerBridgeResult
 from cellapp.results.discovery import DiscoverResult
 from cellapp.results.run import HistoryResult, LogResult, OverviewResult, ReportResult, StopsResult, WholeRunResult
@@ -15,6 +22,7 @@ from cellapp.results.targets import CompensateResult, VerifyResult
 VERB_RESULTS: tuple[type[Result], ...] = (
     PlanResult,
     CollectResult,
+    CollectionResult,
     RequestResult,
     ImportResult,
     ExportResult,

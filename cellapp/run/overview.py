@@ -27,7 +27,8 @@ def run_overview(run: RunFile) -> OverviewResult:
     for name, arm in run.profile.arms.items():
         readings = run.readings(name)
         counts = Counter(word or "none" for word in readings.split or [None] * len(readings))
-        planned = len(plan.get(name, ()))
+        total = len(plan.get(name, ()))
+        planned = total - len(run.profile.plan.reserves(total))
         arms[name] = ArmState(type=arm.type.model, planned=planned, measured=len(readings), splits=dict(counts))
     return OverviewResult(
         run=str(run.folder),
@@ -104,6 +105,8 @@ def _next_step(run: RunFile, stages: RunStages, arms: dict[str, ArmState]) -> st
     measured = [arm.measured for arm in arms.values()]
     if not any(measured):
         return f"cellapp collect {run.folder}"
-    if not stages.current and any(arm.measured < arm.planned for arm in arms.values()):
+    sessions = run.sessions()
+    done = bool(sessions) and sessions[-1].outcome in ("complete", "accurate enough")
+    if not done and not stages.current and any(arm.measured < arm.planned for arm in arms.values()):
         return f"cellapp collect {run.folder} --resume"
     return stages.next_step(run.folder)

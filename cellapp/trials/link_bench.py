@@ -109,8 +109,7 @@ class LinkBench:
                     self._log.complain(f"arm {name} rests {away:.1e} rad from its goal, and nothing was reported")
             self._log.overhead_s.append(time.monotonic() - began - ideal - SETTLE_S)
         except ArmError as error:
-            self._log.complain(f"without a fault: {error}")
-            self._release()
+            self._stopped_without_fault("without a fault", error)
 
     def _home(self) -> None:
         try:
@@ -119,8 +118,15 @@ class LinkBench:
             for arm in self._arms.values():
                 arm.wait_settled(_MOVE_WITHIN_S)
         except ArmError as error:
-            self._log.complain(f"on the way home: {error}")
-            self._release()
+            self._stopped_without_fault("on the way home", error)
+
+    def _stopped_without_fault(self, when: str, error: ArmError) -> None:
+        cause = self._reaction.cause
+        if cause is not None and cause.kind == "host stalled":
+            self._log.host_stalls += 1
+        else:
+            self._log.complain(f"{when}: {error}")
+        self._release()
 
     # -- faults --------------------------------------------------------------------------------------------------------
 

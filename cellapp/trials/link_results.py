@@ -99,11 +99,13 @@ class FaultTimes(Record):
 class LinksResult(Result):
     """``trials links``: times, and what did not happen as specified (``complaints``, empty if nothing).
 
-    ``commanded_within_s`` and ``rest_beyond_braking_s`` are the bars.
+    ``commanded_within_s`` and ``rest_beyond_braking_s`` are the bars. ``host_stalls`` counts motions in which this
+    computer was silent for too long, so that a watchdog stopped an arm and the reaction the others: no fault of the
+    cell.
     """
 
     schema_: Literal["cellapp-trials-links"] = "cellapp-trials-links"
-    version: Literal[2] = 2
+    version: Literal[1] = 1
     moves: int
     faults: int
     complaints: tuple[str, ...]
@@ -111,6 +113,7 @@ class LinksResult(Result):
     state_s: Times | None
     move_overhead_s: Times | None
     longest_step_s: float
+    host_stalls: int
     commanded_within_s: float = COMMANDED_WITHIN_S
     rest_beyond_braking_s: float = REST_BEYOND_BRAKING_S
     by_fault: Mapping[str, FaultTimes]
@@ -127,6 +130,7 @@ class LinkLog:
     state_s: list[float] = field(default_factory=list)
     overhead_s: list[float] = field(default_factory=list)
     longest_step_s: float = 0.0
+    host_stalls: int = 0
 
     def add(self, struck: Struck) -> None:
         """Add a fault, and a complaint for every bar that was missed."""
@@ -158,6 +162,7 @@ class LinkLog:
             state_s=Times.of(self.state_s),
             move_overhead_s=Times.of(self.overhead_s),
             longest_step_s=self.longest_step_s,
+            host_stalls=self.host_stalls,
             by_fault={
                 fault: _fault_times([one for one in self.struck if one.fault == fault])
                 for fault in dict.fromkeys(one.fault for one in self.struck)

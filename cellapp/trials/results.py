@@ -11,12 +11,14 @@ from cellapp.trials.paper import PaperResult
 from cellapp.trials.parameter_sets import ParameterSetsResult
 from cellapp.trials.scoring import JudgeResult
 from cellapp.trials.sealed import SealResult
+from cellapp.trials.storm import StormResult
 
 TRIAL_RESULTS: tuple[type[Result], ...] = (
     CoverageResult,
     ParameterSetsResult,
     PaperResult,
     LinksResult,
+    StormResult,
     BridgeResult,
     CampaignsResult,
     SealResult,

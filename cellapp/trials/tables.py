@@ -20,6 +20,7 @@ from cellapp.trials.scoring import (
     Spread,
     TargetScore,
 )
+from cellapp.trials.storm import StormResult
 
 _MM = ".4f"
 _SECONDS = ".3f"
@@ -111,9 +112,9 @@ def link_tables(result: LinksResult) -> list[Table]:
         number_column("n", "d"),
         number_column("doubt", _SECONDS),
         number_column("arm at rest", _SECONDS),
-        number_column("others: stop received", _SECONDS),
-        number_column("others: rest beyond braking", _SECONDS),
-        number_column("ready again", _SECONDS),
+        number_column("others: stop", _SECONDS),
+        number_column("others: rest", _SECONDS),
+        number_column("ready", _SECONDS),
         Column("bars"),
     )
     title = (
@@ -139,6 +140,42 @@ def bridge_table(result: BridgeResult) -> Table:
     rows = [(fault, result.faults[fault], longest) for fault, longest in result.recovery_s.items()]
     columns = (Column("fault"), number_column("n", "d"), number_column("longest; none: median", _SECONDS))
     return Table("Times of a measurement [s]", columns, (undisturbed, *rows))
+
+
+def storm_tables(result: StormResult) -> list[Table]:
+    """What was caused, and what came of it."""
+    caused = tuple(result.by_fault.items())
+    deviations = [
+        (f"arm {name}: largest deviation from the undisturbed run", Number(one.position_max_mm, 4, "mm"))
+        for name, one in result.deviation.items()
+    ]
+    sigmas = [
+        (f"arm {name}: the same in standard deviations", Number(one.max_sigmas, 1))
+        for name, one in result.deviation.items()
+    ]
+    clearance = None if result.clearance_mm is None else Number(result.clearance_mm, 0, "mm")
+    outcome: list[tuple[Cell, ...]] = [
+        ("planned stops", result.stops),
+        ("readings stored", result.readings),
+        ("readings missing, with their reason", len(result.missing)),
+        ("readings lost", result.lost),
+        ("readings doubled", result.doubled),
+        ("sessions", result.sessions),
+        ("faults", result.faults),
+        ("SIGKILLs", result.kills),
+        ("motions after a stop", result.motions_after_a_stop),
+        ("smallest distance between the arms", clearance),
+        *deviations,
+        *sigmas,
+        ("duration", Number(result.seconds / 60.0, 1, "min")),
+    ]
+    ends = tuple((f"exit code {code}", count) for code, count in result.exit_codes.items())
+    count = number_column("n", "d")
+    return [
+        Table("Faults", (Column("fault"), count), caused),
+        Table("Ends of sessions", (Column("end"), count), ends),
+        Table("Outcome", (Column("what"), number_column("value", "d")), tuple(outcome)),
+    ]
 
 
 def judge_tables(result: JudgeResult) -> list[Table]:

@@ -14,4 +14,5 @@ def run_app(folder: Path = Path("profiles")) -> int:
 
     app = CellApp(folder)
     app.run()
+    app.wait_for_run()
     return app.return_code or 0

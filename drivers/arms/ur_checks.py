@@ -236,7 +236,7 @@ def _slider(probe: UrProbe) -> Check:
     if fraction < SLIDER_DOWN:
         return Check(subject, "failed", "at 0 %: the arm would not move; raise it on the pendant")
     if fraction < 1.0 - _RATE_SLACK:
-        return Check(subject, "warning", f"the speed slider is set to {fraction:.0%}: motions take longer")
+        return Check(subject, "warning", f"at {fraction:.0%}: motions take longer")
     return Check(subject, "ok", "100 %")
 
 

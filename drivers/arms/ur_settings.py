@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from drivers.arms.ur_checks import UrExpectation
 
 
+_SAFETY_LIMITS = (
+    "not asked: planes and other limits of the safety configuration are known to a running program only; before the"
+    " first motion the controller is asked about every planned stop"
+)
+
+
 class UrSettings(ArmSettings):
     """A UR controller. ``serial``, ``tcp`` and ``checksum``, where given, are checked before the first motion."""
 
@@ -101,4 +107,4 @@ class UrSettings(ArmSettings):
         if failed:
             motion = Finding("motion", "failed", f"would be refused because of {failed}; no motion was tried")
         checked = [Finding(check.subject, check.status, check.text) for check in found]
-        return [Finding("link", "ok", where), *checked, motion]
+        return [Finding("link", "ok", where), *checked, Finding("safety limits", "ok", _SAFETY_LIMITS), motion]

@@ -22,6 +22,7 @@ import pytest
 from cellapp import cli
 from cellapp.run import RunFile
 from cellapp.trials.link_results import LinkLog, OtherArm, Struck
+from drivers.findings import Finding
 from tests.twin import PROFILES, write_profile
 
 ROOT = Path(__file__).parents[2]
@@ -236,6 +237,7 @@ SHOWN = {
     "parameters": ("Arm right: identified parameters", "cellapp-calibrate"),
     "discovery": ("verdict", "cellapp-discover"),
     "plan": ("Arm left: planned stops", "cellapp-stops"),
+    "collection": ("Sessions of collecting", "cellapp-collection"),
     "targets": ("out of reach", "cellapp-compensate"),
     "verification": ("left, compensated", "cellapp-verify"),
     "log": ("warning  the first line", "cellapp-log"),
@@ -455,6 +457,9 @@ BAD = [
     (None, "trials paper ur10-ur5.yaml --seeds 1", ["the comparison needs a section 'plant' and two arms"]),
     (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: folder not found"]),
     (None, "emulate ur10-ur5.yaml", ["no controller to emulate"]),
+    (None, "run ur10-ur5.yaml --run new", ["this moves real arms (left, right)", "--allow-motion"]),
+    (None, "stop nothing", ["nothing: no run is here"]),
+    *((None, f"{verb} done", ["no job runs in done"]) for verb in ("pause", "resume", "stop", "abort")),
 ]
 
 
@@ -551,9 +556,23 @@ def test_a_target_list_that_is_wrong_is_found_before_anything_moves(work: Path, 
 def test_a_controller_that_is_not_there_is_named_and_nothing_is_stored(work: Path, call: Any) -> None:
     edit(work / "ur10-ur5.yaml", "stops: 400", "stops: 3")
     edit(work / "ur10-ur5.yaml", "192.168.0.10", "127.0.84.2")
+    edit(work / "ur10-ur5.yaml", "192.168.0.11", "127.0.84.3")
     assert call("plan", "ur10-ur5.yaml", "--run", "real").code == 0
     before = bytes_below(work)
     one_sentence(call("collect", "real"), "arm left: 127.0.84.2:29999: no connection", code=3)
+    assert bytes_below(work) == before
+
+
+def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
+    work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failed = [Finding("arm left: link", "failed", "no answer")]
+    monkeypatch.setattr("cellapp.commissioning.confirm.examine", lambda profile: failed)
+    edit(work / "ur10-ur5.yaml", "stops: 400", "stops: 3")
+    assert call("plan", "ur10-ur5.yaml", "--run", "real").code == 0
+    before = bytes_below(work)
+    one_sentence(call("collect", "real"), "this moves real arms (left, right)", "--allow-motion")
+    one_sentence(call("collect", "real", "--allow-motion"), "arm left: link: no answer", "nothing was moved", code=1)
     assert bytes_below(work) == before
 
 
@@ -607,7 +626,8 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     ended = shell("--help", cwd=tmp_path)
     assert ended.code == 0
     for command in ("run", "doctor", "plan", "collect", "import", "export", "calibrate", "discover", "compensate",
-                    "push", "report", "show", "schema", "trials", "emulate", "tracker-bridge"):  # fmt: skip
+                    "push", "report", "show", "schema", "trials", "emulate", "tracker-bridge",
+                    "pause", "resume", "stop", "abort"):  # fmt: skip
         assert f" {command} " in ended.out
 
 
@@ -625,6 +645,19 @@ def long_run(work: Path) -> Path:
     return work / "planned"
 
 
+def wait_for_stops(run: Path, process: subprocess.Popen[str]) -> None:
+    """Wait until a collecting process has stored some stops."""
+    for _ in range(600):
+        with RunFile.open(run) as seen:
+            if len(seen.stops_done()) >= 5:
+                return
+        try:
+            process.wait(0.05)
+        except subprocess.TimeoutExpired:
+            continue
+        pytest.fail(f"it ended by itself: {process.stderr.read() if process.stderr else ''}")
+
+
 def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
     """Collect as a process, and send it a signal when some stops are stored."""
     process = subprocess.Popen(
@@ -636,15 +669,7 @@ def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
         text=True,
     )
     try:
-        for _ in range(600):
-            with RunFile.open(run) as seen:
-                if len(seen.stops_done()) >= 5:
-                    break
-            try:
-                process.wait(0.05)
-            except subprocess.TimeoutExpired:
-                continue
-            pytest.fail(f"it ended by itself: {process.stderr.read() if process.stderr else ''}")
+        wait_for_stops(run, process)
         process.send_signal(number)
         out, err = process.communicate(timeout=WAIT_S)
     finally:
@@ -675,6 +700,39 @@ def check_resumes(run: Path) -> None:
 def test_killed_in_the_middle_it_is_resumed(long_run: Path) -> None:
     ended = interrupted(long_run, signal.SIGKILL)
     assert ended.returncode == -signal.SIGKILL
+    check_resumes(long_run)
+
+
+def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cellapp", "collect", long_run.name],
+        cwd=long_run.parent,
+        env={**environment(), "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stderr is not None
+        wait_for_stops(long_run, process)
+        paused = shell("pause", long_run.name, cwd=long_run.parent)
+        assert (paused.code, paused.out[:6]) == (0, "pause:"), paused.err
+        assert "collect: paused" in process.stderr.readline()
+        one_sentence(shell("collect", long_run.name, "--resume", cwd=long_run.parent), "another job runs here")
+        one_sentence(shell("pause", long_run.name, cwd=long_run.parent), "paused already")
+        stopped = shell("stop", long_run.name, "--json", "-", cwd=long_run.parent)
+        assert stopped.json["answer"].startswith("stopped: all arms brake")
+        process.communicate(timeout=WAIT_S)
+        assert process.returncode == 4
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    one_sentence(shell("stop", long_run.name, cwd=long_run.parent), "no job runs in planned")
+    with RunFile.open(long_run) as run:
+        (session,) = run.sessions()
+        assert session.requests[0][1] == "pause"
+        assert session.outcome == "stopped"
     check_resumes(long_run)
 
 

@@ -208,8 +208,8 @@ def test_lmf_is_initialised_and_set_up_as_the_profile_says(tmp_path: Path, scene
 def test_lmf_that_is_not_ready_or_not_there(tmp_path: Path, scene: Scene) -> None:
     scene.quick_release = False
     profile = with_sections(tmp_path / "a", driver="{kind: lmf, address: 192.168.0.1}")
-    with pytest.raises(HardwareError, match="its quick release is open: close it"), open_cell(profile):
-        pass
+    with open_cell(profile) as cell, pytest.raises(HardwareError, match="its quick release is open: close it"):
+        cell.require_tracker()
     scene.quick_release = True
     profile = with_sections(tmp_path / "b", driver="{kind: lmf, address: 192.168.0.1, reflector: Cateye}")
     with pytest.raises(InputError, match="none matches 'Cateye'"), open_cell(profile):

@@ -254,6 +254,7 @@ def test_a_stalled_computer_resumes_only_where_the_profile_allows_it(bench: Benc
 
 
 def test_a_tracker_that_warms_up_is_waited_for(bench: Bench) -> None:
+    practise(bench, suspend=Suspend(tracker_warm_up=Suspension(times=1, wait=600.0)))
     bench.before_measuring[3] = lambda bench: bench.tracker.obstacles.append("it warms up")
     bench.before_measuring[4] = lambda bench: bench.tracker.obstacles.clear()
     unmet = SimulatedTracker.unmet

@@ -194,7 +194,11 @@ def tight(high: float = 6.2832, speed: float = 3.15) -> UrProbe:
         (replace(READY, ports={30004: False}), "port 30004", "failed", ["firewall"]),
         (replace(READY, sample=None, sample_note="port 30004: silent"), "state", "failed", ["30004: silent"]),
         (reporting(replace(SAMPLE, qd=(0.0, 0.1, 0.0, 0.0, 0.0, 0.0))), "state", "failed", ["the arm moves"]),
-        (reporting(replace(SAMPLE, speed_fraction=0.4)), "state", "warning", ["slider is set to 40%"]),
+        (reporting(replace(SAMPLE, speed_fraction=0.4)), "speed slider", "warning", ["40%", "longer"]),
+        (reporting(replace(SAMPLE, speed_fraction=0.0)), "speed slider", "failed", ["0 %", "raise it"]),
+        (reporting(replace(SAMPLE, speed_fraction=None)), "speed slider", "warning", ["does not report"]),
+        (reporting(replace(SAMPLE, program="PAUSED")), "program", "failed", ["paused", "pendant"]),
+        (READY, "safety limits", "ok", ["not asked", "every planned stop"]),
         (reporting(replace(SAMPLE, payload_kg=0.2)), "payload", "failed", ["0.200 kg", "0.350 kg", "pendant"]),
         (
             reporting(replace(SAMPLE, payload_center_m=(0.015, 0.0, 0.05))),

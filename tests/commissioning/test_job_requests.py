@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from cellapp.commissioning.job_requests import JOB_FILE, ask_running_job, taking_requests
-from cellapp.control import JobControl
+from cellapp.control import JobControl, Verb
 from cellapp.errors import HardwareError, InputError
 
 pytestmark = pytest.mark.fast
@@ -41,26 +41,28 @@ def job(folder: Path, braked: list[str]) -> Iterator[JobControl]:
 
 
 def test_every_verb_is_done_before_it_is_answered(folder: Path, job: JobControl, braked: list[str]) -> None:
-    assert "after the present stop" in ask_running_job(folder, "pause")
-    assert job.request == "pause"
-    assert "continues" in ask_running_job(folder, "resume")
-    assert job.request == "none"
-    assert ask_running_job(folder, "stop").startswith("stopped: all arms brake; the job waits")
-    assert (job.request, braked) == ("stop", ["stop"])
-    ask_running_job(folder, "resume")
-    assert job.request == "none"
-    assert ask_running_job(folder, "abort").startswith("aborted: all arms brake")
-    assert (job.request, braked) == ("abort", ["stop", "abort"])
+    steps: tuple[tuple[Verb, str, str], ...] = (
+        ("pause", "after the present stop", "pause"),
+        ("resume", "continues", "none"),
+        ("stop", "stopped: all arms brake; the job waits", "stop"),
+        ("resume", "continues", "none"),
+        ("abort", "aborted: all arms brake", "abort"),
+    )
+    for verb, says, request in steps:
+        assert says in ask_running_job(folder, verb)
+        assert job.request == request
+    assert braked == ["stop", "abort"]
     assert job.cancelled
 
 
 def test_a_request_that_does_not_fit_the_state_is_refused_in_words(folder: Path, job: JobControl) -> None:
-    for first, verb, says in (
+    cases: tuple[tuple[Verb | None, Verb, str], ...] = (
         (None, "resume", "neither paused nor stopped"),
         ("pause", "pause", "paused already"),
         ("stop", "pause", "stopped already"),
         ("abort", "resume", "was aborted"),
-    ):
+    )
+    for first, verb, says in cases:
         if first is not None:
             job.ask(first)
         with pytest.raises(InputError, match=says) as caught:
@@ -72,7 +74,8 @@ def test_a_job_that_nobody_attends_ends_after_a_stop_and_cannot_be_resumed(folde
     control = JobControl()
     with taking_requests(folder, control):
         assert ask_running_job(folder, "stop") == ("stopped: no arm is open; the job ends and can be resumed later")
-        for verb in ("resume", "pause"):
+        refused: tuple[Verb, ...] = ("resume", "pause")
+        for verb in refused:
             with pytest.raises(InputError, match="was stopped and ends"):
                 ask_running_job(folder, verb)
         assert control.request == "stop"
@@ -88,7 +91,7 @@ def test_no_run_no_job_and_a_job_that_ended(tmp_path: Path, folder: Path) -> Non
         stale = (folder / JOB_FILE).read_text()
     assert not (folder / JOB_FILE).exists()
     (folder / JOB_FILE).write_text(stale)  # as a killed job leaves it
-    with pytest.raises(InputError, match="the last one was killed"):
+    with pytest.raises(InputError, match="the last one has ended"):
         ask_running_job(folder, "stop")
 
 

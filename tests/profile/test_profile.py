@@ -362,3 +362,26 @@ def test_json_gives_back_every_float_and_text(
 def test_stored_text_that_is_no_profile(text: str) -> None:
     with pytest.raises(InputError, match="stored profile: "):
         profile_from_json(text)
+
+
+def test_limits_of_the_air_need_a_station(twin: Path) -> None:
+    edit(twin, "splits:", "collection: {air: {temperature: [18.0, 24.0]}}\nsplits:")
+    assert "collection.air: limits of the air need a weather station; add 'sensors.air'" in refusal(twin)
+
+
+@pytest.mark.parametrize(
+    ("section", "says"),
+    [
+        ("{air: {temperature: [24.0, 18.0]}}", "the lower limit must be below the upper one"),
+        ("{reference: {every: -1}}", "expected at least 0"),
+        ("{suspend: {weather: {times: 1}}}", "weather"),
+        ("{slow_start: {speed: 0.0}}", "expected more than 0"),
+        ("{repeat: {precision: '8 deg'}}", "length"),
+        ("{tolerated: 2.0}", "expected at most 1"),
+    ],
+)
+def test_a_wrong_collection_section_is_refused(twin: Path, section: str, says: str) -> None:
+    edit(twin, "splits:", f"collection: {section}\nsplits:")
+    found = refusal(twin)
+    assert "collection" in found
+    assert says in found

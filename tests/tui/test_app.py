@@ -16,17 +16,22 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Button, DataTable, Input, Label, OptionList, ProgressBar, RichLog, Static, TabbedContent
 
+from cellapp.commissioning.confirm import Ask
+from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
-from cellapp.progress import CancelToken, Listener, Progress
+from cellapp.progress import Listener, Progress
 from cellapp.reporting.discovery_tables import discovery_tables
 from cellapp.results import DiscoverResult, WholeRunResult
-from cellapp.tui.app import ERROR_LOG, CellApp, LeaveScreen
+from cellapp.tui.app import CellApp
+from cellapp.tui.dialogs import LeaveScreen
+from cellapp.tui.endings import ERROR_LOG
 from tests.reporting.cases import calibration, unknown_effect
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"
 WAIT_S = 30.0
 WHOLE_RUN_S = 150.0
 SMALL = (80, 24)
+CONTROLS = "#profiles, #profile, #folder, #run, #stop, #pause, #resume, #abort"
 
 SENTENCE = "arm left: backlash [joint 2] explains it"
 RESULTS = WholeRunResult(
@@ -54,9 +59,8 @@ class HeldRun:
         self.go_on.clear()
 
     def __call__(
-        self, profile: Path, folder: Path | None, listener: Listener, cancel: CancelToken | None
+        self, profile: Path, folder: Path | None, listener: Listener, control: JobControl, *, ask: Ask
     ) -> WholeRunResult:
-        assert cancel is not None
         assert folder is not None
         self.calls.append((profile, folder))
         self.thread = threading.current_thread()
@@ -64,7 +68,7 @@ class HeldRun:
             listener(event)
         self.reached.set()
         assert self.go_on.wait(WAIT_S)
-        cancel.check()
+        control.check()
         if self.error is not None:
             raise self.error
         return self.results.model_copy(update={"run": str(folder)})
@@ -299,10 +303,10 @@ async def test_everything_is_on_the_screen_and_has_a_help_text(size: tuple[int, 
     app = CellApp(PROFILES)
     async with app.run_test(size=size) as pilot:
         await pilot.pause()
-        for widget in app.query("#profiles, #profile, #folder, #run, #stop, .job, #status, #log, #hint, Footer"):
+        for widget in app.query(f"{CONTROLS}, .job, #status, #log, #hint, Footer"):
             assert widget.region.height > 0
             assert app.screen.region.contains_region(widget.region), widget
-        for widget in app.query("#profiles, #profile, #folder, #run, #stop, #progress, #status, #log, #tables"):
+        for widget in app.query(f"{CONTROLS}, #progress, #status, #log, #tables"):
             assert isinstance(widget.tooltip, str)
             assert 0 < len(widget.tooltip) <= 78
 
@@ -412,16 +416,17 @@ async def test_a_run_that_does_not_stop_cannot_hold_the_program() -> None:
 
 async def test_a_screen_that_goes_away_stops_the_run() -> None:
     run = HeldRun()
-    tokens: list[CancelToken | None] = []
+    tokens: list[JobControl] = []
 
-    def watched(profile: Path, folder: Path | None, listener: Listener, cancel: CancelToken | None) -> WholeRunResult:
-        tokens.append(cancel)
-        return run(profile, folder, listener, cancel)
+    def watched(
+        profile: Path, folder: Path | None, listener: Listener, control: JobControl, *, ask: Ask
+    ) -> WholeRunResult:
+        tokens.append(control)
+        return run(profile, folder, listener, control, ask=ask)
 
     app = CellApp(PROFILES, watched)
     async with app.run_test(size=SMALL) as pilot:
         await started(pilot, run)
-        assert tokens[0] is not None
         assert not tokens[0].cancelled
     assert tokens[0].cancelled
     run.go_on.set()

@@ -17,6 +17,7 @@ A request is ``ARM COMMAND [ARGUMENT ...]`` (ARM ``*``: all arms), the answer ``
     slider FRACTION                       the speed slider, 0 to 1; at 0 the arm stands and its program runs
     foreign playing|paused|off            a person's own program: started, paused, ended
     stops [SINCE]                         the stops received: kind, times of ``time.monotonic``, ideal braking time
+    starts [SINCE]                        the times of ``time.monotonic`` at which motions began
     clearance                             smallest distance [m] between the arms and to the floor, if watched
     load MASS [X Y Z]                     true load of the flange [kg, m], unknown to the controller
 
@@ -195,6 +196,11 @@ def _stops(arm: Emulated, arguments: Sequence[str], _: float) -> list[dict[str, 
     return [record.as_dict() for record in arm.controller.brakes.records if record.received_s >= since_s]
 
 
+def _starts(arm: Emulated, arguments: Sequence[str], _: float) -> list[float]:
+    since_s = _number(arguments, 0, default=0.0)
+    return [began_s for began_s in arm.controller.began_s if began_s >= since_s]
+
+
 def _clearance(arm: Emulated, _: Sequence[str], __: float) -> list[float] | None:
     seen = arm.controller.motions.clearance
     return None if seen is None or not math.isfinite(seen.arms_m) else [seen.arms_m, seen.floor_m]
@@ -237,6 +243,7 @@ _COMMANDS: dict[str, Callable[[Emulated, Sequence[str], float], object]] = {
     "slider": _slider,
     "foreign": _foreign,
     "stops": _stops,
+    "starts": _starts,
     "clearance": _clearance,
     "load": _load,
 }

@@ -27,6 +27,7 @@ _TEMPERATURE_EVERY_S = 0.5
 _MAX_PAUSE_S = 0.05
 """A longer pause of this process counts only as this for the watchdog: the client was not silent meanwhile."""
 _STEADY_S = 0.1
+_MOST_STARTS = 2000
 _ZERO6: Values = (0.0,) * 6
 
 
@@ -69,6 +70,8 @@ class Controller:
         Events, newest last; shows the reasons of refusals.
     moves : int
         Number of motions started; resumed ones count again.
+    began_s : deque of float
+        When the last motions were started, by ``clock``.
     start_delay_s : float
         Wall time from an uploaded program to its start.
     """
@@ -95,6 +98,8 @@ class Controller:
         self.program: Program | None = None
         self.log: deque[str] = deque(maxlen=200)
         self.moves = 0
+        self.began_s: deque[float] = deque(maxlen=_MOST_STARTS)
+        self._monotonic = clock
         self.now_s = 0.0
         self._uploaded: tuple[float, Program] | None = None
         self._was_moving = False
@@ -225,6 +230,7 @@ class Controller:
         self.motions.scale_speed(self.name, self.slider.scaling)
         self._was_moving = True  # at a high pace the motion may end before the next cycle
         self.moves += 1
+        self.began_s.append(self._monotonic())
 
     def brake(self, deceleration: float | None = None) -> None:
         """Stop the arm like ``stopj`` at ``deceleration`` [rad/s^2], and forget its goal."""

@@ -488,6 +488,54 @@ def test_operators_actions_over_the_control_channel() -> None:
         assert control("*", "status")[0]["robot_mode"] == "POWER_OFF"
 
 
+def test_the_slider_and_the_stops_over_the_control_channel() -> None:
+    with alone(CB3) as (server, control):
+        control("old", "slider", 0.25)
+        wait_for(lambda: control("old", "status")["speed_scaling"] == 0.25)
+        assert control("old", "status")["speed_fraction"] == 0.25
+        for wrong in ("nan", "inf", "-1", "2", "x"):
+            with pytest.raises(Refused):
+                control("old", "slider", wrong)
+        assert control("old", "stops") == control("old", "starts") == []
+        control("old", "foreign", "playing")
+        before_s = time.monotonic()
+        assert talk(at(server, "old", "dashboard"), "stop")[1] == "Stopped"
+        (stop,) = control("old", "stops", before_s)
+        assert before_s <= stop["received_s"] == stop["rest_s"] <= time.monotonic()
+        assert control("old", "status")["stop"] == stop
+        assert control("old", "stops", stop["received_s"] + 1.0) == []
+        assert control("old", "clearance") is None, "ideal joints have no bodies"
+
+
+def test_a_foreign_program_is_loaded_paused_and_ended_on_command() -> None:
+    with alone(CB3) as (server, control):
+        address = at(server, "old", "dashboard")
+        control("old", "foreign", "playing")
+        assert talk(address, "programState", "running")[1:3] == ["PLAYING palletizing.urp", "Program running: true"]
+        control("old", "foreign", "paused")
+        wait_for(lambda: control("old", "status")["runtime_state"] == "PAUSED")
+        control("old", "foreign", "playing")
+        wait_for(lambda: control("old", "status")["runtime_state"] == "PLAYING")
+        control("old", "foreign", "off")
+        wait_for(lambda: control("old", "status")["runtime_state"] == "STOPPED")
+        control("old", "foreign", "off")
+        control("old", "foreign", "paused")
+        wait_for(lambda: control("old", "status")["runtime_state"] == "PAUSED")
+
+
+def test_a_dashboard_connection_opened_in_local_control_stays_refused() -> None:
+    with alone(E_SERIES) as (server, control):
+        control("new", "remote", "off")
+        address = at(server, "new", "dashboard")
+        with socket.create_connection(address, PATIENT_S) as link, link.makefile("r") as lines:
+            assert lines.readline().startswith("Connected")
+            for remote in ("off", "on"):
+                control("new", "remote", remote)
+                link.sendall(b"stop\n")
+                assert "please switch robot to Remote Control mode and reconnect" in lines.readline()
+        assert talk(address, "stop")[1] == "Stopped"
+
+
 def test_the_true_load_is_the_operators_and_the_believed_one_the_clients(make_arm, make_plant) -> None:
     plant = make_plant(make_arm())
     with alone(replace(CB3, name="left", payload_mass=0.3), plant=plant) as (server, control):

@@ -1,0 +1,59 @@
+"""What a run says about its collecting, as a typed result, and its figure on the page."""
+
+from __future__ import annotations
+
+from cellapp.collection.collect import missing_readings, missing_share, reference_drifts
+from cellapp.collection.practice import LiveModel
+from cellapp.collection.work import remaining_work
+from cellapp.reporting.captioned import CaptionedFigure
+from cellapp.results import CollectionResult, SessionRecord, SessionRequest
+from cellapp.run import RunFile
+
+
+def collection_state(run: RunFile) -> CollectionResult | None:
+    """Sessions, missing readings, reference drift and standard errors; None if this run records no session."""
+    sessions = run.sessions()
+    if not sessions:
+        return None
+    missing = missing_readings(run)
+    settings = run.profile.collection
+    model = LiveModel(run, remaining_work(run, resume=True), lambda level, text: None)
+    return CollectionResult(
+        run=str(run.folder),
+        sessions=tuple(
+            SessionRecord(
+                number=session.number,
+                began=session.began,
+                ended=session.ended,
+                outcome=session.outcome,
+                reason=session.reason,
+                requests=tuple(
+                    SessionRequest(written=written, kind=kind, reason=reason)
+                    for written, kind, reason in session.requests
+                ),
+            )
+            for session in sessions
+        ),
+        missing=missing,
+        missing_share=missing_share(run, missing),
+        tolerated_share=settings.tolerated,
+        references=reference_drifts(run),
+        drift_limit_mm=settings.reference.drift * 1e3,
+        standard_error_mm=model.standard_error_mm,
+    )
+
+
+def drift_figures(state: CollectionResult | None) -> list[CaptionedFigure]:
+    """Reference drift over the run with its limit; empty if nothing was measured twice."""
+    from cellapp.reporting import figures
+    from cellapp.reporting.svg import ARM_COLOURS
+
+    drift_mm: dict[str, list[tuple[int, float]]] = {}
+    for row in () if state is None else state.references:
+        drift_mm.setdefault(row.name, []).append((row.stops_done, row.drift_mm))
+    if state is None or all(len(rows) < 2 for rows in drift_mm.values()):
+        return []
+    svg = figures.drift_figure("drift", list(drift_mm.values()), state.drift_limit_mm)
+    legend = [(f"arm{number % ARM_COLOURS + 1}", name) for number, name in enumerate(drift_mm)]
+    legend.append(("floor", f"limit, {state.drift_limit_mm:.3f} mm"))
+    return [CaptionedFigure(svg, "Reference measurements: distance from the first one", tuple(legend))]

@@ -1,0 +1,68 @@
+"""Series of readings of the simulated cell at many stops, without driving its arms, and faults put into them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.collection.cell import build_plant
+from cellapp.kinematics.chain import flange_poses
+from cellapp.model.nominal import nominal_arm
+from cellapp.planning.plan import draw_stops
+from cellapp.profile import Profile, load_profile
+from cellapp.safety.cell_bodies import cell_bodies
+from tests.twin import PROFILES
+
+Array = NDArray[np.float64]
+_POOL = 600
+
+
+@lru_cache(maxsize=1)
+def twin() -> Profile:
+    """The twin with its hidden effects."""
+    return load_profile(PROFILES / "twin.yaml")
+
+
+@lru_cache(maxsize=1)
+def _pool() -> Mapping[str, Array]:
+    return draw_stops(cell_bodies(twin()), twin(), _POOL, np.random.default_rng(99))
+
+
+@dataclass(frozen=True)
+class Series:
+    """Readings of one arm: joint positions (n, N), true and measured SMR (n, 3), covariances (n, 3, 3), in M; and the
+    flange's rotations (n, 3, 3)."""
+
+    q: Array
+    true_M: Array
+    p_M: Array
+    covariance_M: Array
+    R_M_F: Array
+
+
+def series(seed: int, count: int, *, shift: Mapping[str, Array] | None = None) -> dict[str, Series]:
+    """Readings of both arms at ``count`` stops of a twin drawn with ``seed``; ``shift`` (n, 3) [m] is added to points.
+
+    Each joint's approach follows from the order of the stops.
+    """
+    rng = np.random.default_rng([seed, 77])
+    profile = twin()
+    assert profile.plant is not None
+    plant = build_plant(profile.model_copy(update={"plant": profile.plant.model_copy(update={"seed": seed})}))
+    rows = rng.permutation(_POOL)[:count]
+    q = {name: stops[rows] for name, stops in _pool().items()}
+    found = {}
+    for name in q:
+        step = np.diff(q[name], axis=0, prepend=0.0)
+        others = {other: q[other] for other in q if other != name}
+        true = plant.smr_positions(name, q[name], others=others, last_step=step)
+        if shift is not None and name in shift:
+            true = true + shift[name]
+        p_M, covariance = plant.measure_positions(true, rng)
+        geometry = nominal_arm(profile.arms[name]).with_T_M_B(plant.true_T_M_B(name))
+        found[name] = Series(q[name], true, p_M, covariance, flange_poses(geometry, q[name])[0])
+    return found
