@@ -209,6 +209,9 @@ def test_a_profile_of_real_devices_is_refused() -> None:
 
 
 def test_an_engine_that_fails_without_faults_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(motion, "_AT_TARGET_RAD", -1.0)
+    def broken(self: CollectSession, stop: int, states: Mapping[str, ArmState]) -> Any:
+        raise KeyError(stop)
+
+    monkeypatch.setattr(CollectSession, "_measure", broken)
     with pytest.raises(CellappError, match="without faults"):
         make_bench(load_profile(PROFILES / "twin.yaml"), STOPS)
