@@ -165,6 +165,8 @@ class _Pace:
         if last == first:
             return None
         step_s = (latest_s - began_s) / (last - first)
+        if now_s - latest_s > step_s:  # the present step is longer than those before
+            step_s = (now_s - began_s) / (last - first + 1)
         return max((event.total - last) * step_s - (now_s - latest_s), 0.0)
 
 
