@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import permutations
 from typing import Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.collection.cell import Cell, start_tracker
 from cellapp.collection.measuring import SmrMeasurement
@@ -194,15 +197,9 @@ class CollectSession:
 
     def _leave_out_forbidden_stops(self) -> None:
         """Ask every controller about the joint positions of all stops before anything moves."""
-        homes = home_positions(self.run.profile)
+        stops = [*self.work.stops, *self.work.reserves]
         forbidden: dict[int, str] = {}
-        for name, arm in self.cell.arms.items():
-            stops = [*self.work.stops, *self.work.reserves]
-            q = np.concatenate([homes[name][None], self.work.plan[name][stops]])
-            try:
-                refused = arm.refused_by_controller(q)
-            except ArmError as error:
-                raise HardwareError(str(error)) from error
+        for name, refused in self._refused_by_controllers(stops).items():
             if refused[0]:
                 raise HardwareError(
                     f"arm {name}: the controller's safety limits forbid its home position; change arms.{name}.home, or"
@@ -213,6 +210,32 @@ class CollectSession:
         for stop, reason in forbidden.items():
             self._leave_out({stop}, reason)
             self._queue.replace()
+
+    def _refused_by_controllers(self, stops: Sequence[int]) -> dict[str, NDArray[np.bool_]]:
+        """Return which positions each controller forbids: home, then those of ``stops``. Raises ``HardwareError``.
+
+        All controllers are asked at once: each needs some milliseconds for every position.
+        """
+        homes = home_positions(self.run.profile)
+        refused: dict[str, NDArray[np.bool_]] = {}
+        errors: list[ArmError] = []
+        answered = {name: threading.Event() for name in self.cell.arms}
+
+        def ask(name: str) -> None:
+            q = np.concatenate([homes[name][None], self.work.plan[name][stops]])
+            try:
+                refused[name] = self.cell.arms[name].refused_by_controller(q)
+            except ArmError as error:
+                errors.append(error)
+            finally:
+                answered[name].set()
+
+        self.cell.together([partial(ask, name) for name in answered])
+        for one in answered.values():
+            one.wait()  # every call of a driver ends in bounded time
+        if errors:
+            raise HardwareError(str(errors[0])) from errors[0]
+        return refused
 
     def _warm_up(self) -> None:
         """Exercise the arms along the first planned stops for the profile's time."""

@@ -21,8 +21,10 @@ from cellapp.trials.storm_cell import StormCell
 KILL = "program killed"
 _SLIDER_S, _PAUSE_S, _STALL_S = 0.4, 0.4, 0.8
 """How long the slider stays low, a pause lasts, and this computer stalls: longer than heartbeats may be late."""
-_LONGEST_DELAY_S = 1.5
-"""From the stop at which a fault is due, or from the start of the program, to the fault."""
+_LONGEST_DELAY_S = 1.0
+"""From the moment from which a fault is due to the fault: about the time of a stop, with its motion and measurement."""
+_AT_START, _LONGEST_START_S = 0.15, 8.0
+"""Share of the faults that are due after the start of a program rather than after its first motion, and their delay."""
 _LAST_STOP = 0.95
 """No fault is due later than at this share of the stops: the run must not end before it."""
 
@@ -139,12 +141,17 @@ FAULTS: Mapping[str, StormFault] = {
 
 @dataclass(frozen=True)
 class Event:
-    """A fault that is due ``delay_s`` after ``at_stop`` stops are stored, or after the program was started again."""
+    """A fault.
+
+    It is due ``delay_s`` after ``at_stop`` stops are stored, or after the program was started again: after its first
+    motion, with ``at_start`` after the start of the program itself.
+    """
 
     kind: str
     arm: str
     at_stop: int
     delay_s: float
+    at_start: bool
 
 
 def drawn_events(
@@ -154,7 +161,9 @@ def drawn_events(
     kinds = [kind for kind in FAULTS if kind != KILL]
     names = [*random.permutation(np.resize(np.array(kinds), faults)).tolist(), *[KILL] * kills]
     at_stops = np.sort(random.integers(0, max(1, int(_LAST_STOP * stops)), len(names)))
-    return [
-        Event(str(kind), str(random.choice(arms)), int(at_stop), float(random.uniform(0.0, _LONGEST_DELAY_S)))
-        for kind, at_stop in zip(random.permutation(names), at_stops, strict=True)
-    ]
+    events = []
+    for kind, at_stop in zip(random.permutation(names), at_stops, strict=True):
+        at_start = bool(random.random() < _AT_START)
+        delay_s = float(random.uniform(0.0, _LONGEST_START_S if at_start else _LONGEST_DELAY_S))
+        events.append(Event(str(kind), str(random.choice(arms)), int(at_stop), delay_s, at_start))
+    return events

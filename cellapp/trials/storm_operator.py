@@ -137,7 +137,8 @@ class Operator:
     def _watch(self, program: subprocess.Popen[bytes]) -> tuple[str, float] | None:
         """Cause what is due while the program runs; return the last fault that has to stop the arms, and when."""
         last: tuple[str, float] | None = None
-        ready_s = progress_s = time.monotonic()
+        began_s = ready_s = progress_s = time.monotonic()
+        working = False
         read_s = 0.0
         while program.poll() is None:
             self._cancel.check()
@@ -146,8 +147,10 @@ class Operator:
                 read_s = now_s
                 if self._look():
                     progress_s = now_s
+            if not working and self._has_moved_since(began_s):
+                working, ready_s = True, max(ready_s, now_s)
             event = self._events[0] if self._events else None
-            if event is not None and self._finished() >= event.at_stop and now_s >= ready_s + event.delay_s:
+            if event is not None and self._is_due(event, working, now_s - ready_s, now_s - began_s):
                 del self._events[0]
                 self._strike(event, program)
                 ready_s = progress_s = time.monotonic()
@@ -159,6 +162,15 @@ class Operator:
             time.sleep(_POLL_S)
         self._look()
         return last
+
+    def _is_due(self, event: Event, working: bool, idle_s: float, age_s: float) -> bool:
+        """``idle_s``: since the last fault, or the first motion; ``age_s``: since the start of the program."""
+        if self._finished() < event.at_stop:
+            return False
+        return idle_s >= event.delay_s if working else event.at_start and age_s >= event.delay_s
+
+    def _has_moved_since(self, began_s: float) -> bool:
+        return any(self._cell.control(name, "starts", began_s) for name in self._cell.arms)
 
     def _strike(self, event: Event, program: subprocess.Popen[bytes]) -> None:
         self.log.struck[event.kind] += 1

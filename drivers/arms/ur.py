@@ -5,8 +5,9 @@ bounded time. On any doubt the listener is told, then the worker process is kill
 dashboard connection, and the arm is monitored over a separate RTDE connection until it rests. If even that fails, the
 controller's watchdog expires and stops the program.
 
-``brake`` stops the arm on three ways at once: a line on an open dashboard connection; the worker, which decelerates
-the motion through the control program and stops the program again; and the watchdog, which the worker no longer kicks.
+``brake`` stops the arm in three ways: the worker decelerates the motion through the control program; at most 20 ms
+later a line on an open dashboard connection, and the worker on another one, end the program; and the worker no longer
+kicks the watchdog.
 
 After a fault or a brake nothing moves until ``connect`` is called again. The driver never releases a protective stop.
 """
@@ -33,12 +34,12 @@ from drivers.arms.protocol import (
     stale,
 )
 from drivers.arms.ur_answers import arm_error, arm_state
-from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, load_checks
+from drivers.arms.ur_checks import Check, UrExpectation, checks, load_checks
 from drivers.arms.ur_doubt import FirstDoubt
 from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_motion import OPTIONAL_VARIABLES
 from drivers.arms.ur_probe import UrProbe, probe_ur
-from drivers.arms.ur_requests import checked_acceleration, checked_goal, checked_speed, narrower
+from drivers.arms.ur_requests import checked_acceleration, checked_goal, checked_rows, checked_speed, narrower
 from drivers.arms.ur_rtde_reader import wait_at_rest
 from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_stop_line import StopLatch, StopLine
@@ -53,7 +54,7 @@ _ANSWER_WITHIN_S = 2.0
 _STOP_WITHIN_S = 1.0
 _MARGIN_S = 1.0
 _ROWS_AT_ONCE = 20
-"""Joint positions in one request to the worker: it asks the controller about one in 7 to 16 ms."""
+"""Joint positions in one request to the worker: it asks the controller about one in 8 to 20 ms."""
 _ROWS_WITHIN_S = 10.0
 
 
@@ -115,7 +116,7 @@ class UrArm:
         )
         program = "" if probe.sample is None else probe.sample.program
         if program != "STOPPED" and self._may_run_program:
-            self._bring_to_rest()
+            self._require_rest()
             probe = self._probe()
         results = checks(self._expected, probe)
         self._raise_failed(results)
@@ -178,9 +179,9 @@ class UrArm:
     def refused_by_controller(self, q: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which joint positions (n, 6) [rad] the controller's safety configuration forbids, shape (n,).
 
-        Takes about 16 ms for each on a CB3 controller, 7 ms on an e-Series one. Raises as ``start_move`` does.
+        Takes about 20 ms for each on a CB3 controller, 8 ms on an e-Series one. Raises as ``start_move`` does.
         """
-        rows = np.asarray(q, dtype=np.float64).reshape(-1, JOINTS)
+        rows = checked_rows(self._name, q)
         refused: list[bool] = []
         for first in range(0, len(rows), _ROWS_AT_ONCE):
             part = rows[first : first + _ROWS_AT_ONCE].tolist()
@@ -221,7 +222,7 @@ class UrArm:
         return arm_state(answer, self._settings.settle_speed)
 
     def brake(self) -> None:
-        """Stop at full deceleration; returns within milliseconds, within 0.3 s if the dashboard does not answer.
+        """Stop at full deceleration; returns within some 20 ms, within 0.4 s if the dashboard does not answer.
 
         Raises ``LinkLost`` if the controller did not confirm the stop; the worker no longer kicks its watchdog then.
         """
@@ -239,7 +240,7 @@ class UrArm:
             worker = self._worker
             if worker is None or worker.ended or isinstance(self._fault, LinkLost):
                 self._drop_worker()
-                self._bring_to_rest()
+                self._require_rest()
                 return
             try:
                 self._command_stop()
@@ -247,7 +248,7 @@ class UrArm:
                 with suppress(MotionStopped):
                     worker.call("release", _ANSWER_WITHIN_S, self._require_last_stop)
             except (LinkLost, WorkerGone, WorkerRefusal) as error:
-                raise self._link_in_doubt(f"the stop could not be requested: {error}") from error
+                raise self._link_in_doubt(f"the stop failed: {error}") from error
 
     def disconnect(self) -> None:
         """Stop the arm, its program and the client; nothing stays on the controller. Harmless when closed."""
@@ -259,7 +260,7 @@ class UrArm:
         self._stop_line.close()
         self._probed, self._fault = None, None
         if self._may_run_program:
-            self._bring_to_rest()
+            self._require_rest()
 
     @property
     def worker_pid(self) -> int | None:
@@ -463,6 +464,14 @@ class UrArm:
         if worker is not None:
             worker.kill()
             self._gaps = self._gaps.joined(worker.gaps)
+
+    def _require_rest(self) -> None:
+        """Bring the arm to rest. Raises ``LinkLost`` with the arm's name."""
+        try:
+            self._bring_to_rest()
+        except LinkLost as error:
+            text = f"its stop was not confirmed: {error}; treat it as moving until you see it at rest"
+            raise arm_error(self._name, "link", text) from error
 
     def _bring_to_rest(self) -> None:
         """Stop the controller's program and monitor the arm until it rests. Raises ``LinkLost``."""

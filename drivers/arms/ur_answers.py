@@ -34,6 +34,7 @@ REFUSALS: Mapping[str, type[ArmError]] = {
 _REMEDIES = {
     "protective": safety_remedy("PROTECTIVE_STOP"),
     "emergency": safety_remedy("ROBOT_EMERGENCY_STOP"),
+    "link": "see whether the controller is on and the network between works, then connect again",
     "stopped": "connect again when it may move",
     "stalled": "nothing is wrong at the arm; close other programs on this computer",
 }

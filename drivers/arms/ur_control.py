@@ -22,6 +22,9 @@ _COMMAND_WITHIN_S = 5.0
 _STOP_WITHIN_S = 1.0
 _DECELERATION = 10.0
 """Of the leading joint in a stop [rad/s^2]: the value with which ur_rtde itself stops a motion at a given speed."""
+_READY_AFTER_S = 0.03
+"""Some control cycles after a command its program is ready for the next. If the program is stopped before, the client
+waits for it in vain, for 4 s."""
 _ASK_AGAIN_S = 0.002
 _ASKED_WITHIN_S = 0.3
 
@@ -45,6 +48,7 @@ class UrControl:
     def __init__(self, host: str, control: Any, receive: Any, optional: Sequence[str] = ()) -> None:
         self.host = host
         self._control, self._receive, self._optional = control, receive, optional
+        self._commanded_s = 0.0
 
     @classmethod
     def open(cls, host: str, optional: Sequence[str], timeout_s: float, opening: Callable[[], None]) -> UrControl:
@@ -120,7 +124,7 @@ class UrControl:
 
     def set_watchdog(self, hertz: float) -> None:
         """Let the controller stop the program if it receives nothing for the inverse of ``hertz``."""
-        with exit_after(_COMMAND_WITHIN_S):
+        with self._commanding():
             if not self._control.setWatchdog(hertz):
                 raise failed("the control program does not respond (it refused the watchdog)")
 
@@ -130,13 +134,13 @@ class UrControl:
 
     def tcp(self) -> tuple[float, ...] | None:
         """Return the tool centre point that the program sees, position [m] and rotation vector [rad]; None if none."""
-        with exit_after(_COMMAND_WITHIN_S):
+        with self._commanding():
             tcp = self._control.getTCPOffset()
         return tuple(tcp) if len(tcp) == 6 else None
 
     def within_safety_limits(self, q: Sequence[float]) -> bool:
         """Return whether the controller's safety configuration allows the joint positions. Raises ``Refusal``."""
-        with exit_after(_COMMAND_WITHIN_S):
+        with self._commanding():
             allowed = self._control.isJointsWithinSafetyLimits(q)
         # an unanswered question also counts as "not allowed" in the client
         if not allowed and not (self.connected and self.program_runs):
@@ -147,17 +151,24 @@ class UrControl:
 
     def move(self, goal: Sequence[float], speed: float, acceleration: float) -> bool:
         """Begin a joint motion; return whether the program took it. Raises ``Refusal``."""
-        with exit_after(_COMMAND_WITHIN_S):
+        with self._commanding():
             try:
                 return bool(self._control.moveJ(goal, speed, acceleration, True))
             except (RuntimeError, ValueError) as error:
                 raise failed(f"the RTDE client refused the motion: {error}") from error
 
     def brake(self) -> None:
-        """Stop a motion with full deceleration; without effect if the program has ended."""
-        with exit_after(_STOP_WITHIN_S):
-            if self.connected and self.program_runs:
-                self._control.stopJ(_DECELERATION, True)
+        """Stop a motion with full deceleration; does nothing if the program has ended, or has just had a command."""
+        if time.monotonic() - self._commanded_s < _READY_AFTER_S or not (self.connected and self.program_runs):
+            return
+        with self._commanding(_STOP_WITHIN_S):
+            self._control.stopJ(_DECELERATION, True)
+
+    @contextmanager
+    def _commanding(self, within_s: float = _COMMAND_WITHIN_S) -> Iterator[None]:
+        with exit_after(within_s):
+            yield
+        self._commanded_s = time.monotonic()
 
 
 def _open_refusal(text: str) -> Refusal:

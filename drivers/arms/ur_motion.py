@@ -16,6 +16,9 @@ MAX_SPEED = 3.14
 """Of a joint [rad/s]; the RTDE client accepts no more."""
 MAX_ACCELERATION = 40.0
 """Of a joint [rad/s^2]; the RTDE client accepts no more."""
+DECELERATES_WITHIN_S = 0.02
+"""In a stop, time for the control program to decelerate the motion before the program is ended. On emulated controllers
+this reaches the program after 1 to 11 ms; the end of a program after 0.4 ms, but it brakes less hard."""
 SLIDER_DOWN = 0.005
 """A speed slider below this stands at 0 % on the pendant: the arm does not move."""
 VARIABLES = ("timestamp", "actual_q", "actual_qd", "joint_temperatures", "robot_mode", "safety_mode", "runtime_state")

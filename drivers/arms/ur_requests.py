@@ -27,6 +27,16 @@ def checked_goal(name: str, q: NDArray[np.float64], limits: JointLimits) -> NDAr
     return goal
 
 
+def checked_rows(name: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return joint positions (n, 6) [rad]. Raises ``LimitExceeded``."""
+    rows = np.asarray(q, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != JOINTS:
+        raise LimitExceeded(f"arm {name}: positions have shape {rows.shape}, expected rows of {JOINTS} joints")
+    if not np.isfinite(rows).all():
+        raise LimitExceeded(f"arm {name}: row {int(np.argmin(np.isfinite(rows).all(axis=1)))} is not finite numbers")
+    return rows
+
+
 def checked_speed(name: str, speed: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
     """Return the speeds (6,) [rad/s]. Raises ``LimitExceeded``."""
     return _checked_rates(name, "speed", "rad/s", speed, limits.speed)

@@ -163,7 +163,7 @@ class Supervisor:
 
     def take_brake(self) -> None:
         """Stop a motion through the control program too, and forget it: its program is being stopped."""
-        if not self._halted:
+        if self._motion is not None and self._motion.running:
             self._control.brake()
         if self._motion is not None:
             self._motion, self._cut_short = None, True

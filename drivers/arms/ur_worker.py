@@ -12,6 +12,7 @@ from the worker
 ``{"id": n, "ok": ...}``            an answer
 ``{"id": n, "error": kind, ...}``   a refusal: a key of ``drivers.arms.ur_answers.REFUSALS``, and its ``text``
 ``{"doubt": kind, "text": ...}``    a fault, sent before anything else is done about it
+``{"decelerating": true}``          the control program decelerates the motion, or there was none
 ``{"lost": text}``                  the last line of a worker that ends itself
 ``{"beat": [longest, late]}``       the worker looks at the arm; its longest silence towards the watchdog [s], and how
                                     often that exceeded half of the watchdog's period
@@ -22,7 +23,8 @@ controller stops its program by itself. When standard input ends because the app
 program first.
 
 No order of a brake and a motion leaves the arm moving. The thread that reads messages first sets ``braked`` (A), then
-stops the program over a connection of its own (B). The main thread looks at ``braked`` before it uploads the program
+stops the program over a connection of its own (B), a little later so that the control program can decelerate the motion
+harder than the end of a program does. The main thread looks at ``braked`` before it uploads the program
 and before it sends a motion (C), sends it (D), and looks again (E). If C saw it, nothing was sent. If not, C came
 before A. Then either D took effect before B, and B stopped it; or D came after B, hence after A, and E sees it and
 stops the program again. From A on, the watchdog is not kicked either.
@@ -44,7 +46,7 @@ from typing import Any, BinaryIO, NoReturn
 from drivers.arms.protocol import LinkLost
 from drivers.arms.ur_control import Refusal, UrControl, failed
 from drivers.arms.ur_links import stop_program
-from drivers.arms.ur_motion import Kicks, RestCriterion
+from drivers.arms.ur_motion import DECELERATES_WITHIN_S, Kicks, RestCriterion
 from drivers.arms.ur_supervisor import Supervisor
 
 _TICK_S = 0.008
@@ -73,6 +75,7 @@ class Worker:
         self._supervisor: Supervisor | None = None
         self._brakes = 0  # counted by the reading thread
         self._released = 0  # the number of brakes that are no longer in force
+        self._decelerating = threading.Event()
         self._beat_s = 0.0
         self._heard_s = time.monotonic()
         self._looks_unheard = 0
@@ -89,8 +92,10 @@ class Worker:
 
     def brake(self) -> None:
         """Stop the program now, whatever the main thread does; see the module's text for the order."""
+        self._decelerating.clear()
         self._brakes += 1
         self._requests.put(None)
+        self._decelerating.wait(DECELERATES_WITHIN_S)
         if self._host:
             with suppress(LinkLost):
                 stop_program(self._host, _BRAKE_WITHIN_S)
@@ -153,6 +158,9 @@ class Worker:
                     self._serve(request)
             if self._supervisor is not None:
                 self._supervisor.monitor()
+            if self.braked and not self._decelerating.is_set():
+                self._decelerating.set()
+                self.answer({"decelerating": True})
 
     def _serve(self, request: Mapping[str, Any]) -> None:
         try:

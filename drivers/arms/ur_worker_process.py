@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import drivers
+from drivers.arms.ur_motion import DECELERATES_WITHIN_S
 
 _BEAT_EVERY_S = 0.05
 _SILENT_S = 0.3
@@ -96,6 +97,7 @@ class WorkerProcess:
         self._hello: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._ended = ""
         self._ending = threading.Event()
+        self._decelerating = threading.Event()
         self._gaps = HeartbeatGaps()
         self._beat_s = 0.0
         self._looks = 0
@@ -168,11 +170,13 @@ class WorkerProcess:
     def brake(self) -> None:
         """Tell the worker to stop its arm and to begin no motion until ``release`` or ``restart`` is asked.
 
-        Takes microseconds; a worker that does not read its messages is left to the controller's watchdog.
+        Waits a few milliseconds until the motion decelerates. A worker that does not read its messages is left to the
+        controller's watchdog.
         """
-        if not self._lock.acquire(timeout=_LOCK_WITHIN_S):
+        if self._ended or not self._lock.acquire(timeout=_LOCK_WITHIN_S):
             return
         try:
+            self._decelerating.clear()
             with suppress(OSError):
                 self._write({"brake": True})
             waiting = [one for one in self._pending.values() if one.request == "settled"]
@@ -180,6 +184,7 @@ class WorkerProcess:
             self._lock.release()
         for one in waiting:
             one.answered.put(_STOPPED)
+        self._decelerating.wait(DECELERATES_WITHIN_S)
 
     def kill(self) -> None:
         """Kill the process; harmless when it has ended."""
@@ -244,6 +249,8 @@ class WorkerProcess:
                 self._gaps = HeartbeatGaps(*message["beat"])
             elif "doubt" in message:
                 self._report(str(message["doubt"]), str(message["text"]))
+            elif "decelerating" in message:
+                self._decelerating.set()
             elif "lost" in message:
                 reason = str(message["lost"])
             elif "hello" in message:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -36,9 +37,10 @@ from drivers.arms.protocol import (
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_control import UrControl
 from drivers.arms.ur_links import stop_program
-from drivers.arms.ur_motion import MAX_SPEED, Motion, RestCriterion, leading_rates
+from drivers.arms.ur_motion import MAX_SPEED, Kicks, Motion, RestCriterion, leading_rates
 from drivers.arms.ur_rtde_reader import wait_at_rest
 from drivers.arms.ur_settings import UrSettings
+from drivers.arms.ur_worker_process import HeartbeatGaps
 from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
@@ -515,7 +517,7 @@ def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Callable[..
         monkeypatch.setattr(module, "stop_program", lambda host, within_s: None)
     monkeypatch.setattr(ur_supervisor, "in_local_control", lambda host, within_s: client.local)
     worker = ur_worker.Worker(answers)
-    control = UrControl("127.0.0.1", client, client)
+    control = UrControl("127.0.0.1", client, client, ("target_speed_fraction",))
     supervisor = ur_supervisor.Supervisor(worker, control, 5.0, RestCriterion(dwell_s=0.1, speed=0.005, position=2e-4))
     supervisor.begin()
     supervisor._motion = Motion(list(AWAY), number_before=1, began_s=now[0])
@@ -584,6 +586,78 @@ def test_a_stop_by_something_else_is_a_fault(delayed: Any, moves_at_once: bool) 
         doubt, answer = monitor(0.4)
     assert "its program was stopped on the pendant" in answer["text"]
     assert doubt["doubt"] == "failed"
+
+
+def test_a_program_that_was_stopped_in_local_control_says_so(delayed: Any) -> None:
+    client, monitor = delayed
+    client.playing, client.local = False, True
+    answer = monitor(0.4)[-1]
+    assert (answer["id"], answer["error"]) == (7, "local")
+    assert "switch it to Remote" in answer["text"]
+
+
+def test_an_application_that_falls_silent_stops_its_arm_only_while_it_moves(delayed: Any) -> None:
+    client, monitor = delayed
+    client.running, client.q = True, list(AWAY)
+    assert monitor(0.4, beats=False) == []
+    doubt, answer = monitor(0.3, beats=False)
+    assert (doubt["doubt"], answer["error"]) == ("stalled", "stalled")
+    assert "silent for 0.5 s" in doubt["text"]
+
+
+def test_an_application_that_falls_silent_at_rest_is_no_fault(delayed: Any) -> None:
+    client, monitor = delayed
+    client.q = list(AWAY)
+    monitor(0.3)
+    monitor(2.0, beats=False)
+    assert monitor(0.1, {"do": "state"})[-1]["ok"]["fault"] is None
+
+
+def test_a_motion_that_stands_because_of_the_slider_is_no_fault(delayed: Any) -> None:
+    client, monitor = delayed
+    client.running, client.fraction = True, 0.0
+    assert monitor(5.0) == []
+
+
+def test_a_motion_that_stands_at_full_speed_is_a_fault(delayed: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    client, monitor = delayed
+    monkeypatch.setattr(os, "_exit", sys.exit)
+    client.running = True
+    with pytest.raises(SystemExit):
+        monitor(5.0)
+
+
+# -- heartbeats -------------------------------------------------------------------------------------------------------
+
+
+def test_a_silence_longer_than_the_watchdogs_period_explains_a_stop_just_after_it() -> None:
+    kicks = Kicks()
+    kicks.start(0.0, 0.2)
+    for now in (0.04, 0.08, 0.3):  # the last one late by 0.22 s
+        kicks.kicked(now)
+    assert kicks.late == 1
+    assert kicks.longest_s == pytest.approx(0.22)
+    assert kicks.expired_before(0.32) == pytest.approx(0.22)
+    for step in range(20):
+        kicks.kicked(0.34 + 0.04 * step)
+    assert kicks.expired_before(1.12) is None  # much later: on the pendant
+    assert kicks.expired_before(None) is None
+
+
+def test_a_stop_that_is_seen_before_the_next_kick_is_explained_too() -> None:
+    kicks = Kicks()
+    kicks.start(0.0, 0.2)
+    assert kicks.expired_before(0.5) == pytest.approx(0.5)
+    assert kicks.late == 1
+
+
+def test_silence_after_a_stop_on_purpose_is_not_counted() -> None:
+    kicks = Kicks()
+    kicks.start(0.0, 0.2)
+    kicks.end()
+    kicks.kicked(60.0)
+    assert (kicks.late, kicks.longest_s) == (0, 0.0)
+    assert HeartbeatGaps(0.1, 2).joined(HeartbeatGaps(0.3, 1)) == HeartbeatGaps(0.3, 3)
 
 
 # -- many motions, many faults ----------------------------------------------------------------------------------------

@@ -1,0 +1,422 @@
+"""Stops and doubts of a UR arm with the real client: what reaches the controller, how soon, and what is reported."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.arms.protocol import (
+    ArmError,
+    ArmTimeout,
+    HostStalled,
+    LinkLost,
+    MotionStopped,
+    NotInRemoteControl,
+    ProtectiveStop,
+)
+from drivers.arms.ur import UrArm
+from drivers.arms.ur_settings import UrSettings
+from drivers.emulators.ur_controller import EmulatorProcess
+from tests.drivers.arms.emulated_ur_cell import (
+    ACCELERATION,
+    AWAY,
+    FAR,
+    HOME,
+    HOSTS,
+    PATIENT_S,
+    SPEED,
+    assert_stays_at_rest,
+    driven,
+    emulated_cell,
+    pause,
+    repair,
+    until,
+)
+
+COMMANDED_WITHIN_S = 0.1
+"""From a request to stop until the controller has received it."""
+KNOWN_WITHIN_S = 0.3
+"""Until an arm whose state is unknown counts as in doubt."""
+MARGIN_S = 0.2
+"""For processes that wait for their turn on a busy computer."""
+
+
+@pytest.fixture(scope="module")
+def emulator() -> Iterator[EmulatorProcess]:
+    with emulated_cell() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
+    with driven("left") as left, driven("right") as right:
+        yield {"left": left, "right": right}
+
+
+@pytest.fixture(params=["left", "right"])
+def arm(request: pytest.FixtureRequest, emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
+    """A CB3 or an e-Series arm, connected, without fault."""
+    return make_ready(emulator, drivers[request.param])
+
+
+@pytest.fixture
+def right(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
+    return make_ready(emulator, drivers["right"])
+
+
+def make_ready(emulator: EmulatorProcess, arm: UrArm) -> UrArm:
+    arm.watch(lambda error: None)
+    emulator.control(arm.name, "slider", 1.0)
+    repair(emulator, arm.name)
+    arm.connect()
+    return arm
+
+
+def start(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """Begin a long motion and return while it lasts."""
+    here = arm.state().q
+    goal = FAR if np.abs(here - FAR).max() > np.abs(here - HOME).max() else HOME
+    arm.start_move(goal, SPEED, ACCELERATION)
+    until(lambda: float(np.abs(arm.state().q - here).max()) > 0.1, "the arm moves")
+
+
+def go(arm: UrArm, q: np.ndarray) -> None:
+    arm.start_move(q, SPEED, ACCELERATION)
+    np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, q, atol=1e-6)
+
+
+def received_stop_s(emulator: EmulatorProcess, name: str, since_s: float) -> float:
+    """Return when the controller received the first stop after ``since_s`` (``time.monotonic``)."""
+    stops = [stop for stop in emulator.control(name, "stops") if stop["received_s"] >= since_s]
+    return float(stops[0]["received_s"])
+
+
+def at_rest(emulator: EmulatorProcess, name: str) -> bool:
+    return not emulator.control(name, "status")["moving"]
+
+
+class Heard:
+    """A listener that keeps what it was told, and when."""
+
+    def __init__(self, arm: UrArm) -> None:
+        self.doubts: list[tuple[float, ArmError]] = []
+        arm.watch(lambda error: self.doubts.append((time.monotonic(), error)))
+
+    def first(self) -> tuple[float, ArmError]:
+        until(lambda: bool(self.doubts), "the listener is told")
+        return self.doubts[0]
+
+
+# -- brake ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_brake_during_a_wait_stops_the_arm_and_ends_the_wait(emulator: EmulatorProcess, arm: UrArm) -> None:
+    start(emulator, arm)
+    asked: list[float] = []
+
+    def brake() -> None:
+        asked.append(time.monotonic())
+        arm.brake()
+        asked.append(time.monotonic())
+
+    stopper = threading.Timer(0.1, brake)
+    stopper.start()
+    with pytest.raises(MotionStopped, match=f"arm {arm.name}: "):
+        arm.wait_settled(PATIENT_S)
+    woken_s = time.monotonic()
+    stopper.join()
+    assert woken_s - asked[0] < COMMANDED_WITHIN_S
+    assert asked[1] - asked[0] < 0.05
+    assert received_stop_s(emulator, arm.name, asked[0]) - asked[0] < COMMANDED_WITHIN_S
+    for call in (lambda: arm.wait_settled(PATIENT_S), lambda: arm.start_move(HOME, SPEED, ACCELERATION)):
+        with pytest.raises(MotionStopped, match="connect again"):
+            call()
+    assert_stays_at_rest(emulator, arm.name)
+    pid = arm.worker_pid
+    arm.connect()
+    assert arm.worker_pid == pid, "the client was started again"
+    go(arm, AWAY)
+
+
+def test_no_motion_survives_a_brake_at_any_moment_of_its_start(
+    emulator: EmulatorProcess, drivers: dict[str, UrArm]
+) -> None:
+    threads = []
+    failures: list[BaseException] = []
+
+    def hammer(arm: UrArm) -> None:
+        try:
+            moments = random.Random(11)
+            for _ in range(12):
+                brake_while_it_starts(emulator, arm, moments.uniform(0.0, 0.2))
+        except BaseException as error:  # noqa: BLE001 - raised below, in the test's thread
+            failures.append(error)
+
+    for arm in drivers.values():
+        make_ready(emulator, arm)
+        threads.append(threading.Thread(target=hammer, args=(arm,)))
+        threads[-1].start()
+    for thread in threads:
+        thread.join()
+    for failure in failures:
+        raise failure
+
+
+def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float) -> None:
+    arm.stop()  # the next motion uploads the program first, which takes a tenth of a second
+    here = arm.state().q
+    goal = FAR if np.abs(here - FAR).max() > np.abs(here - HOME).max() else HOME
+    stopper = threading.Timer(after_s, arm.brake)
+    stopper.start()
+    try:
+        arm.start_move(goal, SPEED, ACCELERATION)
+    except MotionStopped:
+        stopper.join()
+    else:
+        with pytest.raises(MotionStopped):
+            arm.wait_settled(PATIENT_S)
+        stopper.join()
+    assert_stays_at_rest(emulator, arm.name, for_s=0.3)
+    assert np.abs(arm.state().q - goal).max() > 0.3, "it went all the way"
+    with pytest.raises(MotionStopped):
+        arm.start_move(goal, SPEED, ACCELERATION)
+    arm.connect()
+    assert at_rest(emulator, arm.name), "connecting moved the arm"
+
+
+def test_a_brake_without_its_open_line_takes_a_new_one(emulator: EmulatorProcess, right: UrArm) -> None:
+    start(emulator, right)
+    emulator.control("right", "drop", "dashboard", "rst")
+    asked = time.monotonic()
+    right.brake()
+    assert received_stop_s(emulator, "right", asked) - asked < COMMANDED_WITHIN_S
+    assert_stays_at_rest(emulator, "right")
+
+
+def test_a_brake_that_the_dashboard_does_not_confirm_says_so_and_stops_all_the_same(
+    emulator: EmulatorProcess, right: UrArm
+) -> None:
+    start(emulator, right)
+    emulator.control("right", "fault", "dashboard", "silent")
+    asked = time.monotonic()
+    with pytest.raises(LinkLost, match=r"arm right: its stop was not confirmed: .*29999"):
+        right.brake()
+    assert received_stop_s(emulator, "right", asked) - asked < COMMANDED_WITHIN_S
+    assert_stays_at_rest(emulator, "right")
+
+
+def test_braking_an_arm_that_rests_or_is_not_connected_is_harmless(emulator: EmulatorProcess, right: UrArm) -> None:
+    go(right, AWAY)
+    right.brake()
+    right.brake()
+    right.stop()
+    with pytest.raises(MotionStopped):
+        right.start_move(HOME, SPEED, ACCELERATION)
+    right.connect()
+    go(right, HOME)
+    with driven("left") as other:
+        other.brake()
+
+
+def test_a_slider_at_0_keeps_a_braked_arm_stopped(emulator: EmulatorProcess, right: UrArm) -> None:
+    right.brake()
+    emulator.control("right", "slider", 0.0)
+    with pytest.raises(ArmError, match="arm right: not moved: speed slider: at 0 %"):
+        right.connect()
+    with pytest.raises(MotionStopped):
+        right.start_move(HOME, SPEED, ACCELERATION)
+    emulator.control("right", "slider", 1.0)
+    right.connect()
+    go(right, AWAY)
+
+
+# -- doubts -----------------------------------------------------------------------------------------------------------
+
+PUSHED: dict[str, tuple[tuple[Any, ...] | None, type[ArmError], float]] = {
+    "fin": (("drop", "rtde", "fin"), LinkLost, 0.0),
+    "rst": (("drop", "rtde", "rst"), LinkLost, 0.0),
+    "silent": (("fault", "rtde", "silent"), LinkLost, KNOWN_WITHIN_S),
+    "all silent": (("fault", "*", "silent"), LinkLost, KNOWN_WITHIN_S),
+    "killed": (None, LinkLost, 0.0),
+    "protective": (("protective", "now"), ProtectiveStop, 0.0),
+}
+
+
+@pytest.mark.parametrize("fault", PUSHED)
+def test_a_doubt_is_pushed_before_it_is_diagnosed(emulator: EmulatorProcess, right: UrArm, fault: str) -> None:
+    command, error, known_after_s = PUSHED[fault]
+    heard = Heard(right)
+    start(emulator, right)
+    pid = right.worker_pid
+    assert pid is not None
+    began_s = time.monotonic()
+    if command is None:
+        os.kill(pid, signal.SIGKILL)
+    else:
+        emulator.control("right", *command)
+    with pytest.raises(error):
+        right.wait_settled(PATIENT_S)
+    raised_s = time.monotonic()
+    heard_s, doubt = heard.first()
+    assert type(doubt) is error
+    assert str(doubt).startswith("arm right: ")
+    assert heard_s - began_s < known_after_s + MARGIN_S
+    assert heard_s <= raised_s
+    repair(emulator, "right")
+    assert_stays_at_rest(emulator, "right")
+    assert len(heard.doubts) == 1
+    right.connect()
+    go(right, AWAY)
+    emulator.control("right", "drop", "rtde", "rst")
+    until(lambda: len(heard.doubts) == 2, "the first doubt after the next connect is told")
+
+
+def test_a_worker_that_does_not_run_is_a_doubt(emulator: EmulatorProcess, right: UrArm) -> None:
+    heard = Heard(right)
+    start(emulator, right)
+    assert right.worker_pid is not None
+    began_s = time.monotonic()
+    os.kill(right.worker_pid, signal.SIGSTOP)
+    heard_s, doubt = heard.first()
+    assert isinstance(doubt, LinkLost | HostStalled)
+    assert heard_s - began_s < KNOWN_WITHIN_S + MARGIN_S
+    asked_s = time.monotonic()
+    right.brake()
+    assert received_stop_s(emulator, "right", began_s) - asked_s < COMMANDED_WITHIN_S
+    assert_stays_at_rest(emulator, "right")
+    with pytest.raises(LinkLost, match="seen at rest"):
+        right.wait_settled(PATIENT_S)
+    right.connect()
+    go(right, AWAY)
+
+
+def test_a_stall_of_this_computer_is_named(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
+    """The worker does not run for longer than the watchdog's period of 0.1 s, but not long enough for other doubts."""
+    drivers["right"].disconnect()
+    with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=10.0)) as arm:
+        make_ready(emulator, arm)
+        heard = Heard(arm)
+        start(emulator, arm)
+        assert arm.worker_pid is not None
+        os.kill(arm.worker_pid, signal.SIGSTOP)
+        pause(0.2)
+        os.kill(arm.worker_pid, signal.SIGCONT)
+        with pytest.raises(
+            HostStalled, match=r"arm right: this computer was silent for 0.* nothing is wrong at the arm"
+        ):
+            arm.wait_settled(PATIENT_S)
+        assert type(heard.first()[1]) is HostStalled
+        assert_stays_at_rest(emulator, "right")
+        gaps = arm.heartbeat_gaps()
+        assert gaps.late >= 1
+        assert gaps.longest_s > 0.1
+        assert any("heartbeats: this computer was late" in note for note in arm.warnings())
+        arm.connect()
+        go(arm, AWAY)
+
+
+APPLICATION = """
+import threading
+from tests.drivers.arms.emulated_ur_cell import ACCELERATION, AWAY, FAR, HOME, SPEED, driven
+
+with driven("right") as arm:
+    arm.connect()
+    far = FAR if abs(arm.state().q - FAR).max() > abs(arm.state().q - HOME).max() else HOME
+    arm.start_move(far, SPEED * 0.3, ACCELERATION)
+    print("moving", flush=True)
+    try:
+        arm.wait_settled(60.0)
+    except Exception as error:
+        print(type(error).__name__, flush=True)
+"""
+
+
+def test_a_suspended_application_does_not_leave_its_arm_moving(
+    emulator: EmulatorProcess, drivers: dict[str, UrArm]
+) -> None:
+    drivers["right"].disconnect()
+    repair(emulator, "right")
+    root = Path(__file__).parents[3]
+    command = [sys.executable, "-c", APPLICATION]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
+        assert application.stdout is not None
+        assert application.stdout.readline() == "moving\n"
+        until(lambda: not at_rest(emulator, "right"), "the arm moves")
+        application.send_signal(signal.SIGSTOP)
+        until(lambda: at_rest(emulator, "right"), "the arm was stopped", 1.5)
+        assert_stays_at_rest(emulator, "right")
+        application.send_signal(signal.SIGCONT)
+        assert application.stdout.readline() == "HostStalled\n"
+        application.wait(PATIENT_S)
+
+
+# -- what the controller says -----------------------------------------------------------------------------------------
+
+
+def test_a_paused_program_of_somebody_else_is_left_alone(emulator: EmulatorProcess, right: UrArm) -> None:
+    right.disconnect()
+    emulator.control("right", "foreign", "paused")
+    until(lambda: emulator.control("right", "status")["runtime_state"] == "PAUSED", "the program is paused")
+    with pytest.raises(ArmError, match=r"arm right: not moved: program: .* is paused"):
+        right.connect()
+    assert emulator.control("right", "status")["runtime_state"] == "PAUSED"
+    emulator.control("right", "foreign", "off")
+    until(lambda: emulator.control("right", "status")["runtime_state"] == "STOPPED", "the program has ended")
+
+
+def test_a_slider_that_is_moved_during_a_motion_is_no_fault(emulator: EmulatorProcess, arm: UrArm) -> None:
+    heard = Heard(arm)
+    start(emulator, arm)
+    emulator.control(arm.name, "slider", 0.0)
+    with pytest.raises(ArmTimeout, match=f"arm {arm.name}: .* stands, because the speed slider is at 0 %"):
+        arm.wait_settled(2.5)
+    state = arm.state()
+    assert (state.speed_fraction, state.ready, state.moving) == (0.0, True, True)
+    emulator.control(arm.name, "slider", 0.5)
+    arm.wait_settled(PATIENT_S)
+    assert arm.state().speed_fraction == 0.5
+    assert heard.doubts == []
+    emulator.control(arm.name, "slider", 0.0)
+    with pytest.raises(ArmError, match=f"arm {arm.name}: the speed slider is at 0 %"):
+        arm.start_move(AWAY, SPEED, ACCELERATION)
+
+
+def test_local_control_is_named_when_a_stop_is_refused(emulator: EmulatorProcess, right: UrArm) -> None:
+    start(emulator, right)
+    emulator.control("right", "remote", "off")
+    with pytest.raises(LinkLost, match=r"arm right: its stop was not confirmed: .*the pendant is in local control"):
+        right.brake()
+    assert_stays_at_rest(emulator, "right")  # its program still obeys
+    with pytest.raises(NotInRemoteControl, match="from Local to Remote"):
+        right.connect()
+
+
+def test_local_control_is_named_after_a_stop(emulator: EmulatorProcess, right: UrArm) -> None:
+    start(emulator, right)
+    right.stop()
+    emulator.control("right", "remote", "off")
+    with pytest.raises(NotInRemoteControl, match="arm right: the pendant is in local control"):
+        right.start_move(HOME, SPEED, ACCELERATION)
+
+
+def test_the_controller_is_asked_about_joint_positions(emulator: EmulatorProcess, arm: UrArm) -> None:
+    moves = emulator.control(arm.name, "status")["moves"]
+    rows = np.vstack([HOME, AWAY, HOME + 7.0, FAR])
+    assert arm.refused_by_controller(rows).tolist() == [False, False, True, False]
+    assert arm.refused_by_controller(np.tile(HOME, (45, 1))).tolist() == [False] * 45
+    assert arm.refused_by_controller(np.empty((0, 6))).shape == (0,)
+    assert emulator.control(arm.name, "status")["moves"] == moves
+    arm.brake()
+    with pytest.raises(MotionStopped):
+        arm.refused_by_controller(rows)
