@@ -16,6 +16,7 @@ from cellapp.errors import HardwareError, InputError
 from cellapp.model.nominal import pose_matrix
 from cellapp.profile import Arm as ArmProfile
 from cellapp.profile import Profile
+from cellapp.safety.gate import Gate, refuse_motion
 from drivers.arms.protocol import Arm, ArmError, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
@@ -54,6 +55,7 @@ class Cell:
     clearance: ClearanceObserver | None = None
     together: Together = in_threads
     watch_tracker: Watch = watched
+    gate: Gate = refuse_motion
     tracker_unmet: tuple[str, ...] = ()
 
     def require_tracker(self) -> None:

@@ -13,7 +13,7 @@ from cellapp.errors import CellappError, InputError
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
 from cellapp.safety.cell_bodies import home_positions
-from cellapp.safety.gate import CellBodies, predicted_smr, refuse_motion
+from cellapp.safety.gate import CellBodies, predicted_smr
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, MotionStopped
 from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
 
@@ -90,7 +90,7 @@ class Mover:
         start = self.positions()
         for targets in legs:
             end = {**start, **targets}
-            refusal = refuse_motion(self._bodies, start, end)
+            refusal = self._cell.gate(self._bodies, start, end)
             if refusal:
                 return refusal
             start = end
@@ -119,7 +119,7 @@ class Mover:
             If an arm refuses, faults or does not arrive, or a person stopped the cell; all arms brake.
         """
         start = self.positions()
-        refusal = refuse_motion(self._bodies, start, {**start, **targets})
+        refusal = self._cell.gate(self._bodies, start, {**start, **targets})
         if refusal:
             raise MotionRefused(f"refused to move: {refusal}")
         self._record_foreign_steps(start)
