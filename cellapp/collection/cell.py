@@ -45,7 +45,8 @@ class Cell:
 
     ``air`` is None without a weather station, ``clearance`` None if distances are not observed. ``together`` calls
     functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
-    ``tracker_unmet`` lists what kept the tracker from measuring when the cell was opened.
+    ``gate`` checks every motion; a trial that drives the same plan many times shares its answers. ``tracker_unmet``
+    lists what kept the tracker from measuring when the cell was opened.
     """
 
     arms: Mapping[str, Arm]
@@ -99,7 +100,8 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
         if plant is None or _has_real_arm(profile):
             yield Cell(arms, tracker, RealClock(), air, tracker_unmet=unmet)
         else:
-            yield Cell(arms, tracker, SimulatedClock(plant), air, plant.clearance, one_by_one, unwatched, unmet)
+            clock, clearance = SimulatedClock(plant), plant.clearance
+            yield Cell(arms, tracker, clock, air, clearance, one_by_one, unwatched, tracker_unmet=unmet)
 
 
 def _needs_plant(profile: Profile) -> bool:
