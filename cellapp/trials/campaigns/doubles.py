@@ -62,11 +62,6 @@ class CampaignArm(SimulatedArm):
         self.sluggish = 1.0
         self.refuses = False
 
-    @property
-    def reachable(self) -> bool:
-        """Whether a program can command it."""
-        return not self._link_cut
-
     # -- the protocol --------------------------------------------------------------------------------------------------
 
     def _link(self) -> None:

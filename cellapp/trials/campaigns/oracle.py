@@ -47,10 +47,11 @@ def judge(
     run: RunFile,
     plan: Mapping[str, NDArray[np.float64]],
     undisturbed: Mapping[str, ArmEstimate] | None,
+    problems: tuple[Failure, ...],
 ) -> Judgement:
-    """Check the run of a campaign against what the devices of its ``world`` did."""
+    """Check the run of a campaign against what the devices of its ``world`` did; ``problems`` were found before."""
     readings = {name: run.readings(name) for name in plan}
-    failures = list(world.monitor.violations)
+    failures = [*problems, *world.monitor.violations]
     failures += _lost_or_doubled(world, readings)
     for name, arm in readings.items():
         failures += _false(world, name, arm, plan[name])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -120,7 +121,8 @@ def _here(bench: Bench, seeds: Sequence[int], cancel: CancelToken) -> Iterator[C
 def _in_processes(bench: Bench, seeds: Sequence[int], jobs: int, cancel: CancelToken) -> Iterator[Campaign]:
     tasks = iter([seeds[k : k + _AT_ONCE] for k in range(0, len(seeds), _AT_ONCE)])
     context = multiprocessing.get_context("spawn")  # not forked: BLAS has threads of its own
-    with ProcessPoolExecutor(jobs, context) as pool:
+    ignore_ctrl_c = (signal.SIGINT, signal.SIG_IGN)  # it reaches the whole group, and this process ends the others
+    with ProcessPoolExecutor(jobs, context, initializer=signal.signal, initargs=ignore_ctrl_c) as pool:
         under_way: set[Future[list[Campaign]]] = set()
         for task in islice(tasks, jobs):
             under_way.add(pool.submit(run_campaigns, bench, task))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -10,18 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.collection.cell import Cell, build_plant, start_tracker
-from cellapp.collection.reaction import one_by_one
+from cellapp.collection.together import one_by_one
 from cellapp.collection.tracker_watch import Died
 from cellapp.control import JobControl, Request
 from cellapp.errors import HardwareError
 from cellapp.profile import Profile
 from cellapp.progress import Progress, StateChange
+from cellapp.safety.gate import Gate, refuse_motion
 from cellapp.trials.campaigns.disk import CampaignRun, Disk, copy_run
 from cellapp.trials.campaigns.doubles import CampaignAir, CampaignArm, CampaignTracker, Process, ProgramKilled
 from cellapp.trials.campaigns.faults import KINDS, Fault
 from cellapp.trials.campaigns.monitor import Monitor
 from drivers.arms.protocol import ArmError
-from drivers.clock import SimulatedClock
+from drivers.clock import SimulatedClock, Sleep
+from drivers.plant import Plant
 from drivers.sensors.protocol import SensorError
 from drivers.trackers.protocol import Tracker
 
@@ -34,7 +37,8 @@ _COMES_S = (2.0, 60.0)
 class World:
     """Everything around the engine. Time passes in ``plant`` only."""
 
-    def __init__(self, profile: Profile, seed: int, folder: Path) -> None:
+    def __init__(self, profile: Profile, seed: int, folder: Path, gate: Gate = refuse_motion) -> None:
+        self._gate = gate
         self.plant = build_plant(profile, keep_motions=True)
         self.monitor = Monitor(self.plant)
         self.process = Process()
@@ -90,9 +94,9 @@ class World:
 
     def end(self, run: CampaignRun) -> None:
         """The program has ended, or is dead."""
-        if self.process.alive:
-            for name, arm in self.arms.items():
-                if self.plant.moving(name) and arm.reachable:
+        if self.process.alive and not self.monitor.latched:  # else the monitor checks soon that all arms rest
+            for name in self.plant.names:
+                if self.plant.moving(name):
                     self.monitor.violation("motion after a stop", f"the program ended while arm {name} moved")
         self.process.alive = False
         self.person.control = None
@@ -132,10 +136,11 @@ class World:
             yield Cell(
                 self.arms,
                 self.tracker,
-                SimulatedClock(self.plant),
+                HoldingClock(self.plant, self.person),
                 self.air,
                 together=one_by_one,
                 watch_tracker=self._watched,
+                gate=self._gate,
             )
 
     @contextmanager
@@ -152,6 +157,21 @@ class World:
         if self._tracker_died is not None:
             self.monitor.stop("a lost tracker")
             self._tracker_died("tracker: the simulated link is cut")
+
+
+class HoldingClock(SimulatedClock):
+    """The plant's clock. A job that holds for a person, and asks every moment, waits until something happens."""
+
+    def __init__(self, plant: Plant, person: Person) -> None:
+        super().__init__(plant)
+        self._person = person
+
+    def wait(self, duration_s: float, sleep: Sleep) -> None:
+        """Advance the simulation, while the job holds to the next event."""
+        control = self._person.control
+        if control is not None and control.request in ("pause", "stop") and math.isfinite(self.plant.undisturbed_s):
+            duration_s = max(duration_s, self.plant.undisturbed_s)
+        super().wait(duration_s, sleep)
 
 
 class Endless(BaseException):
