@@ -45,7 +45,8 @@ class Cell:
 
     ``air`` is None without a weather station, ``clearance`` None if distances are not observed. ``together`` calls
     functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
-    ``tracker_unmet`` lists what kept the tracker from measuring when the cell was opened.
+    ``tracker_unmet`` lists what kept the tracker from measuring when the cell was opened. ``gate`` checks every motion:
+    only a simulation replaces it, by one that remembers its answers.
     """
 
     arms: Mapping[str, Arm]
@@ -55,8 +56,8 @@ class Cell:
     clearance: ClearanceObserver | None = None
     together: Together = in_threads
     watch_tracker: Watch = watched
-    gate: Gate = refuse_motion
     tracker_unmet: tuple[str, ...] = ()
+    gate: Gate = refuse_motion
 
     def require_tracker(self) -> None:
         """Raise ``HardwareError`` if the tracker was not ready to measure when the cell was opened."""
