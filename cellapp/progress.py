@@ -92,8 +92,37 @@ class Progress:
 Listener = Callable[[Progress], None]
 
 
+Report = Callable[[int, str], None]
+"""Takes the number of steps that a part of a job has done, and what it is doing, in a few words."""
+
+
 def ignore(event: Progress) -> None:
     """A listener for those who do not look."""
+
+
+def ignore_report(done: int, words: str) -> None:
+    """A report that nobody reads."""
+
+
+class SharedProgress:
+    """Progress of one job whose parts run at the same time: the steps of all parts are added."""
+
+    def __init__(self, listener: Listener, job: str, done: int, total: int) -> None:
+        """``done`` of ``total`` steps are done before the parts begin."""
+        self._listener, self._job, self._begun, self._total = listener, job, done, total
+        self._done: dict[str, int] = {}
+        self._lock = threading.Lock()
+
+    def part(self, name: str) -> Report:
+        """Return what reports the steps of one part."""
+
+        def report(done: int, words: str) -> None:
+            with self._lock:
+                self._done[name] = done
+                steps = self._begun + sum(self._done.values())
+                self._listener(Progress(self._job, steps, self._total, f"{name}: {words}"))
+
+        return report
 
 
 _RECENT_STEPS = 20
@@ -136,6 +165,8 @@ class _Pace:
         if last == first:
             return None
         step_s = (latest_s - began_s) / (last - first)
+        if now_s - latest_s > step_s:  # the present step is longer than those before
+            step_s = (now_s - began_s) / (last - first + 1)
         return max((event.total - last) * step_s - (now_s - latest_s), 0.0)
 
 

@@ -19,7 +19,7 @@ from cellapp.calibration.identification import (
     identify_with_excess,
     start_from_nominal,
 )
-from cellapp.calibration.network_training import SHAPES, Shape, Training, train_network
+from cellapp.calibration.network_training import SHAPES, Shape, Training, train_network, training_steps
 from cellapp.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.calibration.splits import draw_splits
 from cellapp.calibration.station_change import station_change
@@ -34,9 +34,13 @@ from cellapp.model.nominal import (
     up_in_tracker,
 )
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.results import Provenance, Repeatability, Stage, StageErrors
 from cellapp.run import SPLITS, Readings, stated_uncertainty
+
+_BASE_STEPS = training_steps(SHAPES)
+_TRAINING_STEPS = _BASE_STEPS + training_steps(SHAPES[:1])
+"""Steps of an arm's training: in the base frame, and of the best shape in the tracker frame."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +105,8 @@ def calibrate_readings(
     """
     cancel = cancel or CancelToken()
     notes: list[str] = []
-    total = 2 * len(readings) + 1
+    training = _TRAINING_STEPS if profile.network.kind == "mlp" else 0
+    total = (1 + training) * len(readings) + 1
     arms: dict[str, ArmCalibration] = {}
     for name, arm_readings in readings.items():
         listener(Progress("calibrate", len(arms), total, f"arm {name}: geometry"))
@@ -111,10 +116,13 @@ def calibrate_readings(
     if profile.network.kind == "mlp":
         listener(Progress("calibrate", len(arms), total, "residual networks"))
         with ThreadPoolExecutor(max_workers=2) as pool:  # torch works outside the interpreter lock
-            tasks = {name: pool.submit(train_arm, profile, arm, readings[name], cancel) for name, arm in arms.items()}
+            shared = SharedProgress(listener, "calibrate", len(arms), total)
+            tasks = {
+                name: pool.submit(train_arm, profile, arm, readings[name], cancel, shared.part(f"arm {name}"))
+                for name, arm in arms.items()
+            }
             for name, task in tasks.items():
                 arms[name] = task.result()
-                listener(Progress("calibrate", len(arms) + 1, total, f"arm {name}: network"))
     listener(Progress("calibrate", total - 1, total, "pair"))
     cancel.check()
     pair, pair_notes = calibrate_pair(profile, readings, arms)
@@ -232,7 +240,11 @@ def _identify(profile: Profile, name: str, nominal: Geometry, learn: Readings) -
 
 
 def train_arm(
-    profile: Profile, arm: ArmCalibration, readings: Readings, cancel: CancelToken | None = None
+    profile: Profile,
+    arm: ArmCalibration,
+    readings: Readings,
+    cancel: CancelToken | None = None,
+    report: Report = ignore_report,
 ) -> ArmCalibration:
     """Train the residual network of an arm in its base frame, and the same in the tracker frame for comparison.
 
@@ -246,7 +258,7 @@ def train_arm(
     rotation = arm.model.geometry.T_M_B()[:3, :3]
     left_M = learn.p_M - arm.model.predict(learn.q, learn.approach, learn.payload_kg)
 
-    def train(residual: Array, shapes: Sequence[Shape]) -> Training:
+    def train(residual: Array, shapes: Sequence[Shape], first: int, frame: str) -> Training:
         return train_network(
             learn.q,
             residual,
@@ -255,13 +267,16 @@ def train_arm(
             iterations=profile.network.iterations,
             shapes=shapes,
             cancel=cancel,
+            report=lambda done, words: report(first + done, f"{frame}: {words}"),
         )
 
-    training = train(left_M @ rotation, SHAPES)
+    training = train(left_M @ rotation, SHAPES, 0, "base frame")
     if training.network is None:
         return replace(arm, training=training)
     # the same layers, in a frame that does not rotate with joint 1: the tracker frame has no relation to that axis
-    in_tracker = train(left_M, (replace(training.shape, rotates_with_joint_1=False),)).network
+    in_tracker = train(
+        left_M, (replace(training.shape, rotates_with_joint_1=False),), _BASE_STEPS, "tracker frame"
+    ).network
     model = replace(arm.model, network=training.network)
     computed = model.predict(held_out.q, held_out.approach, held_out.payload_kg)
     stages: dict[Stage, StageErrors] = {**arm.validate, "network": evaluate(held_out.p_M, computed)}

@@ -23,7 +23,7 @@ import numpy as np
 
 from cellapp.kinematics.transforms import Array
 from cellapp.model.network import Inputs, Layers, ResidualNetwork, network_inputs, rotate_about_z
-from cellapp.progress import CancelToken
+from cellapp.progress import CancelToken, Report, ignore_report
 
 if TYPE_CHECKING:
     import torch
@@ -55,6 +55,8 @@ SHAPES: tuple[Shape, ...] = (
 )
 _SCREENING = 40
 """Iterations after which candidates are compared; only the best one is trained further."""
+_REPORTED = 10
+"""Iterations between two reports: a second or less."""
 _PATIENCE = 8
 """Training ends after this number of iterations in which no member predicted its fold better."""
 
@@ -91,6 +93,7 @@ def train_network(
     iterations: int = 150,
     shapes: Sequence[Shape] = SHAPES,
     cancel: CancelToken | None = None,
+    report: Report = ignore_report,
 ) -> Training:
     """Train a residual network.
 
@@ -108,6 +111,8 @@ def train_network(
     shapes : sequence of Shape
         Candidates.
     cancel : CancelToken, optional
+    report : callable
+        Takes the steps done, of ``training_steps(shapes)``, and words.
     """
     import torch
 
@@ -129,7 +134,7 @@ def train_network(
         candidates.append(
             (shape, _train_members(inputs[shape.inputs], outputs[shape.rotates_with_joint_1], inside, shape, seed))
         )
-    shape, committee, screened = _train_best(candidates, iterations, cancel)
+    shape, committee, screened = _train_best(candidates, iterations, cancel, report)
     without = float(np.sqrt(np.mean(np.sum((residual / scale) ** 2, axis=1))))
     margin = _MARGIN * np.maximum(high - low, 1e-3)
     members = tuple(_layers(member.numpy(), committee.sizes) for member in committee.members)
@@ -143,20 +148,34 @@ def train_network(
     )
 
 
+def training_steps(shapes: Sequence[Shape] = SHAPES) -> int:
+    """Number of steps that the training of these candidates reports: each is trained, then the best one further."""
+    return len(shapes) + 1
+
+
 def _train_best(
-    candidates: Sequence[tuple[Shape, Iterator[_Committee]]], iterations: int, cancel: CancelToken
+    candidates: Sequence[tuple[Shape, Iterator[_Committee]]], iterations: int, cancel: CancelToken, report: Report
 ) -> tuple[Shape, _Committee, list[tuple[Shape, float]]]:
     """Train all candidates for some iterations and the best one to the end; also each one's error at the comparison."""
     compared: list[tuple[_Committee, Shape, Iterator[_Committee]]] = []
-    for shape, training in candidates:
-        cancel.check()
-        *_, committee = islice(training, min(_SCREENING, iterations))
+    for number, (shape, training) in enumerate(candidates):
+        for committee in islice(training, min(_SCREENING, iterations)):
+            cancel.check()
+            if committee.iteration % _REPORTED == 1:
+                report(number, f"network {number + 1} of {len(candidates)}, {_training_words(committee)}")
         compared.append((committee, shape, training))
     committee, shape, training = min(compared, key=lambda entry: entry[0].left_out)
     while committee.iteration < iterations and (later := next(training, None)) is not None:
         cancel.check()
         committee = later
+        if committee.iteration % _REPORTED == 1:
+            report(len(candidates), f"best network, {_training_words(committee)}")
+    report(len(candidates) + 1, "network trained")
     return shape, committee, [(tried, screened.left_out) for screened, tried, _ in compared]
+
+
+def _training_words(committee: _Committee) -> str:
+    return f"{len(committee.members)} folds, iteration {committee.iteration}"
 
 
 @dataclass(frozen=True)

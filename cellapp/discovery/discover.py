@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
+from cellapp.calibration.network_training import training_steps
 from cellapp.calibration.pair_calibration import calibrate_pair
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.describe import describe
@@ -23,13 +24,13 @@ from cellapp.discovery.pictures.term_pictures import pictures
 from cellapp.discovery.remaining_network import with_network
 from cellapp.discovery.search.comparison import scatter
 from cellapp.discovery.search.state import SearchResult
-from cellapp.discovery.search.stepwise import refit_to_all, search
+from cellapp.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
 from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, without_term
 from cellapp.discovery.verdict import verdict
 from cellapp.effects import EFFECTS, MeasurementConditions
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.run import Readings
 
 _MOST_SEARCHED = 600
@@ -67,8 +68,15 @@ def discover_cell(
         pair, _ = calibrate_pair(profile, readings, {name: _PairArm(found.model) for name, found in arms.items()})
     T_R_L = model.T_R_L if pair is None else pair.T_R_L
     model = replace(model, arms={name: found.model for name, found in arms.items()}, T_R_L=T_R_L)
-    listener(Progress("discover", len(arms), len(arms), "done"))
+    total = _total_steps(profile, len(arms))
+    listener(Progress("discover", total, total, "done"))
     return CellDiscovery(arms, model, pair)
+
+
+def _total_steps(profile: Profile, arms: int) -> int:
+    """Steps that discovery reports: search and training of every arm, and the pair."""
+    training = training_steps() if profile.network.kind == "mlp" else 0
+    return (SEARCH_STEPS + training) * arms + 1
 
 
 def _discover_arms(
@@ -76,17 +84,32 @@ def _discover_arms(
 ) -> dict[str, Discovery]:
     conditions = conditions_of_arms(model.arms, readings)
     found: dict[str, Discovery] = {}
-    for done, (name, arm) in enumerate(model.arms.items()):
-        listener(Progress("discover", done, len(model.arms), f"arm {name}"))
+    total = _total_steps(profile, len(model.arms))
+    searched = SharedProgress(listener, "discover", 0, total)
+    for name, arm in model.arms.items():
+        report = searched.part(f"arm {name}")
+        report(0, "search")
         cancel.check()
-        found[name] = discover_arm(profile, name, arm, readings[name], cancel, conditions=conditions[name])
+        found[name] = discover_arm(
+            profile, name, arm, readings[name], cancel, conditions=conditions[name], report=report
+        )
+        report(SEARCH_STEPS, found[name].verdict)
     if profile.network.kind != "mlp":
         return found
-    listener(Progress("discover", len(model.arms), len(model.arms), "residual networks beside the effects"))
+    done = SEARCH_STEPS * len(model.arms)
+    listener(Progress("discover", done, total, "residual networks beside the effects"))
+    shared = SharedProgress(listener, "discover", done, total)
     with ThreadPoolExecutor(max_workers=2) as pool:  # torch works outside the interpreter lock
         tasks = {
             name: pool.submit(
-                with_network, profile, model.arms[name], discovery, readings[name], conditions[name], cancel
+                with_network,
+                profile,
+                model.arms[name],
+                discovery,
+                readings[name],
+                conditions[name],
+                cancel,
+                shared.part(f"arm {name}"),
             )
             for name, discovery in found.items()
         }
@@ -101,16 +124,18 @@ def discover_arm(
     cancel: CancelToken | None = None,
     *,
     conditions: MeasurementConditions | None = None,
+    report: Report = ignore_report,
 ) -> Discovery:
     """Search the identify and train splits for effects, and evaluate the models on the validate split.
 
     ``conditions`` are those of ``readings``; the default is derived from the readings of this arm alone.
+    ``report`` takes the steps done, of ``SEARCH_STEPS``.
     """
     started = time.perf_counter()
     cancel = cancel or CancelToken()
     conditions = conditions or measurement_conditions(readings)
     held_out = HeldOut.of(readings, conditions)
-    found, fitted = _search_and_refit(profile, model, readings, conditions, cancel)
+    found, fitted = _search_and_refit(profile, model, readings, conditions, cancel, report)
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(found.fit.model)
     floor_mm = held_out.noise_floor_mm()
     accepted = _accepted_effects(found, held_out, after.rms)
@@ -141,7 +166,12 @@ def discover_arm(
 
 
 def _search_and_refit(
-    profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions, cancel: CancelToken
+    profile: Profile,
+    model: ArmModel,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    cancel: CancelToken,
+    report: Report,
 ) -> tuple[SearchResult, int | None]:
     """Search at most ``_MOST_SEARCHED`` readings, then fit to all; also the number of all readings if it is larger."""
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
@@ -150,7 +180,7 @@ def _search_and_refit(
         generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
         some = np.sort(generator.permutation(rows)[:_MOST_SEARCHED])
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
-    found = search(ArmData.of(profile, model, readings.take(some), conditions.take(some)), slugs, cancel)
+    found = search(ArmData.of(profile, model, readings.take(some), conditions.take(some)), slugs, cancel, report)
     if len(some) == len(rows) or not found.fit.terms:
         return found, None
     return refit_to_all(found, ArmData.of(profile, model, readings.take(rows), conditions.take(rows))), len(rows)

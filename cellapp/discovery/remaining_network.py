@@ -13,7 +13,7 @@ from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, ResidualNetwork
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken
+from cellapp.progress import CancelToken, Report, ignore_report
 from cellapp.results import BeforeAfter
 from cellapp.run import Readings
 
@@ -28,6 +28,7 @@ def with_network(
     readings: Readings,
     conditions: MeasurementConditions,
     cancel: CancelToken,
+    report: Report = ignore_report,
 ) -> Discovery:
     """The outcome with the corrections of a network before and after the accepted effects.
 
@@ -37,7 +38,7 @@ def with_network(
     network = discovery.model.network
     if discovery.accepted:
         rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
-        network = _train(profile, discovery.model, readings.take(rows), conditions.take(rows), cancel)
+        network = _train(profile, discovery.model, readings.take(rows), conditions.take(rows), cancel, report)
     q = held_out.readings.q
     corrections = BeforeAfter(before=_correction_mm(calibrated.network, q), after=_correction_mm(network, q))
     discovery = replace(discovery, network_mm=corrections)
@@ -57,7 +58,12 @@ def with_network(
 
 
 def _train(
-    profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions, cancel: CancelToken
+    profile: Profile,
+    model: ArmModel,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    cancel: CancelToken,
+    report: Report,
 ) -> ResidualNetwork | None:
     """A network for the residuals of ``model``; None where it does not predict left-out readings better than none."""
     if len(readings) < _READINGS_A_FOLD * profile.network.folds:
@@ -70,6 +76,7 @@ def _train(
         folds=profile.network.folds,
         iterations=profile.network.iterations,
         cancel=cancel,
+        report=report,
     ).network
 
 

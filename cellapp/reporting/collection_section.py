@@ -17,7 +17,9 @@ def collection_state(run: RunFile) -> CollectionResult | None:
         return None
     missing = missing_readings(run)
     settings = run.profile.collection
-    model = LiveModel(run, remaining_work(run, resume=True), lambda level, text: None)
+    errors_mm: dict[str, float] = {}
+    if run.read_plan():
+        errors_mm = LiveModel(run, remaining_work(run, resume=True), lambda level, text: None).standard_error_mm
     return CollectionResult(
         run=str(run.folder),
         sessions=tuple(
@@ -39,7 +41,7 @@ def collection_state(run: RunFile) -> CollectionResult | None:
         tolerated_share=settings.tolerated,
         references=reference_drifts(run),
         drift_limit_mm=settings.reference.drift * 1e3,
-        standard_error_mm=model.standard_error_mm,
+        standard_error_mm=errors_mm,
     )
 
 

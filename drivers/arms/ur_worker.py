@@ -226,7 +226,9 @@ def _raise_priority() -> None:
 def main() -> None:
     """Serve on standard input and output, kept free of the RTDE client's own messages."""
     _raise_priority()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the application
+    for name in ("SIGINT", "SIGTSTP", "SIGHUP"):  # sent to all processes of a terminal; the application handles them
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     messages, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     devnull = os.open(os.devnull, os.O_RDWR)
     os.dup2(devnull, 0)

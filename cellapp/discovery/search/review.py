@@ -25,6 +25,7 @@ def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
     dropped = list(state.dropped)
     while True:
         problem.cancel.check()
+        problem.say(f"review of {len(state.fit.terms)} effects")
         out = _weakest(problem, state)
         if out is None:
             out = _rest_of_a_law(state)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from cellapp.discovery.arm_data import ArmData
@@ -62,6 +62,8 @@ class SearchProblem:
     threshold : float
         Score that an effect must pass.
     cancel : CancelToken
+    say : callable
+        Takes what the search does now, in a few words.
     """
 
     data: ArmData
@@ -69,6 +71,7 @@ class SearchProblem:
     null_maxima: Array
     threshold: float
     cancel: CancelToken
+    say: Callable[[str], None]
 
     def p_value(self, score: float) -> float:
         """Probability of a score at least this large where nothing is missing, corrected for the whole scan."""

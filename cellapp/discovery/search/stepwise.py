@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import fit_terms, refit, reweighted
@@ -25,7 +25,7 @@ from cellapp.discovery.search.significance import score_threshold, simulate_null
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchResult, SearchState, SearchStep
 from cellapp.discovery.search.tuning import apply_step
 from cellapp.discovery.terms import TRANSMISSION_ERROR
-from cellapp.progress import CancelToken
+from cellapp.progress import CancelToken, Report, ignore_report
 
 _MOST_EFFECTS = 5
 """Effects of the library in one model at most: further ones would only explain the imperfection of
@@ -36,8 +36,16 @@ _NULL_SEED = 0xD15C
 """Beside the profile's seed: the simulated noise is then independent of all other draws."""
 
 
-def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken) -> SearchResult:
-    """Search for effects among ``slugs`` and, beyond them, for what no effect of the library explains."""
+SEARCH_STEPS = 4
+"""Steps that a search reports: simulations without effects, effects of the library, beyond the library, review."""
+
+
+def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Report = ignore_report) -> SearchResult:
+    """Search for effects among ``slugs`` and, beyond them, for what no effect of the library explains.
+
+    ``report`` takes the steps done, of ``SEARCH_STEPS``.
+    """
+    progress = _SearchProgress(report)
     settings = data.profile.discovery
     weighed = reweighted(data, ())
     fit = fit_terms(weighed, ())
@@ -46,8 +54,10 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken) -> SearchRe
     seed = (data.profile.seed, _NULL_SEED)
     null_maxima = simulate_null_maxima(scan, fit.projector, settings.null_simulations, seed)
     threshold = score_threshold(null_maxima, settings.false_alarm)
-    problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, cancel)
-    best = _best_model(problem, start, scan)
+    problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, cancel, progress.say)
+    progress.step("effects of the library")
+    best = _best_model(problem, start, scan, progress)
+    progress.finish("review and rivals")
     return SearchResult(
         data=best.data,
         fit=best.fit,
@@ -66,11 +76,34 @@ def refit_to_all(found: SearchResult, data: ArmData) -> SearchResult:
     return replace(found, data=here, fit=fit)
 
 
-def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan) -> SearchState:
+@dataclass
+class _SearchProgress:
+    """Counts the steps of a search and passes words on; steps that are not needed are counted at the end."""
+
+    report: Report
+    done: int = 0
+
+    def say(self, words: str) -> None:
+        """Report words within the present step."""
+        self.report(self.done, words)
+
+    def step(self, words: str) -> None:
+        """Report that a step is done and the next one begins."""
+        self.done = min(self.done + 1, SEARCH_STEPS - 1)
+        self.say(words)
+
+    def finish(self, words: str) -> None:
+        """Report that the last step begins."""
+        self.done = SEARCH_STEPS - 1
+        self.say(words)
+
+
+def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progress: _SearchProgress) -> SearchState:
     """The best of the reviewed models: named effects alone, extended by what the library lacks, or the reverse."""
     named = reviewed(problem, _with_library_effects(problem, start, scan))
     if floor_reached(named):
         return named
+    progress.step("beyond the library")
     extended = beyond_library(problem, named)
     if extended is None:
         return named
@@ -88,6 +121,7 @@ def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawS
     refining = True
     for _ in range(_MOST_STEPS):
         problem.cancel.check()
+        problem.say(f"model with {len(state.fit.terms)} effects")
         step = _next_step(problem, state, scan, refused, refining=refining)
         if step is None:
             break

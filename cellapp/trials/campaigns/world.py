@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.collection.cell import Cell, build_plant, start_tracker
-from cellapp.collection.reaction import one_by_one
+from cellapp.collection.together import one_by_one
 from cellapp.collection.tracker_watch import Died
 from cellapp.control import JobControl, Request
 from cellapp.errors import HardwareError
