@@ -62,6 +62,8 @@ class Campaign:
         Fault -> how often it struck while a program ran.
     ended : mapping
         How sessions ended -> how often.
+    seconds : float
+        Processor time, in one thread [s].
     digest : str
         SHA-256 of all events: equal for equal campaigns.
     """
@@ -170,9 +172,9 @@ def run_campaign(bench: Bench, seed: int) -> tuple[Campaign, dict[str, ArmEstima
     A bench without ``undisturbed`` gets no faults. The run file is in memory, where the system has such a folder.
     """
     with TemporaryDirectory(prefix="campaign-", dir=_memory()) as folder:
-        began_s = time.perf_counter()
+        began_s = time.process_time()
         campaign, estimates = _run(bench, seed, Path(folder))
-        return replace(campaign, seconds=time.perf_counter() - began_s), estimates
+        return replace(campaign, seconds=time.process_time() - began_s), estimates
 
 
 def _memory() -> str | None:

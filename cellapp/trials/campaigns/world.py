@@ -128,7 +128,7 @@ class World:
                     stack.callback(_disconnect, arm)
                     arm.connect()
                 stack.callback(self.tracker.disconnect)
-                start_tracker(self.tracker, profile.tracker.driver)
+                unmet = start_tracker(self.tracker, profile.tracker.driver)
                 stack.callback(self.air.disconnect)
                 self.air.connect()
             except (ArmError, SensorError) as error:
@@ -140,6 +140,7 @@ class World:
                 self.air,
                 together=one_by_one,
                 watch_tracker=self._watched,
+                tracker_unmet=unmet,
                 gate=self._gate,
             )
 
