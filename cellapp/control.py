@@ -74,9 +74,7 @@ class JobControl(CancelToken):
     def stop(self) -> None:
         """Brake all arms now."""
         attended = self.holds and self.has_brakes  # a job without arms has nothing to hold
-        self._brake_and_set("stop", replaces=("none", "pause", "stop"))
-        if not attended:
-            super().cancel()
+        self._set_and_brake("stop", replaces=("none", "pause", "stop"), ends=not attended)
 
     def leave(self) -> None:
         """Brake all arms now and end the job as stopped: the person who attended it goes away."""
@@ -89,8 +87,7 @@ class JobControl(CancelToken):
 
     def abort(self) -> None:
         """Brake all arms now and end the job."""
-        self._brake_and_set("abort", replaces=("none", "pause", "stop", "abort"))
-        super().cancel()
+        self._set_and_brake("abort", replaces=("none", "pause", "stop", "abort"), ends=True)
 
     def cancel(self) -> None:
         """End the job: ``abort``, for callers that know only a cancel token."""
@@ -131,15 +128,16 @@ class JobControl(CancelToken):
         finally:
             self._brakes.remove(brake)
 
-    def _brake_and_set(self, verb: Literal["stop", "abort"], replaces: tuple[Request, ...]) -> None:
-        """Brake first: a job that sees the request must find its arms stopped. Then set the request."""
-        reached = tuple(self._brakes)
-        for brake in reached:
-            brake(verb)
+    def _set_and_brake(self, verb: Literal["stop", "abort"], replaces: tuple[Request, ...], *, ends: bool) -> None:
+        """Set the request, then brake: a job that sees its arms stopped must find who asked for it.
+
+        Setting takes microseconds, and nothing that holds the lock waits. Brakes that open later see the request.
+        """
         self._set(verb, replaces)
+        if ends:
+            super().cancel()
         for brake in tuple(self._brakes):
-            if brake not in reached:  # opened meanwhile, before it could see the request
-                brake(verb)
+            brake(verb)
 
     def _set(self, request: Request, replaces: tuple[Request, ...]) -> None:
         """Set the request if one of ``replaces`` stands: a late ``resume`` must not undo an ``abort``."""

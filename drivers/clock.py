@@ -35,6 +35,12 @@ class RealClock:
         sleep(duration_s)
 
 
+def slept_s() -> float:
+    """Return how long this computer has slept since it started [s]; 0 where the system does not tell."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return 0.0 if clock is None else time.clock_gettime(clock) - time.clock_gettime(time.CLOCK_MONOTONIC)
+
+
 class SimulatedClock:
     """The clock of a ``plant``: a wait advances the simulation and takes no real time."""
 

@@ -12,11 +12,11 @@ from cellapp.progress import Cancelled
 pytestmark = pytest.mark.fast
 
 
-def test_stop_calls_the_brakes_in_the_callers_thread_before_anything_else() -> None:
+def test_stop_calls_the_brakes_in_the_callers_thread_when_the_request_stands() -> None:
     control, braked = JobControl(), list[tuple[str, str, int]]()
     with control.brakes(lambda verb: braked.append((verb, control.request, threading.get_ident()))):
         control.stop()
-    assert braked == [("stop", "none", threading.get_ident())]
+    assert braked == [("stop", "stop", threading.get_ident())]
     assert control.request == "stop"
 
 

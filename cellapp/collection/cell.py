@@ -10,12 +10,13 @@ from typing import Protocol
 
 import numpy as np
 
-from cellapp.collection.reaction import Together, in_threads, one_by_one
+from cellapp.collection.together import Together, in_threads, one_by_one
 from cellapp.collection.tracker_watch import Watch, unwatched, watched
 from cellapp.errors import HardwareError, InputError
 from cellapp.model.nominal import pose_matrix
 from cellapp.profile import Arm as ArmProfile
 from cellapp.profile import Profile
+from cellapp.safety.gate import Gate, refuse_motion
 from drivers.arms.protocol import Arm, ArmError, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
@@ -44,7 +45,8 @@ class Cell:
 
     ``air`` is None without a weather station, ``clearance`` None if distances are not observed. ``together`` calls
     functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
-    ``tracker_unmet`` lists what kept the tracker from measuring when the cell was opened.
+    ``gate`` checks every motion; a trial that drives the same plan many times shares its answers. ``tracker_unmet``
+    lists what kept the tracker from measuring when the cell was opened.
     """
 
     arms: Mapping[str, Arm]
@@ -54,6 +56,7 @@ class Cell:
     clearance: ClearanceObserver | None = None
     together: Together = in_threads
     watch_tracker: Watch = watched
+    gate: Gate = refuse_motion
     tracker_unmet: tuple[str, ...] = ()
 
     def require_tracker(self) -> None:
@@ -94,10 +97,11 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
                 air.connect()
             except SensorError as error:
                 raise HardwareError(str(error)) from error
-        if plant is None:
+        if plant is None or _has_real_arm(profile):
             yield Cell(arms, tracker, RealClock(), air, tracker_unmet=unmet)
         else:
-            yield Cell(arms, tracker, SimulatedClock(plant), air, plant.clearance, one_by_one, unwatched, unmet)
+            clock, clearance = SimulatedClock(plant), plant.clearance
+            yield Cell(arms, tracker, clock, air, clearance, one_by_one, unwatched, tracker_unmet=unmet)
 
 
 def _needs_plant(profile: Profile) -> bool:
@@ -108,6 +112,11 @@ def _needs_plant(profile: Profile) -> bool:
         or any(arm.driver.needs_plant for arm in profile.arms.values())
         or (air is not None and air.needs_plant)
     )
+
+
+def _has_real_arm(profile: Profile) -> bool:
+    """Whether an arm moves in real time: then the cell's clock is real, whatever else is simulated."""
+    return any(arm.driver.has_device and not arm.driver.needs_plant for arm in profile.arms.values())
 
 
 def _disconnect(arm: Arm) -> None:

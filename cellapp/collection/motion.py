@@ -13,8 +13,8 @@ from cellapp.errors import CellappError, InputError
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
 from cellapp.safety.cell_bodies import home_positions
-from cellapp.safety.gate import CellBodies, predicted_smr, refuse_motion
-from drivers.arms.protocol import ArmError, ArmState, ArmTimeout
+from cellapp.safety.gate import CellBodies, predicted_smr
+from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, MotionStopped
 from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
 
 Vector = NDArray[np.float64]
@@ -32,9 +32,7 @@ _WRONG_TARGET_M = 0.05
 _AT_TARGET_RAD = 1e-3
 """Well above the repeatability of a joint, well below any planned step."""
 _MOVED_RAD = 1e-4
-"""A joint that rests farther than this from where it came to rest has moved meanwhile."""
-_STILL_RAD = 1e-9
-"""Smaller commanded steps are rounding: the joint does not move."""
+"""Smaller steps are noise of the encoders: the joint does not move."""
 _MEASURING_TRIES = 2
 """A beam that somebody crossed is usually free at the second try."""
 
@@ -63,6 +61,8 @@ class Mover:
         self._rest_since_s: dict[str, float] = {}
         self._rested_at: dict[str, Vector] = {}
         self._departure: dict[str, Vector] | None = None
+        self.speed = 1.0
+        """Share of the profile's speed for the next motions."""
 
     def positions(self) -> dict[str, Vector]:
         """Return the joint positions (N,) of all arms [rad]. Raises ``CellStopped`` if one is not ready or moves."""
@@ -70,7 +70,7 @@ class Mover:
         for name in self._cell.arms:
             state = self._state(name)
             if not state.ready or state.moving:
-                raise self._stopped(
+                raise self.stop_cell(
                     StopCause(
                         "fault",
                         f"arm {name}: not ready: {state.reason or 'it is moving'}; look at the arm, release it there,"
@@ -90,7 +90,7 @@ class Mover:
         start = self.positions()
         for targets in legs:
             end = {**start, **targets}
-            refusal = refuse_motion(self._bodies, start, end)
+            refusal = self._cell.gate(self._bodies, start, end)
             if refusal:
                 return refusal
             start = end
@@ -108,10 +108,8 @@ class Mover:
         if not confirm(start, first):
             raise InputError("the first motion was not confirmed; nothing was moved")
 
-    def move(self, targets: Mapping[str, Vector], speed: float = 1.0) -> dict[str, ArmState]:
+    def move(self, targets: Mapping[str, Vector]) -> dict[str, ArmState]:
         """Move to ``targets`` (name -> (N,) [rad]), all arms at once, and wait until they are at rest.
-
-        ``speed`` is the share of the profile's speed.
 
         Raises
         ------
@@ -121,30 +119,30 @@ class Mover:
             If an arm refuses, faults or does not arrive, or a person stopped the cell; all arms brake.
         """
         start = self.positions()
-        refusal = refuse_motion(self._bodies, start, {**start, **targets})
+        refusal = self._cell.gate(self._bodies, start, {**start, **targets})
         if refusal:
             raise MotionRefused(f"refused to move: {refusal}")
         self._record_foreign_steps(start)
         self._departure = start
         with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
-            states = self._drive(start, targets, speed)
+            states = self._drive(start, targets)
         for name, q in targets.items():
             self._record_step(name, start[name], q, states[name].q)
         return states
 
-    def _drive(self, start: Mapping[str, Vector], targets: Mapping[str, Vector], speed: float) -> dict[str, ArmState]:
+    def _drive(self, start: Mapping[str, Vector], targets: Mapping[str, Vector]) -> dict[str, ArmState]:
         """Start all arms and wait until they have settled. The gate has accepted the motion."""
         timeout_s = 0.0
         for name, q in targets.items():
             speeds, accelerations = self._rates(name)
             way = np.abs(q - start[name])
-            ideal_s = float((way / (speed * speeds) + speed * speeds / accelerations).max())
+            ideal_s = float((way / speeds + speeds / accelerations).max())
             timeout_s = max(timeout_s, 2.0 * ideal_s + _MOVE_ALLOWANCE_S)
             self._reaction.check()
             try:
-                self._cell.arms[name].start_move(q, speed * speeds, accelerations)
+                self._cell.arms[name].start_move(q, speeds, accelerations)
             except ArmError as error:
-                raise self._stopped(cause_of(name, error)) from error
+                raise self.stop_cell(cause_of(name, error)) from error
         return self._settled(list(targets), timeout_s)
 
     def _tracker_died(self, reason: str) -> None:
@@ -161,16 +159,17 @@ class Mover:
     def _record_step(self, name: str, start: Vector, commanded: Vector, reached: Vector) -> None:
         """Record the last motion of each joint. Raises ``CellStopped`` if the arm did not reach its target."""
         step = commanded - start
-        moved = np.abs(step) > _STILL_RAD
+        moved = np.abs(step) > _MOVED_RAD
         self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
-        self._step[name] = np.where(moved, reached - start, 0.0)
+        if moved.any() or name not in self._step:  # an arm that is there already keeps its last motion
+            self._step[name] = np.where(moved, reached - start, 0.0)
         self._rested_at[name] = reached
         miss = float(np.abs(reached - commanded).max())
         if miss > _AT_TARGET_RAD:
             text = f"arm {name}: it came to rest {np.degrees(miss):.3f} deg from its target"
-            raise self._stopped(StopCause("gate", text, name))
+            raise self.stop_cell(StopCause("gate", text, name))
 
-    def go_home(self, speed: float = 1.0) -> None:
+    def go_home(self) -> None:
         """Move the arms home one at a time, in an order that the gate accepts.
 
         Raises as ``move`` does; ``MotionRefused`` if none of the remaining arms can move home.
@@ -179,7 +178,7 @@ class Mover:
         waiting = list(homes)
         while waiting:
             name = next((name for name in waiting if not self.refusal({name: homes[name]})), waiting[0])
-            self.move({name: homes[name]}, speed)
+            self.move({name: homes[name]})
             waiting.remove(name)
 
     def _settled(self, names: Sequence[str], timeout_s: float) -> dict[str, ArmState]:
@@ -199,7 +198,7 @@ class Mover:
                     late, fraction = name, min(fraction, self._speed_fraction(name))
                     continue
                 except ArmError as error:
-                    raise self._stopped(cause_of(name, error)) from error
+                    raise self.stop_cell(cause_of(name, error)) from error
                 since_s = states[name].rest_since_s
                 self._rest_since_s.setdefault(name, self._cell.clock.now_s() if since_s is None else since_s)
             if len(states) == len(names):
@@ -213,7 +212,7 @@ class Mover:
         text = f"arm {late}: did not come to rest within {timeout_s:.0f} s"
         if standing_s >= _STANDSTILL_S:
             text = f"arm {late}: its speed slider is at 0 %, so that it does not move; raise it on the pendant"
-        raise self._stopped(StopCause("fault", text, late))
+        raise self.stop_cell(StopCause("fault", text, late))
 
     def _speed_fraction(self, name: str) -> float:
         """Return the speed slider of an arm, 1 if its controller does not report it."""
@@ -273,7 +272,8 @@ class Mover:
             except TrackerError as error:
                 if isinstance(error, Halted):
                     self._reaction.check()
-                raise self._stopped(StopCause("tracker", str(error))) from error
+                raise self.stop_cell(StopCause("tracker", str(error))) from error
+            self._reaction.check()  # the arms may have moved while they braked
             off = float(np.linalg.norm(point.p_M - expected_M))
             if off <= _WRONG_TARGET_M:
                 return point
@@ -281,18 +281,23 @@ class Mover:
         self._reaction.check()
         raise problem
 
-    def _stopped(self, cause: StopCause) -> CellStopped:
-        """Stop the cell; return the exception for its first cause, which may be an earlier one."""
-        self._reaction.trigger(cause)
+    def stop_cell(self, cause: StopCause) -> CellStopped:
+        """Stop the cell; return the exception for its first cause, which may be an earlier one.
+
+        An arm that was braked is the consequence of a cause, not another one.
+        """
+        first = self._reaction.cause
+        if first is None or not isinstance(cause.error, MotionStopped):
+            self._reaction.trigger(cause)
         return CellStopped(self._reaction.cause or cause)
 
     def _state(self, name: str) -> ArmState:
         try:
             return self._cell.arms[name].state()
         except ArmError as error:
-            raise self._stopped(cause_of(name, error)) from error
+            raise self.stop_cell(cause_of(name, error)) from error
 
     def _rates(self, name: str) -> tuple[Vector, Vector]:
         arm = self._profile.arms[name]
-        speed = np.array([joint.speed for joint in arm.type.joints]) * arm.speed_scale
+        speed = np.array([joint.speed for joint in arm.type.joints]) * arm.speed_scale * self.speed
         return speed, np.array([joint.acceleration for joint in arm.type.joints]) * arm.speed_scale

@@ -11,26 +11,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from cellapp.collection.together import Together, answers_of_all, in_threads
 from cellapp.errors import HardwareError
 from drivers.arms.protocol import Arm, ArmError, EmergencyStop, HostStalled, LinkLost, ProtectiveStop
 from drivers.trackers.protocol import TrackerError
 
 CauseKind = Literal["fault", "safety stop", "link lost", "host stalled", "stop", "abort", "gate", "tracker", "engine"]
-
-Together = Callable[[Sequence[Callable[[], None]]], None]
-"""Calls functions, all at once where time is real."""
-
-
-def in_threads(calls: Sequence[Callable[[], None]]) -> None:
-    """Call every function in a thread of its own and return at once: one that hangs delays no other."""
-    for call in calls:
-        threading.Thread(target=call, name="brake", daemon=True).start()
-
-
-def one_by_one(calls: Sequence[Callable[[], None]]) -> None:
-    """Call every function in turn: simulated time does not pass meanwhile."""
-    for call in calls:
-        call()
 
 
 @dataclass(frozen=True)
@@ -75,7 +61,7 @@ class StopReaction:
 
     def __init__(self, arms: Mapping[str, Arm], tracker: Halting, together: Together = in_threads) -> None:
         self._arms, self._tracker, self._together = arms, tracker, together
-        self._cause: StopCause | None = None
+        self._causes: tuple[StopCause, ...] = ()
         self._lock = threading.RLock()
         for name, arm in arms.items():
             arm.watch(lambda error, name=name: self.trigger(cause_of(name, error)))  # type: ignore[misc]
@@ -83,55 +69,45 @@ class StopReaction:
     @property
     def cause(self) -> StopCause | None:
         """The first cause since the last ``release``; None if nothing happened."""
-        return self._cause
+        return self._causes[0] if self._causes else None
+
+    @property
+    def causes(self) -> tuple[StopCause, ...]:
+        """All causes since the last ``release``, oldest first; of a device one of each kind."""
+        return self._causes
 
     def trigger(self, cause: StopCause) -> None:
-        """Brake all arms at once. The first cause is kept; a later one brakes again, which is harmless."""
+        """Brake all arms at once, again if they brake already, and keep the cause."""
         with self._lock:
-            first = self._cause is None
-            if first:
-                self._cause = cause
-        if first or cause.kind in ("stop", "abort"):
-            self._together([*(self._braking(arm) for arm in self._arms.values()), self._halt_tracker])
+            known = any((cause.kind, cause.arm) == (one.kind, one.arm) for one in self._causes)
+            if not known or cause.kind in ("stop", "abort"):  # a person's second stop is another one
+                self._causes = (*self._causes, cause)
+        self._together([*(self._braking(arm) for arm in self._arms.values()), self._halt_tracker])
 
     def check(self) -> None:
         """Raise ``CellStopped`` if the reaction was triggered."""
-        if self._cause is not None:
-            raise CellStopped(self._cause)
+        if self._causes:
+            raise CellStopped(self._causes[0])
 
     def wait_at_rest(self) -> dict[str, str]:
         """Wait until every arm rests, all at once; return why an arm was not seen at rest, name -> reason."""
-        unseen = {name: f"arm {name}: its driver gave no answer" for name in self._arms}
-        waiting = [threading.Event() for _ in self._arms]
+        _, errors = answers_of_all(self._together, {name: arm.stop for name, arm in self._arms.items()})
+        return {name: str(error) for name, error in errors.items()}
 
-        def rest(name: str, done: threading.Event) -> None:
-            try:
-                self._arms[name].stop()
-                del unseen[name]
-            except ArmError as error:
-                unseen[name] = str(error)
-            finally:
-                done.set()
-
-        self._together(
-            [lambda name=name, done=done: rest(name, done) for name, done in zip(self._arms, waiting, strict=True)]  # type: ignore[misc]
-        )
-        for done in waiting:
-            done.wait()  # every call of a driver ends in bounded time
-        return unseen
-
-    def release(self) -> None:
+    def release(self, known: Sequence[StopCause]) -> None:
         """Reconnect all arms, after a person allowed it or for a cause that is no danger. Nothing moves.
 
-        The latch opens first: a doubt that comes meanwhile closes it again.
+        ``known`` are the causes that were considered. The latch opens first: a doubt that comes meanwhile closes it.
 
         Raises
         ------
         HardwareError
-            If an arm is not ready, or a new doubt came; the cell is stopped then.
+            If another cause came, or an arm is not ready; the cell is stopped then.
         """
         with self._lock:
-            self._cause = None
+            if self._causes != tuple(known):
+                raise CellStopped(self._causes[-1])
+            self._causes = ()
         for name, arm in self._arms.items():
             try:
                 arm.connect()
@@ -154,7 +130,5 @@ class StopReaction:
         return brake
 
     def _halt_tracker(self) -> None:
-        with suppress(
-            TrackerError
-        ):  # the arms matter now; a tracker that does not answer shows at the next measurement
+        with suppress(TrackerError):  # a tracker that does not answer shows at the next measurement
             self._tracker.halt()

@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
-from itertools import permutations
 from typing import Literal, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cellapp.collection.cell import Cell, start_tracker
+from cellapp.collection.forbidden import forbidden_stops
 from cellapp.collection.measuring import SmrMeasurement
-from cellapp.collection.motion import Confirm, MotionRefused, Mover, Vector
+from cellapp.collection.motion import Confirm, MotionRefused, Mover
 from cellapp.collection.practice import AirTemperature, LiveModel
-from cellapp.collection.reaction import CellStopped, StopCause, StopReaction
+from cellapp.collection.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.collection.references import References
 from cellapp.collection.supervision import Supervisor
+from cellapp.collection.travel import Travel
 from cellapp.collection.work import StopQueue, Work
 from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
-from cellapp.planning.stop_conditions import StopConditions
 from cellapp.progress import Detail, Listener, Progress, Suspicion
 from cellapp.run import Outcome, Reading, RunFile
 from cellapp.run.collection_rows import OutcomeKind
 from cellapp.safety.cell_bodies import home_positions
 from cellapp.safety.gate import CellBodies
-from drivers.arms.protocol import ArmError, ArmState
+from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
 
 MOST_MISSED_IN_A_ROW = 10
@@ -37,8 +33,6 @@ MOST_MISSED_IN_A_ROW = 10
 _HARMLESS = ("pause", "resume", "suspend", "give up", "reference")
 """What is recorded of a session that needs nobody's attention afterwards."""
 
-Targets = Mapping[str, Vector]
-"""Arm -> joint positions (N,) [rad]."""
 End = Literal["complete", "accurate enough"]
 T = TypeVar("T")
 
@@ -78,6 +72,7 @@ class CollectSession:
             self._reconnect_tracker,
             self._record,
             self._emit,
+            self._after_resume,
         )
         self._measurement = SmrMeasurement(self._mover, self._supervisor, self._settings.repeat, self._tracker_ready)
         self._references = References(
@@ -85,7 +80,9 @@ class CollectSession:
         )
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log)
         self._model = LiveModel(self.run, self.work, self._log)
-        self._slow_stops = self._first_slow_stops()
+        self._travel = Travel(profile, self._mover, self.work)
+        self._forbidden: set[int] = set()
+        self._warm_until_s: float | None = None
         self._missed = 0
         self._until_reference = 0
 
@@ -104,9 +101,9 @@ class CollectSession:
         """
         self._with_recovery(self._wait_for_tracker)
         self._with_recovery(self._leave_out_forbidden_stops)
-        first = self._queue.next()
-        if first is not None:
-            self._mover.confirm_first(self.work.targets(first), self.confirm)
+        if self._queue.next() is None:
+            return "complete"
+        self._with_recovery(self._confirm_first_motion)
         self._with_recovery(self._warm_up)
         end: End = "complete"
         while (stop := self._queue.next()) is not None:
@@ -133,8 +130,11 @@ class CollectSession:
             except TrackerError as error:
                 self.reaction.trigger(StopCause("tracker", str(error)))
                 self._supervisor.recover(CellStopped(self.reaction.cause or StopCause("tracker", str(error))))
-            self._slow_stops = self._first_slow_stops()
-            self._model.forget_suspicions()
+
+    def _after_resume(self) -> None:
+        """Begin carefully again: a person may have been in the cell, or changed something in it."""
+        self._travel.slow_again()
+        self._model.forget_suspicions()
 
     def _visit_next(self) -> bool:
         """Move to the next stop, measure, store; return whether the asked accuracy is reached."""
@@ -142,7 +142,7 @@ class CollectSession:
         assert stop is not None
         self._wait_for_air(stop)
         try:
-            states = self._approach(stop)
+            states = self._travel.to_stop(stop)
         except MotionRefused as error:
             if stop in self.work.proposed or not self._queue.defer():
                 self._leave_out({stop}, str(error))
@@ -152,7 +152,7 @@ class CollectSession:
         self._queue.done()
         if outcomes and self._queue.replace() is not None:
             self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
-        self._slow_stops = max(self._slow_stops - 1, 0)
+        self._travel.stop_visited()
         self._until_reference -= 1
         self._report(stop, rows)
         self._check_missed(rows)
@@ -197,72 +197,61 @@ class CollectSession:
 
     def _leave_out_forbidden_stops(self) -> None:
         """Ask every controller about the joint positions of all stops before anything moves."""
-        stops = [*self.work.stops, *self.work.reserves]
-        forbidden: dict[int, str] = {}
-        for name, refused in self._refused_by_controllers(stops).items():
-            if refused[0]:
-                raise HardwareError(
-                    f"arm {name}: the controller's safety limits forbid its home position; change arms.{name}.home, or"
-                    " the safety limits on the pendant"
-                )
-            for row in np.flatnonzero(refused[1:]):
-                forbidden[stops[row]] = f"arm {name}: the controller's safety limits forbid these joint positions"
+        forbidden, errors = forbidden_stops(self.cell, self.work, home_positions(self.run.profile))
+        for name, error in errors.items():
+            raise self._mover.stop_cell(cause_of(name, error))
+        self._forbidden = set(forbidden)
         for stop, reason in forbidden.items():
             self._leave_out({stop}, reason)
             self._queue.replace()
 
-    def _refused_by_controllers(self, stops: Sequence[int]) -> dict[str, NDArray[np.bool_]]:
-        """Return which positions each controller forbids: home, then those of ``stops``. Raises ``HardwareError``.
-
-        All controllers are asked at once: each needs some milliseconds for every position.
-        """
-        homes = home_positions(self.run.profile)
-        refused: dict[str, NDArray[np.bool_]] = {}
-        errors: list[ArmError] = []
-        answered = {name: threading.Event() for name in self.cell.arms}
-
-        def ask(name: str) -> None:
-            q = np.concatenate([homes[name][None], self.work.plan[name][stops]])
-            try:
-                refused[name] = self.cell.arms[name].refused_by_controller(q)
-            except ArmError as error:
-                errors.append(error)
-            finally:
-                answered[name].set()
-
-        self.cell.together([partial(ask, name) for name in answered])
-        for one in answered.values():
-            one.wait()  # every call of a driver ends in bounded time
-        if errors:
-            raise HardwareError(str(errors[0])) from errors[0]
-        return refused
+    def _confirm_first_motion(self) -> None:
+        """Let a person confirm the motion that comes first."""
+        first = self._queue.next()
+        if self._settings.warm_up > 0.0:
+            first = next((stop for stop in self.work.stops if stop not in self._forbidden), first)
+        elif self._settings.reference.every > 0:
+            first = self._reference_stop()
+        assert first is not None
+        self._mover.confirm_first(self.work.targets(first), self.confirm)
 
     def _warm_up(self) -> None:
         """Exercise the arms along the first planned stops for the profile's time."""
-        end_s = self.cell.clock.now_s() + self._settings.warm_up
-        stops = self.work.stops
-        while self.cell.clock.now_s() < end_s and stops:
+        if self._warm_until_s is None:
+            self._warm_until_s = self.cell.clock.now_s() + self._settings.warm_up
+        stops = [stop for stop in self.work.stops if stop not in self._forbidden]
+        while self.cell.clock.now_s() < self._warm_until_s and stops:
             for stop in stops:
-                left_s = end_s - self.cell.clock.now_s()
+                left_s = self._warm_until_s - self.cell.clock.now_s()
                 if left_s <= 0.0:
                     break
                 self._emit(note=f"warming up, {left_s / 60.0:.0f} min left")
                 self._supervisor.checkpoint()
-                self._move(self.work.targets(stop))
+                with suppress(MotionRefused):  # the next one may be reached
+                    self._travel.to(self.work.targets(stop))
         if self._settings.warm_up > 0.0:
-            self._mover.go_home(self._speed())
+            self._travel.home()
+
+    def _reference_stop(self) -> int:
+        """The first stop of the plan that no controller forbids: the same in every session."""
+        return next(stop for stop in range(self.work.planned) if stop not in self._forbidden)
 
     def _measure_references(self) -> None:
-        """Measure the references where they are due: at the first stop of the plan, and at fixed nests."""
+        """Measure the references where they are due: the arms at the reference stop, and fixed nests."""
         every = self._settings.reference.every
         if every == 0 or self._until_reference > 0:
             return
         self._emit(note="reference measurements")
-        states = self._move(self.work.targets(0))
+        self._until_reference = every
+        try:
+            states = self._travel.to(self.work.targets(self._reference_stop()))
+        except MotionRefused as error:
+            self._note(f"after {self._queue.finished} stops: no reference measurements: {error}")
+            return
         began_s = self._begin(self.cell.clock.now_s())
-        report = self._references.check(
-            {name: state.q for name, state in states.items()}, self._queue.finished, began_s
-        )
+        self._until_reference = 0  # until it is done: a stop of the cell repeats it
+        positions = {name: state.q for name, state in states.items()}
+        report = self._references.check(positions, self._queue.finished, began_s)
         self._until_reference = every
         self._emit(report)
 
@@ -285,73 +274,12 @@ class CollectSession:
         if not self._supervisor.hold(text):
             raise HardwareError(f"{text}; continue with --resume when it has settled")
 
-    # -- motion --------------------------------------------------------------------------------------------------------
-
-    def _speed(self) -> float:
-        """Share of the profile's speed for the next motion."""
-        return self._settings.slow_start.speed if self._slow_stops > 0 else 1.0
-
-    def _first_slow_stops(self) -> int:
-        """Number of stops that are visited slowly at first, and after each stop of the cell: on real hardware only."""
-        real = any(arm.driver.moves_hardware for arm in self.run.profile.arms.values())
-        return self._settings.slow_start.stops if real else 0
-
-    def _approach(self, stop: int) -> dict[str, ArmState]:
-        """Move to a stop as planned or proposed. Raises ``MotionRefused`` if the gate accepts no way."""
-        targets = self.work.targets(stop)
-        if stop not in self.work.proposed:
-            return self._move(targets)
-        return self._move_as_proposed(targets, self.work.proposed[stop])
-
-    def _move(self, targets: Targets) -> dict[str, ArmState]:
-        """Move straight, or via home if the gate refuses that (after a resume, or a missed stop)."""
-        try:
-            return self._mover.move(targets, self._speed())
-        except MotionRefused:
-            self._go_home()
-            return self._mover.move(targets, self._speed())
-
-    def _go_home(self) -> None:
-        """Move home; if that is refused after a motion that was cut short, move back to where it began first."""
-        try:
-            self._mover.go_home(self._speed())
-        except MotionRefused:
-            departure = self._mover.departure()
-            if departure is None:
-                raise
-            self._mover.move(departure, self._speed())
-            self._mover.go_home(self._speed())
-
-    def _move_as_proposed(self, targets: Targets, conditions: Mapping[str, StopConditions]) -> dict[str, ArmState]:
-        """Move to where the last legs begin, all arms at once or one after the other, then do those legs.
-
-        Nothing moves unless the gate accepts all legs. If it does not, the arms go home and try from there.
-        """
-        vias = {name: one.via for name, one in conditions.items() if one.via is not None and name in targets}
-        start, last = {**targets, **vias}, {name: targets[name] for name in vias}
-        orders: list[list[Targets]] = [[start]]
-        orders += [[{name: start[name]} for name in order] for order in permutations(start)]
-        routes = [[*legs, last] if last else legs for legs in orders]
-        for at_home in (False, True):
-            if at_home:
-                self._go_home()
-            for legs in routes:
-                if not self._mover.refusal(*legs):
-                    states: dict[str, ArmState] = {}
-                    for leg in legs:
-                        states |= self._mover.move(leg, self._speed())
-                    return states
-        raise MotionRefused(f"refused to move: {self._mover.refusal(*routes[0])}")
-
     def _end_at_home(self) -> None:
         """Move all arms home, and note the smallest distance between them if it was observed."""
         try:
-            self._mover.move(home_positions(self.run.profile), self._speed())
-        except MotionRefused:
-            try:
-                self._go_home()
-            except MotionRefused as error:
-                self.notes.append(f"the arms stay where they are: {error}")
+            self._travel.home_at_once(home_positions(self.run.profile))
+        except MotionRefused as error:
+            self.notes.append(f"the arms stay where they are: {error}")
         if self.cell.clearance is not None:
             self.notes.append(f"smallest distance between the arms {self.cell.clearance.arms_m * 1e3:.0f} mm")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
@@ -11,9 +11,10 @@ from typing import Literal
 from cellapp.collection.cell import Cell
 from cellapp.collection.reaction import CellStopped, StopCause, StopReaction
 from cellapp.control import Aborted, JobControl, Stopped
-from cellapp.errors import HardwareError
+from cellapp.errors import CellappError, HardwareError
 from cellapp.profile.collection import Suspend, Suspension
-from cellapp.progress import Detail, StateChange
+from cellapp.progress import Cancelled, Detail, StateChange
+from drivers.clock import slept_s
 
 SuspensionKind = Literal["target", "air", "drift", "tracker_warm_up", "host_stall"]
 Record = Callable[[str, str], None]
@@ -41,15 +42,26 @@ def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
     with control.brakes(lambda verb: reaction.trigger(_personal(verb))):
         try:
             yield reaction
-        except CellStopped as stopped:
-            unseen = reaction.wait_at_rest()
-            if stopped.cause.kind in _BY_PERSON and not unseen:
-                raise (Aborted if stopped.cause.kind == "abort" else Stopped)(stopped.cause.text) from stopped
-            raise HardwareError("; ".join([str(stopped), *_watch_out(unseen)])) from stopped
         except BaseException as error:
-            reaction.trigger(StopCause("engine", f"the job ended: {error}"))
-            reaction.wait_at_rest()
-            raise
+            if not isinstance(error, CellStopped):
+                reaction.trigger(StopCause("engine", f"the job ended: {error}"))
+            end = _end_of(error, reaction)
+            if end is error:
+                raise
+            raise end from error
+
+
+def _end_of(error: BaseException, reaction: StopReaction) -> BaseException:
+    """The exception that ends a job after ``error``, when the arms rest or were watched for long enough."""
+    unseen = reaction.wait_at_rest()
+    kinds = {cause.kind for cause in reaction.causes}
+    if unseen and isinstance(error, CellappError | Cancelled):
+        return HardwareError("; ".join([str(error), *_watch_out(unseen)]))
+    if isinstance(error, HardwareError) and "abort" in kinds:
+        return Aborted(_BY_PERSON["abort"])
+    if isinstance(error, HardwareError) and "stop" in kinds:
+        return Stopped(_BY_PERSON["stop"])
+    return HardwareError(str(error)) if isinstance(error, CellStopped) else error
 
 
 def _personal(verb: str) -> StopCause:
@@ -63,11 +75,11 @@ def _watch_out(unseen: dict[str, str]) -> list[str]:
 def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -> None:
     """Hold here, with the arms at rest, while a person pauses. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
     control.check()
-    while control.request == "pause":
-        _attend(cell, control)
-        reaction.check()
-    control.check()
     reaction.check()
+    while control.request in ("pause", "stop"):
+        _attend(cell, control)
+        control.check()
+        reaction.check()
 
 
 def _attend(cell: Cell, control: JobControl) -> None:
@@ -91,6 +103,9 @@ class Supervisor:
     reconnect_tracker: Callable[[], None]
     record: Record = ignore_record
     emit: Callable[[Detail], None] = lambda detail: None
+    after_resume: Callable[[], None] = lambda: None
+    """Called when a job that was stopped, or held by a person, resumes."""
+    _slept_s: float = field(default_factory=slept_s)
     _used: Counter[str] = field(default_factory=Counter)
 
     def checkpoint(self) -> None:
@@ -117,24 +132,43 @@ class Supervisor:
         HardwareError
             If the cause needs a person and none attends the job, or an arm was not seen at rest.
         """
-        cause = stopped.cause
         unseen = self.reaction.wait_at_rest()
-        text = "; ".join([cause.text, *_watch_out(unseen)])
-        self._say(cause.kind, StateChange("aborted" if cause.kind == "abort" else "stopped", text))
+        causes = self.reaction.causes or (stopped.cause,)
+        kinds = {cause.kind for cause in causes}
+        text = "; ".join([*(cause.text for cause in causes), *_watch_out(unseen)])
+        self._say(causes[0].kind, StateChange("aborted" if "abort" in kinds else "stopped", text))
+        if unseen and (self.control.cancelled or not self.control.holds):
+            raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
         self.control.check()
-        if unseen and not self.control.holds:
-            raise HardwareError("; ".join([str(stopped), *_watch_out(unseen)])) from stopped
-        if cause.kind == "host stalled" and not unseen and self._begin("host_stall", cause.text):
-            self.cell.clock.wait(self.suspend.host_stall.retry, self.control.wait)
-            self.control.check()
-            self.reaction.release()
-            self._resumed("by itself, as the profile allows: this computer had been silent")
+        if kinds == {"host stalled"} and not unseen and self._resumes_after_stall(causes, text):
             return
         if not self.control.holds:
-            raise HardwareError("; ".join([str(stopped), *_watch_out(unseen)])) from stopped
-        if cause.kind != "stop":
+            raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
+        if "stop" not in kinds:
             self.control.hold()
         self._hold_for_person(text)
+
+    def _resumes_after_stall(self, causes: Sequence[StopCause], text: str) -> bool:
+        """Resume after a stall of this computer, if the profile allows it and nothing else has happened."""
+        allowed = self.suspend.host_stall
+        if self._asleep_s() > allowed.wait or not self._begin("host_stall", text):
+            return False
+        self.cell.clock.wait(allowed.retry, self.control.wait)
+        self.control.check()
+        if self.control.request != "none":
+            return False
+        try:
+            self.reaction.release(causes)
+        except HardwareError as error:
+            self.record("not released", str(error))
+            return False
+        self._resumed("by itself, as the profile allows: this computer had been silent")
+        return True
+
+    def _asleep_s(self) -> float:
+        """How long this computer slept since the last question [s]: a night in its bag is no stall."""
+        before, self._slept_s = self._slept_s, slept_s()
+        return self._slept_s - before
 
     def suspended(self, kind: SuspensionKind, reason: str, ready: Callable[[], bool]) -> bool:
         """Wait with the arms at rest until ``ready``, as the profile allows; return whether it came about.
@@ -164,28 +198,33 @@ class Supervisor:
         return True
 
     def _hold_for_person(self, reason: str) -> None:
-        """Wait until the request to hold is taken back and every arm is ready; only then release the latch."""
+        """Wait until the request to hold is taken back and every arm is ready; only then release the latch.
+
+        A cause that comes meanwhile is shown, and needs another ``resume``.
+        """
         while True:
+            shown = self.reaction.causes
             self.emit(StateChange("stopped", f"{reason}; resume when the cell is clear, or abort"))
-            while self.control.request in ("stop", "pause"):
-                self.control.check()
+            while self.control.request in ("stop", "pause") and self.reaction.causes == shown:
                 _attend(self.cell, self.control)
             self.control.check()
             try:
-                self._release()
+                if self.reaction.causes == shown:
+                    self._release(shown)
+                    self._resumed("by a person")
+                    return
+                reason = self.reaction.causes[-1].text
+                self.record(self.reaction.causes[-1].kind, reason)
             except HardwareError as error:
                 reason = str(error)
                 self.record("not released", reason)
-                self.control.hold()
-                continue
-            self._resumed("by a person")
-            return
+            self.control.hold()
 
-    def _release(self) -> None:
-        """Reconnect what the stop cut off. Raises ``HardwareError`` if something is not ready."""
-        if self.reaction.cause is not None and self.reaction.cause.kind == "tracker":
+    def _release(self, known: Sequence[StopCause]) -> None:
+        """Reconnect what the stop cut off. Raises ``HardwareError`` if something is not ready, or a new cause came."""
+        if any(cause.kind == "tracker" for cause in known):
             self.reconnect_tracker()
-        self.reaction.release()
+        self.reaction.release(known)
 
     def _begin(self, kind: SuspensionKind, reason: str) -> bool:
         """Whether another suspension for this cause is allowed; counts and announces it."""
@@ -197,6 +236,7 @@ class Supervisor:
         return True
 
     def _resumed(self, how: str) -> None:
+        self.after_resume()
         self._say("resume", StateChange("running", f"resumed {how}"))
 
     def _say(self, kind: str, change: StateChange) -> None:

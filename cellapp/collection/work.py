@@ -48,6 +48,11 @@ class Work:
     earlier_s: float
 
     @property
+    def planned(self) -> int:
+        """Number of rows of the plan, reserves included."""
+        return len(next(iter(self.plan.values())))
+
+    @property
     def total(self) -> int:
         """Number of stored stops and stops to collect, without reserves."""
         return self.stored + len(self.stops)

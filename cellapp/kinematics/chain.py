@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,16 @@ class Geometry:
     tool: Array
     reference_axis: int = 2
 
+    @cached_property
+    def base_vectors(self) -> Array:
+        """Vectors of the base in the tracker frame, (8, 3): see ``_base_frame``."""
+        return _base_frame(self)
+
+    @cached_property
+    def row_matrices(self) -> Array:
+        """Matrices (N, 4, 4) of the rows: see ``_row_matrices``."""
+        return _row_matrices(self)
+
     @property
     def joints(self) -> int:
         """Number of joints N."""
@@ -81,7 +91,7 @@ class Geometry:
 
     def T_M_B(self) -> Array:
         """Pose of the base in the tracker frame, shape (4, 4)."""
-        axes = _base_frame(self)
+        axes = self.base_vectors
         return transform(axes[:3].T, axes[3])
 
     def with_T_M_B(self, T_M_B: Array) -> Geometry:
@@ -329,11 +339,11 @@ def _frames(geometry: Geometry, angles: JointAngles) -> Array:
     """
     n, joints = angles.count, geometry.joints
     vectors = np.empty((3, 4 * joints + 8, n))
-    base = _base_frame(geometry).T[:, :, None]
+    base = geometry.base_vectors.T[:, :, None]
     vectors[:, :4], vectors[:, -4:] = base[:, :4], base[:, 4:]
     turned, scratch = np.empty((3, 4, n)), np.empty((3, n))
     turned_x, turned_y = turned[:, 0], turned[:, 1]
-    rows = _row_matrices(geometry)
+    rows = geometry.row_matrices
     for i in range(joints):
         before = vectors[:, 4 * i : 4 * i + 4]
         c, s = angles.cosines[i], angles.sines[i]

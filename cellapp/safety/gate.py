@@ -7,13 +7,14 @@ checked against every point of the other's. The gate fails closed: whatever it c
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 
+from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import Array
 from cellapp.safety.bodies import (
     ArmBodies,
@@ -79,6 +80,10 @@ class CellBodies:
     clearance: float
     floor: float
     ceiling: float = math.inf
+
+
+Gate = Callable[[CellBodies, Mapping[str, Array], Mapping[str, Array]], str]
+"""``refuse_motion``, or what stands for it."""
 
 
 def refuse_stop(cell: CellBodies, q: Mapping[str, Array]) -> str:
@@ -160,7 +165,7 @@ def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
     if cell.field is None:
         raise ValueError("the cell has no tracker")
     T_C_M = cell.field.T_C_M
-    return np.asarray((place(cell.arms[name], q).smr - T_C_M[:3, 3]) @ T_C_M[:3, :3])
+    return np.asarray((smr_positions(cell.arms[name].geometry, q) - T_C_M[:3, 3]) @ T_C_M[:3, :3])
 
 
 @dataclass(frozen=True, eq=False)

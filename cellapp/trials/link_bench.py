@@ -340,7 +340,7 @@ class LinkBench:
         began = time.monotonic()
         try:
             self._reaction.wait_at_rest()
-            self._reaction.release()
+            self._reaction.release(self._reaction.causes)
         except HardwareError as error:
             self._log.complain(f"could not be connected again: {error}")
         return time.monotonic() - began

@@ -21,11 +21,11 @@ from cellapp.trials.storm_cell import StormCell
 KILL = "program killed"
 _SLIDER_S, _PAUSE_S, _STALL_S = 0.4, 0.4, 0.8
 """How long the slider stays low, a pause lasts, and this computer stalls: longer than heartbeats may be late."""
-_LONGEST_DELAY_S = 1.0
+LONGEST_DELAY_S = 0.4
 """From the moment from which a fault is due to the fault: about the time of a stop, with its motion and measurement."""
-_AT_START, _LONGEST_START_S = 0.15, 8.0
+_AT_START, _LONGEST_START_S = 0.15, 4.0
 """Share of the faults that are due after the start of a program rather than after its first motion, and their delay."""
-_LAST_STOP = 0.95
+_LAST_STOP = 0.8
 """No fault is due later than at this share of the stops: the run must not end before it."""
 
 
@@ -164,6 +164,6 @@ def drawn_events(
     events = []
     for kind, at_stop in zip(random.permutation(names), at_stops, strict=True):
         at_start = bool(random.random() < _AT_START)
-        delay_s = float(random.uniform(0.0, _LONGEST_START_S if at_start else _LONGEST_DELAY_S))
+        delay_s = float(random.uniform(0.0, _LONGEST_START_S if at_start else LONGEST_DELAY_S))
         events.append(Event(str(kind), str(random.choice(arms)), int(at_stop), delay_s, at_start))
     return events

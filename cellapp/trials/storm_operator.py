@@ -19,7 +19,7 @@ from cellapp.errors import HardwareError, InputError
 from cellapp.progress import CancelToken, Listener, Progress
 from cellapp.run import RunFile
 from cellapp.trials.storm_cell import StormCell
-from cellapp.trials.storm_faults import FAULTS, Event, Target
+from cellapp.trials.storm_faults import FAULTS, LONGEST_DELAY_S, Event, Target
 
 _POLL_S = 0.02
 _READ_EVERY_S = 0.2
@@ -167,7 +167,9 @@ class Operator:
         """``idle_s``: since the last fault, or the first motion; ``age_s``: since the start of the program."""
         if self._finished() < event.at_stop:
             return False
-        return idle_s >= event.delay_s if working else event.at_start and age_s >= event.delay_s
+        if working:
+            return idle_s >= min(event.delay_s, LONGEST_DELAY_S)
+        return event.at_start and age_s >= event.delay_s
 
     def _has_moved_since(self, began_s: float) -> bool:
         return any(self._cell.control(name, "starts", began_s) for name in self._cell.arms)

@@ -26,7 +26,8 @@ _READY_AFTER_S = 0.03
 """Some control cycles after a command its program is ready for the next. If the program is stopped before, the client
 waits for it in vain, for 4 s."""
 _ASK_AGAIN_S = 0.002
-_ASKED_WITHIN_S = 0.3
+_ASKED_WITHIN_S = 0.15
+"""Shorter than what the application takes for a silent worker."""
 
 
 class Refusal(Exception):

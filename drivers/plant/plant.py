@@ -66,6 +66,7 @@ class _Arm:
     rest_since_s: float = 0.0
     motion: Motion | None = None
     load_deflection: Deflection = NO_DEFLECTION  # last solution, the initial value of the next one
+    resting: tuple[Array, Array] | None = None  # SMR and its viewing direction, of an arm at rest without effects
 
 
 def _largest_change(before: Deflection, after: Deflection) -> float:
@@ -373,6 +374,7 @@ class Plant:
     def set_payload(self, name: str, mass: float, center: Array) -> None:
         """Set the arm's load: ``mass`` [kg] with its centre at ``center`` (3,) [m] in the flange frame."""
         arm = self._arm(name)
+        arm.resting = None
         load = np.array(center, dtype=np.float64)
         arm.mechanism = replace(arm.mechanism, payload_mass=float(mass), payload_center=load)
 
@@ -382,6 +384,7 @@ class Plant:
         if arm.motion is not None:
             raise ValueError(f"arm {name} is still moving")
         goal = np.array(q, dtype=np.float64)
+        arm.resting = None
         arm.motion = travel(self._clock_s, arm.q, goal, speed, acceleration)
         if arm.motion is not None:
             arm.stop_error = self.config.repeatability * arm.repeatability.standard_normal(arm.config.joints)
@@ -463,6 +466,14 @@ class Plant:
 
     def _current_smr(self, arm: _Arm) -> tuple[Array, Array]:
         """Return the current apparent position of an arm's SMR and its viewing direction, (3,) each, in M."""
+        if arm.resting is None:
+            smr = self._apparent_now(arm)
+            if arm.effects or arm.motion is not None:
+                return smr
+            arm.resting = smr
+        return arm.resting
+
+    def _apparent_now(self, arm: _Arm) -> tuple[Array, Array]:
         q = self._q(arm)[None]
         moving = arm.motion is not None
         memories, step, approach = arm.memories, arm.last_step, arm.approach

@@ -324,15 +324,20 @@ class SimulatedTracker:
 
         Bodies fixed to the owner's flange are not checked: they hold the SMR, where the beam ends.
         """
+        owners: list[str] = []
+        bodies: list[tuple[Vector, Vector, Vector]] = []
         for name, mechanism in self._bodies.items():
             capsules = mechanism.capsules
             counted = capsules.frames < len(mechanism.masses) if name == owner else np.ones(len(capsules.frames), bool)
-            if not counted.any():
-                continue
-            start, end = (ends[counted] for ends in self._segments(name))
-            gaps = segment_distances(np.zeros_like(start), np.broadcast_to(p_M, start.shape), start, end)
-            if (gaps < capsules.radii[counted]).any():
-                return f"{'its own arm' if name == owner else f'arm {name}'} blocks the beam"
+            start, end = self._segments(name)
+            owners += [name] * int(counted.sum())
+            bodies.append((start[counted], end[counted], capsules.radii[counted]))
+        if not bodies:
+            return ""
+        start, end, radii = (np.concatenate(part) for part in zip(*bodies, strict=True))
+        gaps = segment_distances(np.zeros_like(start), np.broadcast_to(p_M, start.shape), start, end)
+        for row in np.flatnonzero(gaps < radii)[:1]:
+            return f"{'its own arm' if owners[row] == owner else f'arm {owners[row]}'} blocks the beam"
         return ""
 
     def _segments(self, name: str) -> tuple[Vector, Vector]:

@@ -8,7 +8,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from cellapp.collection.reaction import CellStopped, StopCause, StopReaction, in_threads, one_by_one
+from cellapp.collection.reaction import CellStopped, StopCause, StopReaction
+from cellapp.collection.together import in_threads, one_by_one
 from cellapp.errors import HardwareError
 from drivers.arms.protocol import Arm, ArmError, ArmState, DoubtListener, HostStalled, LinkLost, ProtectiveStop
 from drivers.trackers.protocol import TrackerLinkLost
@@ -102,7 +103,7 @@ def test_a_person_brakes_again_whatever_came_before(arms: dict[str, Braking]) ->
 def test_release_reconnects_all_arms_and_opens_the_latch(arms: dict[str, Braking]) -> None:
     reaction = reaction_of(arms, Halted(), one_by_one)
     reaction.trigger(StopCause("stop", "a person stopped the arms"))
-    reaction.release()
+    reaction.release(reaction.causes)
     reaction.check()
     assert [arm.connected for arm in arms.values()] == [1, 1]
 
@@ -112,7 +113,7 @@ def test_an_arm_that_is_not_ready_keeps_the_cell_stopped(arms: dict[str, Braking
     reaction.trigger(StopCause("fault", "something", "right"))
     arms["right"].reason = "protective stop"
     with pytest.raises(HardwareError, match="arm right: not ready: protective stop"):
-        reaction.release()
+        reaction.release(reaction.causes)
     with pytest.raises(CellStopped):
         reaction.check()
     assert arms["left"].braked.is_set(), "the arm that was released is latched again"
@@ -131,7 +132,7 @@ def test_a_doubt_during_the_release_keeps_the_cell_stopped(
 
     monkeypatch.setattr(arms["right"], "connect", doubtful)
     with pytest.raises(CellStopped, match="arm left: lost"):
-        reaction.release()
+        reaction.release(reaction.causes)
 
 
 def test_arms_that_were_not_seen_at_rest_are_named(arms: dict[str, Braking]) -> None:

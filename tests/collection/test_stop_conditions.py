@@ -11,7 +11,8 @@ import pytest
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.collect import collect_run
 from cellapp.collection.motion import Mover
-from cellapp.collection.reaction import StopReaction, one_by_one
+from cellapp.collection.reaction import StopReaction
+from cellapp.collection.together import one_by_one
 from cellapp.planning.plan import plan_stops
 from cellapp.planning.stop_conditions import StopConditions, write_stop_conditions
 from cellapp.progress import Cancelled, CancelToken

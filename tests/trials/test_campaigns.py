@@ -84,7 +84,7 @@ def test_going_on_without_a_person_is_found(
 ) -> None:
     def release_at_once(self: Supervisor, reason: str) -> None:
         self.control.resume()
-        self._release()
+        self._release(self.reaction.causes)
 
     monkeypatch.setattr(Supervisor, "_hold_for_person", release_at_once)
     assert "motion after a stop" in failures(bench, *seeds_with(campaigns, "person stops"))
@@ -94,7 +94,7 @@ def test_arms_that_are_not_braked_are_found(
     bench: Bench, campaigns: list[Campaign], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def latch_only(self: StopReaction, cause: StopCause) -> None:
-        self._cause = self._cause or cause
+        self._causes = self._causes or (cause,)
 
     monkeypatch.setattr(StopReaction, "trigger", latch_only)
     assert "motion after a stop" in failures(bench, *seeds_with(campaigns, "protective stop", "computer stalls"))

@@ -43,7 +43,7 @@ def test_events_are_of_all_kinds_and_in_order() -> None:
     assert set(counts) == set(FAULTS) - {KILL}
     assert max(counts.values()) - min(counts.values()) <= 1
     assert [event.at_stop for event in events] == sorted(event.at_stop for event in events)
-    assert max(event.at_stop for event in events) < 380
+    assert max(event.at_stop for event in events) < 320
     assert events == drawn_events(400, 200, 50, ("left", "right"), np.random.default_rng(3))
 
 

@@ -23,6 +23,7 @@ from cellapp.profile import Profile
 from cellapp.profile.collection import AirLimits, Collection, Reference, Suspend, Suspension
 from cellapp.progress import CancelToken
 from cellapp.run import RunFile
+from cellapp.safety.gate import CellBodies, refuse_motion
 from cellapp.trials.campaigns.doubles import ProgramKilled
 from cellapp.trials.campaigns.faults import Fault, draw_faults
 from cellapp.trials.campaigns.monitor import Failure
@@ -33,6 +34,8 @@ from drivers.sensors.simulated_settings import SimulatedAirSensorSettings
 
 Plan = Mapping[str, NDArray[np.float64]]
 """Arm -> joint positions (n, N) [rad] of the planned stops and the reserves after them."""
+Targets = Mapping[str, NDArray[np.float64]]
+"""Arm -> joint positions (N,) [rad]."""
 Ended = Literal["complete", "accurate enough", "stopped", "aborted", "failed", "killed"]
 
 STOPS_TO_A_FAULT = 8
@@ -59,6 +62,8 @@ class Campaign:
         Fault -> how often it struck while a program ran.
     ended : mapping
         How sessions ended -> how often.
+    seconds : float
+        Processor time, in one thread [s].
     digest : str
         SHA-256 of all events: equal for equal campaigns.
     """
@@ -107,12 +112,27 @@ def drawn_collection(rng: np.random.Generator) -> Collection:
 
 
 @dataclass(frozen=True, eq=False)
+class RememberingGate:
+    """The gate of one cell, whose answers depend on the ends of a motion only: it checks each motion once."""
+
+    answers: dict[bytes, str] = field(default_factory=dict)
+
+    def __call__(self, cell: CellBodies, q_from: Targets, q_to: Targets) -> str:
+        """Return why the arms must not move; empty if they may."""
+        key = b"".join(q[name].tobytes() for q in (q_from, q_to) for name in cell.arms)
+        if key not in self.answers:
+            self.answers[key] = refuse_motion(cell, q_from, q_to)
+        return self.answers[key]
+
+
+@dataclass(frozen=True, eq=False)
 class Bench:
     """What all campaigns share: the cell, its planned stops, and what the campaign without faults identified."""
 
     profile: Profile
     plan: Plan
     undisturbed: Mapping[str, ArmEstimate] | None = None
+    gate: RememberingGate = field(default_factory=RememberingGate)
 
 
 def make_bench(profile: Profile, stops: int, cancel: CancelToken | None = None) -> Bench:
@@ -152,9 +172,9 @@ def run_campaign(bench: Bench, seed: int) -> tuple[Campaign, dict[str, ArmEstima
     A bench without ``undisturbed`` gets no faults. The run file is in memory, where the system has such a folder.
     """
     with TemporaryDirectory(prefix="campaign-", dir=_memory()) as folder:
-        began_s = time.perf_counter()
+        began_s = time.process_time()
         campaign, estimates = _run(bench, seed, Path(folder))
-        return replace(campaign, seconds=time.perf_counter() - began_s), estimates
+        return replace(campaign, seconds=time.process_time() - began_s), estimates
 
 
 def _memory() -> str | None:
@@ -170,7 +190,7 @@ def _run(bench: Bench, seed: int, folder: Path) -> tuple[Campaign, dict[str, Arm
     if bench.undisturbed is not None:
         faults = draw_faults(rng, arms, stops, max(1, int(rng.poisson(stops / STOPS_TO_A_FAULT))))
     RunFile.create(folder / "run", profile, lambda run: run.write_plan(bench.plan)).close()
-    world = World(profile, seed, folder)
+    world = World(profile, seed, folder, bench.gate)
     world.expect(faults)
     sessions = _Sessions()
     problems = _sessions(world, sessions, rng, 10 + _SESSIONS_TO_A_FAULT * len(faults))

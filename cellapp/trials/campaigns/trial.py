@@ -51,7 +51,7 @@ class CampaignsResult(Result):
     readings, missing : int
         Stored readings, and planned ones that are missing with a reason.
     seconds_mean, seconds_worst : float
-        Of one campaign [s].
+        Processor time of one campaign, in one thread [s].
     simulated_h : float
         Simulated time of all campaigns [h].
     """

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.collection.cell import Cell, build_plant, start_tracker
-from cellapp.collection.reaction import one_by_one
+from cellapp.collection.together import one_by_one
 from cellapp.collection.tracker_watch import Died
 from cellapp.control import JobControl, Request
 from cellapp.errors import HardwareError
 from cellapp.profile import Profile
 from cellapp.progress import Progress, StateChange
+from cellapp.safety.gate import Gate, refuse_motion
 from cellapp.trials.campaigns.disk import CampaignRun, Disk, copy_run
 from cellapp.trials.campaigns.doubles import CampaignAir, CampaignArm, CampaignTracker, Process, ProgramKilled
 from cellapp.trials.campaigns.faults import KINDS, Fault
@@ -36,7 +37,8 @@ _COMES_S = (2.0, 60.0)
 class World:
     """Everything around the engine. Time passes in ``plant`` only."""
 
-    def __init__(self, profile: Profile, seed: int, folder: Path) -> None:
+    def __init__(self, profile: Profile, seed: int, folder: Path, gate: Gate = refuse_motion) -> None:
+        self._gate = gate
         self.plant = build_plant(profile, keep_motions=True)
         self.monitor = Monitor(self.plant)
         self.process = Process()
@@ -126,7 +128,7 @@ class World:
                     stack.callback(_disconnect, arm)
                     arm.connect()
                 stack.callback(self.tracker.disconnect)
-                start_tracker(self.tracker, profile.tracker.driver)
+                unmet = start_tracker(self.tracker, profile.tracker.driver)
                 stack.callback(self.air.disconnect)
                 self.air.connect()
             except (ArmError, SensorError) as error:
@@ -138,6 +140,8 @@ class World:
                 self.air,
                 together=one_by_one,
                 watch_tracker=self._watched,
+                tracker_unmet=unmet,
+                gate=self._gate,
             )
 
     @contextmanager
