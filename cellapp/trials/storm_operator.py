@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -18,6 +19,7 @@ import cellapp
 from cellapp.errors import HardwareError, InputError
 from cellapp.progress import CancelToken, Listener, Progress
 from cellapp.run import RunFile
+from cellapp.trials.link_results import COMMANDED_WITHIN_S
 from cellapp.trials.storm_cell import StormCell
 from cellapp.trials.storm_faults import FAULTS, LONGEST_DELAY_S, Event, Target
 
