@@ -49,6 +49,8 @@ class World:
         self.person = Person(self, np.random.default_rng([seed, 1]))
         self.stall_allowed = profile.collection.suspend.host_stall.times > 0
         self.struck: Counter[str] = Counter()
+        self.is_open = False
+        """Whether a program has the devices."""
         self._tracker_died: Died | None = None
         self._folder, self._copies = folder, 0
         self.run_folder = folder / "run"
@@ -133,6 +135,8 @@ class World:
                 self.air.connect()
             except (ArmError, SensorError) as error:
                 raise HardwareError(str(error)) from error
+            self.is_open = True
+            stack.callback(setattr, self, "is_open", False)
             yield Cell(
                 self.arms,
                 self.tracker,
@@ -198,6 +202,8 @@ class Person:
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         self._world, self._rng = world, rng
         self.control: JobControl | None = None
+        self.asked: Counter[str] = Counter()
+        """Requests that stopped arms which nothing else had stopped before."""
         self._coming = False
 
     def delay_s(self) -> float:
@@ -229,12 +235,19 @@ class Person:
     def stop(self) -> None:
         """Stop all arms now."""
         if self.control is not None:
+            self._count("stop")
             self._world.monitor.stop("a person's stop")
             self.control.stop()
+
+    def _count(self, verb: str) -> None:
+        """Count a request that a session in an open cell has to record."""
+        if self._world.is_open and not self._world.monitor.latched:
+            self.asked[verb] += 1
 
     def abort(self) -> None:
         """End the job now."""
         if self.control is not None:
+            self._count("abort")
             self._world.monitor.stop("a person's abort")
             self.control.abort()
 
