@@ -145,7 +145,7 @@ def emulate(
 ) -> None:
     """Emulate the controllers of a profile until ``cancel``; all ports are free again when this returns.
 
-    The arms belong to the simulated cell if the profile has a section ``plant``; otherwise only their joints move.
+    The arms belong to the simulated cell of the section ``plant``; without one, only their joints move.
 
     Parameters
     ----------
@@ -154,13 +154,13 @@ def emulate(
     arms : sequence of EmulatedArm, or None
         Controllers instead of ``emulated_arms``; a port 0 takes a free one.
     pace : float
-        Seconds that pass in the cell for each second of wall time.
+        Seconds of the cell for each second of wall time.
     tracker : EmulatedTracker, or None
-        Address instead of ``emulated_tracker``. The tracker measures the same cell.
+        Address instead of ``emulated_tracker``; the tracker measures the same cell.
     announce_tracker : callable
-        Called before ``announce`` with the tracker's address.
+        Called before ``announce`` with that address.
     watch_clearance : bool
-        Whether the control channel's command ``clearance`` gives the smallest distances; this takes time.
+        Whether the command ``clearance`` of the control channel gives the smallest distances.
 
     Raises
     ------
@@ -172,11 +172,7 @@ def emulate(
     chosen = emulated_arms(profile) if arms is None else arms
     served = emulated_tracker(profile) if tracker is None else tracker
     plant = None if profile.plant is None else build_plant(profile, watch_clearance=watch_clearance)
-    controllers = [_config(arm, profile.arms[arm.arm]) for arm in chosen]
-    try:
-        server = UrControllerServer(controllers, plant, pace)
-    except ValueError as error:
-        raise InputError(f"profile {profile.name}: {error}") from error
+    server = _server(profile, chosen, plant, pace)
     with ExitStack() as stack:
         _listen(stack, server)
         if served is not None and plant is not None:
@@ -184,6 +180,13 @@ def emulate(
         announce([_listening(arm, server.addresses) for arm in chosen])
         while not cancel.wait(_STEP_S):
             _check(server)
+
+
+def _server(profile: Profile, arms: Sequence[EmulatedArm], plant: Plant | None, pace: float) -> UrControllerServer:
+    try:
+        return UrControllerServer([_config(arm, profile.arms[arm.arm]) for arm in arms], plant, pace)
+    except ValueError as error:
+        raise InputError(f"profile {profile.name}: {error}") from error
 
 
 def _listen(stack: ExitStack, server: UrControllerServer) -> None:

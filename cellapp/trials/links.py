@@ -18,7 +18,7 @@ from cellapp.trials.link_arms import controllers, disconnect, driver
 from cellapp.trials.link_bench import LinkBench
 from cellapp.trials.link_faults import shuffled
 from cellapp.trials.link_results import LinkLog, LinksResult
-from drivers.emulators.ur_controller import start_in_process
+from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
 
 HOSTS = {"left": "127.0.0.2", "right": "127.0.0.3"}
 """Loopback addresses of the two arms: two, as the client uses the standard ports only."""
@@ -52,10 +52,7 @@ def link_trials(
     between = max(1, every // len(hosts))
     faults = shuffled(random)
     with ExitStack() as stack:
-        try:
-            emulator = stack.enter_context(start_in_process(controllers(hosts)))
-        except (OSError, TimeoutError) as error:
-            raise HardwareError(f"the emulated controllers do not start: {error}") from error
+        emulator = stack.enter_context(_emulated(hosts))
         arms = {name: driver(name, host) for name, host in hosts.items()}
         for arm in arms.values():
             stack.callback(disconnect, arm)
@@ -79,3 +76,10 @@ def link_trials(
             log.moves += len(hosts)
         listener(Progress("links", steps * len(hosts), steps * len(hosts), "done"))
     return log.result()
+
+
+def _emulated(hosts: Mapping[str, str]) -> EmulatorProcess:
+    try:
+        return start_in_process(controllers(hosts))
+    except (OSError, TimeoutError) as error:
+        raise HardwareError(f"the emulated controllers do not start: {error}") from error

@@ -52,6 +52,8 @@ LONGEST_BRAKING_S = 3.0
 _HELLO_WITHIN_S = 10.0
 _ANSWER_WITHIN_S = 2.0
 _STOP_WITHIN_S = 1.0
+_TELL_WORKER_S = 0.3
+"""A worker that cannot be told to stop for this long hangs."""
 _MARGIN_S = 1.0
 _ROWS_AT_ONCE = 20
 """Joint positions in one request to the worker: it asks the controller about one in 8 to 20 ms."""
@@ -174,7 +176,7 @@ class UrArm:
 
     def watch(self, listener: DoubtListener) -> None:
         """Report the first doubt after each ``connect`` to ``listener``, from a thread of this driver."""
-        self._doubt.listener = listener
+        self._doubt.watch(listener)
 
     def refused_by_controller(self, q: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which joint positions (n, 6) [rad] the controller's safety configuration forbids, shape (n,).
@@ -272,8 +274,8 @@ class UrArm:
     def _command_stop(self) -> None:
         """Stop the arm by all means, and wait for the dashboard's confirmation. Raises ``LinkLost``."""
         worker = self._worker
-        if worker is not None:
-            worker.brake()  # before the dashboard: the worker must not take the stop for one by somebody else
+        # before the dashboard: the worker must not take the stop for one by somebody else
+        told = worker is None or worker.brake()
         if not self._may_run_program:
             return
         try:
@@ -283,6 +285,9 @@ class UrArm:
                 f"arm {self._name}: its stop was not confirmed: {error}; its watchdog stops it after"
                 f" {1.0 / self._settings.watchdog_hz:.1f} s, but treat it as moving until you see it at rest"
             ) from error
+        finally:
+            if worker is not None and not told and not worker.brake(_TELL_WORKER_S):
+                worker.strike()  # it would keep the watchdog from expiring
 
     def _require_not_braked(self) -> None:
         if self._latch.in_force:

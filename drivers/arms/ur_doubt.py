@@ -1,4 +1,4 @@
-"""The first doubt about an arm since it was connected: kept for the caller, and reported to a listener at once."""
+"""Doubts about an arm since it was connected: the first is kept, and one of each kind is reported to a listener."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from drivers.arms.protocol import ArmError, DoubtListener
 
 
 class FirstDoubt:
-    """Keeps and reports one doubt at a time. Any thread may call any method.
+    """Keeps the first doubt and reports one of each kind. Any thread may call any method.
+
+    A later doubt of another kind matters: the first one may be harmless, and a safety stop is not.
 
     Attributes
     ----------
-    listener : callable
-        Receives the doubt.
     error : ArmError or None
         The first doubt since ``clear``; None if there is none.
     text : str
@@ -21,29 +21,40 @@ class FirstDoubt:
     """
 
     def __init__(self) -> None:
-        self.listener: DoubtListener = lambda error: None
+        self._listener: DoubtListener = lambda error: None
         self.error: ArmError | None = None
         self.text = ""
+        self._noted: dict[type[ArmError], ArmError] = {}
         self._reporting = False
         self._lock = threading.Lock()
 
-    def note(self, error: ArmError, text: str) -> None:
-        """Keep a doubt if it is the first, and report it if the arm is connected."""
+    def watch(self, listener: DoubtListener) -> None:
+        """Report to ``listener`` from now on, at once what is noted already."""
         with self._lock:
-            if self.error is not None:
+            self._listener = listener
+            noted = [*self._noted.values()] if self._reporting else []
+        for error in noted:
+            listener(error)
+
+    def note(self, error: ArmError, text: str) -> None:
+        """Keep a doubt if it is the first, and report it if it is the first of its kind and the arm is connected."""
+        with self._lock:
+            if type(error) in self._noted:
                 return
-            self.error, self.text = error, text
+            self._noted[type(error)] = error
+            if self.error is None:
+                self.error, self.text = error, text
             reporting = self._reporting
         if reporting:
-            self.listener(error)
+            self._listener(error)
 
     def report(self) -> None:
-        """Report doubts from now on, and one that came while the arm was being connected."""
+        """Report doubts from now on, and those that came while the arm was being connected."""
         with self._lock:
-            reporting, self._reporting = self._reporting, True
-            error = self.error
-        if error is not None and not reporting:
-            self.listener(error)
+            noted = [] if self._reporting else [*self._noted.values()]
+            self._reporting = True
+        for error in noted:
+            self._listener(error)
 
     def mute(self) -> None:
         """Report no more doubts: the link is being closed."""
@@ -51,6 +62,7 @@ class FirstDoubt:
             self._reporting = False
 
     def clear(self) -> None:
-        """Forget the doubt."""
+        """Forget all doubts."""
         with self._lock:
             self.error, self.text = None, ""
+            self._noted.clear()

@@ -39,6 +39,8 @@ _LOCAL_WITHIN_S = 0.3
 _REST_WITHIN_S = 3.0
 _REST_DWELL_S = 0.05
 _EMERGENCY = ("SYSTEM_EMERGENCY_STOP", "ROBOT_EMERGENCY_STOP")
+_HARMLESS = "stalled"
+"""The fault after which a profile may allow to go on without a person."""
 
 
 class Application(Protocol):
@@ -278,8 +280,11 @@ class Supervisor:
         self._halted = False
 
     def _record_fault(self, refusal: Refusal) -> Refusal:
-        """Report the first fault, then stop the arm: nothing moves until the application connects again."""
-        if self._fault is None:
+        """Report the first fault, then stop the arm: nothing moves until the application connects again.
+
+        A fault that needs a person replaces one that does not.
+        """
+        if self._fault is None or (self._fault.kind == _HARMLESS and refusal.kind != _HARMLESS):
             self._fault = refusal
             self._application.answer({"doubt": refusal.kind, "text": refusal.text})
             self._stop_program()
@@ -327,7 +332,7 @@ class Supervisor:
         self._check_links()
         sample = self._sample()
         news = self._is_news(sample, time.monotonic())
-        if self._fault is None:
+        if self._fault is None or self._fault.kind == _HARMLESS:
             with suppress(Refusal):
                 self._require_ready(sample)
                 if unwatched:

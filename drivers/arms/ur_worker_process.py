@@ -167,14 +167,16 @@ class WorkerProcess:
             raise WorkerRefusal(str(answer["error"]), str(answer["text"]))
         return dict(answer["ok"])
 
-    def brake(self) -> None:
+    def brake(self, within_s: float = _LOCK_WITHIN_S) -> bool:
         """Tell the worker to stop its arm and to begin no motion until ``release`` or ``restart`` is asked.
 
-        Waits a few milliseconds until the motion decelerates. A worker that does not read its messages is left to the
-        controller's watchdog.
+        Waits a few milliseconds until the motion decelerates. Returns whether the message was sent, or no worker is
+        left; it is not if another message could not be sent for ``within_s``.
         """
-        if self._ended or not self._lock.acquire(timeout=_LOCK_WITHIN_S):
-            return
+        if self._ended:
+            return True
+        if not self._lock.acquire(timeout=within_s):
+            return False
         try:
             self._decelerating.clear()
             with suppress(OSError):
@@ -185,6 +187,11 @@ class WorkerProcess:
         for one in waiting:
             one.answered.put(_STOPPED)
         self._decelerating.wait(DECELERATES_WITHIN_S)
+        return True
+
+    def strike(self) -> None:
+        """Kill the process without waiting for its end, which is reported as a doubt."""
+        self._process.kill()
 
     def kill(self) -> None:
         """Kill the process; harmless when it has ended."""

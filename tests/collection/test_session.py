@@ -388,3 +388,165 @@ def test_an_arm_that_fails_to_brake_is_named(bench: Bench, monkeypatch: pytest.M
     bench.before_measuring[3] = strike
     with pytest.raises(HardwareError, match=r"NOT SEEN AT REST: arm left.*NOT SEEN AT REST: arm right"):
         bench.collect()
+
+
+# -- a stop that comes at an awkward moment ---------------------------------------------------------------------------
+
+
+def stall(bench: Bench) -> None:
+    """The computer was silent, so that the right arm's controller stopped its program."""
+    arm = bench.arm("right")
+    arm._plant.stop("right")
+    arm._listener(HostStalled("arm right: this computer was silent for 0.4 s"))
+
+
+class Waiting:
+    """Does something in the middle of the retry after a stall."""
+
+    def __init__(self, bench: Bench, act: Act) -> None:
+        practise(bench, suspend=Suspend(host_stall=Suspension(times=3, wait=30.0, retry=7.0)))
+        self.bench, self.act = bench, act
+        bench.before_measuring[6] = self.begin
+
+    def begin(self, bench: Bench) -> None:
+        stall(bench)
+        assert bench.cell is not None
+        clock = bench.cell.clock
+        wait = clock.wait
+
+        def waits(duration_s: float, sleep: Any) -> None:
+            if duration_s == 7.0:
+                clock.wait = wait  # type: ignore[method-assign]
+                self.act(bench)
+            wait(duration_s, sleep)
+
+        clock.wait = waits  # type: ignore[method-assign]
+
+
+def test_a_stop_during_the_retry_after_a_stall_is_obeyed(bench: Bench) -> None:
+    asked: list[Request] = []
+
+    def act(request: Request) -> None:
+        asked.append(request)
+        if len(asked) > 3:
+            bench.control.resume()
+
+    bench.control = Person(act)
+    Waiting(bench, lambda bench: bench.control.stop())
+    assert bench.collect().outcome == "complete"
+    assert asked == ["stop"] * 4
+    assert bench.requests[-1:] == ["resume"]
+    assert bench.run.sessions()[-1].requests[-1][2] == "resumed by a person"
+
+
+def test_a_safety_stop_during_the_retry_needs_a_person(bench: Bench) -> None:
+    def guard_opened(bench: Bench) -> None:
+        bench.arm("left").protective_stop()
+        bench.arm("left").release()  # the light curtain is free again
+
+    Waiting(bench, guard_opened)
+    with pytest.raises(HardwareError, match=r"silent for 0.4 s"):
+        bench.collect()
+    assert "resume" not in bench.requests
+
+
+def test_an_arm_that_was_not_seen_at_rest_after_a_persons_stop_is_named(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(self: SimulatedArm) -> None:
+        raise ArmError(f"arm {self.name}: it could not be seen at rest")
+
+    def strike(bench: Bench) -> None:
+        monkeypatch.setattr(SimulatedArm, "stop", lost)
+        bench.control.stop()
+
+    bench.before_measuring[3] = strike
+    with pytest.raises(HardwareError, match="NOT SEEN AT REST: arm left"):
+        bench.collect()
+
+
+def test_a_point_that_was_measured_through_a_stop_is_not_stored(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SimulatedTracker, "halt", lambda self: None)  # the halt came before the measurement
+    measure = SimulatedTracker._measure
+
+    def through(self: SimulatedTracker, *arguments: Any) -> Any:
+        point = measure(self, *arguments)
+        if self.measured == 6:
+            bench.arm("left").emergency_stop()
+        return point
+
+    monkeypatch.setattr(SimulatedTracker, "_measure", through)
+    with pytest.raises(HardwareError, match="emergency stop"):
+        bench.collect()
+    assert bench.run.stops_done() == {0, 1}
+
+
+def test_where_no_stop_is_left_nothing_moves_and_nobody_is_asked(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    practise(bench, warm_up=60.0, reference=Reference(every=2))
+
+    def all_but_home(self: SimulatedArm, q: np.ndarray) -> np.ndarray:
+        return np.arange(len(q)) > 0
+
+    def refuse_to_move(self: SimulatedArm, *arguments: Any) -> None:
+        pytest.fail("an arm was moved")
+
+    monkeypatch.setattr(SimulatedArm, "refused_by_controller", all_but_home)
+    monkeypatch.setattr(SimulatedArm, "start_move", refuse_to_move)
+    with pytest.raises(HardwareError, match="nothing could be measured: arm left: the controller's safety limits"):
+        bench.collect(confirm=lambda start, targets: pytest.fail("a person was asked"))
+
+
+def test_a_forbidden_stop_is_not_driven_to_by_warm_up_or_reference(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    practise(bench, warm_up=60.0, reference=Reference(every=2, drift=0.001))
+    went: list[np.ndarray] = []
+    start_move = SimulatedArm.start_move
+
+    def noted(self: SimulatedArm, q: np.ndarray, *rates: Any) -> None:
+        went.append(q)
+        start_move(self, q, *rates)
+
+    def first_forbidden(self: SimulatedArm, q: np.ndarray) -> np.ndarray:
+        return np.arange(len(q)) == (1 if self.name == "left" else -1)
+
+    monkeypatch.setattr(SimulatedArm, "start_move", noted)
+    monkeypatch.setattr(SimulatedArm, "refused_by_controller", first_forbidden)
+    shown: list[Any] = []
+
+    def confirm(start: Any, targets: Any) -> bool:
+        shown.append(targets)
+        return True
+
+    bench.collect(confirm=confirm)
+    plan = bench.run.read_plan()
+    assert not any(np.array_equal(q, plan["left"][0]) for q in went)
+    np.testing.assert_array_equal(shown[0]["left"], plan["left"][1])
+    np.testing.assert_array_equal(went[0], plan["left"][1])
+    assert {row.name for row in bench.run.references()} == {"arm left", "arm right"}
+
+
+def test_a_motion_that_is_not_confirmed_is_not_made(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SimulatedArm, "start_move", lambda *arguments: pytest.fail("an arm was moved"))
+    with pytest.raises(InputError, match="the first motion was not confirmed; nothing was moved"):
+        bench.collect(confirm=lambda start, targets: False)
+
+
+def test_noise_of_the_encoders_is_no_motion(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the reference stop the arms stand where the first stop is: its readings keep the way they came."""
+    practise(bench, reference=Reference(every=4, drift=0.001))
+    rng, now = np.random.default_rng(5), SimulatedArm._now
+
+    def noisy(self: SimulatedArm) -> Any:
+        state = now(self)
+        return replace(state, q=state.q + rng.normal(0.0, 1e-5, len(state.q)))
+
+    monkeypatch.setattr(SimulatedArm, "_now", noisy)
+    bench.collect()
+    plan = bench.run.read_plan()
+    for name, q in plan.items():
+        home = np.array(bench.run.profile.arms[name].home)
+        readings = bench.run.readings(name)
+        np.testing.assert_array_equal(readings.approach[0], np.sign(q[0] - home))
+        assert readings.step is not None
+        np.testing.assert_allclose(readings.step[0], q[0] - home, atol=1e-4)

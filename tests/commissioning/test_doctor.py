@@ -378,7 +378,7 @@ def test_a_port_in_use_is_named_and_nothing_is_left_open(twin: Profile) -> None:
 def test_a_simulated_cell_that_fails_ends_the_emulation(twin: Profile, monkeypatch: pytest.MonkeyPatch) -> None:
     up = threading.Event()
 
-    def fails_once_it_runs(profile: Profile) -> Plant:
+    def fails_once_it_runs(profile: Profile, *, watch_clearance: bool = False) -> Plant:
         plant = build_plant(profile)
         advance = plant.advance
 
