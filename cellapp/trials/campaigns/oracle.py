@@ -28,6 +28,8 @@ _PLANNED_RAD = 1e-9
 _NEAR_M = 0.02
 """Distances below this are looked at closely: base and axes of the true arms differ by millimetres from the planned."""
 
+_ENDED_BY = {"stopped": "stop", "aborted": "abort"}
+"""Outcome of a session -> the request that it records."""
 _KEEP_FROM_WRITING = ("disk", "program killed", "killed")
 """Faults, by the beginning of their names, after which a session may lack a record."""
 
@@ -156,6 +158,7 @@ def _unrecorded(world: World, run: RunFile) -> list[Failure]:
     if any(kind.startswith(_KEEP_FROM_WRITING) for kind in world.struck):
         return failures
     found = Counter(kind for one in sessions for _, kind, _ in one.requests)
+    found.update(_ENDED_BY.get(one.outcome or "", "") for one in sessions)
     return failures + [
         Failure("not listed", f"{asked - found[verb]} of {asked} requests to {verb} in no session")
         for verb, asked in world.person.asked.items()
