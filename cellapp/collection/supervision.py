@@ -217,7 +217,9 @@ class Supervisor:
                 self.record(self.reaction.causes[-1].kind, reason)
             except HardwareError as error:
                 reason = str(error)
-                self.record("not released", reason)
+                by_person = (cause.kind for cause in self.reaction.causes if cause not in shown)
+                kind = next((kind for kind in by_person if kind in _BY_PERSON), "not released")
+                self.record(kind, reason)
             self.control.hold()
 
     def _release(self, known: Sequence[StopCause]) -> None:
