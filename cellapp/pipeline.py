@@ -12,7 +12,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cellapp.calibration.calibrate import calibrate_readings, missing_splits, provenance_of
@@ -29,13 +28,13 @@ from cellapp.control import JobControl
 from cellapp.discovery.discover import discover_cell
 from cellapp.discovery.outcome import CellDiscovery
 from cellapp.discovery.proposal.candidate_poses import Effort
-from cellapp.discovery.propose import ProposedStop, propose_stops
+from cellapp.discovery.propose import propose_stops
 from cellapp.discovery.result import discover_result, proposal_result
 from cellapp.errors import InputError
 from cellapp.exports.geometry import geometry_export
 from cellapp.model import CellModel
 from cellapp.planning.plan import plan_run
-from cellapp.planning.stop_conditions import read_stop_conditions, write_stop_conditions
+from cellapp.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.reporting.page import write_page
@@ -68,6 +67,7 @@ from cellapp.run.stages import (
     append_stage,
     basis_of,
     basis_on_model,
+    note_later_stages,
     read_results,
     read_stages,
 )
@@ -262,7 +262,7 @@ def calibrate_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken
     _append_with_model(run, CALIBRATE, result, calibration.model, basis_of(run))
     stages = read_stages(run)
     _export_model(run, stages)
-    return result.model_copy(update={"notes": (*result.notes, *_later_stages(run, stages))})
+    return result.model_copy(update={"notes": (*result.notes, *note_later_stages(run, stages))})
 
 
 def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> DiscoverResult:
@@ -319,7 +319,7 @@ def propose_after(
         proposed = propose_stops(
             run.profile, found.model, readings, found.arms, count, with_eta(listener), cancel, effort
         )
-    if why := _not_driven(run):
+    if why := why_not_driven(run):
         note = f"{why}: the stops are listed only; measure them, then import them with the earlier readings"
         return proposal_result(proposed, None, (*proposed.notes, note))
     return proposal_result(proposed, append_proposed_stops(run, proposed.stops), proposed.notes)
@@ -337,20 +337,6 @@ def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
     for name, words in drawn.items():
         run.assign_splits(name, words)
     return notes
-
-
-def append_proposed_stops(run: RunFile, stops: Sequence[ProposedStop]) -> int:
-    """Append stops to the plan in place of earlier proposals that were not measured. Returns the first one's number."""
-    plan, done, conditions = run.read_plan(), run.stops_done(), read_stop_conditions(run)
-    first = len(next(iter(plan.values())))
-    while first - 1 in conditions and first - 1 not in done:
-        first -= 1
-    run.write_plan(
-        {name: np.concatenate([rows[:first], [stop.q[name] for stop in stops]]) for name, rows in plan.items()}
-    )
-    kept = {stop: arms for stop, arms in conditions.items() if stop < first}
-    write_stop_conditions(run, {**kept, **{first + k: stop.conditions for k, stop in enumerate(stops)}})
-    return first
 
 
 # -- compensate, push, report -----------------------------------------------------------------------------------------
@@ -490,24 +476,6 @@ def _model(run: RunFile, stage: StoredStage) -> CellModel:
     return CellModel.from_json(stage.model, f"{run.path}: {stage.name}")
 
 
-def _later_stages(run: RunFile, stages: RunStages) -> list[str]:
-    """Notes on what an earlier discovery and verification are worth after a new calibration; logged too."""
-    notes = []
-    discovered, reason = stages.current.get(DISCOVER), stages.out_of_date.get(DISCOVER)
-    if discovered is not None and reason is None:
-        notes.append(f"the discovery still holds; {CALIBRATION_FILE} keeps the effects that were found")
-    elif discovered is not None:
-        kept = "keeps its effects" if stages.in_force is discovered else "holds the new calibration without effects"
-        notes.append(
-            f"the discovery is out of date ({reason}): {CALIBRATION_FILE} {kept}; run 'cellapp discover {run.folder}'"
-        )
-    if VERIFY in stages.out_of_date:
-        notes.append(f"the verification is out of date ({stages.out_of_date[VERIFY]})")
-    for note in notes:
-        run.log("note", note)
-    return notes
-
-
 def _compensate(
     run: RunFile, stages: RunStages, targets: Sequence[Target]
 ) -> tuple[tuple[Command, ...], CompensateResult]:
@@ -524,12 +492,3 @@ def _compensate(
 
 def _targets_json(targets: Sequence[Target]) -> str:
     return "\n".join(target.model_dump_json() for target in targets)
-
-
-def _not_driven(run: RunFile) -> str:
-    """Why this program cannot drive further stops of a run; empty if it can."""
-    missing = [f"arms.{name}" for name, arm in run.profile.arms.items() if not arm.driver.has_device]
-    missing += [] if run.profile.tracker.driver.has_device else ["tracker"]
-    if missing:
-        return f"the driver of {missing[0]} is 'none'"
-    return "" if run.read_plan() else "the run has no plan (it was imported)"

@@ -317,3 +317,21 @@ def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, Readi
 
 def _sha256(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:
+    """Notes on what an earlier discovery and verification are worth after a new calibration; logged too."""
+    notes = []
+    discovered, reason = stages.current.get(DISCOVER), stages.out_of_date.get(DISCOVER)
+    if discovered is not None and reason is None:
+        notes.append(f"the discovery still holds; {CALIBRATION_FILE} keeps the effects that were found")
+    elif discovered is not None:
+        kept = "keeps its effects" if stages.in_force is discovered else "holds the new calibration without effects"
+        notes.append(
+            f"the discovery is out of date ({reason}): {CALIBRATION_FILE} {kept}; run 'cellapp discover {run.folder}'"
+        )
+    if VERIFY in stages.out_of_date:
+        notes.append(f"the verification is out of date ({stages.out_of_date[VERIFY]})")
+    for note in notes:
+        run.log("note", note)
+    return notes

@@ -21,8 +21,9 @@ from cellapp.discovery.proposal.approaches import DWELLS_S, STEPS_RAD
 from cellapp.discovery.proposal.candidate_poses import Effort
 from cellapp.discovery.propose import Proposal
 from cellapp.discovery.result import proposal_result
-from cellapp.pipeline import append_proposed_stops, propose_after
+from cellapp.pipeline import propose_after
 from cellapp.planning.plan import plan_stops
+from cellapp.planning.proposed_stops import append_proposed_stops
 from cellapp.planning.stop_conditions import STOP_CONDITIONS_RESULT, StopConditions, read_stop_conditions
 from cellapp.profile import Profile
 from cellapp.reporting.proposal import proposal_lines
