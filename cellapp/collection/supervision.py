@@ -144,7 +144,7 @@ class Supervisor:
             return
         if not self.control.holds:
             raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
-        if "stop" not in kinds:
+        if kinds != {"stop"}:  # a person may have resumed that stop already, before the other cause came
             self.control.hold()
         self._hold_for_person(text)
 

@@ -165,7 +165,10 @@ class World:
 
 
 class HoldingClock(SimulatedClock):
-    """The plant's clock. A job that holds for a person, and asks every moment, waits until something happens."""
+    """The plant's clock, whose waits end at a person's stop as those in real time do.
+
+    A job that holds for a person, and asks every moment, waits until something happens.
+    """
 
     def __init__(self, plant: Plant, person: Person) -> None:
         super().__init__(plant)
@@ -173,10 +176,18 @@ class HoldingClock(SimulatedClock):
 
     def wait(self, duration_s: float, sleep: Sleep) -> None:
         """Advance the simulation, while the job holds to the next event."""
+        if self._request() in ("pause", "stop") and math.isfinite(self.plant.undisturbed_s):
+            self.plant.advance(max(duration_s, self.plant.undisturbed_s))
+            return
+        end_s = self.now_s() + duration_s
+        while (left_s := end_s - self.now_s()) > 0.0:
+            self.plant.advance(min(left_s, self.plant.undisturbed_s))
+            if self._request() in ("stop", "abort"):
+                return
+
+    def _request(self) -> Request:
         control = self._person.control
-        if control is not None and control.request in ("pause", "stop") and math.isfinite(self.plant.undisturbed_s):
-            duration_s = max(duration_s, self.plant.undisturbed_s)
-        super().wait(duration_s, sleep)
+        return "none" if control is None else control.request
 
 
 class Endless(BaseException):
