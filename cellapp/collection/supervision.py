@@ -144,7 +144,7 @@ class Supervisor:
             return
         if not self.control.holds:
             raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
-        if "stop" not in kinds:
+        if kinds != {"stop"}:  # a person may have resumed that stop already, before the other cause came
             self.control.hold()
         self._hold_for_person(text)
 
@@ -217,7 +217,9 @@ class Supervisor:
                 self.record(self.reaction.causes[-1].kind, reason)
             except HardwareError as error:
                 reason = str(error)
-                self.record("not released", reason)
+                by_person = (cause.kind for cause in self.reaction.causes if cause not in shown)
+                kind = next((kind for kind in by_person if kind in _BY_PERSON), "not released")
+                self.record(kind, reason)
             self.control.hold()
 
     def _release(self, known: Sequence[StopCause]) -> None:
