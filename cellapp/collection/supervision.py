@@ -74,8 +74,8 @@ def _watch_out(unseen: dict[str, str]) -> list[str]:
 
 def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -> None:
     """Hold here, with the arms at rest, while a person pauses. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
+    reaction.check()  # first: what stopped the arms is to be recorded
     control.check()
-    reaction.check()
     while control.request in ("pause", "stop"):
         _attend(cell, control)
         control.check()
