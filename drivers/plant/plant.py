@@ -403,7 +403,6 @@ class Plant:
                 last = min(max(ends), end_s)
                 count = int(np.ceil((last - self._clock_s) / _SAMPLE_S)) + 1
                 self._watch(np.linspace(self._clock_s, last, max(count, 2)))
-        air_c = self.air_temperature_c
         for arm in self._arms.values():
             resting_s, cold = duration_s, arm.rise
             if arm.motion is not None:
@@ -413,11 +412,12 @@ class Plant:
                 if arm.motion.end_s <= end_s:
                     self._end_motion(arm, arm.motion.q_to, arm.motion.end_s)
             arm.rise = joint_rise(arm.rise, np.zeros_like(arm.rise), resting_s, self.config.holding_k)
-            mean_c = air_c + 0.5 * (cold + arm.rise)
-            arm.memories = [
-                effect.memory_after_time(memory, air_c, mean_c, duration_s)
-                for effect, memory in zip(arm.effects, arm.memories, strict=True)
-            ]
+            if arm.effects:
+                mean_c = (air_c := self.air_temperature_c) + 0.5 * (cold + arm.rise)
+                arm.memories = [
+                    effect.memory_after_time(memory, air_c, mean_c, duration_s)
+                    for effect, memory in zip(arm.effects, arm.memories, strict=True)
+                ]
         self._clock_s = end_s
 
     # -- tracker -----------------------------------------------------------------------------------------------------
