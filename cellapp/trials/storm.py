@@ -60,6 +60,9 @@ class StormResult(Result):
         How often each was caused, and how the sessions ended.
     motions_after_a_stop : int
         Motions that began after a stop, before the person resumed.
+    latest_start_ms : float
+        Longest time from the first stop that a controller received to the start of a motion of another arm that had
+        been commanded before; that arm was braked too.
     clearance_mm : float or None
         Smallest distance between the arms.
     deviation : mapping
@@ -81,6 +84,7 @@ class StormResult(Result):
     by_fault: Mapping[str, int]
     exit_codes: Mapping[str, int]
     motions_after_a_stop: int
+    latest_start_ms: float
     clearance_mm: float | None
     deviation: Mapping[str, StormDeviation]
     seconds: float
@@ -193,6 +197,7 @@ def _judged(
         by_fault=dict(sorted(log.struck.items())),
         exit_codes={str(code): count for code, count in sorted(log.exit_codes.items())},
         motions_after_a_stop=log.motions_after_a_stop,
+        latest_start_ms=1e3 * log.latest_start_s,
         clearance_mm=None if clearance_m is None else 1e3 * clearance_m,
         deviation=deviation,
         seconds=took_s,

@@ -47,6 +47,9 @@ class StormLog:
         Readings that were seen as stored at any time.
     struck, exit_codes : Counter
         Faults by kind, and how sessions ended.
+    latest_start_s : float
+        Longest time from the first stop that a controller received to the start of a motion of another arm, which had
+        been commanded before and was braked then [s].
     """
 
     seen: Stored = field(default_factory=dict)
@@ -54,6 +57,7 @@ class StormLog:
     exit_codes: Counter[int] = field(default_factory=Counter)
     sessions: int = 0
     motions_after_a_stop: int = 0
+    latest_start_s: float = 0.0
     complaints: list[str] = field(default_factory=list)
 
 
@@ -135,7 +139,7 @@ class Operator:
         return program.returncode
 
     def _watch(self, program: subprocess.Popen[bytes]) -> tuple[str, float] | None:
-        """Cause what is due while the program runs; return the last fault that has to stop the arms, and when."""
+        """Cause what is due while the program runs; return the last fault that must stop arms at work, and when."""
         last: tuple[str, float] | None = None
         began_s = ready_s = progress_s = time.monotonic()
         working = False
@@ -154,7 +158,7 @@ class Operator:
                 del self._events[0]
                 self._strike(event, program)
                 ready_s = progress_s = time.monotonic()
-                if FAULTS[event.kind].stops:
+                if FAULTS[event.kind].stops and working:
                     last = event.kind, now_s
             elif now_s - progress_s > _PROGRESS_WITHIN_S:
                 self.log.complaints.append(f"session {self.log.sessions} hangs: nothing was stored")
@@ -199,7 +203,11 @@ class Operator:
     # -- after a session -----------------------------------------------------------------------------------------------
 
     def _check_rest(self, last: tuple[str, float] | None) -> None:
-        """Check that the arms rest, stay at rest, and that no motion began after the stop that ended the session."""
+        """Check that the arms rest, stay at rest, and that no motion began after the stop that ended the session.
+
+        A motion began after the stop if the arm's own controller had received one, or if another controller had for
+        longer than the bar of the cell's reaction.
+        """
         if not self._cell.wait_at_rest(_REST_WITHIN_S):
             self.log.complaints.append(f"session {self.log.sessions}: an arm still moves {_REST_WITHIN_S:g} s later")
         before = self._cell.status()
@@ -211,15 +219,18 @@ class Operator:
         if last is None:
             return
         kind, struck_s = last
-        stops = [one["received_s"] for name in before for one in self._cell.control(name, "stops", struck_s)]
-        if not stops:
-            return
-        late = [
-            name for name in before for began_s in self._cell.control(name, "starts", struck_s) if began_s > min(stops)
-        ]
-        if late:
-            self.log.motions_after_a_stop += len(late)
-            self.log.complaints.append(f"session {self.log.sessions}: arm {late[0]} moved after the stop by '{kind}'")
+        stops = {name: [one["received_s"] for one in self._cell.control(name, "stops", struck_s)] for name in before}
+        first_s = min((received_s for times in stops.values() for received_s in times), default=math.inf)
+        for name, times in stops.items():
+            for began_s in self._cell.control(name, "starts", struck_s):
+                if began_s > min([*times, first_s + COMMANDED_WITHIN_S]):
+                    self.log.motions_after_a_stop += 1
+                    self.log.complaints.append(
+                        f"session {self.log.sessions}: arm {name} began to move {(began_s - first_s) * 1e3:.0f} ms"
+                        f" after the stop by '{kind}'"
+                    )
+                elif began_s > first_s:
+                    self.log.latest_start_s = max(self.log.latest_start_s, began_s - first_s)
 
 
 def _place(status: Mapping[str, Any]) -> tuple[object, ...]:

@@ -164,6 +164,7 @@ def storm_tables(result: StormResult) -> list[Table]:
         ("faults", result.faults),
         ("SIGKILLs", result.kills),
         ("motions after a stop", result.motions_after_a_stop),
+        ("latest start of an arm after the first stop of another", Number(result.latest_start_ms, 0, "ms")),
         ("smallest distance between the arms", clearance),
         *deviations,
         *sigmas,
