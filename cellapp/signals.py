@@ -7,11 +7,14 @@ or SQLite. The operating system's own handler writes the signal's number into a 
 from __future__ import annotations
 
 import contextlib
+import logging
 import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
+
+LOG = logging.getLogger(__name__)
 
 Handler = Callable[[int, FrameType | None], object]
 
@@ -40,7 +43,10 @@ def watch_signals(numbers: tuple[int, ...], react: Callable[[int], None], handle
         with receiver:
             while (byte := receiver.recv(1)) not in (_END, b""):
                 if byte[0] in numbers:
-                    react(byte[0])
+                    try:
+                        react(byte[0])
+                    except Exception as error:  # noqa: BLE001 - the next signal must reach its reaction all the same
+                        LOG.error("the reaction to signal %d failed: %s", byte[0], error)
 
     watcher = threading.Thread(target=watch, name="signals", daemon=True)
     earlier = {number: signal.signal(number, handler) for number in numbers}

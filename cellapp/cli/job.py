@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import queue
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -27,7 +29,8 @@ _INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
 _HANGUP = available("SIGHUP")
 """The terminal was closed. It may come twice: once from the system, once from the shell."""
 _SUSPENDS = available("SIGTSTP")
-_CONTINUES = available("SIGCONT")
+_LAST_WORDS_S = 1.0
+"""How long the end of a job waits for its messages to be printed."""
 
 
 def run_program(app: Callable[[], object]) -> None:
@@ -68,7 +71,7 @@ class Job:
     """One command: progress bars, what signals ask of the job, tables and sentences, and the JSON.
 
     Ctrl-C and SIGTERM stop: all arms brake at once, and the job ends. The second one aborts: it ends at once. A closed
-    terminal stops. Ctrl-Z pauses after the present stop if arms are open, the second one resumes.
+    terminal stops. Ctrl-Z pauses after the present stop if arms are open, the second one resumes that pause.
 
     Raises
     ------
@@ -88,13 +91,18 @@ class Job:
         self._tasks: dict[str, Any] = {}
         self._signals = contextlib.ExitStack()
         self._interrupts = 0
+        self._told: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._writer = threading.Thread(target=self._write_told, name="messages", daemon=True)
 
     def __enter__(self) -> Job:
-        numbers = (*_INTERRUPTS, *_HANGUP, *_SUSPENDS, *_CONTINUES)
+        self._writer.start()
+        numbers = (*_INTERRUPTS, *_HANGUP, *_SUSPENDS)
         self._signals.enter_context(watch_signals(numbers, self._react, self._interrupt))
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self._told.put(None)
+        self._writer.join(_LAST_WORDS_S)
         self._stop_bars()
         self._signals.close()
 
@@ -124,6 +132,12 @@ class Job:
         self._stop_bars()
         for line in lines:
             print(line, file=sys.stderr if self._json_file == "-" else sys.stdout, flush=True)
+
+    def warn(self, *lines: str) -> None:
+        """Print lines on standard error: what a person must see, wherever standard output goes."""
+        self._stop_bars()
+        for line in lines:
+            print(line, file=sys.stderr, flush=True)
 
     def show(self, tables: Sequence[Table]) -> None:
         """Print tables, where ``say`` prints."""
@@ -166,12 +180,12 @@ class Job:
             self._tell(f"stop: {what} and can be resumed. Once more: end at once")
         elif number in _SUSPENDS and not arms:
             os.kill(os.getpid(), signal.SIGSTOP)  # nothing can move: what Ctrl-Z does to any program
-        elif number in _SUSPENDS and self.control.request != "pause":
-            self.control.pause()
-            self._tell("pause: the arms rest after this stop. Ctrl-Z again: resume; Ctrl-C: stop")
         elif self.control.request == "pause":
             self.control.resume()
             self._tell("resume: the job continues")
+        elif self.control.request == "none":
+            self.control.pause()
+            self._tell("pause: the arms rest after this stop. Ctrl-Z again: resume; Ctrl-C: stop")
 
     def _interrupt(self, number: int, frame: object) -> None:
         """End the job at the second interrupt, wherever the main thread is. ``_react`` does all that is urgent."""
@@ -181,12 +195,20 @@ class Job:
                 raise Aborted("aborted at once")
 
     def _tell(self, text: str) -> None:
-        """Print a line on standard error, above the bars; from any thread, whether or not the terminal is there."""
-        with contextlib.suppress(OSError):
-            if self._bars is None:
-                print(f"cellapp: {text}", file=sys.stderr, flush=True)
-            else:
-                self._bars.console.print(f"cellapp: {text}", markup=False, highlight=False)
+        """Print a line on standard error, above the bars; from any thread.
+
+        A thread of its own writes it: a terminal that takes no output must not hold up the next signal.
+        """
+        self._told.put(text)
+
+    def _write_told(self) -> None:
+        while (text := self._told.get()) is not None:
+            bars = self._bars
+            with contextlib.suppress(OSError):  # the terminal was closed
+                if bars is None:
+                    print(f"cellapp: {text}", file=sys.stderr, flush=True)
+                else:
+                    bars.console.print(f"cellapp: {text}", markup=False, highlight=False)
 
     def _start_bars(self) -> None:
         from rich.console import Console

@@ -18,7 +18,7 @@ def asking(job: Job, profile_name: str, *, allowed: bool) -> Callable[[str], boo
     if allowed:
 
         def show(words: str) -> bool:
-            job.say(words)
+            job.warn(words)
             return True
 
         return show
@@ -26,7 +26,7 @@ def asking(job: Job, profile_name: str, *, allowed: bool) -> Callable[[str], boo
         return None
 
     def ask(words: str) -> bool:
-        job.say(words, f"Type '{profile_name}' and Enter to let the arms move; anything else ends this.")
+        job.warn(words, f"Type '{profile_name}' and Enter to let the arms move; anything else ends this.")
         answers: queue.Queue[str] = queue.Queue()
         threading.Thread(target=lambda: answers.put(sys.stdin.readline()), name="answer", daemon=True).start()
         while True:

@@ -244,6 +244,7 @@ class CollectSession:
         self._emit(note="reference measurements")
         self._until_reference = every
         try:
+            self._travel.home()  # always from the same side: hysteresis of the joints is no drift
             states = self._travel.to(self.work.targets(self._reference_stop()))
         except MotionRefused as error:
             self._note(f"after {self._queue.finished} stops: no reference measurements: {error}")

@@ -74,8 +74,8 @@ def _watch_out(unseen: dict[str, str]) -> list[str]:
 
 def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -> None:
     """Hold here, with the arms at rest, while a person pauses. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
+    reaction.check()  # first: what stopped the arms is to be recorded
     control.check()
-    reaction.check()
     while control.request in ("pause", "stop"):
         _attend(cell, control)
         control.check()
@@ -144,7 +144,7 @@ class Supervisor:
             return
         if not self.control.holds:
             raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
-        if "stop" not in kinds:
+        if kinds != {"stop"}:  # a person may have resumed that stop already, before the other cause came
             self.control.hold()
         self._hold_for_person(text)
 
@@ -217,7 +217,9 @@ class Supervisor:
                 self.record(self.reaction.causes[-1].kind, reason)
             except HardwareError as error:
                 reason = str(error)
-                self.record("not released", reason)
+                by_person = (cause.kind for cause in self.reaction.causes if cause not in shown)
+                kind = next((kind for kind in by_person if kind in _BY_PERSON), "not released")
+                self.record(kind, reason)
             self.control.hold()
 
     def _release(self, known: Sequence[StopCause]) -> None:

@@ -208,7 +208,8 @@ def _exchange(folder: Path, address: _JobAddress, request: str) -> str | None:
                 answer = reader.readline(_LONGEST_LINE)
     except TimeoutError:
         raise HardwareError(
-            f"the job in {folder} did not answer within {_PATIENCE_S:.0f} s; if an arm moves, press its emergency stop"
+            f"the job in {folder} did not answer within {_PATIENCE_S:.0f} s; if an arm moves, press its emergency"
+            f" stop. If no job runs there, delete {folder / JOB_FILE}"
         ) from None
     except (OSError, OverflowError):
         return None

@@ -299,9 +299,11 @@ class CellApp(App[None]):
 
     @on(Button.Pressed, "#pause")
     def action_pause(self) -> None:
-        """Let the run rest after the present stop; the second time, resume."""
-        if self._control.request in ("pause", "stop"):
+        """Let the run rest after the present stop; the second time, resume. It does not resume a stopped run."""
+        if self._control.request == "pause":
             self.action_resume()
+        elif self._control.request == "stop":
+            self._say("Stopped, not paused. c: resume when the cell is clear; x: abort.", "running")
         elif self._possible("pause"):
             self._control.pause()
             self._requested("Pausing: the arms rest after the present stop. p or c: resume; Escape: stop.", "pausing")

@@ -7,8 +7,9 @@ equations. A calibration that fits this cell therefore does not merely reproduce
 from drivers.plant.clearance import Clearance
 from drivers.plant.config import ArmConfig, CapsuleConfig, GeometryErrors, PlantConfig, TrackerConfig
 from drivers.plant.mechanism import gravity_torques
-from drivers.plant.plant import Plant, Target
+from drivers.plant.plant import Plant
 from drivers.plant.suggest import OUTSIDE, REALISTIC, suggest
+from drivers.plant.true_arm import Target
 
 __all__ = [
     "OUTSIDE",

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from drivers.plant import effects as hidden
-from drivers.plant.clearance import Clearance, segment_distances
+from drivers.plant.clearance import Clearance
 from drivers.plant.climate import Air, joint_rise
 from drivers.plant.config import ArmConfig, Array, PlantConfig
-from drivers.plant.effect import Effect, Situation
+from drivers.plant.effect import Situation
 from drivers.plant.executed import Executed, executed_clearance
 from drivers.plant.lines import carry, inverse, rigid
 from drivers.plant.mechanism import (
@@ -27,56 +27,14 @@ from drivers.plant.mechanism import (
     with_errors,
     with_true_masses,
 )
-from drivers.plant.motion import Motion, braked, travel
+from drivers.plant.motion import braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.schedule import Schedule
+from drivers.plant.true_arm import Target, TrueArm, largest_change, watch
 
 _EQUILIBRIUM_RAD = 1e-12
 _MAX_ITERATIONS = 200
 _SAMPLE_S = 0.02
-
-
-@dataclass(frozen=True, eq=False)
-class Target:
-    """An SMR at the current time: its arm, position (3,) [m] in M, and why the tracker cannot see it ("" if it can)."""
-
-    arm: str
-    p_M: Array
-    hidden: str
-    moving: bool
-
-
-@dataclass(eq=False)
-class _Arm:
-    """One true arm and its state."""
-
-    config: ArmConfig
-    mechanism: Mechanism
-    T_C_B: Array
-    T_M_B: Array
-    gravity: Array  # acceleration of free fall in B
-    effects: tuple[Effect, ...]
-    repeatability: np.random.Generator
-    q: Array  # (N,) at the last rest, or at the start of the current motion
-    memories: list[Array | None]  # at that moment
-    approach: Array
-    last_step: Array
-    stop_error: Array  # (N,) position error of the current stop
-    rise: Array  # (N,) joint temperature above the air
-    rest_since_s: float = 0.0
-    motion: Motion | None = None
-    load_deflection: Deflection = NO_DEFLECTION  # last solution, the initial value of the next one
-    resting: tuple[Array, Array] | None = None  # SMR and its viewing direction, of an arm at rest without effects
-
-
-def _largest_change(before: Deflection, after: Deflection) -> float:
-    """Return the largest difference of two deflections [rad or m]."""
-    largest = 0.0
-    for name in ("joints", "base", "links", "tool"):
-        old, new = getattr(before, name), getattr(after, name)
-        if new is not None:
-            largest = max(largest, float(np.abs(new if old is None else new - old).max(initial=0.0)))
-    return largest
 
 
 def _broadcast(name: str, value: ArrayLike | None, default: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -119,14 +77,14 @@ class Plant:
         if self.clearance is not None:
             self._watch(np.zeros(1))
 
-    def _true_arm(self, arm: ArmConfig, seed: np.random.SeedSequence) -> _Arm:
+    def _true_arm(self, arm: ArmConfig, seed: np.random.SeedSequence) -> TrueArm:
         geometry, base, repeatability, masses = (np.random.default_rng(s) for s in seed.spawn(4))
         errors = self.config.errors
         effects = hidden.build(arm.name, arm.joints, arm.effects)
         sizes = np.repeat([errors.base_length, errors.base_angle], 3)
         T_C_B = arm.T_C_B @ rigid(sizes * base.standard_normal(6))
         assert arm.home is not None
-        return _Arm(
+        return TrueArm(
             config=arm,
             mechanism=with_true_masses(with_errors(nominal(arm), errors, geometry), errors.mass, masses),
             T_C_B=T_C_B,
@@ -142,7 +100,7 @@ class Plant:
             rise=np.zeros(arm.joints),
         )
 
-    def _arm(self, name: str) -> _Arm:
+    def _arm(self, name: str) -> TrueArm:
         try:
             return self._arms[name]
         except KeyError:
@@ -175,7 +133,7 @@ class Plant:
         """True SMR centre in the flange frame, (3,) [m]."""
         return self._arm(name).mechanism.smr.copy()
 
-    def _T_B_others(self, arm: _Arm) -> dict[str, Array]:
+    def _T_B_others(self, arm: TrueArm) -> dict[str, Array]:
         back = inverse(arm.T_C_B)
         return {name: back @ other.T_C_B for name, other in self._arms.items() if other is not arm}
 
@@ -183,7 +141,7 @@ class Plant:
 
     def _equilibrium(
         self,
-        arm: _Arm,
+        arm: TrueArm,
         situation: Situation,
         memories: Sequence[Array | None],
         start: Deflection,
@@ -199,14 +157,14 @@ class Plant:
                 arm.mechanism, situation.q, arm.gravity, combined((fixed, load_deflection)), situation.load
             )
             after = combined(effect.bend(situation, posture) for effect in arm.effects)
-            if _largest_change(load_deflection, after) <= _EQUILIBRIUM_RAD:
+            if largest_change(load_deflection, after) <= _EQUILIBRIUM_RAD:
                 return posture, after
             load_deflection = after
         raise ValueError(
             f"arm {arm.config.name}: the hidden effects reach no equilibrium under gravity; their stiffness is too low"
         )
 
-    def _apparent_smr(self, arm: _Arm, situation: Situation, posture: Posture) -> tuple[Array, Array]:
+    def _apparent_smr(self, arm: TrueArm, situation: Situation, posture: Posture) -> tuple[Array, Array]:
         """Return the apparent SMR position and its viewing direction, (n, 3) each, in M."""
         p_B, normal_B = posture.smr
         p_M, normal_M = carry(arm.T_M_B, p_B), normal_B @ arm.T_M_B[:3, :3].T
@@ -215,7 +173,7 @@ class Plant:
         return p_M, normal_M
 
     def _other_postures(
-        self, arm: _Arm, given: Mapping[str, Array], n: int, loads: Mapping[str, Array] | None = None
+        self, arm: TrueArm, given: Mapping[str, Array], n: int, loads: Mapping[str, Array] | None = None
     ) -> dict[str, Posture]:
         """Return the other arms at joint angles ``given`` (n, N) with ``loads`` (n,), by default as they are now."""
         loads = {} if loads is None else loads
@@ -339,7 +297,7 @@ class Plant:
         """Joint temperatures of an arm now, (N,) [degC]."""
         return self.air_temperature_c + self._arm(name).rise
 
-    def _q(self, arm: _Arm) -> Array:
+    def _q(self, arm: TrueArm) -> Array:
         return arm.q if arm.motion is None else arm.motion.position(np.array([self._clock_s]))[0]
 
     def q(self, name: str) -> Array:
@@ -405,7 +363,7 @@ class Plant:
         shortened = None if arm.motion is None else braked(arm.motion, self._clock_s, arm.config.acceleration)
         return 0.0 if shortened is None else shortened.duration_s
 
-    def _end_motion(self, arm: _Arm, q: Array, time_s: float) -> None:
+    def _end_motion(self, arm: TrueArm, q: Array, time_s: float) -> None:
         """Update the arm's state and memories after a motion to ``q``."""
         if self._executed is not None and arm.motion is not None:
             self._executed[arm.config.name].append(Executed(arm.motion, time_s))
@@ -445,7 +403,6 @@ class Plant:
                 last = min(max(ends), end_s)
                 count = int(np.ceil((last - self._clock_s) / _SAMPLE_S)) + 1
                 self._watch(np.linspace(self._clock_s, last, max(count, 2)))
-        air_c = self.air_temperature_c
         for arm in self._arms.values():
             resting_s, cold = duration_s, arm.rise
             if arm.motion is not None:
@@ -455,16 +412,17 @@ class Plant:
                 if arm.motion.end_s <= end_s:
                     self._end_motion(arm, arm.motion.q_to, arm.motion.end_s)
             arm.rise = joint_rise(arm.rise, np.zeros_like(arm.rise), resting_s, self.config.holding_k)
-            mean_c = air_c + 0.5 * (cold + arm.rise)
-            arm.memories = [
-                effect.memory_after_time(memory, air_c, mean_c, duration_s)
-                for effect, memory in zip(arm.effects, arm.memories, strict=True)
-            ]
+            if arm.effects:
+                mean_c = (air_c := self.air_temperature_c) + 0.5 * (cold + arm.rise)
+                arm.memories = [
+                    effect.memory_after_time(memory, air_c, mean_c, duration_s)
+                    for effect, memory in zip(arm.effects, arm.memories, strict=True)
+                ]
         self._clock_s = end_s
 
     # -- tracker -----------------------------------------------------------------------------------------------------
 
-    def _current_smr(self, arm: _Arm) -> tuple[Array, Array]:
+    def _current_smr(self, arm: TrueArm) -> tuple[Array, Array]:
         """Return the current apparent position of an arm's SMR and its viewing direction, (3,) each, in M."""
         if arm.resting is None:
             smr = self._apparent_now(arm)
@@ -473,7 +431,7 @@ class Plant:
             arm.resting = smr
         return arm.resting
 
-    def _apparent_now(self, arm: _Arm) -> tuple[Array, Array]:
+    def _apparent_now(self, arm: TrueArm) -> tuple[Array, Array]:
         q = self._q(arm)[None]
         moving = arm.motion is not None
         memories, step, approach = arm.memories, arm.last_step, arm.approach
@@ -536,22 +494,6 @@ class Plant:
         return executed_clearance(self, self._executed, below_m)
 
     def _watch(self, times_s: Array) -> None:
-        """Update ``clearance`` with all capsules at some times of the current motions."""
-        clearance = self.clearance
-        assert clearance is not None
-        bodies = []
-        for arm in self._arms.values():
-            q = np.broadcast_to(arm.q, (len(times_s), arm.config.joints))
-            if arm.motion is not None:
-                q = arm.motion.position(times_s)
-            ends = [carry(arm.T_C_B, end) for end in Posture(arm.mechanism, q, arm.gravity).segments()]
-            radii = arm.mechanism.capsules.radii
-            bodies.append((ends[0], ends[1], radii))
-            # capsules of the base itself may touch the floor
-            free = arm.mechanism.capsules.frames > 0
-            heights = np.minimum(ends[0], ends[1])[free, :, 2] - radii[free, None] - self.config.floor
-            clearance.update_floor(heights, times_s)
-        for i, (a, b, r) in enumerate(bodies):
-            for c, d, s in bodies[i + 1 :]:
-                gaps = segment_distances(a[:, None], b[:, None], c[None], d[None]) - (r[:, None] + s)[..., None]
-                clearance.update_arms(gaps, times_s)
+        """Update ``clearance`` at some times of the current motions."""
+        if self.clearance is not None:
+            watch(self.clearance, list(self._arms.values()), times_s, self.config.floor)

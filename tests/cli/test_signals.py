@@ -97,10 +97,11 @@ def test_a_hangup_that_comes_twice_stays_a_stop() -> None:
 def test_ctrl_z_pauses_instead_of_freezing_a_program_whose_arms_move() -> None:
     with busy("hold") as process:
         for number, request in (
-            (signal.SIGTSTP, "pause"), (signal.SIGTSTP, "none"), (signal.SIGTSTP, "pause"), (signal.SIGCONT, "none"),
+            (signal.SIGTSTP, "pause"), (signal.SIGTSTP, "none"), (signal.SIGTSTP, "pause"),
         ):  # fmt: skip
             process.send_signal(number)
             assert next_line(process) == f"request {request}"
+        process.send_signal(signal.SIGCONT)  # no person beside the cell: the pause stands
         assert brake_after(process, signal.SIGINT)[0] == "stop"
         _, said = process.communicate(timeout=WAIT_S)
         assert "pause: the arms rest after this stop" in said

@@ -93,7 +93,9 @@ class CampaignArm(SimulatedArm):
 
     def _now(self) -> ArmState:
         reason = "the program on the controller was stopped" if self._stalled else self.unready
-        state = replace(super()._now(), speed_fraction=self.slider)
+        state = super()._now()
+        if self.slider != 1.0:
+            state = replace(state, speed_fraction=self.slider)
         return replace(state, ready=False, reason=reason) if reason else state
 
     def start_move(self, q: Vector, speed: Vector, acceleration: Vector) -> None:

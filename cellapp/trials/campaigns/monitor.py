@@ -60,6 +60,7 @@ class Monitor:
     stored: dict[tuple[int, str], bytes] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
     _latched: str = ""
+    _releases: int = 0
     _reasons: set[str] = field(default_factory=set)
     _pausing: bool = False
     _paused: bool = False
@@ -92,19 +93,22 @@ class Monitor:
         self.note(f"stop {reason}")
         self._latched = self._latched or reason
         self._reasons.add(reason)
+        releases = self._releases
         if unreachable:
-            self.plant.schedule.at(self.plant.clock_s + WATCHDOG_S + _ROUNDING_S, lambda: self._expect_rest(reason))
+            self.plant.schedule.at(
+                self.plant.clock_s + WATCHDOG_S + _ROUNDING_S, lambda: self._expect_rest(reason, releases)
+            )
         else:
-            self._expect_rest(reason)
+            self._expect_rest(reason, releases)
 
-    def _expect_rest(self, reason: str) -> None:
-        if any(self.plant.moving(name) for name in self.plant.names):
+    def _expect_rest(self, reason: str, releases: int) -> None:
+        if releases == self._releases and any(self.plant.moving(name) for name in self.plant.names):
             allowed_s = STOPPED_WITHIN_S + max(self.plant.braking_s(name) for name in self.plant.names) + _ROUNDING_S
-            self.plant.schedule.at(self.plant.clock_s + allowed_s, lambda: self._at_rest(reason))
+            self.plant.schedule.at(self.plant.clock_s + allowed_s, lambda: self._at_rest(reason, releases))
 
-    def _at_rest(self, reason: str) -> None:
+    def _at_rest(self, reason: str, releases: int) -> None:
         moving = [name for name in self.plant.names if self.plant.moving(name)]
-        if moving and self._latched:
+        if moving and releases == self._releases:
             self.violation("motion after a stop", f"arm {', '.join(moving)} still moves after {reason}")
 
     def braked(self, name: str) -> None:
@@ -121,6 +125,7 @@ class Monitor:
         """A person, or the profile, lets the arms move again."""
         self.note(f"release {reason}")
         self._latched = ""
+        self._releases += 1
         self._reasons.clear()
         self._pausing = self._paused = False
 

@@ -28,6 +28,11 @@ _PLANNED_RAD = 1e-9
 _NEAR_M = 0.02
 """Distances below this are looked at closely: base and axes of the true arms differ by millimetres from the planned."""
 
+_ENDED_BY = {"stopped": "stop", "aborted": "abort"}
+"""Outcome of a session -> the request that it records."""
+_KEEP_FROM_WRITING = ("disk", "program killed", "killed")
+"""Faults, by the beginning of their names, after which a session may lack a record."""
+
 ArmEstimate = Identification
 
 
@@ -61,7 +66,7 @@ def judge(
     failures += _collisions(clearance)
     moving = [name for name in world.plant.names if world.plant.moving(name)]
     failures += [Failure("motion after a stop", f"arm {name} moves at the end") for name in moving]
-    failures += _unrecorded(run)
+    failures += _unrecorded(world, run)
     estimates = {}
     if not failures:
         estimates = {name: _identified(run, name, arm, undisturbed) for name, arm in readings.items()}
@@ -139,12 +144,25 @@ def _collisions(clearance: Clearance) -> list[Failure]:
     ]
 
 
-def _unrecorded(run: RunFile) -> list[Failure]:
-    """Sessions that ended before the end without a reason."""
-    return [
+def _unrecorded(world: World, run: RunFile) -> list[Failure]:
+    """Sessions that ended early without a reason, and stops of a person that no session recorded.
+
+    The latter only where every session could write to the end.
+    """
+    sessions = run.sessions()
+    failures = [
         Failure("not listed", f"session {one.number} ended as {one.outcome} without a reason")
-        for one in run.sessions()
+        for one in sessions
         if one.outcome in ("failed", "stopped", "aborted") and not one.reason
+    ]
+    if any(kind.startswith(_KEEP_FROM_WRITING) for kind in world.struck):
+        return failures
+    found = Counter(kind for one in sessions for _, kind, _ in one.requests)
+    found.update(_ENDED_BY.get(one.outcome or "", "") for one in sessions)
+    return failures + [
+        Failure("not listed", f"{asked - found[verb]} of {asked} requests to {verb} in no session")
+        for verb, asked in world.person.asked.items()
+        if found[verb] < asked
     ]
 
 

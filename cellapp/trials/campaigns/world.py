@@ -49,6 +49,8 @@ class World:
         self.person = Person(self, np.random.default_rng([seed, 1]))
         self.stall_allowed = profile.collection.suspend.host_stall.times > 0
         self.struck: Counter[str] = Counter()
+        self.is_open = False
+        """Whether a program has the devices."""
         self._tracker_died: Died | None = None
         self._folder, self._copies = folder, 0
         self.run_folder = folder / "run"
@@ -133,6 +135,8 @@ class World:
                 self.air.connect()
             except (ArmError, SensorError) as error:
                 raise HardwareError(str(error)) from error
+            self.is_open = True
+            stack.callback(setattr, self, "is_open", False)
             yield Cell(
                 self.arms,
                 self.tracker,
@@ -161,7 +165,10 @@ class World:
 
 
 class HoldingClock(SimulatedClock):
-    """The plant's clock. A job that holds for a person, and asks every moment, waits until something happens."""
+    """The plant's clock, whose waits end at a person's stop as those in real time do.
+
+    A job that holds for a person, and asks every moment, waits until something happens.
+    """
 
     def __init__(self, plant: Plant, person: Person) -> None:
         super().__init__(plant)
@@ -169,10 +176,18 @@ class HoldingClock(SimulatedClock):
 
     def wait(self, duration_s: float, sleep: Sleep) -> None:
         """Advance the simulation, while the job holds to the next event."""
+        if self._request() in ("pause", "stop") and math.isfinite(self.plant.undisturbed_s):
+            self.plant.advance(max(duration_s, self.plant.undisturbed_s))
+            return
+        end_s = self.now_s() + duration_s
+        while (left_s := end_s - self.now_s()) > 0.0:
+            self.plant.advance(min(left_s, self.plant.undisturbed_s))
+            if self._request() in ("stop", "abort"):
+                return
+
+    def _request(self) -> Request:
         control = self._person.control
-        if control is not None and control.request in ("pause", "stop") and math.isfinite(self.plant.undisturbed_s):
-            duration_s = max(duration_s, self.plant.undisturbed_s)
-        super().wait(duration_s, sleep)
+        return "none" if control is None else control.request
 
 
 class Endless(BaseException):
@@ -198,6 +213,8 @@ class Person:
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         self._world, self._rng = world, rng
         self.control: JobControl | None = None
+        self.asked: Counter[str] = Counter()
+        """Requests that stopped arms which nothing else had stopped before."""
         self._coming = False
 
     def delay_s(self) -> float:
@@ -229,12 +246,19 @@ class Person:
     def stop(self) -> None:
         """Stop all arms now."""
         if self.control is not None:
+            self._count("stop")
             self._world.monitor.stop("a person's stop")
             self.control.stop()
+
+    def _count(self, verb: str) -> None:
+        """Count a request that a session in an open cell has to record."""
+        if self._world.is_open and not self._world.monitor.latched:
+            self.asked[verb] += 1
 
     def abort(self) -> None:
         """End the job now."""
         if self.control is not None:
+            self._count("abort")
             self._world.monitor.stop("a person's abort")
             self.control.abort()
 
