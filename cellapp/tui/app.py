@@ -222,7 +222,8 @@ class CellApp(App[None]):
         """Show the help of the focused widget; tooltips need a mouse."""
         ids = [node.id or "" for node in event.widget.ancestors_with_self]
         texts = [HELP[name] for name in ids if name in HELP]
-        self.query_one("#hint", Static).update(texts[0] if texts else "")
+        with contextlib.suppress(NoMatches):  # the screen goes away
+            self.query_one("#hint", Static).update(texts[0] if texts else "")
 
     @on(OptionList.OptionHighlighted, "#profiles")
     def choose(self, event: OptionList.OptionHighlighted) -> None:
