@@ -92,6 +92,11 @@ class Brakes:
         self._due_s = math.inf
         self.records: deque[StopRecord] = deque(maxlen=_MOST_RECORDS)
 
+    @property
+    def braking(self) -> bool:
+        """Whether the arm brakes now; during the latency before that it does not yet."""
+        return self._record is not None and self._record.began_s is not None
+
     def request(self, kind: StopKind, deceleration: float | None = None) -> None:
         """Brake after the latency of this kind, with the leading joint at ``deceleration`` [rad/s^2] if given."""
         limit = self._ramp if deceleration is None else np.minimum(deceleration, self._greatest)

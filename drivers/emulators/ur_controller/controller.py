@@ -143,7 +143,7 @@ class Controller:
     @property
     def at_rest(self) -> bool:
         """Whether the joints stand still."""
-        return not self.moving or self.slider.scaling == 0.0
+        return not self.moving or (self.slider.scaling == 0.0 and not self.brakes.braking)
 
     @property
     def steady(self) -> bool:
@@ -371,7 +371,8 @@ class Controller:
         self._running_s += min(now_s - self.now_s, _MAX_PAUSE_S)
         self.now_s = now_s
         self.brakes.cycle(now_s)
-        self.slider.cycle(self.name, self.motions, self.motions.clock_s - self._clock_s)
+        if self.slider.follow(self.motions.clock_s - self._clock_s) and not self.brakes.braking:
+            self.motions.scale_speed(self.name, self.slider.scaling)
         self._publish_speed()
         self._read_drives()
         while self._mode_due and self._clock_s >= self._mode_due[0][0]:

@@ -1,10 +1,8 @@
-"""The speed slider of a controller: it scales every motion, also one in progress."""
+"""The speed slider of a controller: it scales every motion, also one in progress, but not the braking of a stop."""
 
 from __future__ import annotations
 
 import math
-
-from drivers.emulators.ur_controller.motion import Motions
 
 _FULL_RANGE_S = 0.5
 """Time in which the scaling follows the slider from one end to the other [s]; an assumption, no faster than a stop."""
@@ -24,10 +22,10 @@ class SpeedSlider:
         self.fraction = min(max(fraction, 0.0), 1.0)
         return True
 
-    def cycle(self, name: str, motions: Motions, elapsed_s: float) -> None:
-        """Let the scaling follow the slider for ``elapsed_s`` [s] and apply it to the motion of an arm."""
+    def follow(self, elapsed_s: float) -> bool:
+        """Let the scaling follow the slider for ``elapsed_s`` [s]; return whether it has changed."""
         if self.scaling == self.fraction:
-            return
+            return False
         step = elapsed_s / _FULL_RANGE_S
         self.scaling = min(max(self.fraction, self.scaling - step), self.scaling + step)
-        motions.scale_speed(name, self.scaling)
+        return True

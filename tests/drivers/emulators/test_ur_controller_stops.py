@@ -156,6 +156,19 @@ def test_an_arm_that_stands_at_slider_zero_can_be_stopped() -> None:
     assert bench.controller.q == stands
 
 
+def test_a_slider_moved_to_zero_while_the_arm_brakes_does_not_prolong_the_stop() -> None:
+    bench = moving_bench()
+    bench.controller.stop_program()
+    bench.cycles(20)
+    bench.controller.set_slider(0.0)
+    assert bench.until(lambda: bench.controller.runtime is Runtime.STOPPED) < 0.2
+    bench.cycles(300)
+    stands = bench.controller.q
+    bench.controller.set_slider(1.0)
+    bench.cycles(300)
+    assert bench.controller.q == stands
+
+
 # -- programs of others ------------------------------------------------------------------------------------------------
 
 
