@@ -250,7 +250,9 @@ class UrArm:
                 with suppress(MotionStopped):
                     worker.call("release", _ANSWER_WITHIN_S, self._require_last_stop)
             except (LinkLost, WorkerGone, WorkerRefusal) as error:
-                raise self._link_in_doubt(f"the stop failed: {error}") from error
+                doubt = self._link_in_doubt(f"the stop failed: {error}")
+                if self._may_run_program:  # else it was seen at rest, and the lost link shows at the next call
+                    raise doubt from error
 
     def disconnect(self) -> None:
         """Stop the arm, its program and the client; nothing stays on the controller. Harmless when closed."""
