@@ -61,6 +61,8 @@ class Monitor:
     counts: Counter[str] = field(default_factory=Counter)
     _latched: str = ""
     _releases: int = 0
+    _reached_s: float = 0.0
+    """Until then a watchdog has not stopped an arm that cannot be reached [s]."""
     _reasons: set[str] = field(default_factory=set)
     _pausing: bool = False
     _paused: bool = False
@@ -95,9 +97,9 @@ class Monitor:
         self._reasons.add(reason)
         releases = self._releases
         if unreachable:
-            self.plant.schedule.at(
-                self.plant.clock_s + WATCHDOG_S + _ROUNDING_S, lambda: self._expect_rest(reason, releases)
-            )
+            self._reached_s = self.plant.clock_s + WATCHDOG_S + _ROUNDING_S
+        if self.plant.clock_s < self._reached_s:  # another stop does not reach that arm sooner
+            self.plant.schedule.at(self._reached_s, lambda: self._expect_rest(reason, releases))
         else:
             self._expect_rest(reason, releases)
 
