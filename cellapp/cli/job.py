@@ -91,8 +91,8 @@ class Job:
         self._tasks: dict[str, Any] = {}
         self._signals = contextlib.ExitStack()
         self._interrupts = 0
-        self._told: queue.SimpleQueue[str | None] = queue.SimpleQueue()
-        self._writer = threading.Thread(target=self._write_told, name="messages", daemon=True)
+        self._messages: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._writer = threading.Thread(target=self._print_messages, name="messages", daemon=True)
 
     def __enter__(self) -> Job:
         self._writer.start()
@@ -101,7 +101,7 @@ class Job:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._told.put(None)
+        self._messages.put(None)
         self._writer.join(_LAST_WORDS_S)
         self._stop_bars()
         self._signals.close()
@@ -110,9 +110,9 @@ class Job:
         """Draw one bar for each job on standard error, if that is a terminal, and say what a person must know."""
         match event.detail:
             case StateChange(state, reason):
-                self._tell(f"{event.job}: {state}: {reason}")
+                self._announce(f"{event.job}: {state}: {reason}")
             case Suspicion(kind, text):
-                self._tell(f"{event.job}: suspicion, {kind}: {text}")
+                self._announce(f"{event.job}: suspicion, {kind}: {text}")
         if not sys.stderr.isatty():
             return
         if self._bars is None:
@@ -173,19 +173,19 @@ class Job:
         arms = self.control.has_brakes
         if number in _INTERRUPTS and self.control.request in ("stop", "abort"):
             self.control.abort()
-            self._tell("abort: the job ends at once")
+            self._announce("abort: the job ends at once")
         elif number in _INTERRUPTS or number in _HANGUP:
             self.control.stop()
             what = "all arms brake now; the job then ends" if arms else "the job ends at its next step"
-            self._tell(f"stop: {what} and can be resumed. Once more: end at once")
+            self._announce(f"stop: {what} and can be resumed. Once more: end at once")
         elif number in _SUSPENDS and not arms:
             os.kill(os.getpid(), signal.SIGSTOP)  # nothing can move: what Ctrl-Z does to any program
         elif self.control.request == "pause":
             self.control.resume()
-            self._tell("resume: the job continues")
+            self._announce("resume: the job continues")
         elif self.control.request == "none":
             self.control.pause()
-            self._tell("pause: the arms rest after this stop. Ctrl-Z again: resume; Ctrl-C: stop")
+            self._announce("pause: the arms rest after this stop. Ctrl-Z again: resume; Ctrl-C: stop")
 
     def _interrupt(self, number: int, frame: object) -> None:
         """End the job at the second interrupt, wherever the main thread is. ``_react`` does all that is urgent."""
@@ -194,15 +194,15 @@ class Job:
             if self._interrupts > 1 or self.control.request == "abort":  # Python may report two signals as one
                 raise Aborted("aborted at once")
 
-    def _tell(self, text: str) -> None:
+    def _announce(self, text: str) -> None:
         """Print a line on standard error, above the bars; from any thread.
 
         A thread of its own writes it: a terminal that takes no output must not hold up the next signal.
         """
-        self._told.put(text)
+        self._messages.put(text)
 
-    def _write_told(self) -> None:
-        while (text := self._told.get()) is not None:
+    def _print_messages(self) -> None:
+        while (text := self._messages.get()) is not None:
             bars = self._bars
             with contextlib.suppress(OSError):  # the terminal was closed
                 if bars is None:

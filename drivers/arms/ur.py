@@ -1,9 +1,9 @@
 """A Universal Robots arm, moved through ur_rtde in a separate process that can be killed at any moment.
 
 Three properties hold even if that client hangs, crashes with the link or reports old states. Every call returns in
-bounded time. On any doubt the listener is told, then the worker process is killed, a stop is requested over a separate
-dashboard connection, and the arm is monitored over a separate RTDE connection until it rests. If even that fails, the
-controller's watchdog expires and stops the program.
+bounded time. On any doubt the listener is called, then the worker process is killed, a stop is requested over a
+separate dashboard connection, and the arm is monitored over a separate RTDE connection until it rests. If even that
+fails, the controller's watchdog expires and stops the program.
 
 ``brake`` stops the arm in three ways: the worker decelerates the motion through the control program; at most 20 ms
 later a line on an open dashboard connection, and the worker on another one, end the program; and the worker no longer
@@ -52,8 +52,8 @@ LONGEST_BRAKING_S = 3.0
 _HELLO_WITHIN_S = 10.0
 _ANSWER_WITHIN_S = 2.0
 _STOP_WITHIN_S = 1.0
-_TELL_WORKER_S = 0.3
-"""A worker that cannot be told to stop for this long hangs."""
+_MESSAGE_WITHIN_S = 0.3
+"""A worker that takes no message for this long hangs."""
 _MARGIN_S = 1.0
 _ROWS_AT_ONCE = 20
 """Joint positions in one request to the worker: it asks the controller about one in 8 to 20 ms."""
@@ -277,7 +277,7 @@ class UrArm:
         """Stop the arm by all means, and wait for the dashboard's confirmation. Raises ``LinkLost``."""
         worker = self._worker
         # before the dashboard: the worker must not take the stop for one by somebody else
-        told = worker is None or worker.brake()
+        informed = worker is None or worker.brake()
         if not self._may_run_program:
             return
         try:
@@ -288,8 +288,8 @@ class UrArm:
                 f" {1.0 / self._settings.watchdog_hz:.1f} s, but treat it as moving until you see it at rest"
             ) from error
         finally:
-            if worker is not None and not told and not worker.brake(_TELL_WORKER_S):
-                worker.strike()  # it would keep the watchdog from expiring
+            if worker is not None and not informed and not worker.brake(_MESSAGE_WITHIN_S):
+                worker.kill_at_once()  # it would keep the watchdog from expiring
 
     def _require_not_braked(self) -> None:
         if self._latch.in_force:

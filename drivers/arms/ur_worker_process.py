@@ -74,7 +74,7 @@ class _Pending:
 class WorkerProcess:
     """A worker process. Calls may come from several threads.
 
-    ``doubted`` is called when the worker reports a fault, falls silent or ends, unless it was told to end.
+    ``doubted`` is called when the worker reports a fault, falls silent or ends, unless it was asked to end.
     ``on_beat`` is called by a thread of its own, 20 times a second.
     """
 
@@ -189,7 +189,7 @@ class WorkerProcess:
         self._decelerating.wait(DECELERATES_WITHIN_S)
         return True
 
-    def strike(self) -> None:
+    def kill_at_once(self) -> None:
         """Kill the process without waiting for its end, which is reported as a doubt."""
         self._process.kill()
 
