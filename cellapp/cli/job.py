@@ -101,10 +101,10 @@ class Job:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self._signals.close()  # first: the reaction to a signal may still have something to say
         self._messages.put(None)
         self._writer.join(_LAST_WORDS_S)
         self._stop_bars()
-        self._signals.close()
 
     def listen(self, event: Progress) -> None:
         """Draw one bar for each job on standard error, if that is a terminal, and say what a person must know."""
