@@ -18,7 +18,6 @@ BAR_S = 0.1
 LOADS = ("spin", "multiply", "query", "receive")
 
 pytestmark = [
-    pytest.mark.fast,
     pytest.mark.timeout(120),
     pytest.mark.skipif(sys.platform == "win32", reason="a parent cannot send these signals on Windows"),
 ]

@@ -14,8 +14,6 @@ from cellapp.kinematics.transforms import rotation_from_vector
 from cellapp.progress import Suspicion
 from tests.series import Array, Series, series, twin
 
-pytestmark = pytest.mark.fast
-
 STOPS, BEGIN = 130, 80
 Fault = Callable[[Mapping[str, Series]], None]
 

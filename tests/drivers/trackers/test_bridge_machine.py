@@ -16,8 +16,6 @@ from drivers.plant import Plant, PlantConfig, TrackerConfig
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.protocol import Halted, Point, Preparation, TargetLost, TrackerLinkLost, TrackerRefused
 
-pytestmark = pytest.mark.fast
-
 SILENCE_S = 0.1
 NESTS = {"a": np.array([1.5, 2.0, -0.3]), "b": np.array([2.0, 1.0, 0.2])}
 NEAR_M = 1e-3
