@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from cellapp.calibration.calibrate import calibrate_readings, missing_splits, provenance_of
 from cellapp.calibration.result import calibrate_result
 from cellapp.collection.cell import Cell
-from cellapp.collection.collect import collect_run, missing_share, reference_drifts
+from cellapp.collection.collect import collect_run
 from cellapp.collection.controllers import check_controllers
 from cellapp.commissioning.confirm import Ask, asked_once, confirmation, require_permission
 from cellapp.commissioning.job_requests import taking_requests
@@ -59,6 +59,7 @@ from cellapp.results import (
     WholeRunResult,
 )
 from cellapp.run import Readings, RunFile, import_csv, write_readings_csv
+from cellapp.run.collected import missing_share, reference_drifts
 from cellapp.run.stages import (
     CALIBRATION_FILE,
     Basis,

@@ -81,6 +81,11 @@ class Mover:
             positions[name] = state.q
         return positions
 
+    def rests_at(self, targets: Mapping[str, Vector]) -> bool:
+        """Return whether all arms of ``targets`` (name -> (N,) [rad]) are there. Raises as ``positions``."""
+        q = self.positions()
+        return all(bool(np.abs(q[name] - target).max() <= _AT_TARGET_RAD) for name, target in targets.items())
+
     def departure(self) -> dict[str, Vector] | None:
         """Return where the last motion began, name -> (N,) [rad]: the way back from a motion cut short was checked."""
         return self._departure

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, Protocol
 
 from cellapp.collection.together import Together, answers_of_all, in_threads
@@ -64,7 +65,7 @@ class StopReaction:
         self._causes: tuple[StopCause, ...] = ()
         self._lock = threading.RLock()
         for name, arm in arms.items():
-            arm.watch(lambda error, name=name: self.trigger(cause_of(name, error)))  # type: ignore[misc]
+            arm.watch(partial(self._doubt, name))
 
     @property
     def cause(self) -> StopCause | None:
@@ -83,6 +84,9 @@ class StopReaction:
             if not known or cause.kind in ("stop", "abort"):  # a person's second stop is another one
                 self._causes = (*self._causes, cause)
         self._together([*(self._braking(arm) for arm in self._arms.values()), self._halt_tracker])
+
+    def _doubt(self, name: str, error: ArmError) -> None:
+        self.trigger(cause_of(name, error))
 
     def check(self) -> None:
         """Raise ``CellStopped`` if the reaction was triggered."""

@@ -208,18 +208,22 @@ class CollectSession:
     def _confirm_first_motion(self) -> None:
         """Let a person confirm the motion that comes first."""
         first = self._queue.next()
+        homes = home_positions(self.run.profile)
         if self._settings.warm_up > 0.0:
-            first = next((stop for stop in self.work.stops if stop not in self._forbidden), first)
+            first = next(iter(self._allowed_stops()), first)
         elif self._settings.reference.every > 0:
-            first = self._reference_stop()
-        assert first is not None
-        self._mover.confirm_first(self.work.targets(first), self.confirm)
+            first = self._reference_stop() if self._mover.rests_at(homes) else None
+        self._mover.confirm_first(homes if first is None else self.work.targets(first), self.confirm)
+
+    def _allowed_stops(self) -> list[int]:
+        """Stops that are not stored and that no controller forbids."""
+        return [stop for stop in self.work.stops if stop not in self._forbidden]
 
     def _warm_up(self) -> None:
         """Exercise the arms along the first planned stops for the profile's time."""
         if self._warm_until_s is None:
             self._warm_until_s = self.cell.clock.now_s() + self._settings.warm_up
-        stops = [stop for stop in self.work.stops if stop not in self._forbidden]
+        stops = self._allowed_stops()
         while self.cell.clock.now_s() < self._warm_until_s and stops:
             for stop in stops:
                 left_s = self._warm_until_s - self.cell.clock.now_s()

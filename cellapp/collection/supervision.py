@@ -88,10 +88,6 @@ def _attend(cell: Cell, control: JobControl) -> None:
     cell.clock.wait(_POLL_S, lambda duration_s: None)
 
 
-def ignore_record(kind: str, reason: str) -> None:
-    """Record nothing."""
-
-
 @dataclass
 class Supervisor:
     """Holds a job where a person or the cell asks for it. All waits let the cell's clock pass."""
@@ -101,10 +97,10 @@ class Supervisor:
     reaction: StopReaction
     suspend: Suspend
     reconnect_tracker: Callable[[], None]
-    record: Record = ignore_record
-    emit: Callable[[Detail], None] = lambda detail: None
-    after_resume: Callable[[], None] = lambda: None
-    """Called when a job that was stopped, or held by a person, resumes."""
+    record: Record
+    emit: Callable[[Detail], None]
+    after_resume: Callable[[], None]
+    """Called when a job resumes after a stop, a hold or a suspension."""
     _slept_s: float = field(default_factory=slept_s)
     _used: Counter[str] = field(default_factory=Counter)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TypeVar
 
 from drivers.arms.protocol import ArmError
@@ -50,7 +51,7 @@ def answers_of_all(
         finally:
             answered[name].set()
 
-    together([lambda name=name: ask(name) for name in calls])  # type: ignore[misc]
+    together([partial(ask, name) for name in calls])
     for one in answered.values():
         one.wait()
     return answers, errors

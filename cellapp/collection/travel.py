@@ -21,7 +21,7 @@ class Travel:
     def __init__(self, profile: Profile, mover: Mover, work: Work) -> None:
         self._mover, self._work = mover, work
         self._settings = profile.collection.slow_start
-        self._real = any(arm.driver.moves_hardware for arm in profile.arms.values())
+        self._real = profile.moves_hardware
         self._slow_stops = 0
         self.slow_again()
 

@@ -29,14 +29,9 @@ class MotionNotConfirmed(InputError):
     """Real arms would move and nobody allowed it; nothing has moved."""
 
 
-def moves_hardware(profile: Profile) -> bool:
-    """Whether a motion in this cell moves a real arm."""
-    return any(arm.driver.moves_hardware for arm in profile.arms.values())
-
-
 def require_permission(profile: Profile, ask: Ask | None) -> None:
     """Raise ``MotionNotConfirmed`` if real arms would move and nobody can be asked."""
-    if ask is None and moves_hardware(profile):
+    if ask is None and profile.moves_hardware:
         real = [name for name, arm in profile.arms.items() if arm.driver.moves_hardware]
         raise MotionNotConfirmed(
             f"profile {profile.name}: this moves real arms ({', '.join(real)}); nothing was moved. Clear the cell, then"
@@ -55,7 +50,7 @@ def confirmation(profile: Profile, ask: Ask | None) -> Confirm | None:
         If the doctor finds a fault now. Nothing has moved.
     """
     require_permission(profile, ask)
-    if ask is None or not moves_hardware(profile):
+    if ask is None or not profile.moves_hardware:
         return None
     failed = [finding for finding in examine(profile) if finding.status == "failed"]
     if failed:
@@ -83,7 +78,7 @@ def first_path_words(profile: Profile, start: Mapping[str, Vector], targets: Map
     lines = ["First motion, all arms at once:"]
     lines += [f"  arm {name}: {_path(profile, name, q, targets.get(name, q))}" for name, q in start.items()]
     slow = profile.collection.slow_start
-    if slow.stops and moves_hardware(profile):
+    if slow.stops and profile.moves_hardware:
         lines.append(f"  The first {slow.stops} stops are visited at {slow.speed:.0%} of the profile's speed.")
     return "\n".join(lines)
 

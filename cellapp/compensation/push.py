@@ -62,13 +62,14 @@ def push(
         cell.require_tracker()
         mover = Mover(profile, cell, bodies, reaction)
         mover.confirm_first(homes, confirm)
-        slow_targets = _slow_targets(profile)
-        mover.speed = profile.collection.slow_start.speed if slow_targets else 1.0
+        slow = profile.collection.slow_start
+        slow_targets = slow.stops if profile.moves_hardware else 0
+        mover.speed = slow.speed if slow_targets else 1.0
         mover.go_home()
         busy = ""
         for done, command in enumerate(commands):
             hold_while_paused(cell, control, reaction)
-            mover.speed = profile.collection.slow_start.speed if done < slow_targets else 1.0
+            mover.speed = slow.speed if done < slow_targets else 1.0
             listener(Progress("push", done, len(commands), command.target.name))
             name = command.target.arm
             if busy and busy != name:
@@ -78,12 +79,6 @@ def push(
         mover.go_home()
     listener(Progress("push", len(commands), len(commands), "done"))
     return VerifyResult(arms=_by_arm(measured), targets=tuple(measured))
-
-
-def _slow_targets(profile: Profile) -> int:
-    """Number of targets that are approached slowly at first: on real hardware only."""
-    real = any(arm.driver.moves_hardware for arm in profile.arms.values())
-    return profile.collection.slow_start.stops if real else 0
 
 
 def _push_target(

@@ -298,6 +298,11 @@ class Profile(Section):
     targets: str | None = None
     """Path of a target list, relative to the profile; used by ``run``."""
 
+    @property
+    def moves_hardware(self) -> bool:
+        """Whether a motion in this cell moves a real arm."""
+        return any(arm.driver.moves_hardware for arm in self.arms.values())
+
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         self._check_plant()

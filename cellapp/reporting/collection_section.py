@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from cellapp.collection.collect import missing_readings, missing_share, reference_drifts
 from cellapp.collection.practice import LiveModel
 from cellapp.collection.work import remaining_work
 from cellapp.reporting.captioned import CaptionedFigure
 from cellapp.results import CollectionResult, SessionRecord, SessionRequest
 from cellapp.run import RunFile
+from cellapp.run.collected import missing_readings, missing_share, reference_drifts
 
 
 def collection_state(run: RunFile) -> CollectionResult | None:

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from cellapp.trials.link_arms import (
 )
 from cellapp.trials.link_faults import FAULTS, HUNG, SLIDER, Fault, Moment
 from cellapp.trials.link_results import LinkLog, OtherArm, Struck
+from cellapp.trials.polling import can_move, comes_about
 from drivers.arms.protocol import ArmError, MotionStopped
 from drivers.arms.ur import UrArm
 from drivers.emulators.ur_controller import EmulatorProcess
@@ -44,7 +46,6 @@ _WATCHED_S = 0.25
 _BRAKES_WITHIN_S = 1.0
 _STANDS_S = 2.0
 """Time at slider 0: longer than the driver's longest patience with an arm that stands in a motion."""
-_POLL_S = 0.002
 
 
 def travel_s(distance: float, speed: float, acceleration: float) -> float:
@@ -284,31 +285,28 @@ class LinkBench:
 
     def _watch_rest(self, names: Mapping[str, UrArm] | list[str], struck_s: float) -> float:
         """Time from the fault to the arms at rest [s], from their controllers; the drivers are not called meanwhile."""
-        while any(self._moving(name) for name in names):
-            if time.monotonic() > struck_s + _MOVE_WITHIN_S:
-                self._log.complain(f"arm {' or '.join(names)} did not come to rest")
-                break
-            time.sleep(_POLL_S)
+        if not comes_about(lambda: not any(map(self._moving, names)), struck_s + _MOVE_WITHIN_S):
+            self._log.complain(f"arm {' or '.join(names)} did not come to rest")
         return time.monotonic() - struck_s
 
     def _wait_under_way(self, names: Mapping[str, UrArm]) -> None:
         before = {name: np.array(self._emulator.control(name, "status")["q"]) for name in names}
         deadline = time.monotonic() + _MOVE_WITHIN_S
+
+        def under_way(name: str) -> bool:
+            q = np.array(self._emulator.control(name, "status")["q"])
+            return bool(np.abs(q - before[name]).max() >= _UNDER_WAY_RAD)
+
         for name in names:
-            while np.abs(np.array(self._emulator.control(name, "status")["q"]) - before[name]).max() < _UNDER_WAY_RAD:
-                if time.monotonic() > deadline:
-                    self._log.complain(f"arm {name} did not begin to move")
-                    return
-                time.sleep(_POLL_S)
+            if not comes_about(partial(under_way, name), deadline):
+                self._log.complain(f"arm {name} did not begin to move")
+                return
 
     def _stays(self, when: str) -> None:
         """Check that nothing moves, and that nothing starts to."""
-        deadline = time.monotonic() + _BRAKES_WITHIN_S
-        while any(self._moving(name) for name in self._arms):
-            if time.monotonic() > deadline:
-                self._log.complain(f"{when}: an arm still moves")
-                return
-            time.sleep(_POLL_S)
+        if not comes_about(lambda: not any(map(self._moving, self._arms)), time.monotonic() + _BRAKES_WITHIN_S):
+            self._log.complain(f"{when}: an arm still moves")
+            return
         before = {name: self._emulator.control(name, "status") for name in self._arms}
         time.sleep(_WATCHED_S)
         for name in self._arms:
@@ -325,15 +323,9 @@ class LinkBench:
         control(name, "release")
         control(name, "estop-release")
         control(name, "brake-release")
-        deadline = time.monotonic() + _MOVE_WITHIN_S
-        while True:
+        if not comes_about(lambda: can_move(control(name, "status")), time.monotonic() + _MOVE_WITHIN_S):
             status = control(name, "status")
-            if status["robot_mode"] == "RUNNING" and status["safety_mode"] == "NORMAL":
-                return
-            if time.monotonic() > deadline:
-                self._log.complain(f"arm {name} could not be repaired: {status['robot_mode']}, {status['safety_mode']}")
-                return
-            time.sleep(_POLL_S)
+            self._log.complain(f"arm {name} could not be repaired: {status['robot_mode']}, {status['safety_mode']}")
 
     def _release(self) -> float:
         """Release the cell as a person's resume does; return the time that takes [s]."""

@@ -15,13 +15,14 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.collection.collect import collect_run, missing_readings
+from cellapp.collection.collect import collect_run
 from cellapp.errors import InputError
 from cellapp.pipeline import new_planned_run
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import MissingReading, Record, Result
 from cellapp.run import RunFile
+from cellapp.run.collected import missing_readings
 from cellapp.trials.storm_cell import emulated_cell, undisturbed_profile, wire_profile
 from cellapp.trials.storm_faults import KILL, drawn_events
 from cellapp.trials.storm_operator import Operator, StormLog, stored

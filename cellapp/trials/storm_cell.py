@@ -20,6 +20,7 @@ from cellapp.errors import CellappError, HardwareError, InputError
 from cellapp.profile import Profile, profile_from_json, profile_to_json
 from cellapp.profile.collection import Collection, SlowStart, Suspend, Suspension
 from cellapp.progress import CancelToken
+from cellapp.trials.polling import can_move, comes_about
 from drivers.arms.simulated_settings import SimulatedArmSettings
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import Control
@@ -105,12 +106,8 @@ class StormCell:
 
     def wait_at_rest(self, within_s: float) -> bool:
         """Wait until no arm moves; return whether that came about."""
-        deadline = time.monotonic() + within_s
-        while any(status["moving"] for status in self.status().values()):
-            if time.monotonic() > deadline:
-                return False
-            time.sleep(_POLL_S)
-        return True
+        deadline_s = time.monotonic() + within_s
+        return comes_about(lambda: not any(one["moving"] for one in self.status().values()), deadline_s, _POLL_S)
 
     def repair(self) -> None:
         """Do what an operator does after a fault: cables, slider, buttons, power, brakes. Raises ``HardwareError``."""
@@ -119,20 +116,17 @@ class StormCell:
             self.control(name, "slider", 1.0)
             for command in ("release", "estop-release", "brake-release"):
                 self.control(name, command)
-        deadline = time.monotonic() + _PATIENT_S
-        while not all(_ready(status) for status in self.status().values()):
-            if time.monotonic() > deadline:
-                raise HardwareError("the emulated arms could not be repaired")
-            time.sleep(_POLL_S)
+
+        def repaired() -> bool:
+            return all(can_move(status) and not status["moving"] for status in self.status().values())
+
+        if not comes_about(repaired, time.monotonic() + _PATIENT_S, _POLL_S):
+            raise HardwareError("the emulated arms could not be repaired")
 
     def clearance_m(self) -> float | None:
         """Return the smallest distance between the arms so far [m]."""
         seen = self.control(self.arms[0], "clearance")
         return None if seen is None else float(seen[0])
-
-
-def _ready(status: dict[str, Any]) -> bool:
-    return status["robot_mode"] == "RUNNING" and status["safety_mode"] == "NORMAL" and not status["moving"]
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cellapp.collection.cell import Cell, open_cell
-from cellapp.collection.collect import CollectSummary, collect_run, missing_share, reference_drifts
+from cellapp.collection.collect import CollectSummary, collect_run
 from cellapp.control import Aborted, JobControl, Request, Stopped
 from cellapp.errors import HardwareError, InputError
 from cellapp.planning.plan import plan_stops
@@ -20,6 +20,7 @@ from cellapp.profile import Profile
 from cellapp.profile.collection import Collection, Reference, Repeat, Suspend, Suspension
 from cellapp.progress import Progress, ReferenceReport, StateChange
 from cellapp.run import Reading, RunFile
+from cellapp.run.collected import missing_share, reference_drifts
 from drivers.arms.protocol import ArmError, HostStalled
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.simulated import SimulatedTracker
@@ -550,3 +551,26 @@ def test_noise_of_the_encoders_is_no_motion(bench: Bench, monkeypatch: pytest.Mo
         np.testing.assert_array_equal(readings.approach[0], np.sign(q[0] - home))
         assert readings.step is not None
         np.testing.assert_allclose(readings.step[0], q[0] - home, atol=1e-4)
+
+
+def test_arms_that_are_not_at_home_are_confirmed_to_go_there_before_a_reference(bench: Bench) -> None:
+    practise(bench, reference=Reference(every=4, drift=0.001))
+    homes = {name: np.array(arm.home) for name, arm in bench.run.profile.arms.items()}
+    shown: list[Any] = []
+
+    @contextmanager
+    def away(profile: Profile, **options: Any) -> Iterator[Cell]:
+        with open_cell(profile, **options) as cell:
+            arm = cell.arms["left"]
+            arm.start_move(homes["left"] + np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0]), np.full(6, 0.5), np.full(6, 0.5))
+            arm.wait_settled(60.0)
+            yield cell
+
+    def confirm(start: Any, targets: Any) -> bool:
+        shown.append(targets)
+        return False
+
+    with pytest.raises(InputError, match="not confirmed"):
+        collect_run(bench.run, control=bench.control, confirm=confirm, opened=away)
+    for name, home in homes.items():
+        np.testing.assert_array_equal(shown[0][name], home)

@@ -10,7 +10,6 @@ from cellapp.commissioning.confirm import (
     asked_once,
     confirmation,
     first_path_words,
-    moves_hardware,
     require_permission,
 )
 from cellapp.errors import CheckFailed
@@ -39,7 +38,7 @@ def findings(monkeypatch: pytest.MonkeyPatch) -> list[Finding]:
 def test_simulated_and_emulated_cells_never_ask(name: str, findings: list[Finding]) -> None:
     profile = load_profile(PROFILES / f"{name}.yaml")
     findings.append(Finding("arm left", "failed", "nobody looks"))
-    assert not moves_hardware(profile)
+    assert not profile.moves_hardware
     assert confirmation(profile, None) is None
     assert confirmation(profile, lambda words: pytest.fail(words)) is None
 

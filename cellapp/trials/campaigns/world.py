@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +65,7 @@ class World:
         """Let all faults strike at their times, those that do while a program runs."""
         self.plant.schedule.at(_MOST_S * (1 + len(faults)), self._give_up)
         for fault in faults:
-            self.plant.schedule.at(fault.at_s, lambda fault=fault: self._strike(fault))  # type: ignore[misc]
+            self.plant.schedule.at(fault.at_s, partial(self._strike, fault))
 
     def _give_up(self) -> None:
         self.process.alive = False
