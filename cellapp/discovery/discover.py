@@ -230,8 +230,8 @@ def _accepted_effects(found: SearchResult, held_out: HeldOut, after_mm: float) -
 
 
 def _most_correlated(fit: JointFit, number: int) -> tuple[str, float] | None:
-    """Geometric parameter most correlated with a term's values, and the correlation; None for free curves."""
-    if fit.terms[number].curves is not None:
+    """Geometric parameter most correlated with a term's values, and the correlation; None for smooth terms."""
+    if fit.terms[number].smooth is not None:
         return None
     covariance, size = fit.identification.covariance, fit.layout.geometric
     here = fit.layout.parameters(number)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
+
+import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.effects.time_functions import (
     FIRST,
     LAST,
@@ -29,6 +33,9 @@ _COMPONENTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn_x", "rad"), ("turn_y",
 _MOST_MOTION = 1e-2
 """Bound of each component [m, rad]: a base that moved by a centimetre must be registered again."""
 QUADRATIC = LawForm("quadratic", "over the run, with a bow", (FIRST, LAST))
+WANDERING = LawForm("smooth", "slowly to and fro over the run", (FIRST, LAST, AMPLITUDE))
+_HALF_CYCLES = 12
+"""Half cycles over the run of a wandering base: the shortest is a sixth of the run."""
 
 
 class BaseDrift(Effect):
@@ -43,6 +50,9 @@ class BaseDrift(Effect):
     quadratic
         Linear, and a bow ``4 f (1 - f)`` of its own size and direction (names end in ``_bow``).
 
+    smooth
+        Half cycles ``cos(k pi f)``, k = 1 to 12, small by prior, the more so the faster (1 / k).
+
     Drift of the tracker is the same in one arm's readings: fixed nests, or the other arm, distinguish them.
     Size: 10 to 50 um (estimate); a tracker of this class errs by tenths of a millimetre in its first two hours
     (published), 10 to 40 um after (estimate). 49 % visible when linear, 22 % when warming up. Look-alikes: thermal
@@ -53,7 +63,7 @@ class BaseDrift(Effect):
     title = "drift of the base (drift of the tracker looks the same)"
     look_alikes = ("base_step", "thermal_growth", "joint_drift")
     variables = frozenset({DriverVariable.TIME})
-    forms = (LINEAR_FORM, WARM_UP_FORM, QUADRATIC)
+    forms = (LINEAR_FORM, WARM_UP_FORM, QUADRATIC, WANDERING)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
@@ -71,6 +81,12 @@ class BaseDrift(Effect):
         if law.form == WARM_UP_FORM:
             return _twist(self.slug, context, warm_up(context, law))
         along = run_fraction(context, law)
+        if law.form == WANDERING:
+            return [
+                with_prior(column, law.constants[AMPLITUDE.name] / k)
+                for k in range(1, _HALF_CYCLES + 1)
+                for column in _twist(self.slug, context, np.cos(k * math.pi * along), f"_{k}")
+            ]
         columns = _twist(self.slug, context, along)
         if law.form == QUADRATIC:
             columns += _twist(self.slug, context, 4.0 * along * (1.0 - along), "_bow")
