@@ -6,6 +6,7 @@ from cellapp.results import Result
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.campaigns.trial import CampaignsResult
 from cellapp.trials.coverage import CoverageResult
+from cellapp.trials.league.trial import LeagueResult
 from cellapp.trials.link_results import LinksResult
 from cellapp.trials.paper import PaperResult
 from cellapp.trials.parameter_sets import ParameterSetsResult
@@ -23,4 +24,5 @@ TRIAL_RESULTS: tuple[type[Result], ...] = (
     CampaignsResult,
     SealResult,
     JudgeResult,
+    LeagueResult,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.reporting.table import Cell, Column, Number, Table, number_column
+from cellapp.reporting.table import Cell, Column, Number, Table, markdown, number_column
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.campaigns.trial import CampaignsResult
 from cellapp.trials.link_results import LinksResult, Times
@@ -240,12 +240,7 @@ def judge_sentences(result: JudgeResult) -> list[str]:
 
 def judge_markdown(result: JudgeResult) -> str:
     """The tables as Markdown; date, seed and program stand at the end."""
-    parts = []
-    for table in judge_tables(result):
-        lines = [f"**{table.title}**", "", _markdown_row(table.headings), "|" + " --- |" * len(table.columns)]
-        parts.append("\n".join([*lines, *map(_markdown_row, table.text_rows())]))
-    parts.append(" ".join(judge_sentences(result)))
-    return "\n\n".join(parts) + "\n"
+    return markdown(judge_tables(result), judge_sentences(result))
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -312,7 +307,3 @@ def _range(spread: Spread | None) -> str:
         return ""
     low, high = f"{spread.min:.0f}", f"{spread.max:.0f}"
     return low if low == high else f"{low}-{high}"
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -380,6 +380,16 @@ def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> No
         assert before == {key: value for key, value in after.items() if key != "split"}
 
 
+def test_an_import_in_order_says_what_it_derived(work: Path, call: Any) -> None:
+    readings = PROFILES.parent / "tests" / "fixtures" / "ur5-real" / "readings.csv"
+    made = call(
+        "import", str(PROFILES / "ur5-real.yaml"), str(readings), "--run", "ordered", "--in-order", "--json", "-"
+    )
+    assert made.json["in_order"] == {"left": {"by": "rows", "approach": 6114, "step": 6114, "contradicted": 0}}
+    assert "6114 approach signs" in made.err
+    assert "6114 approach signs" in call("show", "ordered").out
+
+
 # -- bad input --------------------------------------------------------------------------------------------------------
 
 
