@@ -11,6 +11,7 @@ from cellapp.effects.column import EffectColumn, Wave, joint_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.meaning import Meaning
 from cellapp.kinematics.transforms import Array
 
 LINES_MAX = 210
@@ -44,6 +45,22 @@ class EncoderEccentricity(Effect):
 
     slug = "encoder_eccentricity"
     title = "encoder eccentricity (one cycle a turn)"
+    meaning = Meaning(
+        cause=(
+            "The graduated disc or magnet ring of the encoder of {place} is off the axis; a first-order error of"
+            " the gear has exactly the same shape."
+        ),
+        size="2 um on a radius of 25 mm are 80 urad, 50 to 110 um at the flange of a UR10",
+        size_source="estimate",
+        check=(
+            "After a repair of {place}: check how the encoder disc is seated and centred.",
+            "No repair is needed where the error is stable: the calibrated model corrects it.",
+        ),
+        settle=(
+            "Move {place} alone through a whole turn in steps of 10 degrees, all other joints at rest.",
+            "Log both encoders of {place}: an eccentric disc shows in one of them only.",
+        ),
+    )
     look_alikes = ("joint_compliance", "transmission_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (LawForm("", "one cycle a turn"),)
@@ -77,6 +94,27 @@ class TransmissionError(Effect):
 
     slug = "transmission_error"
     title = "transmission error (two cycles a turn and up)"
+    meaning = Meaning(
+        cause=(
+            "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles a turn, the"
+            " wave generator one or two cycles a turn of the motor, the teeth more."
+        ),
+        size=(
+            "20 to 80 urad, 13 to 80 um at the flange of a UR10; the cycle counts are published, the size is an "
+            "estimate"
+        ),
+        size_source="estimate",
+        check=(
+            "Compare with earlier runs: a line that grew is wear, plan an exchange of the gear of {place}.",
+            "Check the oil or grease interval of {place}.",
+            "A stable error needs no repair: the calibrated model corrects it.",
+        ),
+        settle=(
+            "Move {place} alone in steps of 0.1 degrees over 10 degrees: the lines of the gear stand out.",
+            "Add stops over a whole turn of {place} where two cycles a turn and one are confused.",
+            "Read the encoders with all their digits: rounding hides lines of many cycles.",
+        ),
+    )
     look_alikes = ("encoder_eccentricity", "joint_axis_wobble")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
