@@ -51,7 +51,7 @@ def run(
     from cellapp.pipeline import run_whole
     from cellapp.profile import load_profile
     from cellapp.reporting.collection_text import collect_lines, other_notes
-    from cellapp.reporting.discovery_text import discovery_lines
+    from cellapp.reporting.discovery_text import discovery_lines, meaning_lines
     from cellapp.reporting.tables import calibration_tables, tracker_sentences, verification_tables
 
     with Job(json_file) as job:
@@ -62,7 +62,7 @@ def run(
         if result.calibrate is not None:
             job.show(calibration_tables(result.calibrate))
         if result.discover is not None:
-            job.say(*discovery_lines(result.discover))
+            job.say(*discovery_lines(result.discover), *meaning_lines(result.discover))
         if result.verify is not None:
             job.show(verification_tables(result.verify))
         if result.calibrate is not None:
@@ -215,7 +215,7 @@ def discover(
 ) -> None:
     """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink."""
     from cellapp.pipeline import discover_run, propose_run
-    from cellapp.reporting.discovery_text import discovery_lines
+    from cellapp.reporting.discovery_text import discovery_lines, meaning_lines
     from cellapp.reporting.proposal import proposal_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
@@ -223,7 +223,7 @@ def discover(
             result = discover_run(opened, job.listen, job.control)
         else:
             result = propose_run(opened, propose, job.listen, job.control)
-        job.say(*discovery_lines(result))
+        job.say(*discovery_lines(result), *meaning_lines(result))
         if result.proposal is not None:
             job.say("", *proposal_lines(result.proposal))
         job.result(result)

@@ -10,6 +10,7 @@ from cellapp.effects.column import Channel, EffectColumn, Wave, shift_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.meaning import Meaning
 from cellapp.effects.smooth import AMPLITUDE, CYCLES, LENGTH, circle_variances, with_prior
 
 _MOST_TILT = 1e-3
@@ -33,6 +34,20 @@ class JointAxisWobble(Effect):
 
     slug = "joint_axis_wobble"
     title = "wobble of joint axes (two cycles a turn)"
+    meaning = Meaning(
+        cause="The axis of {place} tilts as it turns: run-out of the bearing or ovality of its raceways.",
+        size="5 to 20 urad, 5 to 25 um",
+        size_source="estimate",
+        check=(
+            "Turn {place} slowly by hand or in jog and listen and feel for a rough or tight spot of its bearing.",
+            "Check the bolts of the bearing ring of {place}: unevenly tightened ones bend the ring oval.",
+            "Check for a past collision of this arm: dents of a raceway give this and noise.",
+        ),
+        settle=(
+            "Move {place} alone through a whole turn with the arm stretched, in steps of 10 degrees, forth and back.",
+            "Repeat it with the arm folded: a tilt grows with the distance from the axis, a run-out does not.",
+        ),
+    )
     look_alikes = ("transmission_error",)
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWICE, SMOOTH)

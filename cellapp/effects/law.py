@@ -12,7 +12,6 @@ import numpy as np
 
 from cellapp.effects.context import EffectContext
 
-
 AMPLITUDE_NAME = "amplitude"
 """Constant that only smooth forms have: the standard deviation of a free function."""
 

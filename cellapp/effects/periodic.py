@@ -11,6 +11,7 @@ from cellapp.effects.column import EffectColumn, Wave, joint_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import AMPLITUDE_NAME, FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.meaning import Meaning
 from cellapp.effects.smooth import AMPLITUDE, CYCLES, circle_variances, with_prior
 from cellapp.kinematics.transforms import Array
 
@@ -47,6 +48,22 @@ class EncoderEccentricity(Effect):
 
     slug = "encoder_eccentricity"
     title = "encoder eccentricity (one cycle a turn)"
+    meaning = Meaning(
+        cause=(
+            "The graduated disc or magnet ring of the encoder of {place} is off the axis; a first-order error of"
+            " the gear has exactly the same shape."
+        ),
+        size="2 um on a radius of 25 mm are 80 urad, 50 to 110 um at the flange of a UR10",
+        size_source="estimate",
+        check=(
+            "After a repair of {place}: check how the encoder disc is seated and centred.",
+            "No repair is needed where the error is stable: the calibrated model corrects it.",
+        ),
+        settle=(
+            "Move {place} alone through a whole turn in steps of 10 degrees, all other joints at rest.",
+            "Log both encoders of {place}: an eccentric disc shows in one of them only.",
+        ),
+    )
     look_alikes = ("joint_compliance", "transmission_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (ONE, ONE_SMOOTH)
@@ -87,6 +104,27 @@ class TransmissionError(Effect):
 
     slug = "transmission_error"
     title = "transmission error (two cycles a turn and up)"
+    meaning = Meaning(
+        cause=(
+            "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles a turn, the"
+            " wave generator one or two cycles a turn of the motor, the teeth more."
+        ),
+        size=(
+            "20 to 80 urad, 13 to 80 um at the flange of a UR10; the cycle counts are published, the size is an "
+            "estimate"
+        ),
+        size_source="estimate",
+        check=(
+            "Compare with earlier runs: a line that grew is wear, plan an exchange of the gear of {place}.",
+            "Check the oil or grease interval of {place}.",
+            "A stable error needs no repair: the calibrated model corrects it.",
+        ),
+        settle=(
+            "Move {place} alone in steps of 0.1 degrees over 10 degrees: the lines of the gear stand out.",
+            "Add stops over a whole turn of {place} where two cycles a turn and one are confused.",
+            "Read the encoders with all their digits: rounding hides lines of many cycles.",
+        ),
+    )
     look_alikes = ("encoder_eccentricity", "joint_axis_wobble")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
@@ -140,7 +178,8 @@ def _curves(context: EffectContext, law: Law, names: Collection[str] | None) -> 
     sd = {j: amplitude * np.sqrt(circle_variances(length, cycles)) for j, (length, amplitude) in prior.items()}
     columns = []
     for column in _waves(context, counts):
-        assert column.joint is not None and column.cycles is not None
+        assert column.joint is not None
+        assert column.cycles is not None
         if column.joint in sd and column.cycles <= cycles:
             column = with_prior(column, float(sd[column.joint][column.cycles - 1]))
         columns.append(column)

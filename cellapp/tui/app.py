@@ -41,6 +41,7 @@ from cellapp.control import Aborted, JobControl
 from cellapp.errors import CellappError, HardwareError
 from cellapp.pipeline import default_folder, run_whole
 from cellapp.progress import Cancelled, JobState, Progress, StateChange, StopReport
+from cellapp.reporting.discovery_text import meaning_lines
 from cellapp.reporting.page import PAGE_FILE
 from cellapp.reporting.progress_words import detail_words
 from cellapp.reporting.tables import all_tables, out_of_date_sentences
@@ -470,7 +471,8 @@ class CellApp(App[None]):
         verdicts = [Static(sentence, markup=False, classes="verdict") for sentence in sentences]
         notes = [Static(f"Note: {note}", markup=False, classes="note") for note in results.notes]
         drawn = [draw_table(table) for table in all_tables(results)]
-        self._show_tables(*marks, *verdicts, ItemGrid(*drawn, min_column_width=_TABLE_WIDTH), *notes)
+        meanings = [] if found is None else [Static("\n".join(meaning_lines(found)), markup=False, classes="meaning")]
+        self._show_tables(*marks, *verdicts, ItemGrid(*drawn, min_column_width=_TABLE_WIDTH), *meanings, *notes)
         self.query_one("#results", TabbedContent).active = "tables-pane"
         if not isinstance(self.screen, LeaveScreen):
             self.query_one("#tables").focus()

@@ -74,7 +74,10 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
     sags = dict(zip(accepted.term.names, accepted.term.values.tolist(), strict=True))
     assert sags["sag1"] == pytest.approx(TRUE_SAG[0], rel=0.1)
     assert sags["sag2"] == pytest.approx(TRUE_SAG[1], rel=0.1)
-    table = accepted_table("left", arm_result(discovery))
+    result = arm_result(discovery)
+    assert result.accepted[0].meaning is not None
+    assert result.accepted[0].meaning.cause == "The toy at joints 1 and 2 sags."
+    table = accepted_table("left", result)
     assert table is not None
     titles = [column.title for column in table.columns]
     (row,) = (dict(zip(titles, row, strict=True)) for row in table.rows)

@@ -19,6 +19,7 @@ from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.effects import EFFECTS, EffectColumn, EffectContext, Law, LawForm
 from cellapp.effects.backlash import TYPICAL_STEP, WIDTH
+from cellapp.effects.base_motion import order_span
 from cellapp.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH
 from cellapp.effects.smooth import AMPLITUDE, CYCLES, LENGTH, circle_variances
 from cellapp.effects.time_functions import FIRST, run_span, times_known
@@ -144,6 +145,8 @@ def _plain_laws(data: ArmData) -> list[tuple[str, str, dict[str, float], float]]
     laws.append(("backlash", "smooth", {WIDTH.name: _USUAL_WIDTH, **typical}, 5e-5))
     if times_known(context) and FIRST.name in run_span(context):
         laws.append(("base_drift", "smooth", run_span(context), 2e-5))
+    elif order_span(context):
+        laws.append(("base_drift", "smooth_in_order", order_span(context), 2e-5))
     return laws
 
 

@@ -140,9 +140,7 @@ class _Packing:
 
     def pack(self, values: Hyperparameters) -> Array:
         amplitudes = [np.log(one) for one in values.amplitudes]
-        lengths = [
-            math.log(length) for one, length in zip(self.components, values.lengths, strict=True) if one.lengths
-        ]
+        lengths = [math.log(length) for one, length in zip(self.components, values.lengths, strict=True) if one.lengths]
         return np.concatenate([*amplitudes, np.array([*lengths, math.log(values.noise)])])
 
     def unpack(self, theta: Array) -> Hyperparameters:

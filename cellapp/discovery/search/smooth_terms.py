@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cellapp.discovery.joint_fit import refit
 from cellapp.discovery.process.structured import fit_process, process_terms
-from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
+from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.discovery.terms import has_smooth_terms
 from cellapp.effects import EFFECTS
 
@@ -24,8 +26,6 @@ def with_smooth_terms(problem: SearchProblem, state: SearchState) -> SearchState
         term = fit.terms[number]
         assert term.smooth is not None
         what = f"{EFFECTS[term.slug].title}: {term.law.form.words}"
-        steps.append(
-            SearchStep(term.slug, what, term.smooth.evidence, problem.p_value(term.smooth.evidence), terms[: number + 1])
-        )
-    steps[-1] = SearchStep(steps[-1].slug, steps[-1].what, steps[-1].score, steps[-1].p_value, terms, fit.model)
+        steps.append(problem.step(term.slug, what, term.smooth.evidence, terms[: number + 1]))
+    steps[-1] = replace(steps[-1], model=fit.model)
     return SearchState(data, fit, tuple(steps), state.dropped)

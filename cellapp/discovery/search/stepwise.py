@@ -20,8 +20,8 @@ from cellapp.discovery.search.data_driven import with_data_driven_terms
 from cellapp.discovery.search.refinement import refinement
 from cellapp.discovery.search.review import review, reviewed
 from cellapp.discovery.search.scan import LawScan
-from cellapp.discovery.search.smooth_terms import with_smooth_terms
 from cellapp.discovery.search.significance import score_threshold, simulate_null_maxima
+from cellapp.discovery.search.smooth_terms import with_smooth_terms
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchResult, SearchState, SearchStep
 from cellapp.discovery.search.tuning import apply_step
 from cellapp.progress import CancelToken, Report, ignore_report
