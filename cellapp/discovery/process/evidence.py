@@ -78,53 +78,69 @@ class Hyperparameters:
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
-    """Weights (m,) of all columns, zero where left out, and the columns that are not.
-
-    ``factor`` is the lower Cholesky factor of ``I + D^1/2 G D^1/2 / s`` of these.
-    """
-
-    weights: Array
-    active: NDArray[np.intp]
-    root: Array
-    factor: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Evidence:
-    """Log evidence, and its derivatives by log v_k and by log s."""
+    """Log evidence, and its derivatives by log v_k (m,) and by log s."""
 
     value: float
     by_variance: Array
     by_noise: float
-    posterior: Posterior | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Factored:
+    """Columns that matter, the roots of their prior variances, and ``I + V^1/2 G V^1/2 / s = L L^T``."""
+
+    active: NDArray[np.intp]
+    root: Array
+    gram: Array
+    lower: Array
+
+    @classmethod
+    def of(cls, data: ProcessData, variance: Array, noise: float) -> _Factored | None:
+        """None where the matrix is not positive definite: the noise is nearly zero."""
+        active = np.flatnonzero(variance * np.diag(data.gram) > _NEGLIGIBLE * noise)
+        root = np.sqrt(variance[active])
+        gram = data.gram[np.ix_(active, active)]
+        A = gram * (root[:, None] * root / noise)
+        A[np.diag_indices_from(A)] += 1.0
+        if not len(active):
+            return cls(active, root, gram, A)
+        lower, failed = lapack.dpotrf(A, lower=1, overwrite_a=1)
+        return None if failed else cls(active, root, gram, lower)
+
+    def value(self, data: ProcessData, noise: float) -> tuple[float, Array]:
+        """Log evidence, and the solution of ``L L^T x = V^1/2 b / s``."""
+        scaled = self.root * data.moment[self.active] / noise
+        solution = lapack.dpotrs(self.lower, scaled, lower=1)[0] if len(scaled) else scaled
+        log_determinant = 2.0 * float(np.log(np.diag(self.lower)).sum())
+        left = data.square / noise - float(scaled @ solution)
+        return -0.5 * (data.coordinates * math.log(noise) + log_determinant + left), solution
+
+
+def log_evidence(data: ProcessData, variance: Array, noise: float) -> float:
+    """The log evidence at prior variances (m,) and a noise variance."""
+    factored = _Factored.of(data, variance, noise)
+    return -_IMPOSSIBLE if factored is None else factored.value(data, noise)[0]
 
 
 def evidence(data: ProcessData, variance: Array, noise: float) -> Evidence:
-    """The evidence at prior variances (m,) and a noise variance."""
-    signal = variance * np.diag(data.gram)
-    active = np.flatnonzero(signal > _NEGLIGIBLE * noise)
-    root = np.sqrt(variance[active])
-    gram = data.gram[np.ix_(active, active)]
-    A = gram * (root[:, None] * root / noise)
-    A[np.diag_indices_from(A)] += 1.0
-    factor, failed = lapack.dpotrf(A, lower=1, overwrite_a=1)
-    if failed:  # the noise is nearly zero here: so low a value makes the optimiser step back
+    """The evidence at prior variances (m,) and a noise variance, with its derivatives."""
+    factored = _Factored.of(data, variance, noise)
+    if factored is None:  # so low a value makes the optimiser step back
         return Evidence(-_IMPOSSIBLE, np.zeros(len(variance)), 0.0)
-    log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
-    scaled = root * data.moment[active] / noise
-    solution = lapack.dpotrs(factor, scaled, lower=1)[0]
-    inverse = np.diag(lapack.dpotri(factor, lower=1)[0])
-    explained = float(scaled @ solution) * noise
-    value = -0.5 * (data.coordinates * math.log(noise) + log_determinant + (data.square - explained) / noise)
+    value, solution = factored.value(data, noise)
+    active = factored.active
     by_variance = np.zeros(len(variance))
-    by_variance[active] = 0.5 * (solution**2 + inverse - 1.0)
-    fitted = root * solution
-    left = data.square - 2.0 * explained + float(fitted @ (gram @ fitted))
+    inverse = np.zeros(0)
+    if len(active):
+        triangle = np.tril(lapack.dtrtri(factored.lower, lower=1)[0])
+        inverse = np.einsum("kl,kl->l", triangle, triangle)
+        by_variance[active] = 0.5 * (solution**2 + inverse - 1.0)
+    fitted = factored.root * solution
+    explained = float(fitted @ data.moment[active])
+    left = data.square - 2.0 * explained + float(fitted @ (factored.gram @ fitted))
     by_noise = -0.5 * (data.coordinates - float(np.sum(1.0 - inverse))) + 0.5 * left / noise
-    weights = np.zeros(len(variance))
-    weights[active] = fitted
-    return Evidence(value, by_variance, by_noise, Posterior(weights, active, root, factor))
+    return Evidence(value, by_variance, by_noise)
 
 
 def evidence_without(data: ProcessData) -> float:

@@ -20,9 +20,9 @@ from cellapp.discovery.process.components import Component, components
 from cellapp.discovery.process.evidence import (
     Hyperparameters,
     ProcessData,
-    evidence,
     evidence_without,
     first_guess,
+    log_evidence,
     most_evident,
 )
 from cellapp.discovery.terms import ModelTerm, ModelTerms, Smoothness
@@ -93,7 +93,7 @@ class StructuredProcess:
         taken = np.delete(np.arange(len(self.gram.moment)), np.s_[first : first + count])
         rest = self.components[:component] + self.components[component + 1 :]
         values, gram = self.values.without(component), self.gram.take(taken)
-        return StructuredProcess(rest, values, gram, evidence(gram, values.variances(rest), values.noise).value)
+        return StructuredProcess(rest, values, gram, log_evidence(gram, values.variances(rest), values.noise))
 
     def refitted(self, evaluations: int) -> StructuredProcess:
         """The process with hyperparameters fitted again from where they are."""
