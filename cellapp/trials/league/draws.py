@@ -51,7 +51,7 @@ class LeagueDraw(Record):
     rows : int or "all"
         The size that was asked for.
     scores : mapping
-        Group of held-out rows -> errors.
+        Group of held-out rows -> errors; the first one is all of them.
     names : tuple of str
         Effects that discovery accepted.
     seconds : float
@@ -98,7 +98,7 @@ def run_draw(task: DrawTask) -> LeagueDraw:
     entrant, rows = task.entrant, task.drawn()
     profile = entrant.profile.model_copy(update={"seed": task.seed})
     words = np.full(len(entrant.readings), None, dtype=object)
-    words[rows.learned], words[rows.held_out["all"]] = "identify", "validate"
+    words[rows.learned], words[rows.judged] = "identify", "validate"
     readings = replace(entrant.readings, split=tuple(words.tolist()))
     conditions = measurement_conditions(readings)
     arm, _ = calibrate_arm(profile, entrant.arm, readings)
@@ -119,7 +119,8 @@ def run_draw(task: DrawTask) -> LeagueDraw:
         seed=task.seed,
         learned=len(rows.learned),
         scores={
-            group: _score({k: v[some] for k, v in left.items()}, sd[some]) for group, some in rows.held_out.items()
+            group: _score({name: off[some] for name, off in left.items()}, sd[some])
+            for group, some in rows.held_out.items()
         },
         names=tuple(effect.term.slug for effect in found.accepted),
         verdict=found.verdict,

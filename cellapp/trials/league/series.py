@@ -14,8 +14,8 @@ from cellapp.errors import InputError
 from cellapp.profile import Profile, load_profile
 from cellapp.run import Readings, read_readings_csv
 
-Group = Literal["all", "grid", "random"]
-"""Held-out rows: all of them; of a series with rows that its authors held out, those apart from the others."""
+Group = Literal["all", "others", "published"]
+"""Held-out rows: all of them; those that the authors of the data held out; and the others."""
 Rows = int | Literal["all"]
 """How many rows are learned from."""
 
@@ -36,20 +36,25 @@ class Series:
         Its folder below the data, and the stem of its profile.
     bars_mm : mapping
         Number of rows learned from -> largest allowed mean over draws of the mean held-out position error of discovery.
-    published_mm : mapping
-        Held-out rows -> mean position error that the authors of the data published.
+    published_mm : float, optional
+        Mean position error that the authors of the data published for the rows that they held out.
+    published_how : str
+        How they reached it.
     """
 
     title: str
     folder: str
     bars_mm: Mapping[Rows, float] = field(default_factory=dict)
-    published_mm: Mapping[Group, float] = field(default_factory=dict)
+    published_mm: float | None = None
+    published_how: str = ""
 
+
+_JACOBI = "20 random poses, D-H calibration and a graph neural network learned from all 1000 poses on the grid"
 
 SERIES: Mapping[str, Series] = {
     "C": Series("UR10, series C", "ur10-real", {300: 0.091}),
     "D": Series("UR10, series D", "ur10-real-d", {300: 0.101}),
-    "UR5": Series("UR5", "ur5-real", {300: 0.053, "all": 0.055}, {"random": 0.155}),
+    "UR5": Series("UR5", "ur5-real", {300: 0.053, "all": 0.055}, 0.155, _JACOBI),
 }
 
 
@@ -70,10 +75,15 @@ class Entrant:
 
 @dataclass(frozen=True, eq=False)
 class DrawnRows:
-    """Rows to learn from, and the held-out rows by group."""
+    """Rows to learn from, and the held-out rows by group; the first group is all of them."""
 
     learned: NDArray[np.intp]
     held_out: Mapping[Group, NDArray[np.intp]]
+
+    @property
+    def judged(self) -> NDArray[np.intp]:
+        """All held-out rows."""
+        return next(iter(self.held_out.values()))
 
 
 def load_entrant(name: str, data: Path, profiles: Path) -> Entrant:
@@ -111,18 +121,19 @@ def draw_rows(entrant: Entrant, rows: Rows, seed: int, learnable: int | None = N
     InputError
         If the series has too few rows.
     """
-    pool, random = entrant.pool, entrant.readings.in_split("validate")
+    pool, published = entrant.pool, entrant.readings.in_split("validate")
     order = np.random.default_rng([seed, _DRAW_SEED]).permutation(pool)
-    most = len(pool) if len(random) else len(pool) - round(_HELD_OUT_OF_ALL * len(pool))
-    count = most if rows == "all" else rows
-    if max(count, learnable or 0) > (len(pool) if len(random) else len(pool) - 1):
+    held_out_of_all = 0 if len(published) else round(_HELD_OUT_OF_ALL * len(pool))
+    count = len(pool) - held_out_of_all if rows == "all" else rows
+    first_held_out = max(count, learnable or 0)
+    if first_held_out > len(pool) or (first_held_out == len(pool) and not len(published)):
         raise InputError(
-            f"--rows: series {entrant.name} has {len(pool)} rows to learn from, not {count}; ask for fewer"
+            f"--rows: series {entrant.name} has {len(pool)} rows to learn from; ask for fewer than {count}, or for all"
         )
-    others = np.sort(order[max(count, learnable or 0) :])
-    groups: dict[Group, NDArray[np.intp]] = {"all": np.concatenate([others, random])}
-    if len(random):
-        groups |= {"grid": others, "random": random} if len(others) else {"random": random}
+    others = np.sort(order[first_held_out:])
+    groups: dict[Group, NDArray[np.intp]] = {"all": np.concatenate([others, published])}
+    if len(published):
+        groups = {**groups, "others": others, "published": published} if len(others) else {"published": published}
     return DrawnRows(np.sort(order[:count]), groups)
 
 

@@ -49,7 +49,7 @@ class LeagueLine(Record):
     seconds_median, seconds_worst : float
         Wall time of discovery [s].
     published_mm : float or None
-        Mean position error that the authors of the data published for these held-out rows.
+        Mean position error that the authors of the data published for these held-out rows, learned from all others.
     """
 
     series: str
@@ -161,17 +161,17 @@ def league_trials(
     curve_tasks = _curve_tasks(entrants[CURVE_SERIES], seeds) if curve else []
     for task in (*tasks, *curve_tasks):
         task.drawn()  # too few rows are said before hours of work
-    total, done = len(tasks) + len(curve_tasks), 0
-    found: list[list[LeagueDraw]] = []
-    for some in (tasks, curve_tasks):
-        draws: list[LeagueDraw] = []
-        listener(Progress("league", done, total))
-        for draw in in_processes(run_draw, some, jobs, cancel):
-            draws.append(draw)
-            done += 1
-            listener(Progress("league", done, total, f"series {draw.series}, {draw.learned} rows, seed {draw.seed}"))
-        found.append(_in_order(draws, some))
-    lines = _lines(found[0])
+    total = len(tasks) + len(curve_tasks)
+    draws = _run(tasks, 0, total, jobs, listener, cancel)
+    curve_draws = _run(curve_tasks, len(tasks), total, jobs, listener, cancel)
+    return results_of(draws, curve_draws, seeds=seeds, jobs=jobs)
+
+
+def results_of(
+    draws: Sequence[LeagueDraw], curve_draws: Sequence[LeagueDraw], *, seeds: int, jobs: int
+) -> LeagueResult:
+    """Lines and bars of draws that were made over ``seeds`` seeds by ``jobs`` processes."""
+    lines = _lines(draws)
     return LeagueResult(
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
         program=f"cellapp {__version__}",
@@ -179,9 +179,9 @@ def league_trials(
         seeds=seeds,
         lines=lines,
         bars=_bars(lines),
-        draws=tuple(found[0]),
-        curve=_lines(found[1]),
-        curve_draws=tuple(found[1]),
+        draws=tuple(draws),
+        curve=_lines(curve_draws),
+        curve_draws=tuple(curve_draws),
     )
 
 
@@ -189,8 +189,16 @@ def _curve_tasks(entrant: Entrant, seeds: int) -> list[DrawTask]:
     return [DrawTask(entrant, size, seed, learnable=CURVE_ROWS[-1]) for size in CURVE_ROWS for seed in range(seeds)]
 
 
-def _in_order(draws: Sequence[LeagueDraw], tasks: Sequence[DrawTask]) -> list[LeagueDraw]:
-    """The draws in the order of their tasks; processes end in any order."""
+def _run(
+    tasks: Sequence[DrawTask], before: int, total: int, jobs: int, listener: Listener, cancel: CancelToken
+) -> list[LeagueDraw]:
+    """The draws in the order of their tasks; ``before`` of ``total`` were made already."""
+    listener(Progress("league", before, total))
+    draws = []
+    for draw in in_processes(run_draw, tasks, jobs, cancel):
+        draws.append(draw)
+        note = f"series {draw.series}, {draw.learned} rows, seed {draw.seed}"
+        listener(Progress("league", before + len(draws), total, note))
     place = {(task.entrant.name, task.rows, task.seed): number for number, task in enumerate(tasks)}
     return sorted(draws, key=lambda draw: place[draw.series, draw.rows, draw.seed])
 
@@ -224,7 +232,7 @@ def _line(draws: Sequence[LeagueDraw], group: Group) -> LeagueLine:
         verdicts=dict(Counter(draw.verdict for draw in draws).most_common()),
         seconds_median=float(np.median(seconds)),
         seconds_worst=max(seconds),
-        published_mm=SERIES[first.series].published_mm.get(group),
+        published_mm=SERIES[first.series].published_mm if group == "published" else None,
     )
 
 
@@ -233,11 +241,12 @@ def _share(scores: Sequence[HeldOutScore]) -> float:
 
 
 def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:
-    """The bars of every line of all held-out rows; a single draw has no worst."""
-    bars = []
+    """The bars of every series and size, on all held-out rows; a single draw has no worst."""
+    judged: dict[tuple[str, Rows], LeagueLine] = {}
     for line in lines:
-        if line.group != "all":
-            continue
+        judged.setdefault((line.series, line.rows), line)  # the first line is that of all held-out rows
+    bars = []
+    for line in judged.values():
         most = SERIES[line.series].bars_mm.get(line.rows)
         if most is not None:
             bars.append(_bar(line, "held-out error [mm]", None, most, line.discovery_mm))
