@@ -204,21 +204,38 @@ def seal(
         int | None, typer.Option("--seed", min=0, help="Draws everything; left out, a secret one is drawn.")
     ] = None,
     kind: Annotated[
-        str, typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair or mixed.")
+        str, typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple or mixed.")
     ] = "one",
     noise: Annotated[
         str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 urad a joint).")
     ] = "gaussian",
+    laws: Annotated[
+        str, typer.Option("--laws", metavar="LAWS", help="same: shaped as the library's; other: by other shapes.")
+    ] = "same",
+    stops: Annotated[int | None, typer.Option("--stops", help="Stops of each run, instead of the profile's.")] = None,
+    ranges: Annotated[
+        str, typer.Option("--ranges", metavar="RANGES", help="full, or narrow: every joint moves over 10 to 50 deg.")
+    ] = "full",
+    mass_error: Annotated[
+        float, typer.Option("--mass-error", help="Standard deviation of true link masses, relative.")
+    ] = 0.05,
+    unstated: Annotated[bool, typer.Option("--unstated", help="Readings do not state their uncertainty.")] = False,
+    flip_approach: Annotated[
+        bool, typer.Option("--flip-approach", help="Backlash or friction, approach signs by the opposite convention.")
+    ] = False,
     json_file: JsonOption = None,
 ) -> None:
     """Write runs of simulated cells whose hidden effects are stated in a sealed file only."""
     from cellapp.profile import load_profile
     from cellapp.trials.sealed import SEAL_FILE, TRUTH_FILE, seal_trials
+    from cellapp.trials.sealed_setup import Setup
 
     with Job(json_file) as job:
-        result = seal_trials(
-            load_profile(profile), out, n, seed=seed, kind=kind, noise=noise, listener=job.listen, cancel=job.control
-        )
+        setup = Setup(
+            kind=kind, noise=noise, laws=laws, stops=stops, ranges=ranges, mass_error=mass_error,
+            stated=not unstated, flip_approach=flip_approach,
+        )  # fmt: skip
+        result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=job.listen, cancel=job.control)
         job.say(f"{result.runs} runs in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge' only")
         job.say(f"SHA-256 of the truth, also in {out / SEAL_FILE}: {result.sha256}")
         job.result(result)
@@ -245,6 +262,8 @@ def judge(
         _write_markdown(markdown, judge_markdown(result))
         if result.failed:
             raise CheckFailed(f"{len(result.failed)} runs could not be judged: {'; '.join(result.failed)}")
+        if result.missed:
+            raise CheckFailed(f"bars missed: {'; '.join(f'{one.kind}: {one.target}' for one in result.missed)}")
 
 
 @trials_app.command("league")
