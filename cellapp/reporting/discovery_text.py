@@ -96,6 +96,7 @@ def meaning_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
             for heading, items in (("check", found.meaning.check), ("settle", found.meaning.settle)):
                 for place, item in enumerate(items):
                     lines += _hanging(f"  {'' if place else heading:9}- ", item, width)
+            lines.append(f"  more     cellapp docs {found.effect}")
             lines.append("")
     return lines
 

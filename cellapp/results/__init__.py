@@ -93,6 +93,7 @@ from cellapp.results.discovery import (
 )
 from cellapp.results.run import (
     ArmState,
+    DocsResult,
     HistoryResult,
     LogLine,
     LogResult,
@@ -143,6 +144,7 @@ __all__ = [
     "CycleBand",
     "DiscoverResult",
     "Discrimination",
+    "DocsResult",
     "DoctorResult",
     "EffectMeaning",
     "EmulateResult",
