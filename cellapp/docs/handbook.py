@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -20,6 +21,9 @@ CHAPTERS: Mapping[str, str] = {
 """Name and subject of each chapter, a Markdown file of this package."""
 _SECTION = re.compile(r"^## (\w+)$", re.MULTILINE)
 _DECLARED = re.compile(r"<!-- declared: (\w+) -->\n.*?<!-- end -->\n", re.DOTALL)
+_WIDTH = 120
+"""Columns of the Markdown files."""
+_MARKER = re.compile(r"<!--.*?-->\n")
 _GENERAL_PLACE = {"link_bending": "the link", "unknown": "a part of the cell"}
 
 
@@ -29,24 +33,27 @@ def topics() -> list[str]:
 
 
 def topic_text(topic: str) -> str:
-    """Markdown of a chapter, or of the section of one effect.
+    """Markdown of a chapter, or of the section of one effect, without the markers.
 
     Raises
     ------
     InputError
         If there is no such topic.
     """
-    if topic in CHAPTERS:
-        return _read(topic)
-    sections = effect_sections()
-    if topic not in sections:
-        raise InputError(f"docs: '{topic}' is not a topic; topics are {', '.join([*CHAPTERS, *sections])}")
-    return sections[topic]
+    known = topics()
+    if topic not in known:
+        raise InputError(f"docs: '{topic}' is not a topic; topics are {', '.join(known)}")
+    return _MARKER.sub("", chapter_text(topic) if topic in CHAPTERS else effect_sections()[topic])
+
+
+def chapter_text(chapter: str) -> str:
+    """A chapter as it is kept, with the markers around the parts that repeat declarations."""
+    return resources.files("cellapp.docs").joinpath(f"{chapter}.md").read_text("utf-8")
 
 
 def effect_sections() -> dict[str, str]:
     """Section of each effect in the chapter on effects, by slug."""
-    text = _read("effects")
+    text = chapter_text("effects")
     found = list(_SECTION.finditer(text))
     ends = [*(match.start() for match in found[1:]), len(text)]
     return {match[1]: text[match.start() : end] for match, end in zip(found, ends, strict=True)}
@@ -60,22 +67,20 @@ def with_declarations(text: str) -> str:
 def declared_part(effect: Effect) -> str:
     """Usual size, checks and further stops of an effect as Markdown, with the markers around them."""
     meaning = effect.meaning.at(_GENERAL_PLACE.get(effect.slug, "the joint"))
-    lines = [
-        f"<!-- declared: {effect.slug} -->",
-        f"**Cause.** {meaning.cause}",
-        "",
-        f"**Usual size** ({meaning.size_source}). {meaning.size}.",
-        "",
+    parts = [
+        _wrapped(f"**Cause.** {meaning.cause}"),
+        _wrapped(f"**Usual size** ({meaning.size_source}). {meaning.size}."),
         "**Check or mend**",
-        "",
-        *(f"- {line}" for line in meaning.check),
-        "",
+        "\n".join(_wrapped(f"- {line}") for line in meaning.check),
         "**What settles it**",
-        "",
-        *(f"- {line}" for line in meaning.settle),
-        "<!-- end -->",
+        "\n".join(_wrapped(f"- {line}") for line in meaning.settle),
     ]
-    return "\n".join(lines) + "\n"
+    return f"<!-- declared: {effect.slug} -->\n" + "\n\n".join(parts) + "\n<!-- end -->\n"
+
+
+def _wrapped(text: str) -> str:
+    indent = "  " if text.startswith("- ") else ""
+    return textwrap.fill(text, _WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def write_figures(profile: Profile, folder: Path) -> list[Path]:
@@ -95,7 +100,3 @@ def write_figures(profile: Profile, folder: Path) -> list[Path]:
     except OSError as error:
         raise InputError(f"docs: {folder}: {error.strerror or error}; give a folder that can be written") from None
     return paths
-
-
-def _read(chapter: str) -> str:
-    return resources.files("cellapp.docs").joinpath(f"{chapter}.md").read_text("utf-8")

@@ -15,7 +15,15 @@ import cellapp.docs
 from cellapp.cli.app import app
 from cellapp.docs.chart import Chart, Series, chart_svg
 from cellapp.docs.effect_figures import FIGURES, figure_svg
-from cellapp.docs.handbook import CHAPTERS, effect_sections, topic_text, topics, with_declarations, write_figures
+from cellapp.docs.handbook import (
+    CHAPTERS,
+    chapter_text,
+    effect_sections,
+    topic_text,
+    topics,
+    with_declarations,
+    write_figures,
+)
 from cellapp.docs.scene import Scene, joint_offset, smr_shift
 from cellapp.effects import EFFECTS
 from cellapp.errors import InputError
@@ -52,9 +60,10 @@ def test_a_section_says_what_it_is_what_imitates_it_and_what_to_do(slug: str) ->
 
 
 def test_what_the_handbook_repeats_of_declarations_is_up_to_date() -> None:
-    text = topic_text("effects")
+    text = chapter_text("effects")
     assert with_declarations(text) == text, "renew the parts between markers with handbook.with_declarations"
     assert text.count("<!-- declared: ") == len(EFFECTS)
+    assert "<!--" not in topic_text("effects") + topic_text("backlash"), "people need not see the markers"
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS)
