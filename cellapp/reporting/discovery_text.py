@@ -96,8 +96,25 @@ def meaning_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
             for heading, items in (("check", found.meaning.check), ("settle", found.meaning.settle)):
                 for place, item in enumerate(items):
                     lines += _hanging(f"  {'' if place else heading:9}- ", item, width)
+            lines.append(f"  more     cellapp docs {found.effect}")
             lines.append("")
     return lines
+
+
+def remark_lines(result: DiscoverResult) -> list[str]:
+    """What contradicts an effect, is possible too, hardly fits its law, or is left with structure: a line each."""
+    lines = []
+    for name, arm in result.arms.items():
+        possible = also_possible(arm)
+        others = [f"Not accepted, but possible: {possible}."] if possible else []
+        sentences = (*contradiction_sentences(arm), *others, *misfit_sentences(arm), *structure_sentences(arm))
+        lines += [f"Arm {name}: {sentence}" for sentence in sentences]
+    return [*lines, ""] if lines else []
+
+
+def explanation_text(result: DiscoverResult) -> str:
+    """All that explains the tables of a discovery."""
+    return "\n".join([*remark_lines(result), *meaning_lines(result)])
 
 
 def size_words(meaning: EffectMeaning) -> str:
@@ -174,6 +191,14 @@ def misfit_sentences(arm: ArmDiscoveryResult) -> list[str]:
     return [f"{text[0].upper()}{text[1:]}." for text in words if text]
 
 
+def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """Whether what is left shows structure; empty where it was not tested."""
+    if arm.structure is None:
+        return []
+    sentence = arm.structure.sentence
+    return [f"{sentence[0].upper()}{sentence[1:]}."]
+
+
 def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
     """Joints of an accepted effect that have no figure."""
     sentences = []
@@ -192,18 +217,11 @@ def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
 def remainder_sentences(arm: ArmDiscoveryResult) -> list[str]:
     """What the effects leave, what a residual network finds in it, and the predicted uncertainty."""
     return [
-        *_structure_sentences(arm),
+        *structure_sentences(arm),
         *_scatter_sentences(arm),
         *_network_sentences(arm),
         *_uncertainty_sentences(arm),
     ]
-
-
-def _structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    if arm.structure is None:
-        return []
-    sentence = arm.structure.sentence
-    return [f"{sentence[0].upper()}{sentence[1:]}."]
 
 
 def _scatter_sentences(arm: ArmDiscoveryResult) -> list[str]:

@@ -94,6 +94,7 @@ from cellapp.results.discovery import (
 )
 from cellapp.results.run import (
     ArmState,
+    DocsResult,
     HistoryResult,
     LogLine,
     LogResult,
@@ -145,6 +146,7 @@ __all__ = [
     "CycleBand",
     "DiscoverResult",
     "Discrimination",
+    "DocsResult",
     "DoctorResult",
     "EffectMeaning",
     "EmulateResult",

@@ -49,6 +49,16 @@ class ReportResult(RunResults):
     page: str
 
 
+class DocsResult(Result):
+    """``docs``: a chapter or section of the handbook as Markdown, or the files that were drawn."""
+
+    schema_: Literal["cellapp-docs"] = "cellapp-docs"
+    version: Literal[1] = 1
+    topic: str
+    text: str | None = None
+    files: tuple[str, ...] = ()
+
+
 class ArmState(Record):
     """How much of one arm's plan is measured, and in which splits."""
 

@@ -614,6 +614,7 @@ LIGHT = (
     "plan twin.yaml --run new",
     "collect planned",
     "doctor twin.yaml",
+    "docs backlash",
     *(f"show done {part}" for part in ("overview", "calibration", "discovery", "verification", "plan")),
 )
 """Commands that need no network and draw nothing."""
@@ -648,7 +649,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     ended = shell("--help", cwd=tmp_path)
     assert ended.code == 0
     for command in ("run", "doctor", "plan", "collect", "import", "export", "calibrate", "discover", "compensate",
-                    "push", "report", "show", "schema", "trials", "emulate", "tracker-bridge",
+                    "push", "report", "show", "schema", "docs", "trials", "emulate", "tracker-bridge",
                     "pause", "resume", "stop", "abort"):  # fmt: skip
         assert f" {command} " in ended.out
 

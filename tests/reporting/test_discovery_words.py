@@ -127,6 +127,7 @@ def test_what_an_effect_means_stands_in_full() -> None:
         "  size     1 to 3 mm (computed)",
         "  settle   - Repeat 20 stops with a second payload.",
         "           - Log both encoders.",
+        "  more     cellapp docs joint_compliance",
     ):
         assert text in lines
     assert meaning_lines(DiscoverResult(arms={"right": nothing_missing("right")})) == []
