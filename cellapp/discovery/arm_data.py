@@ -13,6 +13,7 @@ from cellapp.calibration.parameters import ParameterSet
 from cellapp.calibration.weights import whitener
 from cellapp.discovery.terms import ModelTerms
 from cellapp.effects import EFFECTS, EffectColumn, EffectContext, Law, MeasurementConditions
+from cellapp.effects.modulation import with_modulations
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.profile import Profile
@@ -89,8 +90,14 @@ class ArmData:
         return [by_name[name] for name in names]
 
     def term_columns(self, terms: ModelTerms) -> tuple[EffectColumn, ...]:
-        """Columns of some terms, one term after the other."""
-        return tuple(column for term in terms for column in self.columns(term.slug, term.law, term.names))
+        """Columns of some terms, one term after the other: of the law, then of its free part."""
+        return tuple(
+            column
+            for term in terms
+            for column in with_modulations(
+                self.columns(term.slug, term.law, term.names), term.modulations, self.context
+            )
+        )
 
 
 def whitening(sigma: Array | None, n: int) -> Array:

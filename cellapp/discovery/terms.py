@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cellapp.calibration.curve_prior import MAX_CYCLES, CurvePrior, spectrum_variances
 from cellapp.effects import EffectColumn, Law
+from cellapp.effects.modulation import Modulation
 from cellapp.kinematics.transforms import Array
 
 UNKNOWN = "unknown"
@@ -38,6 +39,10 @@ class ModelTerm:
         Columns of a free curve without a prior: sharp lines.
     note : str
         Description of a data-driven term.
+    modulations : tuple of Modulation
+        Free part of the law: further columns, after those of the law.
+    modulation_sd : tuple of float
+        Standard deviation of the prior of each of these, in its unit.
     """
 
     slug: str
@@ -46,6 +51,18 @@ class ModelTerm:
     curves: CurvePrior | None = None
     free: frozenset[str] = frozenset()
     note: str = ""
+    modulations: tuple[Modulation, ...] = ()
+    modulation_sd: tuple[float, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of its columns: of the law and of its free part."""
+        return len(self.names) + len(self.modulations)
+
+    @property
+    def has_prior(self) -> bool:
+        """Whether some of its columns have a prior."""
+        return self.curves is not None or len(self.modulations) > 0
 
     @property
     def is_library_effect(self) -> bool:
@@ -54,7 +71,7 @@ class ModelTerm:
 
     def prior_sd(self, columns: Sequence[EffectColumn]) -> Array:
         """Standard deviation (m,) of the prior of each of its ``columns``, infinite for those without."""
-        sd = np.full(len(self.names), math.inf)
+        sd = np.concatenate([np.full(len(self.names), math.inf), np.array(self.modulation_sd)])
         if self.curves is None:
             return sd
         curves = self.curves
@@ -98,9 +115,9 @@ def has_curves(terms: ModelTerms) -> bool:
 
 def prior_sd(terms: ModelTerms, columns: Sequence[EffectColumn]) -> Array | None:
     """Standard deviation of the prior of each of the terms' columns, infinite without; None where no term has any."""
-    if not has_curves(terms):
+    if not any(term.has_prior for term in terms):
         return None
-    layout = TermLayout.of(0, [len(term.names) for term in terms])
+    layout = TermLayout.of(0, [term.size for term in terms])
     return np.concatenate([term.prior_sd(columns[layout.columns(number)]) for number, term in enumerate(terms)])
 
 

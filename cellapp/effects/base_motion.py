@@ -6,8 +6,10 @@ from collections.abc import Collection
 
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.modulation import FreeDriver
 from cellapp.effects.time_functions import (
     FIRST,
     LAST,
@@ -54,6 +56,7 @@ class BaseDrift(Effect):
     look_alikes = ("base_step", "thermal_growth", "joint_drift")
     variables = frozenset({DriverVariable.TIME})
     forms = (LINEAR_FORM, WARM_UP_FORM, QUADRATIC)
+    free_drivers = (FreeDriver(Quantity.TIME),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
@@ -90,6 +93,7 @@ class BaseStep(Effect):
     look_alikes = ("base_drift", "thermal_growth", "target_slip", "joint_drift")
     variables = frozenset({DriverVariable.TIME})
     forms = (ONSET_FORM,)
+    free_drivers = (FreeDriver(Quantity.TIME),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times."""

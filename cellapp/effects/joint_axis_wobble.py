@@ -8,8 +8,10 @@ import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, Wave, shift_column
 from cellapp.effects.context import EffectContext
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.modulation import FreeDriver
 
 _MOST_TILT = 1e-3
 """Bound of each amplitude [rad]: fifty times what a bearing's runout gives."""
@@ -31,6 +33,7 @@ class JointAxisWobble(Effect):
     look_alikes = ("transmission_error",)
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (LawForm("", "two cycles a turn"),)
+    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Four columns per joint."""

@@ -8,8 +8,10 @@ import numpy as np
 
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.modulation import FreeDriver
 from cellapp.kinematics.transforms import Array
 
 KNEES = (0.2, 0.35, 0.5, 0.65)
@@ -51,6 +53,11 @@ class JointCompliance(Effect):
     look_alikes = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE)
+    free_drivers = (
+        FreeDriver(Quantity.TORQUE),
+        FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.PAYLOAD),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
@@ -105,6 +112,11 @@ class PayloadCompliance(Effect):
     look_alikes = ("joint_compliance", "link_bending")
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
+    free_drivers = (
+        FreeDriver(Quantity.TORQUE),
+        FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.PAYLOAD),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs a payload that varies."""

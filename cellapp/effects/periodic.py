@@ -9,8 +9,10 @@ import numpy as np
 
 from cellapp.effects.column import EffectColumn, Wave, joint_column
 from cellapp.effects.context import EffectContext
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.modulation import FreeDriver
 from cellapp.kinematics.transforms import Array
 
 LINES_MAX = 210
@@ -47,6 +49,7 @@ class EncoderEccentricity(Effect):
     look_alikes = ("joint_compliance", "transmission_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (LawForm("", "one cycle a turn"),)
+    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each joint."""
@@ -80,6 +83,7 @@ class TransmissionError(Effect):
     look_alikes = ("encoder_eccentricity", "joint_axis_wobble")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
+    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Two cycles; any lines."""

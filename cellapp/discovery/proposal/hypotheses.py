@@ -120,8 +120,8 @@ def refitted_discovery(data: ArmData, discovery: Discovery) -> tuple[ArmData, Jo
 
 
 def _model_term(term: EffectTerm, scatter: float, joints: int) -> ModelTerm:
-    """An accepted term as a term under test; ``scatter`` is the noise that goes with the prior of free curves."""
-    return ModelTerm(term.slug, term.law, term.names, _curve_prior(term.law, scatter, joints), note=term.note)
+    """An accepted term, without free part, as a term under test; ``scatter`` is the noise beside free curves."""
+    return ModelTerm(term.slug, term.law, term.law_names, _curve_prior(term.law, scatter, joints), note=term.note)
 
 
 def _curve_prior(law: Law, scatter: float, joints: int) -> CurvePrior | None:
