@@ -49,10 +49,9 @@ _LEAST_WEIGHT = 1e-3
 """Points with a smaller robust weight do not count as degrees of freedom."""
 _SMALLEST = 1e-300
 """Keeps a variance above zero."""
-_LEAST_SCATTER_M = 1e-7
-_LEAST_SCATTER = 1e-2
-"""Least scatter of the readings, in metres and in stated uncertainties, in the weight of the priors: points without
-noise fit exactly, and the priors would lose all weight."""
+_TRACKER_M = 1e-5
+"""Standard deviation of a coordinate from the tracker alone. Where no uncertainty is stated, one coordinate with this
+scatter is added to those that weigh the priors: with few readings, or without noise, these would lose all weight."""
 
 
 class TooFewReadings(ValueError):
@@ -367,15 +366,16 @@ class _Problem:
         # Priors are weighed against the present scatter of the readings. Far from the solution, where the scatter is
         # large, they dominate; near it they only determine what the readings do not.
         if self.precision.any() and not self.sigma_is_exact:
-            least = _LEAST_SCATTER_M if self.observations.white is None else _LEAST_SCATTER
-            point = replace(point, variance=max(self._residual_variance(point), least**2))
+            expected = _TRACKER_M**2 if self.observations.white is None else 1.0
+            freedom = self._degrees_of_freedom(point)
+            point = replace(point, variance=(point.normal.cost + expected) / (freedom + 1.0))
         return point
 
-    def step(self, point: _Estimate, damping: float) -> tuple[Array, float]:
+    def step(self, point: _Estimate, damping: float) -> tuple[Array, Array]:
         b = point.normal.b / point.variance + self.precision * (self.mean - point.values)
         unit = 1.0 / point.normal.scale
         step = damped_step(self._posterior_precision(point, unit, point.variance), unit * b, damping)
-        return unit * step, float(np.max(np.abs(step)))
+        return unit * step, step
 
     def moved(self, point: _Estimate, step: Array) -> _Estimate:
         return replace(self.estimate(point.values + step, point.weights), variance=point.variance)
@@ -443,10 +443,6 @@ class _Problem:
         if self.precision.any():
             by_priors = float(self.precision @ np.diag(self._covariance(point, point.variance)))
         return max(1.0, 3 * n - len(self.precision) + by_priors)
-
-    def _residual_variance(self, point: _Estimate) -> float:
-        """Chi-square per degree of freedom; without a stated uncertainty, variance of a coordinate [m^2]."""
-        return max(point.normal.cost / self._degrees_of_freedom(point), _SMALLEST)
 
     def _covariance(self, point: _Estimate, variance: float) -> Array:
         """Covariance (K + m, K + m): the readings' part is scaled by their ``variance``, the priors are not."""
