@@ -32,10 +32,12 @@ from cellapp.calibration.normal_equations import (
 )
 from cellapp.calibration.parameters import (
     ParameterSet,
+    PriorSpread,
     SetName,
     determined_set,
     estimated_parameters,
     prior_sds,
+    prior_spreads,
 )
 from cellapp.calibration.weights import RobustName, excess_variance, robust_weights, whitener, with_excess
 from cellapp.kinematics.chain import Geometry, JointAngles, parameter_names, smr_positions
@@ -240,10 +242,18 @@ def identify(
     )
     precision, mean = _priors(parameters, effects, priors, prior_mean or start)
     _check_count(len(q), precision)
-    problem = _Problem(start, observations, parameters, precision, mean, robust, tabulated=parameter_set == "auto")
-    values = np.concatenate([start.vector()[list(parameters.columns)], np.zeros(problem.effect_count)])
-    first = problem.estimate(values, None)
-    return problem.result(minimise(problem, first, tolerance=tolerance, max_iterations=max_iterations))
+    free = set(priors) - set(prior_sigma or {})
+    problem = _Problem(
+        start,
+        observations,
+        parameters,
+        precision,
+        mean,
+        robust,
+        spreads=prior_spreads(parameters, free),
+        tabulated=parameter_set == "auto",
+    )
+    return problem.result(minimise(problem, problem.at_start(), tolerance=tolerance, max_iterations=max_iterations))
 
 
 def identify_with_excess(
@@ -319,7 +329,7 @@ def _check_count(n: int, precision: Array) -> None:
 
 @dataclass(frozen=True)
 class _Estimate:
-    """Parameter values (k,), the normal equations there, and the weights they were made with.
+    """Parameter values (k,), the normal equations there, the weights they were made with, precisions of priors (k,).
 
     ``variance`` multiplies the stated covariance of the readings where it is weighed against the priors.
     """
@@ -327,6 +337,7 @@ class _Estimate:
     values: Array
     normal: NormalEquations
     weights: Array | None
+    precision: Array
     variance: float = 1.0
 
 
@@ -338,8 +349,11 @@ class _Problem:
     observations: Observations
     parameters: ParameterSet
     precision: Array
+    """Of the priors (k,), at the start; zero without one."""
     mean: Array
     robust: RobustName
+    spreads: tuple[PriorSpread, ...]
+    """Priors whose standard deviations are estimated."""
     tabulated: bool
     """Whether the table states only what the data determine."""
 
@@ -354,43 +368,56 @@ class _Problem:
         effects = self.observations.effects
         return effects is not None and effects.prior_sd is not None
 
-    def estimate(self, values: Array, weights: Array | None) -> _Estimate:
+    def at_start(self) -> _Estimate:
+        values = self.start.vector()[list(self.parameters.columns)]
+        return self._estimate(np.concatenate([values, np.zeros(self.effect_count)]), None, self.precision)
+
+    def _estimate(self, values: Array, weights: Array | None, precision: Array) -> _Estimate:
         normal = normal_equations(self.start, self.observations, self.parameters, values, weights)
-        return _Estimate(values, normal, weights)
+        return _Estimate(values, normal, weights, precision)
 
     def reweighted(self, point: _Estimate) -> _Estimate:
         if self.robust != "none":
             whitened = self.observations.whiten(point.normal.residuals, 0, self.observations.count)
             weights = robust_weights(np.linalg.norm(whitened, axis=0), self.robust)
-            point = replace(self.estimate(point.values, weights), variance=point.variance)
+            point = replace(self._estimate(point.values, weights, point.precision), variance=point.variance)
         # Priors are weighed against the present scatter of the readings. Far from the solution, where the scatter is
         # large, they dominate; near it they only determine what the readings do not.
-        if self.precision.any() and not self.sigma_is_exact:
-            expected = _TRACKER_M**2 if self.observations.white is None else 1.0
-            freedom = self._degrees_of_freedom(point)
-            point = replace(point, variance=(point.normal.cost + expected) / (freedom + 1.0))
-        return point
+        if not point.precision.any():
+            return point
+        by_priors = self._by_priors(point)
+        precision = point.precision.copy()
+        for spread in self.spreads:
+            places = spread.places
+            square = spread.square(point.values[places] - self.mean[places], float(by_priors[places].sum()))
+            precision[places] = 1.0 / square
+        if self.sigma_is_exact:
+            return replace(point, precision=precision)
+        expected = _TRACKER_M**2 if self.observations.white is None else 1.0
+        freedom = self._degrees_of_freedom(point, by_priors)
+        return replace(point, precision=precision, variance=(point.normal.cost + expected) / (freedom + 1.0))
 
     def step(self, point: _Estimate, damping: float) -> tuple[Array, Array]:
-        b = point.normal.b / point.variance + self.precision * (self.mean - point.values)
+        b = point.normal.b / point.variance + point.precision * (self.mean - point.values)
         unit = 1.0 / point.normal.scale
-        step = damped_step(self._posterior_precision(point, unit, point.variance), unit * b, damping)
+        step = damped_step(_posterior_precision(point, unit, point.variance), unit * b, damping)
         return unit * step, step
 
     def moved(self, point: _Estimate, step: Array) -> _Estimate:
-        return replace(self.estimate(point.values + step, point.weights), variance=point.variance)
+        trial = self._estimate(point.values + step, point.weights, point.precision)
+        return replace(trial, variance=point.variance)
 
     def objective(self, point: _Estimate) -> float:
-        return point.normal.cost / point.variance + float(self.precision @ (point.values - self.mean) ** 2)
+        return point.normal.cost / point.variance + float(point.precision @ (point.values - self.mean) ** 2)
 
     def result(self, minimum: Minimum[_Estimate]) -> Identification:
         point, effects = minimum.point, self.observations.effects
         normal, n = point.normal, self.observations.count
         geometry, effect_values = split_values(self.start, self.parameters, point.values)
-        freedom = self._degrees_of_freedom(point)
+        freedom = self._degrees_of_freedom(point, self._by_priors(point))
         variance = max(normal.cost / freedom, _SMALLEST)
         weighed = 1.0 if self.sigma_is_exact else variance
-        covariance = self._covariance(point, weighed)
+        covariance = _covariance(point, weighed)
         chosen = self._determined(normal.A / weighed) if self.tabulated else self.parameters
         to_table, kept = self._to_table(chosen)
         in_table = to_table @ covariance @ to_table.T
@@ -436,21 +463,26 @@ class _Problem:
             matrix[:k, [place[column] for column in chosen.dropped]] = chosen.shares
         return matrix, kept
 
-    def _degrees_of_freedom(self, point: _Estimate) -> float:
-        """Measured coordinates less the parameters that they, and not the priors, determine."""
+    def _by_priors(self, point: _Estimate) -> Array:
+        """Share (k,) of each parameter that its prior, and not the readings, determines."""
+        if not point.precision.any():
+            return point.precision
+        return np.asarray(point.precision * np.diag(_covariance(point, point.variance)))
+
+    def _degrees_of_freedom(self, point: _Estimate, by_priors: Array) -> float:
+        """Measured coordinates less the parameters that they determine."""
         n = self.observations.count if point.weights is None else int(np.count_nonzero(point.weights > _LEAST_WEIGHT))
-        by_priors = 0.0
-        if self.precision.any():
-            by_priors = float(self.precision @ np.diag(self._covariance(point, point.variance)))
-        return max(1.0, 3 * n - len(self.precision) + by_priors)
+        return max(1.0, 3 * n - len(by_priors) + float(by_priors.sum()))
 
-    def _covariance(self, point: _Estimate, variance: float) -> Array:
-        """Covariance (K + m, K + m): the readings' part is scaled by their ``variance``, the priors are not."""
-        unit = 1.0 / point.normal.scale
-        return inverse_psd(self._posterior_precision(point, unit, variance)) * unit * unit[:, None]
 
-    def _posterior_precision(self, point: _Estimate, unit: Array, variance: float) -> Array:
-        """Precision (K + m, K + m) of the parameters, each divided by its ``unit``."""
-        H = point.normal.A * (unit * unit[:, None] / variance)
-        H.flat[:: len(H) + 1] += self.precision * unit**2
-        return H
+def _covariance(point: _Estimate, variance: float) -> Array:
+    """Covariance (k, k) of all values: the readings' part is scaled by their ``variance``, the priors are not."""
+    unit = 1.0 / point.normal.scale
+    return inverse_psd(_posterior_precision(point, unit, variance)) * unit * unit[:, None]
+
+
+def _posterior_precision(point: _Estimate, unit: Array, variance: float) -> Array:
+    """Precision (k, k) of the parameters, each divided by its ``unit``."""
+    H = point.normal.A * (unit * unit[:, None] / variance)
+    H.flat[:: len(H) + 1] += point.precision * unit**2
+    return H

@@ -8,7 +8,7 @@ data sets determine all of them: some act exactly like others, some too weakly t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Literal
@@ -30,6 +30,11 @@ _WEAK_PRIOR = {"m": 3e-3, "rad": 5e-3}
 """Standard deviation of the arm's own parameters about the published ones where the profile states none: three to ten
 times what calibrations of industrial arms find (0.3 to 1 mm, 0.5 to 2 mrad). It bounds what the data do not determine,
 and leaves no trace in what they do."""
+_TYPICAL = {"m": 0.5e-3, "rad": 1e-3}
+"""Standard deviation that calibrations of industrial arms typically find."""
+_TYPICAL_COUNT = 2.0
+"""Number of parameters of typical size that are added to those of the arm in the estimate of their spread: enough that
+it has a value where the data determine few of them."""
 _UNKNOWN = {"m": 0.1, "rad": 0.1}
 """Stands in for the prior of base and tool, which have none, in the judgement whether the data determine them: a first
 guess by eye is that good."""
@@ -259,6 +264,33 @@ def auto_set(geometry: Geometry, q: Array, noise_m: float = EXPECTED_SCATTER_M) 
     estimated, priors = estimated_parameters("auto", geometry, {})
     _, J = jacobian(geometry, JointAngles.of(q), estimated.columns)
     return determined_set(estimated, gram_matrix(J) / noise_m**2, prior_sds(estimated, priors))
+
+
+@dataclass(frozen=True)
+class PriorSpread:
+    """Parameters at ``places`` of an estimate whose priors share a standard deviation that nobody stated.
+
+    It is estimated with them, about a ``typical`` one (MacKay, Neural Comput. 4 (1992) 415).
+    """
+
+    places: NDArray[np.intp]
+    typical: float
+
+    def square(self, deviations: Array, by_priors: float) -> float:
+        """Variance from the ``deviations`` (k,) from nominal, of which ``by_priors`` numbers follow from the priors."""
+        determined = len(deviations) - by_priors
+        return (float(deviations @ deviations) + _TYPICAL_COUNT * self.typical**2) / (determined + _TYPICAL_COUNT)
+
+
+def prior_spreads(parameters: ParameterSet, free: Collection[str]) -> tuple[PriorSpread, ...]:
+    """The lengths and the angles of a set among the parameters ``free``, whose priors nobody stated."""
+    groups = []
+    for unit, typical in _TYPICAL.items():
+        pairs = enumerate(zip(parameters.names, parameters.units, strict=True))
+        places = [place for place, (name, its_unit) in pairs if name in free and its_unit == unit]
+        if places:
+            groups.append(PriorSpread(np.array(places, dtype=np.intp), typical))
+    return tuple(groups)
 
 
 def prior_sds(parameters: ParameterSet, sigma: Mapping[str, float]) -> Array:
