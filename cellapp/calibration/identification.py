@@ -383,7 +383,7 @@ class _Problem:
             point = replace(self._estimate(point.values, weights, point.precision), variance=point.variance)
         # Priors are weighed against the present scatter of the readings. Far from the solution, where the scatter is
         # large, they dominate; near it they only determine what the readings do not.
-        if not point.precision.any():
+        if not point.precision.any() or (self.sigma_is_exact and not self.spreads):
             return point
         by_priors = self._by_priors(point)
         precision = point.precision.copy()
@@ -414,10 +414,11 @@ class _Problem:
         point, effects = minimum.point, self.observations.effects
         normal, n = point.normal, self.observations.count
         geometry, effect_values = split_values(self.start, self.parameters, point.values)
-        freedom = self._degrees_of_freedom(point, self._by_priors(point))
+        before = _covariance(point, point.variance)
+        freedom = self._degrees_of_freedom(point, point.precision * np.diag(before))
         variance = max(normal.cost / freedom, _SMALLEST)
         weighed = 1.0 if self.sigma_is_exact else variance
-        covariance = _covariance(point, weighed)
+        covariance = before if weighed == point.variance else _covariance(point, weighed)
         chosen = self._determined(normal.A / weighed) if self.tabulated else self.parameters
         to_table, kept = self._to_table(chosen)
         in_table = to_table @ covariance @ to_table.T
