@@ -11,7 +11,6 @@ import numpy as np
 from cellapp.calibration.calibrate import ArmCalibration, calibrate_arm, train_arm
 from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.discovery.discover import discover_arm
-from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.profile import Profile
@@ -83,16 +82,6 @@ class DrawTask:
         return draw_rows(self.entrant, self.rows, self.seed, self.learnable)
 
 
-def predictive_sd(model: ArmModel, learned: Readings, conditions: MeasurementConditions, q: Array) -> Array:
-    """Standard deviation (n,) [m] of a measured coordinate at ``q`` (n, N) [rad], as discovery states it.
-
-    The uncertainty of the model, and noise of the size of what the model leaves of the readings it learned from;
-    ``conditions`` are those of these readings.
-    """
-    left = learned.p_M - model.predict(learned.q, conditions=conditions)
-    return np.asarray(np.hypot(model.uncertainty(q), np.sqrt(np.mean(left**2))))
-
-
 def run_draw(task: DrawTask) -> LeagueDraw:
     """Learn from the drawn rows, and judge on the held-out ones. Raises ``InputError`` as ``drawn`` does."""
     entrant, rows = task.entrant, task.drawn()
@@ -111,8 +100,7 @@ def run_draw(task: DrawTask) -> LeagueDraw:
         for name, model in (("geometry", arm.model), ("network", network), ("discovery", found.model))
         if model is not None
     }
-    learned = readings.take(rows.learned)
-    sd = predictive_sd(found.model, learned, conditions.take(rows.learned), readings.q)
+    sd = found.model.measured_uncertainty(readings.q, conditions)
     return LeagueDraw(
         series=entrant.name,
         rows=task.rows,
