@@ -40,12 +40,14 @@ from cellapp.reporting.tables import (
 from cellapp.results import (
     CALIBRATE,
     VERIFY,
+    ArmOrder,
     CalibrateResult,
     DiscoverResult,
     Picture,
     VerifyResult,
 )
 from cellapp.run import RunFile
+from cellapp.run.in_order import write_in_order
 from cellapp.run.stages import CALIBRATION_FILE, append_stage, basis_of, read_results, read_stages
 from tests.reporting.cases import discovery, nothing_missing, unknown_effect
 from tests.reporting.parsed_page import NOON, Page, page_of
@@ -232,6 +234,15 @@ def test_inter_base_transform_by_either_way(whole: RunFile, whole_page: Page) ->
             for value in (estimate.value, estimate.standard_error, estimate.by_tracker):
                 assert value is not None
                 assert f"{value * factor:.5f}" in whole_page.texts
+
+
+def test_provenance_says_what_was_derived_from_the_order_of_the_readings(single: RunFile, single_text: str) -> None:
+    assert "Order of measurement" not in Page(single_text).text
+    write_in_order(single, {"only": ArmOrder(by="rows", approach=7, step=8)})
+    assert (
+        "arm only: measured in the order of the rows; 7 approach signs and 8 steps"
+        in Page(page_text(single, NOON)).text
+    )
 
 
 def test_provenance_names_its_files_by_their_hashes(whole: RunFile, whole_page: Page) -> None:

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.calibration.calibrate import ArmCalibration, calibrate_arm, train_arm
+from cellapp.calibration.calibrate import calibrate_arm, train_arm
 from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.discovery.discover import discover_arm
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
-from cellapp.profile import Profile
 from cellapp.results import Record
 from cellapp.run import Readings
 from cellapp.trials.league.series import DrawnRows, Entrant, Group, Rows, draw_rows
@@ -30,7 +29,8 @@ class HeldOutScore(Record):
     n : int
         Held-out rows.
     geometry_mm, network_mm, discovery_mm : float
-        Mean position error; of the residual network None where it was not asked for or not trained.
+        Mean position error. That of the residual network is None where it was not asked for, and that of geometry
+        alone where its folds chose no network.
     within_95 : float
         Share of the measured coordinates within the 95 % interval that discovery states for them.
     """
@@ -94,7 +94,7 @@ def run_draw(task: DrawTask) -> LeagueDraw:
     began = time.perf_counter()
     found = discover_arm(profile, entrant.arm, arm.model, readings, conditions=conditions)
     seconds = time.perf_counter() - began
-    network = _with_network(profile, arm, readings) if task.network else None
+    network = train_arm(profile, arm, readings).model if task.network else None
     left = {
         name: readings.p_M - model.predict(readings.q, conditions=conditions)
         for name, model in (("geometry", arm.model), ("network", network), ("discovery", found.model))
@@ -114,12 +114,6 @@ def run_draw(task: DrawTask) -> LeagueDraw:
         verdict=found.verdict,
         seconds=seconds,
     )
-
-
-def _with_network(profile: Profile, arm: ArmCalibration, readings: Readings) -> ArmModel | None:
-    """The model with the residual network of ``calibrate``; None where its folds chose none."""
-    model = train_arm(profile, arm, readings).model
-    return None if model.network is None else model
 
 
 def _score(left: Mapping[str, Array], sd: Array) -> HeldOutScore:
