@@ -9,7 +9,12 @@ import typer
 
 from cellapp.cli.job import Job
 from cellapp.cli.options import JsonOption, ProfilePath
-from cellapp.errors import CellappError, CheckFailed, InputError
+from cellapp.cli.trial_files import check_bars, check_markdown, write_markdown
+from cellapp.errors import CheckFailed
+
+MarkdownFile = Annotated[
+    Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE.")
+]
 
 trials_app = typer.Typer(help="Monte Carlo trials on simulated cells.", no_args_is_help=True)
 
@@ -242,9 +247,7 @@ def judge(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the trials.")],
     jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 2,
     again: Annotated[bool, typer.Option("--again", help="Judge again also what was judged before.")] = False,
-    markdown: Annotated[
-        Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE.")
-    ] = None,
+    markdown: MarkdownFile = None,
     json_file: JsonOption = None,
 ) -> None:
     """Calibrate and discover on every sealed run, then open the truth and compare; continues where it was stopped."""
@@ -252,18 +255,44 @@ def judge(
     from cellapp.trials.tables import judge_markdown, judge_sentences, judge_tables
 
     with Job(json_file) as job:
-        if markdown is not None and not markdown.absolute().parent.is_dir():
-            raise InputError(f"--markdown: {markdown}: folder not found; nothing was done")
+        check_markdown(markdown)
         result = judge_trials(folder, jobs=jobs, again=again, listener=job.listen, cancel=job.control)
         job.show(judge_tables(result))
         job.say(*judge_sentences(result))
         job.result(result)
-        if markdown is not None:
-            try:
-                markdown.write_text(judge_markdown(result), encoding="utf-8")
-            except OSError as error:
-                raise CellappError(f"--markdown: {markdown} cannot be written ({error.strerror})") from None
-        if result.failed:
-            raise CheckFailed(f"{len(result.failed)} runs could not be judged: {'; '.join(result.failed)}")
-        if result.missed:
-            raise CheckFailed(f"bars missed: {'; '.join(f'{one.kind}: {one.target}' for one in result.missed)}")
+        write_markdown(markdown, judge_markdown(result))
+        check_bars(result.failed, result.missed)
+
+
+@trials_app.command("blind-matrix")
+def blind_matrix(
+    profile: ProfilePath,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder with a folder of trials for each cell.")],
+    n: Annotated[int, typer.Option("--n", min=1, help="Runs of each cell.")] = 40,
+    only: Annotated[
+        str, typer.Option("--only", metavar="PATTERN", help="Only cells of such names, as 'other.*' or '*.one'.")
+    ] = "*",
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="Draws everything; left out, secret ones are drawn.")
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 2,
+    markdown: MarkdownFile = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Sealed trials of every kind under many conditions; continues where it was stopped."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.blind_matrix import blind_matrix as run_matrix
+    from cellapp.trials.blind_matrix import matrix_cells
+    from cellapp.trials.tables import matrix_markdown, matrix_sentences, matrix_tables
+
+    with Job(json_file) as job:
+        check_markdown(markdown)
+        cells = matrix_cells(only)
+        result = run_matrix(
+            load_profile(profile), out, n, cells, seed=seed, jobs=jobs, listener=job.listen, cancel=job.control
+        )
+        job.show(matrix_tables(result))
+        job.say(*matrix_sentences(result))
+        job.result(result)
+        write_markdown(markdown, matrix_markdown(result))
+        check_bars(result.failed, result.missed)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cellapp.reporting.table import Cell, Column, Number, Table, number_column
+from cellapp.trials.blind_matrix import MatrixResult
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.campaigns.trial import CampaignsResult
 from cellapp.trials.judge_records import (
     OUTCOMES,
+    THRESHOLD,
     VERDICTS,
     CleanCounts,
     EndState,
@@ -250,13 +252,55 @@ def setup_words(setup: Setup) -> str:
     return ", ".join([*said, *([] if setup.stated else ["no stated uncertainty"])])
 
 
+def matrix_tables(result: MatrixResult) -> list[Table]:
+    """Targets over all cells, stated probabilities, and the bars of each cell."""
+    wanted = [target for target in result.targets if target.bar and target.reached is not None]
+    columns = (
+        Column("cell"),
+        *(Column(f"{target.kind}: {target.target}") for target in wanted),
+        Column("s an arm"),
+    )
+    rows = []
+    for cell in result.cells:
+        reached = {(one.kind, one.target): f"{one.reached} of {one.n}" for one in cell.targets}
+        seconds = cell.seconds_an_arm
+        pace = "" if seconds is None else f"{seconds.median:.1f}, {seconds.max:.1f}"
+        rows.append((cell.name, *(reached.get((one.kind, one.target), "") for one in wanted), pace))
+    title = "Cells of the matrix; seconds for one arm: median, longest"
+    posteriors = [_posterior_table(score) for score in result.posteriors]
+    return [_target_table(result.targets), *posteriors, Table(title, columns, tuple(rows))]
+
+
+def matrix_sentences(result: MatrixResult) -> list[str]:
+    """How the tables came about."""
+    said = [f"Visible: {THRESHOLD}."]
+    if result.seconds_an_arm is not None:
+        pace = result.seconds_an_arm
+        said.append(f"Discovery of one arm: median {pace.median:.1f} s, longest {pace.max:.1f} s.")
+    said += [f"Not judged: {failure}." for failure in result.failed]
+    runs = sum(cell.runs for cell in result.cells)
+    return [
+        *said,
+        f"{result.date}; {result.program}, source {result.source}; {runs} runs in {len(result.cells)} cells.",
+    ]
+
+
+def matrix_markdown(result: MatrixResult) -> str:
+    """The tables of a matrix as Markdown."""
+    return _markdown(matrix_tables(result), matrix_sentences(result))
+
+
 def judge_markdown(result: JudgeResult) -> str:
     """The tables as Markdown; date, seed and program stand at the end."""
+    return _markdown(judge_tables(result), judge_sentences(result))
+
+
+def _markdown(tables: Sequence[Table], sentences: Sequence[str]) -> str:
     parts = []
-    for table in judge_tables(result):
+    for table in tables:
         lines = [f"**{table.title}**", "", _markdown_row(table.headings), "|" + " --- |" * len(table.columns)]
         parts.append("\n".join([*lines, *map(_markdown_row, table.text_rows())]))
-    parts.append(" ".join(judge_sentences(result)))
+    parts.append(" ".join(sentences))
     return "\n\n".join(parts) + "\n"
 
 

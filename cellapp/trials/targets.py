@@ -55,13 +55,13 @@ def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
 
 
 def _outside(outside: Sequence[ScoredRun], flipped: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """What the library lacks, and signs of the wrong convention."""
-    called = [run.findings.unknown for run in outside]
-    described = [run.description == "right" for run in outside]
+    """What the library lacks, and signs of the wrong convention; above the noise only."""
+    called = [run.findings.unknown for run in outside if run.visible]
+    described = [run.description == "right" for run in outside if run.visible]
     said = [run.findings.unknown and bool(run.says_convention) for run in flipped if run.visible]
     return [
-        _at_least("outside", "called unknown", 0.95, called, _OUTSIDE),
-        _at_least("outside", "right channel and variables", 0.85, described, _OUTSIDE),
+        _at_least("outside", "visible: called unknown", 0.95, called, _OUTSIDE),
+        _at_least("outside", "visible: right channel and variables", 0.85, described, _OUTSIDE),
         _at_least("flipped", "visible: called unknown, opposite sign said", 0.95, said, _OUTSIDE),
     ]
 
