@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from cellapp.reporting.table import Cell, Column, Number, Table, number_column
 from cellapp.trials.blind_matrix import MatrixResult
@@ -29,6 +29,22 @@ from cellapp.trials.storm import StormResult
 
 _MM = ".4f"
 _SECONDS = ".3f"
+_CELLS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "Cells: visible effects, exactly named": {
+        "one": ("one", "visible: exactly its name"),
+        "several": ("pair, triple", "visible: exactly their names"),
+        "look-alikes": ("pair", "visible look-alikes: exactly their names"),
+        "second": ("one, pair, triple", "second names"),
+    },
+    "Cells: nothing hidden, laws outside the library, flipped signs": {
+        "false": ("none", "false names, by arm"),
+        "unknown": ("none", "false unknown effects, by arm"),
+        "called": ("outside", "visible: called unknown"),
+        "described": ("outside", "visible: right channel and variables"),
+        "sign": ("flipped", "visible: called unknown, opposite sign said"),
+    },
+}
+"""Tables of the cells: title, headings, and the target (kind, target) under each heading."""
 _END = (Column("held out"), Column("verdicts"))
 
 
@@ -253,22 +269,28 @@ def setup_words(setup: Setup) -> str:
 
 
 def matrix_tables(result: MatrixResult) -> list[Table]:
-    """Targets over all cells, stated probabilities, and the bars of each cell."""
-    wanted = [target for target in result.targets if target.bar and target.reached is not None]
-    columns = (
-        Column("cell"),
-        *(Column(f"{target.kind}: {target.target}") for target in wanted),
-        Column("s an arm"),
-    )
+    """Targets over all cells, stated probabilities, and the shares that each cell reached."""
+    return [
+        _target_table(result.targets),
+        *(_posterior_table(score) for score in result.posteriors),
+        *(_cell_table(title, result, headings) for title, headings in _CELLS.items()),
+    ]
+
+
+def _cell_table(title: str, result: MatrixResult, headings: Mapping[str, tuple[str, str]]) -> Table:
+    """The cells that have one of some targets, each named by kind and target, and the targets that any cell has."""
+    reached = {
+        cell.name: {(one.kind, one.target): f"{one.reached}/{one.n}" for one in cell.targets} for cell in result.cells
+    }
+    used = {heading: target for heading, target in headings.items() if any(target in cell for cell in reached.values())}
     rows = []
     for cell in result.cells:
-        reached = {(one.kind, one.target): f"{one.reached} of {one.n}" for one in cell.targets}
-        seconds = cell.seconds_an_arm
-        pace = "" if seconds is None else f"{seconds.median:.1f}, {seconds.max:.1f}"
-        rows.append((cell.name, *(reached.get((one.kind, one.target), "") for one in wanted), pace))
-    title = "Cells of the matrix; seconds for one arm: median, longest"
-    posteriors = [_posterior_table(score) for score in result.posteriors]
-    return [_target_table(result.targets), *posteriors, Table(title, columns, tuple(rows))]
+        if reached[cell.name].keys() & set(used.values()):
+            pace = cell.seconds_an_arm
+            spent = (None, None) if pace is None else (pace.median, pace.max)
+            rows.append((cell.name, *(reached[cell.name].get(target, "") for target in used.values()), *spent))
+    seconds = number_column("median s", ".1f"), number_column("longest", ".1f")
+    return Table(title, (Column("cell"), *(Column(heading) for heading in used), *seconds), tuple(rows))
 
 
 def matrix_sentences(result: MatrixResult) -> list[str]:
