@@ -12,9 +12,7 @@ from cellapp.calibration.calibrate import calibrate_arm, train_arm
 from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.discovery.discover import discover_arm
 from cellapp.kinematics.transforms import Array
-from cellapp.model import ArmModel
 from cellapp.results import Record
-from cellapp.run import Readings
 from cellapp.trials.league.series import DrawnRows, Entrant, Group, Rows, draw_rows
 
 _TWO_SIDED_95 = 1.959964
