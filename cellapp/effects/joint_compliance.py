@@ -51,7 +51,7 @@ class JointCompliance(Effect):
     title = "joint compliance under gravity"
     meaning = Meaning(
         cause=(
-            "The gears and bearings of {place} twist under the weight that they carry. Strain-wave gears always "
+            "The gear and the bearings of {place} twist under the weight that they carry. Strain-wave gears always "
             "do; a loose bolted joint or a worn gear adds to it."
         ),
         size=(
@@ -133,7 +133,7 @@ class PayloadCompliance(Effect):
     title = "joint compliance under the payload"
     meaning = Meaning(
         cause=(
-            "The gears of {place} twist under the payload alone: the arm's own weight was calibrated away or is "
+            "The gear of {place} twists under the payload alone: the arm's own weight was calibrated away or is "
             "compensated by the controller, the load in the gripper is not."
         ),
         size=(

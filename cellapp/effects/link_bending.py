@@ -73,7 +73,7 @@ class LinkBending(Effect):
             ),
         ),
         settle=(
-            "Put two or three SMRs on {place} itself and measure them stretched and folded.",
+            "Put two or three SMRs on {place} and measure them stretched and folded.",
             "Log the motor-side and the output-side encoder: compliance shows there, bending does not.",
             "Repeat 20 stops with a second payload, near 0 and near the rated load.",
         ),

@@ -38,10 +38,11 @@ class Meaning:
     settle: tuple[str, ...]
 
     def at(self, place: str) -> Meaning:
-        """The same with the place in words, for example ``joints 2 and 3``."""
+        """The same with the place in words, for example ``joints 2 and 3``: texts then speak of ``each of`` them."""
+        one = f"each of {place}" if place.startswith(("joints ", "links ")) else place
 
         def fill(text: str) -> str:
-            filled = text.replace("{place}", place)
+            filled = text.replace("{place}", one)
             return filled[:1].upper() + filled[1:]
 
         return replace(

@@ -63,7 +63,7 @@ class PedestalCompliance(Effect):
         ),
         settle=(
             "Put an SMR in a nest on top of the pedestal and measure it with the arm stretched to four sides.",
-            "Another payload does not help: it loads the joints in the same way.",
+            "Add stops with the arm stretched to all sides; another payload loads the joints alike and does not help.",
         ),
     )
     look_alikes = ("joint_compliance", "link_bending", "transmission_error", "tracker_angle_error")

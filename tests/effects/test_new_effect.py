@@ -80,7 +80,7 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
     assert sags["sag2"] == pytest.approx(TRUE_SAG[1], rel=0.1)
     result = arm_result(discovery)
     assert result.accepted[0].meaning is not None
-    assert result.accepted[0].meaning.cause == "The toy at joints 1 and 2 sags."
+    assert result.accepted[0].meaning.cause == "The toy at each of joints 1 and 2 sags."
     table = accepted_table("left", result)
     assert table is not None
     titles = [column.title for column in table.columns]
