@@ -133,6 +133,13 @@ def import_(
     profile: ProfilePath,
     csv: Annotated[Path, typer.Argument(metavar="CSV", help="Readings; see the README for the columns.")],
     folder: NewRun,
+    in_order: Annotated[
+        bool,
+        typer.Option(
+            "--in-order",
+            help="Rows stand in the order of measurement (with time_s: by time); derive missing approach and step.",
+        ),
+    ] = False,
     json_file: JsonOption = None,
 ) -> None:
     """Make a run from readings that were measured elsewhere."""
@@ -140,7 +147,7 @@ def import_(
     from cellapp.profile import load_profile
 
     with Job(json_file) as job:
-        result = import_new_run(load_profile(profile), csv, folder)
+        result = import_new_run(load_profile(profile), csv, folder, in_order=in_order)
         job.say(*(f"arm {name}: {count} readings" for name, count in result.readings.items()), *result.notes)
         job.result(result)
 

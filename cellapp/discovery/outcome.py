@@ -109,6 +109,8 @@ class Discovery:
     stage : StageErrors
         Held-out errors of that model.
     pictures : tuple of Picture
+    scatter_m : float
+        Standard deviation of a coordinate beyond the stated uncertainty in the final model [m].
     network_mm : BeforeAfter, optional
         Rms correction of a residual network before and after.
     uncertainty_mm : PredictedUncertainty, optional
@@ -139,6 +141,7 @@ class Discovery:
     model: ArmModel
     stage: StageErrors
     pictures: tuple[Picture, ...] = ()
+    scatter_m: float = 0.0
     network_mm: BeforeAfter | None = None
     uncertainty_mm: PredictedUncertainty | None = None
     noise_mm: Noise | None = None

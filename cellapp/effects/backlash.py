@@ -11,6 +11,7 @@ from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.kinematics.transforms import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -25,6 +26,7 @@ TYPICAL_STEP = Constant("step", "rad", FIXED, per_joint=True)
 """Median step of the run, for stops whose step is unknown."""
 CONSTANT = LawForm("constant", "the same after any motion")
 SATURATING = LawForm("saturating", "taken up only by large steps", (WIDTH, TYPICAL_STEP))
+SMALL = LawForm("smooth", "taken up only by large steps, small by prior", (WIDTH, TYPICAL_STEP, AMPLITUDE))
 LOAD = LawForm("load", "in proportion to the load")
 BOTH = LawForm("both", "dry friction, and in proportion to the load")
 
@@ -39,6 +41,9 @@ class Backlash(Effect):
     saturating
         ``dq_j = -h_j s_j tanh(|step_j| / w)``: hysteresis that a small step does not take up; w is searched. An
         unknown step counts as the run's median step of that joint.
+
+    smooth
+        As ``saturating``, each half play small by prior, of either sign.
 
     Size: strain-wave gears are specified in arc minutes of lost motion (sourced), h some 10 to 150 urad; 40 urad are
     25 to 55 um at a UR10's flange. 90 % visible with stops approached from both sides; from one side only it hides in
@@ -73,7 +78,7 @@ class Backlash(Effect):
     )
     look_alikes = ("friction_windup", "unsettled_measurement")
     variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
-    forms = (CONSTANT, SATURATING)
+    forms = (CONSTANT, SATURATING, SMALL)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
@@ -90,9 +95,14 @@ class Backlash(Effect):
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint; zero where the side of approach is unknown."""
         lag = -context.approach
-        if law.form == SATURATING:
+        if law.form != CONSTANT:
             lag = lag * np.tanh(_step_sizes(context, law) / law.constants[WIDTH.name])
-        return [joint_column(f"half_play{j + 1}", "rad", j, lag[:, j], 0.0, _MOST_PLAY) for j in range(context.joints)]
+        columns = [
+            joint_column(f"half_play{j + 1}", "rad", j, lag[:, j], 0.0, _MOST_PLAY) for j in range(context.joints)
+        ]
+        if law.form == SMALL:
+            return [with_prior(column, law.constants[AMPLITUDE.name]) for column in columns]
+        return columns
 
 
 def _step_sizes(context: EffectContext, law: Law) -> Array:

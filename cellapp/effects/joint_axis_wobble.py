@@ -11,11 +11,16 @@ from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.smooth import AMPLITUDE, CYCLES, LENGTH, circle_variances, with_prior
 
 _MOST_TILT = 1e-3
 """Bound of each amplitude [rad]: fifty times what a bearing's runout gives."""
 _WAVES = (("cos", Wave(2, sine=False)), ("sin", Wave(2, sine=True)))
 _AXES = (("x", np.array([1.0, 0.0, 0.0])), ("y", np.array([0.0, 1.0, 0.0])))
+
+
+TWICE = LawForm("", "two cycles a turn")
+SMOOTH = LawForm("smooth", "a free smooth tilt", (AMPLITUDE, LENGTH, CYCLES))
 
 
 class JointAxisWobble(Effect):
@@ -45,10 +50,16 @@ class JointAxisWobble(Effect):
     )
     look_alikes = ("transmission_error",)
     variables = frozenset({DriverVariable.JOINT_ANGLE})
-    forms = (LawForm("", "two cycles a turn"),)
+    forms = (TWICE, SMOOTH)
+
+    def laws(self, context: EffectContext) -> list[Law]:
+        """Two cycles a turn."""
+        return [TWICE.law()]
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """Four columns per joint."""
+        """Cosine and sine of tilts about x and y of each joint."""
+        if law.form == SMOOTH:
+            return _smooth_tilts(context, law)
         columns = []
         for j in range(context.joints):
             waves = [(label, wave, wave(context.q[:, j])[:, None]) for label, wave in _WAVES]
@@ -68,3 +79,28 @@ class JointAxisWobble(Effect):
                     for label, wave, values in waves
                 ]
         return columns
+
+
+def _smooth_tilts(context: EffectContext, law: Law) -> list[EffectColumn]:
+    """Tilts of one cycle a turn and up, with the prior of a smooth function of the joint angle."""
+    cycles = round(law.constants[CYCLES.name])
+    sd = law.constants[AMPLITUDE.name] * np.sqrt(circle_variances(law.constants[LENGTH.name], cycles))
+    columns = []
+    for j in range(context.joints):
+        for letter, axis in _AXES:
+            tilted = context.twist_shift(j, None, axis)
+            for k in range(1, cycles + 1):
+                for label, wave in ((f"cos{k}", Wave(k, sine=False)), (f"sin{k}", Wave(k, sine=True))):
+                    shift_M = tilted * wave(context.q[:, j])[:, None]
+                    column = shift_column(
+                        f"wobble_{letter}{j + 1}_{label}",
+                        "rad",
+                        Channel.AXIS,
+                        shift_M,
+                        -_MOST_TILT,
+                        _MOST_TILT,
+                        index=j,
+                        wave=wave,
+                    )
+                    columns.append(with_prior(column, float(sd[k - 1])))
+    return columns

@@ -39,6 +39,7 @@ from cellapp.results.calibration import (
     Scatter,
 )
 from cellapp.results.collection import (
+    ArmOrder,
     CollectionResult,
     CollectResult,
     ExportResult,
@@ -131,6 +132,7 @@ __all__ = [
     "AcceptedEffect",
     "ArmCalibrationResult",
     "ArmDiscoveryResult",
+    "ArmOrder",
     "ArmState",
     "ArmVerification",
     "BeforeAfter",
