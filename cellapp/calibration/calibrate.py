@@ -191,8 +191,8 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         bodies=bodies_of(arm),
         up_M=up_in_tracker(profile),
         smr_normal=np.array(arm.smr.normal, dtype=np.float64),
-        identified=identification.names,
-        covariance=identification.covariance,
+        identified=identification.estimated.names,
+        covariance=identification.estimated_covariance,
     )
     stages: dict[Stage, StageErrors] = {
         "nominal": evaluate(held_out.p_M, smr_positions(nominal, held_out.q)),

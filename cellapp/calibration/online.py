@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.calibration.identification import SetName, start_from_nominal
+from cellapp.calibration.identification import start_from_nominal
 from cellapp.calibration.normal_equations import Linearisation, Observations, normal_equations
 from cellapp.calibration.online_model import GROSS, LinearModel, StoredReadings, excess_of, gross_weights
-from cellapp.calibration.parameters import ParameterSet, auto_set, full_set, gram_matrix, paper_set
+from cellapp.calibration.parameters import ParameterSet, SetName, auto_set, full_set, gram_matrix, paper_set
 from cellapp.calibration.weights import RobustName, robust_weights, whitener
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import BASE_NAMES, TOOL_NAMES, Geometry, JointAngles, frame_poses, jacobian

@@ -13,6 +13,8 @@ from cellapp.calibration.parameters import ParameterSet
 from cellapp.calibration.weights import whitener
 from cellapp.discovery.terms import ModelTerms
 from cellapp.effects import EFFECTS, EffectColumn, EffectContext, Law, MeasurementConditions
+from cellapp.effects.modulation import with_modulations
+from cellapp.effects.smooth import with_prior
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.profile import Profile
@@ -30,8 +32,10 @@ class ArmData:
     ----------
     profile, model, readings, known
         ``model`` has geometry only; ``conditions`` are those of the readings.
-    stated, sigma : array, shape (n,) [m] or (n, 3, 3) [m^2], or None
-        Uncertainty that the readings state, and the one that weighs them.
+    stated : array, shape (n,) [m] or (n, 3, 3) [m^2], or None
+        Uncertainty that the readings state.
+    sigma : array, shape (n,) [m] or (n, 3, 3) [m^2]
+        The one that weighs them: stated or estimated, with the scatter beyond it.
     parameter_set : ParameterSet
         Geometric parameters that are fitted.
     true_q : array, shape (n, N), or None
@@ -45,7 +49,7 @@ class ArmData:
     readings: Readings
     conditions: MeasurementConditions
     stated: Array | None
-    sigma: Array | None
+    sigma: Array
     parameter_set: ParameterSet
     true_q: Array | None = None
     cache: dict[tuple[str, str], list[EffectColumn]] = field(default_factory=dict)
@@ -62,7 +66,8 @@ class ArmData:
             max_iterations=1,
         )
         stated = stated_uncertainty(readings)
-        return cls(profile, geometry_only, readings, conditions, stated, stated, found.parameter_set)
+        sigma = np.full(len(readings), found.scale) if stated is None else stated
+        return cls(profile, geometry_only, readings, conditions, stated, sigma, found.parameter_set)
 
     def __len__(self) -> int:
         return len(self.readings)
@@ -89,8 +94,13 @@ class ArmData:
         return [by_name[name] for name in names]
 
     def term_columns(self, terms: ModelTerms) -> tuple[EffectColumn, ...]:
-        """Columns of some terms, one term after the other."""
-        return tuple(column for term in terms for column in self.columns(term.slug, term.law, term.names))
+        """Columns of some terms, one term after the other: of the law, then of its free part."""
+        found: list[EffectColumn] = []
+        for term in terms:
+            columns = with_modulations(self.columns(term.slug, term.law, term.names), term.modulations, self.context)
+            found += columns[: len(term.names)]
+            found += map(with_prior, columns[len(term.names) :], term.modulation_sd)
+        return tuple(found)
 
 
 def whitening(sigma: Array | None, n: int) -> Array:

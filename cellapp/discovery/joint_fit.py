@@ -103,6 +103,17 @@ class JointFit:
         """Whitened columns of a term (m, 3 n)."""
         return self.rows[self.layout.parameters(term)]
 
+    def law_rows(self, term: int) -> Array:
+        """Whitened columns of a term's law (m, 3 n), without those of its free part."""
+        return self.term_rows(term)[: len(self.terms[term].names)]
+
+    def law_misfit(self, term: int) -> float:
+        """Rms displacement by a term's free part over that by its law."""
+        values, size = self.term_values(term), len(self.terms[term].names)
+        by_law = float(np.linalg.norm(values[:size] @ self.law_rows(term)))
+        by_free_part = float(np.linalg.norm(values[size:] @ self.term_rows(term)[size:]))
+        return by_free_part / by_law if by_law > 0.0 else 0.0
+
     def term_values(self, term: int) -> Array:
         """Fitted values of a term's parameters (m,)."""
         return self.identification.effect_values[self.layout.columns(term)]
@@ -154,14 +165,14 @@ class JointFit:
 def fit_terms(data: ArmData, terms: ModelTerms) -> JointFit:
     """Fit geometry and terms to all readings and linearise there."""
     found, columns = _identify(data, terms)
-    layout = TermLayout.of(len(found.parameter_set.columns), [len(term.names) for term in terms])
+    layout = TermLayout.of(len(found.parameter_set.columns), [term.size for term in terms])
     white = whitening(data.sigma, len(data))
     angles = JointAngles.of(data.readings.q)
     _, J = jacobian(found.geometry, angles, found.parameter_set.columns)
     _, by_joint = joint_jacobian(found.geometry, angles)
     by_joint = np.einsum("acn,cjn->ajn", white, by_joint)
     geometric = np.einsum("acn,ckn->kan", white, J).reshape(layout.geometric, -1)
-    return JointFit(
+    fit = JointFit(
         terms=terms,
         layout=layout,
         identification=found,
@@ -173,6 +184,13 @@ def fit_terms(data: ArmData, terms: ModelTerms) -> JointFit:
         precision=_precision(data, found, terms, layout, columns),
         residual=np.einsum("acn,nc->an", white, found.residuals).ravel(),
     )
+    return _with_misfits(fit) if any(term.modulations for term in terms) else fit
+
+
+def _with_misfits(fit: JointFit) -> JointFit:
+    """The fit whose model states how far each law is off."""
+    stated = [replace(effect, law_misfit=fit.law_misfit(number)) for number, effect in enumerate(fit.model.effects)]
+    return replace(fit, model=replace(fit.model, effects=tuple(stated)))
 
 
 def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
@@ -192,8 +210,12 @@ def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
     if smooth is not None:
         return replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter_m))
     if data.stated is None:
-        found, _ = _identify(replace(data, sigma=None), terms)
-        return replace(data, sigma=np.full(len(data), found.scale))
+        for _ in range(_WEIGHING_ROUNDS):
+            found, _ = _identify(data, terms)
+            data = replace(data, sigma=data.sigma * found.scale)
+            if abs(found.scale - 1.0) <= _EXCESS_CHANGE:
+                break
+        return data
     sigma, excess = data.stated, -1.0
     for _ in range(_WEIGHING_ROUNDS):
         found, _ = _identify(replace(data, sigma=sigma), terms)
@@ -288,26 +310,27 @@ def _precision(
 def _fitted_model(
     data: ArmData, found: Identification, terms: ModelTerms, layout: TermLayout, columns: Sequence[EffectColumn]
 ) -> ArmModel:
-    """The arm with the fitted terms; the covariance is kept without the many coefficients of free curves."""
+    """The arm with the fitted terms; the covariance is kept without the many coefficients with priors."""
     fitted = []
     kept = list(range(layout.geometric))
     for number, term in enumerate(terms):
         here = layout.parameters(number)
         bands: dict[int, Array] = {}
         if term.smooth is None:
-            kept += range(here.start, here.stop)
+            kept += range(here.start, here.start + len(term.names))
         else:
             bands = _curve_bands(found.covariance[here, here], columns[layout.columns(number)])
         fitted.append(
             EffectTerm(
                 slug=term.slug,
-                names=term.names,
+                names=(*term.names, *(one.name for one in term.modulations)),
                 values=found.values[here],
                 standard_errors=found.standard_errors[here],
                 units=found.units[here],
                 law=term.law,
                 note=term.note,
                 spread=bands,
+                modulations=term.modulations,
             )
         )
     return replace(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.effects import EffectColumn, Law
+from cellapp.effects.modulation import Modulation
 from cellapp.kinematics.transforms import Array
 
 UNKNOWN = "unknown"
@@ -53,6 +54,10 @@ class ModelTerm:
         Of a smooth free function, whose columns have priors.
     note : str
         Description of a data-driven term.
+    modulations : tuple of Modulation
+        Free part of the law: further columns, after those of the law.
+    modulation_sd : tuple of float
+        Standard deviation of the prior of each of these, in its unit.
     """
 
     slug: str
@@ -60,6 +65,13 @@ class ModelTerm:
     names: tuple[str, ...]
     smooth: Smoothness | None = None
     note: str = ""
+    modulations: tuple[Modulation, ...] = ()
+    modulation_sd: tuple[float, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of its columns: of the law and of its free part."""
+        return len(self.names) + len(self.modulations)
 
     @property
     def is_library_effect(self) -> bool:

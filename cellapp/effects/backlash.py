@@ -8,9 +8,11 @@ import numpy as np
 
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.kinematics.transforms import Array
 
@@ -79,6 +81,11 @@ class Backlash(Effect):
     look_alikes = ("friction_windup", "unsettled_measurement")
     variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
     forms = (CONSTANT, SATURATING, SMALL)
+    free_drivers = (
+        FreeDriver(Quantity.STEP, absolute=True),
+        FreeDriver(Quantity.TORQUE, absolute=True),
+        FreeDriver(Quantity.JOINT_ANGLE),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
@@ -153,6 +160,11 @@ class FrictionWindup(Effect):
         {DriverVariable.APPROACH, DriverVariable.TORQUE, DriverVariable.PAYLOAD, DriverVariable.JOINT_ANGLE}
     )
     forms = (LOAD, BOTH)
+    free_drivers = (
+        FreeDriver(Quantity.TORQUE, absolute=True),
+        FreeDriver(Quantity.STEP, absolute=True),
+        FreeDriver(Quantity.JOINT_ANGLE),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""

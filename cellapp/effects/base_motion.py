@@ -9,9 +9,11 @@ import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.effects.time_functions import (
     FIRST,
@@ -87,6 +89,7 @@ class BaseDrift(Effect):
     look_alikes = ("base_step", "thermal_growth", "joint_drift")
     variables = frozenset({DriverVariable.TIME})
     forms = (LINEAR_FORM, WARM_UP_FORM, QUADRATIC, WANDERING, WANDERING_IN_ORDER)
+    free_drivers = (FreeDriver(Quantity.TIME),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
@@ -143,6 +146,7 @@ class BaseStep(Effect):
     look_alikes = ("base_drift", "thermal_growth", "target_slip", "joint_drift")
     variables = frozenset({DriverVariable.TIME})
     forms = (ONSET_FORM,)
+    free_drivers = (FreeDriver(Quantity.TIME),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times."""

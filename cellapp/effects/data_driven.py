@@ -111,7 +111,8 @@ class Quantity(Enum):
     INCIDENCE = "incidence"
 
 
-_PER_JOINT = frozenset({Quantity.JOINT_ANGLE, Quantity.OTHER_JOINT_ANGLE, Quantity.TORQUE, Quantity.STEP})
+PER_JOINT = frozenset({Quantity.JOINT_ANGLE, Quantity.OTHER_JOINT_ANGLE, Quantity.TORQUE, Quantity.STEP})
+"""Quantities of which there is one per joint."""
 _DRIVERS = {
     Quantity.JOINT_ANGLE: DriverVariable.JOINT_ANGLE,
     Quantity.OTHER_JOINT_ANGLE: DriverVariable.OTHER_ARM,
@@ -272,7 +273,7 @@ def form_named(name: str) -> DataDrivenForm | None:
     """The form of a name in JSON, the one place that reads such names; None if it is not one."""
     first, *rest = name.split("|")
     channel = _channel_named(first)
-    found = [_variable_named(one) for one in rest]
+    found = [variable_named(one) for one in rest]
     drivers = tuple(one for one in found if one is not None)
     if channel is None or not 1 <= len(rest) <= 2 or len(drivers) < len(rest):
         return None
@@ -285,10 +286,11 @@ def _channel_named(name: str) -> DataChannel | None:
     return next((one for one in channels(joints) if one.name == name), None)
 
 
-def _variable_named(name: str) -> Variable | None:
+def variable_named(name: str) -> Variable | None:
+    """The variable of a name such as ``torque2``; None if it is not one."""
     numbered = _NUMBERED.fullmatch(name)
     text, joint = (name, None) if numbered is None else (numbered[1], int(numbered[2]) - 1)
     quantity = next((one for one in Quantity if one.value == text), None)
-    if quantity is None or (quantity in _PER_JOINT) != (joint is not None) or joint == -1:
+    if quantity is None or (quantity in PER_JOINT) != (joint is not None) or joint == -1:
         return None
     return Variable(quantity, joint)

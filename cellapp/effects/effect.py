@@ -15,6 +15,7 @@ from cellapp.effects.column import EffectColumn
 from cellapp.effects.context import EffectContext
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 
 
 class Effect(ABC):
@@ -32,6 +33,8 @@ class Effect(ABC):
     """What it depends on."""
     forms: ClassVar[tuple[LawForm, ...]]
     """All forms of its law, the simplest first."""
+    free_drivers: ClassVar[tuple[FreeDriver, ...]] = ()
+    """What its law may depend on in ways that the law does not describe; empty: the law is taken as exact."""
 
     def missing_data(self, context: EffectContext) -> str:
         """Reason why the data cannot show the effect at all ("no approach signs"); empty if they can."""

@@ -8,9 +8,11 @@ import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, Wave, shift_column
 from cellapp.effects.context import EffectContext
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 from cellapp.effects.smooth import AMPLITUDE, CYCLES, LENGTH, circle_variances, with_prior
 
 _MOST_TILT = 1e-3
@@ -55,6 +57,8 @@ class JointAxisWobble(Effect):
     def laws(self, context: EffectContext) -> list[Law]:
         """Two cycles a turn."""
         return [TWICE.law()]
+
+    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of tilts about x and y of each joint."""

@@ -8,9 +8,11 @@ import numpy as np
 
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.kinematics.transforms import Array
 
@@ -87,6 +89,11 @@ class JointCompliance(Effect):
     look_alikes = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE, FREE_MASSES)
+    free_drivers = (
+        FreeDriver(Quantity.TORQUE),
+        FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.PAYLOAD),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
@@ -166,6 +173,11 @@ class PayloadCompliance(Effect):
     look_alikes = ("joint_compliance", "link_bending")
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
+    free_drivers = (
+        FreeDriver(Quantity.TORQUE),
+        FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.PAYLOAD),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs a payload that varies."""

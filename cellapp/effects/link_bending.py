@@ -9,9 +9,11 @@ import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 from cellapp.kinematics.transforms import Array
 
 _LONG = 0.3
@@ -81,6 +83,11 @@ class LinkBending(Effect):
     look_alikes = ("joint_compliance", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
     forms = (BENDING, TORSION, OWN_WEIGHT, TORSION_OWN_WEIGHT, FREE_WEIGHT)
+    free_drivers = (
+        FreeDriver(Quantity.TORQUE),
+        FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.PAYLOAD),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""

@@ -8,9 +8,11 @@ import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext, varies
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 from cellapp.effects.time_functions import with_default
 from cellapp.kinematics.transforms import Array
 
@@ -69,6 +71,10 @@ class PedestalCompliance(Effect):
     look_alikes = ("joint_compliance", "link_bending", "transmission_error", "tracker_angle_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
     forms = (OWN_ISOTROPIC, OWN_TILT, OWN_PIVOT)
+    free_drivers = (
+        FreeDriver(Quantity.TORQUE),
+        FreeDriver(Quantity.JOINT_ANGLE),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
@@ -131,6 +137,7 @@ class PedestalCoupling(Effect):
     look_alikes = ("base_step", "base_drift")
     variables = frozenset({DriverVariable.OTHER_ARM})
     forms = (OTHER_ISOTROPIC, OTHER_TILT, OTHER_GENERAL)
+    free_drivers = (FreeDriver(Quantity.OTHER_JOINT_ANGLE),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs another arm that moves."""

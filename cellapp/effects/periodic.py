@@ -9,9 +9,11 @@ import numpy as np
 
 from cellapp.effects.column import EffectColumn, Wave, joint_column
 from cellapp.effects.context import EffectContext
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import AMPLITUDE_NAME, FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 from cellapp.effects.smooth import AMPLITUDE, CYCLES, circle_variances, with_prior
 from cellapp.kinematics.transforms import Array
 
@@ -72,6 +74,8 @@ class EncoderEccentricity(Effect):
         """Free amplitudes."""
         return [ONE.law()]
 
+    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
+
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each joint."""
         columns = _waves(context, {j: (1,) for j in range(context.joints)})
@@ -128,6 +132,7 @@ class TransmissionError(Effect):
     look_alikes = ("encoder_eccentricity", "joint_axis_wobble")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
+    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Two cycles; any lines."""

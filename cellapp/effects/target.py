@@ -8,9 +8,11 @@ import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 from cellapp.effects.time_functions import ONSET_FORM, after_onset, missing_for_onset, onset_laws
 
 _MOST_SLIP = 1e-2
@@ -50,6 +52,7 @@ class TargetSlip(Effect):
     look_alikes = ("base_step",)
     variables = frozenset({DriverVariable.TIME})
     forms = (ONSET_FORM,)
+    free_drivers = (FreeDriver(Quantity.TIME),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
@@ -105,6 +108,7 @@ class TargetIncidence(Effect):
     look_alikes = ("tracker_distance_offset",)
     variables = frozenset({DriverVariable.INCIDENCE})
     forms = (RADIAL, LATERAL)
+    free_drivers = (FreeDriver(Quantity.INCIDENCE),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs the SMR viewing direction."""

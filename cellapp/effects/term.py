@@ -11,6 +11,7 @@ import numpy as np
 from cellapp.effects.context import EffectContext
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import Law
+from cellapp.effects.modulation import Modulation, modulation_from_json, modulation_to_json, with_modulations
 from cellapp.kinematics.transforms import Array
 
 
@@ -18,8 +19,10 @@ from cellapp.kinematics.transforms import Array
 class EffectTerm:
     """An accepted effect in a model: its law, and name, value, standard error and unit of each parameter.
 
-    ``note`` describes a data-driven term. ``spread`` is the standard deviation of a free curve [rad] of each joint
-    (from 0) at equal steps of the joint angle from -pi to pi; empty where the standard errors are sufficient.
+    The parameters are those of the law, then those of its free part ``modulations``; ``law_misfit`` is the rms
+    displacement by the free part over that by the law. ``note`` describes a data-driven term. ``spread`` is the
+    standard deviation of a free curve [rad] of each joint (from 0) at equal steps of the joint angle from -pi to pi;
+    empty where the standard errors are sufficient.
     """
 
     slug: str
@@ -30,6 +33,13 @@ class EffectTerm:
     law: Law
     note: str = ""
     spread: Mapping[int, Array] = field(default_factory=dict)
+    modulations: tuple[Modulation, ...] = ()
+    law_misfit: float = 0.0
+
+    @property
+    def law_names(self) -> tuple[str, ...]:
+        """Names of the law's parameters."""
+        return self.names[: len(self.names) - len(self.modulations)]
 
 
 @dataclass(frozen=True)
@@ -44,7 +54,8 @@ def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], con
     """Sum of the displacements of all terms."""
     joints, shift_M = np.zeros(context.q.shape), np.zeros((len(context), 3))
     for term in terms:
-        columns = {c.name: c for c in effects[term.slug].columns(context, term.law, frozenset(term.names))}
+        of_law = effects[term.slug].columns(context, term.law, frozenset(term.law_names))
+        columns = {c.name: c for c in with_modulations(of_law, term.modulations, context)}
         for name, value in zip(term.names, term.values.tolist(), strict=True):
             column = columns[name]
             if column.joint is not None:
@@ -57,7 +68,8 @@ def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], con
 
 
 def term_to_json(term: EffectTerm) -> dict[str, Any]:
-    """A term for JSON: slug, law and its constants, parameters, note and spread; joints count from 1."""
+    """A term for JSON: slug, law, constants, parameters, note, spread, and its free part if any; joints from 1."""
+    free = {"modulations": [modulation_to_json(one) for one in term.modulations], "law_misfit": term.law_misfit}
     return {
         "effect": term.slug,
         "law": term.law.name,
@@ -70,6 +82,7 @@ def term_to_json(term: EffectTerm) -> dict[str, Any]:
                 term.names, term.values.tolist(), term.standard_errors.tolist(), term.units, strict=True
             )
         },
+        **(free if term.modulations else {}),
     }
 
 
@@ -79,7 +92,7 @@ def term_from_json(content: Mapping[str, Any], effects: Mapping[str, Effect]) ->
     Raises
     ------
     ValueError
-        If the effect, its law or a constant is unknown, or a constant is missing.
+        If the effect, its law, a constant or a variable is unknown, or a constant is missing.
     """
     law = content.get("law", "")
     if isinstance(law, Mapping):  # discovery's layout: {"name": ..., "constants": {...}}
@@ -99,6 +112,8 @@ def term_from_json(content: Mapping[str, Any], effects: Mapping[str, Effect]) ->
             int(joint) - 1: np.array(values, dtype=np.float64)
             for joint, values in content.get("spread_rad", {}).items()
         },
+        modulations=tuple(modulation_from_json(one) for one in content.get("modulations", ())),
+        law_misfit=float(content.get("law_misfit", 0.0)),
     )
 
 

@@ -8,9 +8,11 @@ import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, joint_column, shift_column
 from cellapp.effects.context import EffectContext, varies
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 from cellapp.effects.time_functions import (
     FIRST,
     LAST,
@@ -111,6 +113,10 @@ class ThermalGrowth(Effect):
     look_alikes = ("base_drift", "joint_drift", "base_step", "tracker_scale")
     variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {DriverVariable.JOINT_ANGLE}
     forms = (AIR, AIR_LINKS, JOINTS, JOINTS_LINKS, CONDUCTION, CONDUCTION_LINKS, WARM_UP, WARM_UP_LINKS)
+    free_drivers = (
+        FreeDriver(Quantity.TIME),
+        FreeDriver(Quantity.TEMPERATURE),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs temperatures or times."""
@@ -248,6 +254,10 @@ class JointDrift(Effect):
     look_alikes = ("base_drift", "thermal_growth", "base_step")
     variables = _OF_TIME | _OF_AIR | _OF_JOINTS
     forms = (LINEAR_FORM, WARM_UP_FORM, ZERO_BY_TEMPERATURE)
+    free_drivers = (
+        FreeDriver(Quantity.TIME),
+        FreeDriver(Quantity.TEMPERATURE),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times or temperatures of the joints."""

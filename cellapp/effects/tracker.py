@@ -8,9 +8,11 @@ import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 
 _ORDERS = (1, 2)
 """Harmonics of the tracker's angles: eccentricity and ovality of its circles."""
@@ -49,6 +51,10 @@ class TrackerScale(Effect):
     look_alikes = ("thermal_growth", "tracker_distance_offset")
     variables = frozenset({DriverVariable.BEAM})
     forms = (LawForm("", "in proportion to the distance"),)
+    free_drivers = (
+        FreeDriver(Quantity.RANGE),
+        FreeDriver(Quantity.TEMPERATURE),
+    )
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column."""
@@ -90,6 +96,7 @@ class TrackerDistanceOffset(Effect):
     look_alikes = ("tracker_angle_error", "pedestal_compliance", "target_incidence")
     variables = frozenset({DriverVariable.BEAM})
     forms = (LawForm("", "the same at any distance"),)
+    free_drivers = (FreeDriver(Quantity.RANGE),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column."""
@@ -127,6 +134,10 @@ class TrackerAngleError(Effect):
     look_alikes = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
     variables = frozenset({DriverVariable.BEAM})
     forms = (LawForm("orders", "one and two cycles a turn of either angle"),)
+    free_drivers = (
+        FreeDriver(Quantity.AZIMUTH),
+        FreeDriver(Quantity.ELEVATION),
+    )
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each order of each angle, a block per order."""

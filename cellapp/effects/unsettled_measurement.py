@@ -8,9 +8,11 @@ import numpy as np
 
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
+from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.modulation import FreeDriver
 from cellapp.effects.time_functions import with_default
 from cellapp.kinematics.transforms import Array
 
@@ -69,6 +71,11 @@ class UnsettledMeasurement(Effect):
     look_alikes = ("backlash", "friction_windup")
     variables = frozenset({DriverVariable.STEP, DriverVariable.DWELL})
     forms = (STEP, CREEP)
+    free_drivers = (
+        FreeDriver(Quantity.STEP, absolute=True),
+        FreeDriver(Quantity.DWELL),
+        FreeDriver(Quantity.JOINT_ANGLE),
+    )
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs the last steps."""

@@ -118,6 +118,6 @@ def refitted_discovery(data: ArmData, discovery: Discovery) -> tuple[ArmData, Jo
 
 
 def _model_term(term: EffectTerm, scatter_m: float) -> ModelTerm:
-    """An accepted term as a term under test; ``scatter_m`` goes with the priors of smooth terms."""
+    """An accepted term, without free part, as a term under test; ``scatter_m`` goes with the priors of smooth terms."""
     smooth = Smoothness(0.0, 0, scatter_m) if term.law.form.is_smooth else None
-    return ModelTerm(term.slug, term.law, term.names, smooth, note=term.note)
+    return ModelTerm(term.slug, term.law, term.law_names, smooth, note=term.note)

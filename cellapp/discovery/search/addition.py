@@ -9,6 +9,7 @@ from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.joint_fit import fit_terms
 from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.search.comparison import floor_reached
+from cellapp.discovery.search.free_part import explains_beside_free_parts
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SearchProblem, SearchState, SearchStep
 from cellapp.discovery.terms import ModelTerm, ModelTerms
@@ -24,6 +25,8 @@ def addition(problem: SearchProblem, state: SearchState, score: LawScore) -> Sea
     residual = state.fit.projected_residual
     possible = within_bounds(state.data, state.fit.terms, residual, score)
     if possible is None or possible.value <= problem.threshold or _is_remainder(state, possible):
+        return None
+    if not explains_beside_free_parts(problem, state, possible):
         return None
     if cross_validated_gain(state.data, state.fit, possible.rows) <= 0.0:
         return None

@@ -62,10 +62,10 @@ def _rest_of_a_law(state: SearchState) -> int | None:
 
 
 def term_score(fit: JointFit, number: int) -> float:
-    """Score of a term with its columns as they are, beside all other terms."""
+    """Score of a term with its law's columns as they are, beside all other terms."""
     term, residual = fit.terms[number], fit.residual_without(number)
     choices = len({column.block for column in fit.term_columns(number)}) if term.law.form == LINES else 1
-    return residual.bic_gain(fit.term_rows(number)) - choice_price(term.law) * choices
+    return residual.bic_gain(fit.law_rows(number)) - choice_price(term.law) * choices
 
 
 def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
@@ -94,5 +94,5 @@ def _explains_beside(problem: SearchProblem, fit: JointFit, number: int, rival: 
     rows = np.concatenate([fit.rows[kept], rival.rows])
     precision = np.concatenate([fit.precision[kept], np.zeros(len(rival.chosen))])
     residual = ProjectedResidual(NuisanceProjector.of(rows, precision), fit.residual_without(number).residual)
-    score = residual.bic_gain(fit.term_rows(number))
+    score = residual.bic_gain(fit.law_rows(number))
     return score > problem.threshold

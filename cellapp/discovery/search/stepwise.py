@@ -17,6 +17,7 @@ from cellapp.discovery.joint_fit import fit_terms, refit, reweighted
 from cellapp.discovery.search.addition import addition
 from cellapp.discovery.search.comparison import best_state, floor_reached
 from cellapp.discovery.search.data_driven import with_data_driven_terms
+from cellapp.discovery.search.free_part import with_free_parts
 from cellapp.discovery.search.refinement import refinement
 from cellapp.discovery.search.review import review, reviewed
 from cellapp.discovery.search.scan import LawScan
@@ -132,18 +133,23 @@ def _reviewed_again(problem: SearchProblem, state: SearchState) -> SearchState:
 def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawScan | None = None) -> SearchState:
     """Add and refine effects of the library while one passes; ``scan`` is that of the first step, if known."""
     refused: set[tuple[str, str]] = set()
-    refining = True
+    refining, freed = True, False
     for _ in range(_MOST_STEPS):
         problem.cancel.check()
         problem.say(f"model with {len(state.fit.terms)} effects")
         step = _next_step(problem, state, scan, refused, refining=refining)
         if step is None:
-            break
+            free = None if freed else with_free_parts(problem, state)
+            if free is None:
+                break
+            # what the laws leave over is out of the way: look once more
+            state, scan, freed = free, None, True
+            continue
         after = apply_step(problem, state, step)
         if step.slug in state.slugs and best_state(problem, [after, state]) is state:
             refining = False  # the refinement was better in the linear scan only
             continue
-        state, scan = after, None
+        state, scan, freed = after, None, False
     return state
 
 

@@ -45,7 +45,7 @@ def _tuned_law(data: ArmData, fit: JointFit, number: int) -> Law:
     """The law of a term with the constants that explain most; the law itself where none explains more."""
     term, residual = fit.terms[number], fit.residual_without(number)
     names = set(term.names)
-    law, explained = term.law, residual.explained(fit.term_rows(number))
+    law, explained = term.law, residual.explained(fit.law_rows(number))
     for shrink in _SHRINKAGE:
         for nearby in law.nearby(data.context, shrink):
             columns = [column for column in data.columns(term.slug, nearby) if column.name in names]
