@@ -50,8 +50,6 @@ class AcceptedEffect:
         Of a data-driven term.
     posterior : float
         Probability that the effect is there, from the evidences of competing sets; NaN where it was not computed.
-    law_misfit : float, optional
-        Rms of the SMR's displacement by its smooth free part over that by the whole effect; None where it has none.
     """
 
     term: EffectTerm
@@ -66,7 +64,11 @@ class AcceptedEffect:
     cycles: Mapping[str, CycleBand] | None = None
     description: Description | None = None
     posterior: float = math.nan
-    law_misfit: float | None = None
+
+    @property
+    def law_misfit(self) -> float | None:
+        """Rms displacement of the SMR by its smooth free part over that by its law; None where it has no free part."""
+        return self.term.law_misfit if self.term.modulations else None
 
     @property
     def answer_set(self) -> tuple[str, ...]:

@@ -102,7 +102,7 @@ def _accepted(effect: outcome.AcceptedEffect) -> AcceptedEffect:
             channel=None if described is None else described.channel,
             variables=None if described is None else described.variables,
         ),
-        parameters={name: Estimate.model_validate(entry) for name, entry in shared["parameters"].items()},
+        parameters={name: Estimate.model_validate(shared["parameters"][name]) for name in term.law_names},
         evidence=Evidence(
             statistic=effect.score,
             corrected_p=effect.p_value,

@@ -17,7 +17,7 @@ _TURN = 360.0
 _UNEVEN = 2.0
 """Ratio of the largest to the smallest standard deviation of a curve from which both are named."""
 _NOTICEABLE_MISFIT = 0.1
-"""Share of a displacement beside its law from which the law is called not quite as expected: below a tenth it is
+"""Displacement beside a law over that by it from which the law is called not quite as expected: below a tenth it is
 hidden by the uncertainty of the masses alone."""
 _NOT_IMPROBABLE = 0.05
 """Probability from which an effect that was not accepted is mentioned."""
@@ -127,8 +127,8 @@ def misfit_words(found: AcceptedEffect) -> str:
     if found.law_misfit is None or found.law_misfit < _NOTICEABLE_MISFIT:
         return ""
     return (
-        f"law not quite as expected: {100.0 * found.law_misfit:.0f} % of the displacement by {found.effect} is in its"
-        " smooth free part"
+        f"law not quite as expected: what {found.effect} moves beside its law is {100.0 * found.law_misfit:.0f} %"
+        " of what the law moves"
     )
 
 

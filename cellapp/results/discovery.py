@@ -111,8 +111,9 @@ class EffectMeaning(Record):
 class AcceptedEffect(Record):
     """An effect that discovery added to the model, with its evidence.
 
-    ``posterior`` is the probability that it is there; None where it was not computed. ``law_misfit`` is the rms of what
-    its smooth free part moves the SMR over the rms of all that the effect moves it, None where it has no free part.
+    ``posterior`` is the probability that it is there; None where it was not computed. ``parameters`` are those of its
+    law. ``law_misfit`` is the rms displacement of the SMR by its smooth free part over that by its law, None where it
+    has no free part.
     """
 
     effect: str

@@ -15,6 +15,8 @@ from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.result import arm_result
 from cellapp.discovery.sentences import contradiction, remaining_structure
 from cellapp.effects import EFFECTS, EffectTerm, registered, term_from_json, term_to_json
+from cellapp.effects.data_driven import Quantity, Variable
+from cellapp.effects.modulation import Modulation
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import ArmModel
 from cellapp.model.nominal import bodies_of, nominal_arm
@@ -92,9 +94,20 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
 def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discovery) -> None:
     structure = remaining_structure({"joints": 0.4, "order": 0.02}, chance=0.01)
     wrong = contradiction("backlash", ("joint 2",), (2,), 31.4, "sign")
+    (accepted,) = discovery.accepted
+    modulation = Modulation(accepted.term.law_names[0], Variable(Quantity.PAYLOAD), 1, low=0.5, high=5.0)
+    free = replace(
+        accepted.term,
+        names=(*accepted.term.law_names, modulation.name),
+        values=np.append(accepted.term.values[: len(accepted.term.law_names)], 1e-6),
+        standard_errors=np.append(accepted.term.standard_errors[: len(accepted.term.law_names)], 1e-7),
+        units=(*accepted.term.units[: len(accepted.term.law_names)], "rad"),
+        modulations=(modulation,),
+        law_misfit=0.12,
+    )
     found = replace(
         discovery,
-        accepted=(replace(discovery.accepted[0], posterior=0.97, law_misfit=0.12),),
+        accepted=(replace(accepted, term=free, posterior=0.97),),
         noise_mm=Noise(rms=0.017, source="estimated"),
         candidates={ToySag.slug: 0.97, "backlash": 0.01},
         structure=structure,
@@ -103,6 +116,7 @@ def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discov
     written = DiscoverResult(arms={"left": arm_result(found)}).to_json()
     arm = DiscoverResult.from_json(written, "here").arms["left"]
     assert (arm.accepted[0].posterior, arm.accepted[0].law_misfit) == (0.97, 0.12)
+    assert tuple(arm.accepted[0].parameters) == accepted.term.law_names, "not those of the free part"
     assert arm.accepted[0].meaning is not None
     assert arm.accepted[0].meaning.check == ("Check the toy.",)
     assert (arm.noise_mm, arm.candidates) == (found.noise_mm, found.candidates)
