@@ -113,10 +113,7 @@ class TransmissionError(Effect):
             "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles a turn, the"
             " wave generator one or two cycles a turn of the motor, the teeth more."
         ),
-        size=(
-            "20 to 80 urad, 13 to 80 um at the flange of a UR10; the cycle counts are published, the size is an "
-            "estimate"
-        ),
+        size="20 to 80 urad, 13 to 80 um at the flange of a UR10; only the cycle counts are published",
         size_source="estimate",
         check=(
             "Compare with earlier runs: a line that grew is wear, plan an exchange of the gear of {place}.",

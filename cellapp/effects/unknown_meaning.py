@@ -15,7 +15,7 @@ UNKNOWN_MEANING = Meaning(
         " field of the workspace or of the tracker's volume."
     ),
     size="No size is known in advance: the report states what was found",
-    size_source="estimate",
+    size_source="none",
     check=(
         "Look at the figure of the term: a jump, a bend or a period often tells where it comes from.",
         "Check what was changed in the cell since the last good run: cables, hoses, tool, mounts, software.",

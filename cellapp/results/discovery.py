@@ -10,7 +10,7 @@ from pydantic import Field
 from cellapp.results.base import Estimate, Method, Record, Result, Stage, StageErrors, Verdict
 from cellapp.results.calibration import PairMethodResult
 
-SizeSource = Literal["sourced", "computed", "estimate"]
+SizeSource = Literal["sourced", "computed", "estimate", "none"]
 StructureKind = Literal["joints", "order", "time", "approach", "position", "tracker"]
 
 
@@ -97,7 +97,7 @@ class EffectMeaning(Record):
     """What an effect means for whoever runs the cell.
 
     ``cause`` is where it comes from, ``size`` how large it usually is and ``size_source`` how well that is known
-    (``sourced``: published, ``computed``: from published data, ``estimate``), ``check`` what to check or mend on the
+    (``sourced``: published, ``computed``: from published data, ``estimate``, ``none``: there is no size), ``check`` what to check or mend on the
     machine, ``settle`` which further stops or observations would settle whether it is there.
     """
 

@@ -130,6 +130,9 @@ def test_what_an_effect_means_stands_in_full() -> None:
         "  more     cellapp docs joint_compliance",
     ):
         assert text in lines
+    arm = unknown_effect("left")
+    twice = arm.model_copy(update={"accepted": (*arm.accepted, arm.accepted[1])})
+    assert meaning_lines(DiscoverResult(arms={"left": twice}))[-2] == "  as joint_compliance above"
     assert meaning_lines(DiscoverResult(arms={"right": nothing_missing("right")})) == []
 
 
