@@ -97,8 +97,9 @@ class EffectMeaning(Record):
     """What an effect means for whoever runs the cell.
 
     ``cause`` is where it comes from, ``size`` how large it usually is and ``size_source`` how well that is known
-    (``sourced``: published, ``computed``: from published data, ``estimate``, ``none``: there is no size), ``check`` what to check or mend on the
-    machine, ``settle`` which further stops or observations would settle whether it is there.
+    (``sourced``: published, ``computed``: from published data, ``estimate``, ``none``: there is no size). ``check`` is
+    what to check or mend on the machine, ``settle`` which further stops or observations would settle whether it is
+    there.
     """
 
     cause: str
