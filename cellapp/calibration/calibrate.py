@@ -12,13 +12,9 @@ from importlib.metadata import version
 import numpy as np
 
 import cellapp
+from cellapp.calibration.arm_identification import identify_with_excess
 from cellapp.calibration.evaluation import evaluate, repeatability
-from cellapp.calibration.identification import (
-    Identification,
-    TooFewReadings,
-    identify_with_excess,
-    start_from_nominal,
-)
+from cellapp.calibration.identification import Identification, TooFewReadings, start_from_nominal
 from cellapp.calibration.network_training import SHAPES, Shape, Training, train_network, training_steps
 from cellapp.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.calibration.splits import draw_splits

@@ -15,10 +15,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.calibration.gauss_newton import Minimum, damped_step, minimise
 from cellapp.calibration.linear import inverse_psd
@@ -39,14 +38,10 @@ from cellapp.calibration.parameters import (
     prior_sds,
     prior_spreads,
 )
-from cellapp.calibration.weights import RobustName, excess_variance, robust_weights, whitener, with_excess
+from cellapp.calibration.weights import RobustName, robust_weights, whitener
 from cellapp.kinematics.chain import Geometry, JointAngles, parameter_names, smr_positions
 from cellapp.kinematics.transforms import Array, register
 
-_EXCESS_ROUNDS = 6
-"""Rounds of identification and excess variance; the variance settles to a percent in two or three."""
-_EXCESS_SETTLED = 0.01
-"""Relative change of the excess variance at which the rounds end: weights then change by less than 1 %."""
 _LEAST_WEIGHT = 1e-3
 """Points with a smaller robust weight do not count as degrees of freedom."""
 _SMALLEST = 1e-300
@@ -72,6 +67,8 @@ class Identification:
         The parameters that were estimated.
     estimated_covariance : array, shape (K + m, K + m)
         Of the estimated parameters, then of the effects: for the uncertainty of predictions.
+    prior_sd : array, shape (K,)
+        Standard deviation of the prior of each estimated parameter, infinite without one.
     parameter_set : ParameterSet
         For the table: the estimated parameters that the data determine, and the others that are merged into them. The
         estimated ones themselves, unless the set is ``auto``.
@@ -107,6 +104,7 @@ class Identification:
     geometry: Geometry
     estimated: ParameterSet
     estimated_covariance: Array = field(repr=False)
+    prior_sd: Array = field(repr=False)
     parameter_set: ParameterSet
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -256,57 +254,6 @@ def identify(
     return problem.result(minimise(problem, problem.at_start(), tolerance=tolerance, max_iterations=max_iterations))
 
 
-def identify_with_excess(
-    start: Geometry,
-    q: Array,
-    p_M: Array,
-    *,
-    sigma: Array | None,
-    parameter_set: SetName | ParameterSet = "auto",
-    prior_sigma: Mapping[str, float] | None = None,
-    robust: RobustName = "none",
-    tolerance: float = 1e-8,
-    max_iterations: int = 50,
-) -> tuple[Identification, float]:
-    """``identify`` with weights that include the scatter beyond the stated uncertainty.
-
-    Unmodelled physics leaves residuals far above the uncertainty of the tracker. Weights from the tracker's uncertainty
-    alone would then let the few readings with the smallest one dominate. The excess variance is estimated from the
-    residuals, added to the stated one, and the identification repeated until it settles. Arguments are those of
-    ``identify``; the mean of the priors is ``start``.
-
-    Returns
-    -------
-    identification : Identification
-        With the iterations and steps of all rounds.
-    excess : float
-        Excess standard deviation of a coordinate [m].
-    """
-    fit = partial(
-        identify,
-        q=q,
-        p_M=p_M,
-        prior_sigma=prior_sigma,
-        prior_mean=start,
-        robust=robust,
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-    )
-    found = fit(start, sigma=sigma, parameter_set=parameter_set)
-    if sigma is None:
-        return found, 0.0
-    tau_squared = 0.0
-    for _ in range(_EXCESS_ROUNDS):
-        before = tau_squared
-        tau_squared = excess_variance(found.residuals, sigma, found.degrees_of_freedom)
-        if abs(tau_squared - before) <= _EXCESS_SETTLED * tau_squared:
-            break
-        earlier = found
-        found = fit(earlier.geometry, sigma=with_excess(sigma, tau_squared), parameter_set=parameter_set)
-        found = replace(found, iterations=earlier.iterations + found.iterations, steps=(*earlier.steps, *found.steps))
-    return found, math.sqrt(tau_squared)
-
-
 def _priors(
     parameters: ParameterSet, effects: EffectColumns | None, sigma: Mapping[str, float], mean: Geometry
 ) -> tuple[Array, Array]:
@@ -370,7 +317,9 @@ class _Problem:
 
     def at_start(self) -> _Estimate:
         values = self.start.vector()[list(self.parameters.columns)]
-        return self._estimate(np.concatenate([values, np.zeros(self.effect_count)]), None, self.precision)
+        effects = self.observations.effects
+        of_effects = np.zeros(self.effect_count) if effects is None or effects.start is None else effects.start
+        return self._estimate(np.concatenate([values, of_effects]), None, self.precision)
 
     def _estimate(self, values: Array, weights: Array | None, precision: Array) -> _Estimate:
         normal = normal_equations(self.start, self.observations, self.parameters, values, weights)
@@ -383,14 +332,15 @@ class _Problem:
             point = replace(self._estimate(point.values, weights, point.precision), variance=point.variance)
         # Priors are weighed against the present scatter of the readings. Far from the solution, where the scatter is
         # large, they dominate; near it they only determine what the readings do not.
-        if not point.precision.any():
+        if not point.precision.any() or (self.sigma_is_exact and not self.spreads):
             return point
         by_priors = self._by_priors(point)
         precision = point.precision.copy()
         for spread in self.spreads:
             places = spread.places
-            square = spread.square(point.values[places] - self.mean[places], float(by_priors[places].sum()))
-            precision[places] = 1.0 / square
+            deviations = point.values[places] - self.mean[places]
+            if deviations.any():  # all are zero at the start
+                precision[places] = 1.0 / spread.square(deviations, float(by_priors[places].sum()))
         if self.sigma_is_exact:
             return replace(point, precision=precision)
         expected = _TRACKER_M**2 if self.observations.white is None else 1.0
@@ -414,12 +364,13 @@ class _Problem:
         point, effects = minimum.point, self.observations.effects
         normal, n = point.normal, self.observations.count
         geometry, effect_values = split_values(self.start, self.parameters, point.values)
-        freedom = self._degrees_of_freedom(point, self._by_priors(point))
+        before = _covariance(point, point.variance)
+        freedom = self._degrees_of_freedom(point, point.precision * np.diag(before))
         variance = max(normal.cost / freedom, _SMALLEST)
         weighed = 1.0 if self.sigma_is_exact else variance
-        covariance = _covariance(point, weighed)
-        chosen = self._determined(normal.A / weighed) if self.tabulated else self.parameters
-        to_table, kept = self._to_table(chosen)
+        covariance = before if weighed == point.variance else _covariance(point, weighed)
+        chosen = self._determined(normal.A / point.variance) if self.tabulated else self.parameters
+        to_table, kept = chosen.from_estimated(self.parameters, self.effect_count)
         in_table = to_table @ covariance @ to_table.T
         gram = normal.gram[kept[:, None], kept]
         scale = parameter_scale(gram, n, chosen)
@@ -427,6 +378,7 @@ class _Problem:
             geometry=geometry,
             estimated=self.parameters,
             estimated_covariance=covariance,
+            prior_sd=_standard_deviations(point.precision[: len(self.parameters.columns)]),
             parameter_set=chosen,
             names=chosen.names + (() if effects is None else effects.names),
             units=chosen.units + (() if effects is None else effects.units),
@@ -453,16 +405,6 @@ class _Problem:
             prior_sd = 1.0 / np.sqrt(self.precision[:size])
         return determined_set(self.parameters, information[:size, :size], prior_sd)
 
-    def _to_table(self, chosen: ParameterSet) -> tuple[Array, NDArray[np.intp]]:
-        """Matrix (k + m, K + m) from deviations of all parameters to those in the table, and the places of these."""
-        count, size, k = len(self.precision), len(self.parameters.columns), len(chosen.columns)
-        place = {column: i for i, column in enumerate(self.parameters.columns)}
-        kept = np.array([*(place[column] for column in chosen.columns), *range(size, count)], dtype=np.intp)
-        matrix = np.eye(count)[kept]
-        if chosen is not self.parameters:
-            matrix[:k, [place[column] for column in chosen.dropped]] = chosen.shares
-        return matrix, kept
-
     def _by_priors(self, point: _Estimate) -> Array:
         """Share (k,) of each parameter that its prior, and not the readings, determines."""
         if not point.precision.any():
@@ -473,6 +415,12 @@ class _Problem:
         """Measured coordinates less the parameters that they determine."""
         n = self.observations.count if point.weights is None else int(np.count_nonzero(point.weights > _LEAST_WEIGHT))
         return max(1.0, 3 * n - len(by_priors) + float(by_priors.sum()))
+
+
+def _standard_deviations(precision: Array) -> Array:
+    """Infinite for a precision of zero."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / np.sqrt(precision))
 
 
 def _covariance(point: _Estimate, variance: float) -> Array:

@@ -38,6 +38,8 @@ class EffectColumns:
     prior_sd : array, shape (m,), optional
         Standard deviation of a zero-mean prior in each parameter's unit, infinite without a prior. Where it is given,
         the stated uncertainty of the readings is taken as exact and is not rescaled by their scatter.
+    start : array, shape (m,), optional
+        Values from which the iteration begins; zero without.
     """
 
     names: tuple[str, ...]
@@ -46,6 +48,7 @@ class EffectColumns:
     offsets: Array
     shifts_M: Array
     prior_sd: Array | None = None
+    start: Array | None = None
 
     def take(self, rows: NDArray[np.intp]) -> EffectColumns:
         """The columns at some of the configurations."""

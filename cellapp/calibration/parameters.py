@@ -43,7 +43,7 @@ _LEAST_INFORMATION = 3.0
 is then at most half of the prior's."""
 _RIDGE = 1e-3
 """Is added to that information, so that exactly dependent columns can be factored."""
-_ROUNDING = 1e-14
+_ROUNDING = 1e-12
 """Share of a column's information that rounding leaves after the elimination of some 30 others."""
 _EXACT = 10.0
 """A column with less information than this many ridges depends on others exactly: to eliminate it changes no other."""
@@ -120,6 +120,19 @@ class ParameterSet:
         """Values (k,) of the parameters that act like ``geometry`` while the dropped ones are ``nominal``."""
         vector, columns, dropped = geometry.vector(), list(self.columns), list(self.dropped)
         return np.asarray(vector[columns] + self.shares @ (vector - nominal.vector())[dropped])
+
+    def from_estimated(self, estimated: ParameterSet, effects: int = 0) -> tuple[Array, NDArray[np.intp]]:
+        """Matrix from deviations of all ``estimated`` parameters to those of this set, and the places of these.
+
+        Both are followed by ``effects`` parameters of effects: the matrix is (k + effects, K + effects).
+        """
+        place = {column: i for i, column in enumerate(estimated.columns)}
+        size, k = len(estimated.columns), len(self.columns)
+        kept = np.array([*(place[column] for column in self.columns), *range(size, size + effects)], dtype=np.intp)
+        matrix = np.eye(size + effects)[kept]
+        if self is not estimated:
+            matrix[:k, [place[column] for column in self.dropped]] = self.shares
+        return matrix, kept
 
 
 @lru_cache(maxsize=64)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -17,8 +18,12 @@ from cellapp.effects.modulation import with_modulations
 from cellapp.effects.smooth import with_prior
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
+from cellapp.model.nominal import prior_sigmas
 from cellapp.profile import Profile
 from cellapp.run import Readings, stated_uncertainty
+
+TOLERANCE = 1e-6
+"""Step [m at arm's length] at which a fit ends: a twentieth of what a tracker resolves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +43,10 @@ class ArmData:
         The one that weighs them: stated or estimated, with the scatter beyond it.
     parameter_set : ParameterSet
         Geometric parameters that are fitted.
+    prior_sigma : mapping
+        Standard deviations of the priors of these [m, rad], about nominal.
+    start : mapping
+        Values of an earlier fit by effect and column, from which the next fit begins.
     true_q : array, shape (n, N), or None
         Joint positions with the offsets of known effects [rad]; None is the controller's positions.
     cache : dict
@@ -51,6 +60,8 @@ class ArmData:
     stated: Array | None
     sigma: Array
     parameter_set: ParameterSet
+    prior_sigma: Mapping[str, float]
+    start: Mapping[tuple[str, str], float] = field(default_factory=dict)
     true_q: Array | None = None
     cache: dict[tuple[str, str], list[EffectColumn]] = field(default_factory=dict)
 
@@ -63,11 +74,15 @@ class ArmData:
             readings.q,
             readings.p_M,
             parameter_set=profile.calibration.parameter_set,
-            max_iterations=1,
+            prior_sigma=prior_sigmas(model.nominal, profile.calibration.priors),
+            prior_mean=model.nominal,
+            tolerance=TOLERANCE,
         )
         stated = stated_uncertainty(readings)
         sigma = np.full(len(readings), found.scale) if stated is None else stated
-        return cls(profile, geometry_only, readings, conditions, stated, sigma, found.parameter_set)
+        sds = dict(zip(found.estimated.names, found.prior_sd.tolist(), strict=True))
+        prior_sigma = {name: sd for name, sd in sds.items() if math.isfinite(sd)}
+        return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, prior_sigma)
 
     def __len__(self) -> int:
         return len(self.readings)
@@ -80,7 +95,12 @@ class ArmData:
     def at(self, model: ArmModel) -> ArmData:
         """The same readings, with effects evaluated at the geometry and the true joint positions of ``model``."""
         true_q = model.true_joints(self.readings.q, conditions=self.conditions) if model.effects else None
-        return replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache={})
+        values = {
+            (term.slug, name): value
+            for term in model.effects
+            for name, value in zip(term.names, term.values.tolist(), strict=True)
+        }
+        return replace(self, model=replace(model, effects=(), network=None), start=values, true_q=true_q, cache={})
 
     def columns(self, slug: str, law: Law, names: Sequence[str] | None = None) -> list[EffectColumn]:
         """Columns of a law, all or those of ``names`` in that order."""

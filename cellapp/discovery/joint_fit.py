@@ -17,7 +17,7 @@ from cellapp.calibration.identification import Identification, identify
 from cellapp.calibration.normal_equations import EffectColumns
 from cellapp.calibration.weights import excess_variance, with_excess
 from cellapp.design.information import NuisanceProjector
-from cellapp.discovery.arm_data import ArmData, whitening
+from cellapp.discovery.arm_data import TOLERANCE, ArmData, whitening
 from cellapp.discovery.candidates import CandidateLaw, whitened_displacements
 from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.terms import ModelTerms, TermLayout, prior_sd, smoothness_of
@@ -25,7 +25,6 @@ from cellapp.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
-from cellapp.model.nominal import prior_sigmas
 
 _WEIGHING_ROUNDS = 3
 """Rounds of fitting and estimating the excess variance at most: the fit depends on its root only, and weakly."""
@@ -244,11 +243,11 @@ def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[E
         data.readings.p_M,
         sigma=data.sigma,
         parameter_set=data.parameter_set,
-        prior_sigma=prior_sigmas(data.model.nominal, settings.priors),
+        prior_sigma=data.prior_sigma,
         prior_mean=data.model.nominal,
         robust=settings.robust,
         effects=_effect_columns(data, terms, columns, order) if columns else None,
-        tolerance=settings.tolerance,
+        tolerance=max(settings.tolerance, TOLERANCE),
         max_iterations=settings.max_iterations,
     )
     return _reordered(found, np.argsort(order)), columns
@@ -273,7 +272,15 @@ def _effect_columns(
         offsets=np.array([column.offset for column in of_joints]).reshape(-1, n),
         shifts_M=np.array([column.shift_M for column in of_smr]).reshape(-1, n, 3).swapaxes(1, 2),
         prior_sd=None if sd is None else sd[order],
+        start=_start_values(data, terms, columns)[order],
     )
+
+
+def _start_values(data: ArmData, terms: ModelTerms, columns: Sequence[EffectColumn]) -> Array:
+    """Values (m,) of an earlier fit; zero for columns that it had not."""
+    slugs = (term.slug for term in terms for _ in range(term.size))
+    pairs = zip(slugs, columns, strict=True)
+    return np.array([data.start.get((slug, column.name), 0.0) for slug, column in pairs])
 
 
 def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identification:
@@ -296,11 +303,9 @@ def _precision(
 ) -> Array:
     """Prior precisions (p,) of all that was fitted; those of the geometry only beside a stated uncertainty."""
     precision = np.zeros(layout.total)
-    if data.sigma is not None:
-        prior_sd_by_name = prior_sigmas(data.model.nominal, data.profile.calibration.priors)
-        for row, name in enumerate(found.names[: layout.geometric]):
-            if name in prior_sd_by_name:
-                precision[row] = 1.0 / prior_sd_by_name[name] ** 2
+    for row, name in enumerate(found.names[: layout.geometric]):
+        if name in data.prior_sigma:
+            precision[row] = 1.0 / data.prior_sigma[name] ** 2
     sd = prior_sd(columns)
     if sd is not None:
         precision[layout.geometric :] = 1.0 / sd**2
