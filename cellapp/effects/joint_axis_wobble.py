@@ -13,7 +13,7 @@ from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
-from cellapp.effects.smooth import AMPLITUDE, CYCLES, LENGTH, circle_variances, with_prior
+from cellapp.effects.smooth import AMPLITUDE, CYCLES, LENGTH, circle_variances
 
 _MOST_TILT = 1e-3
 """Bound of each amplitude [rad]: fifty times what a bearing's runout gives."""
@@ -96,15 +96,17 @@ def _smooth_tilts(context: EffectContext, law: Law) -> list[EffectColumn]:
             for k in range(1, cycles + 1):
                 for label, wave in ((f"cos{k}", Wave(k, sine=False)), (f"sin{k}", Wave(k, sine=True))):
                     shift_M = tilted * wave(context.q[:, j])[:, None]
-                    column = shift_column(
-                        f"wobble_{letter}{j + 1}_{label}",
-                        "rad",
-                        Channel.AXIS,
-                        shift_M,
-                        -_MOST_TILT,
-                        _MOST_TILT,
-                        index=j,
-                        wave=wave,
+                    columns.append(
+                        shift_column(
+                            f"wobble_{letter}{j + 1}_{label}",
+                            "rad",
+                            Channel.AXIS,
+                            shift_M,
+                            -_MOST_TILT,
+                            _MOST_TILT,
+                            index=j,
+                            wave=wave,
+                            prior_sd=float(sd[k - 1]),
+                        )
                     )
-                    columns.append(with_prior(column, float(sd[k - 1])))
     return columns
