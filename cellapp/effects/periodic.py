@@ -80,7 +80,7 @@ class TransmissionError(Effect):
 
     slug = "transmission_error"
     title = "transmission error (two cycles a turn and up)"
-    look_alikes = ("encoder_eccentricity", "joint_axis_wobble")
+    look_alikes = ("encoder_eccentricity", "joint_axis_wobble", "joint_axis_runout")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
     free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from cellapp.effects.backlash import Backlash, FrictionWindup
 from cellapp.effects.base_motion import BaseDrift, BaseStep
 from cellapp.effects.effect import Effect
+from cellapp.effects.joint_axis_runout import JointAxisRunout
 from cellapp.effects.joint_axis_wobble import JointAxisWobble
 from cellapp.effects.joint_compliance import JointCompliance, PayloadCompliance
 from cellapp.effects.link_bending import LinkBending
@@ -45,6 +46,7 @@ EFFECTS: Mapping[str, Effect] = registered(
         FrictionWindup(),
         UnsettledMeasurement(),
         JointAxisWobble(),
+        JointAxisRunout(),
         ThermalGrowth(),
         JointDrift(),
         BaseDrift(),
