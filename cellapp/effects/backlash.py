@@ -9,7 +9,7 @@ import numpy as np
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.data_driven import Quantity
-from cellapp.effects.effect import Effect
+from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.modulation import FreeDriver
 from cellapp.kinematics.transforms import Array
@@ -49,6 +49,10 @@ class Backlash(Effect):
     slug = "backlash"
     title = "backlash or hysteresis of joints"
     look_alikes = ("friction_windup", "unsettled_measurement")
+    impossible = ImpossibleValues(
+        sign="backlash of the opposite sign",
+        sign_check="check the approach convention of the readings",
+    )
     variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
     forms = (CONSTANT, SATURATING)
     free_drivers = (
@@ -104,6 +108,11 @@ class FrictionWindup(Effect):
     slug = "friction_windup"
     title = "friction wind-up of joints"
     look_alikes = ("backlash", "unsettled_measurement")
+    impossible = ImpossibleValues(
+        sign="friction wind-up of the opposite sign",
+        sign_check="check the approach convention of the readings",
+        size_check="check masses",
+    )
     variables = frozenset(
         {DriverVariable.APPROACH, DriverVariable.TORQUE, DriverVariable.PAYLOAD, DriverVariable.JOINT_ANGLE}
     )

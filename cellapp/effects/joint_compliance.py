@@ -9,7 +9,7 @@ import numpy as np
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.data_driven import Quantity
-from cellapp.effects.effect import Effect
+from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.modulation import FreeDriver
 from cellapp.kinematics.transforms import Array
@@ -51,6 +51,11 @@ class JointCompliance(Effect):
     slug = "joint_compliance"
     title = "joint compliance under gravity"
     look_alikes = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
+    impossible = ImpossibleValues(
+        sign="negative stiffness",
+        sign_check="check masses, direction of gravity and mounting",
+        size_check="check masses, direction of gravity and mounting",
+    )
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE)
     free_drivers = (
@@ -110,6 +115,11 @@ class PayloadCompliance(Effect):
     slug = "payload_compliance"
     title = "joint compliance under the payload"
     look_alikes = ("joint_compliance", "link_bending")
+    impossible = ImpossibleValues(
+        sign="negative stiffness under the payload",
+        sign_check="check the payloads of the readings and the direction of gravity",
+        size_check="check the payloads of the readings",
+    )
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
     free_drivers = (

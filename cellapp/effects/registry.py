@@ -36,7 +36,7 @@ def registered(effects: Iterable[Effect]) -> Mapping[str, Effect]:
     return found
 
 
-EFFECTS: Mapping[str, Effect] = registered(
+_LIBRARY: Mapping[str, Effect] = registered(
     (
         JointCompliance(),
         PayloadCompliance(),
@@ -59,6 +59,6 @@ EFFECTS: Mapping[str, Effect] = registered(
         TrackerDistanceOffset(),
         TrackerAngleError(),
         TargetIncidence(),
-        Unknown(),
     )
 )
+EFFECTS: Mapping[str, Effect] = registered((*_LIBRARY.values(), Unknown(_LIBRARY)))

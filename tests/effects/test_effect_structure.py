@@ -71,7 +71,7 @@ def test_an_axis_tilts_with_any_cycles_of_its_joint(joint, letter, axis, cycles)
 
 
 @pytest.mark.parametrize("joint", [1, 4, 6])
-@pytest.mark.parametrize(("letter", "axis"), zip("xyz", EYE, strict=True))
+@pytest.mark.parametrize(("letter", "axis"), list(zip("xyz", EYE, strict=True)))
 @pytest.mark.parametrize("cycles", [1, 2, 5])
 def test_an_axis_shifts_with_its_angle(joint, letter, axis, cycles):
     rotations, _ = CONTEXT.frames

@@ -12,12 +12,14 @@ from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.search.comparison import best_state, floor_reached
+from cellapp.discovery.search.contradiction import with_contradiction
 from cellapp.discovery.search.joint_curves import with_joint_curves
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.discovery.search.tuning import apply_step
 from cellapp.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
 from cellapp.effects import Law
+from cellapp.effects.contradiction import is_contradiction
 from cellapp.effects.data_driven import data_driven_form
 from cellapp.effects.unknown import dictionary, pairs
 
@@ -30,7 +32,7 @@ _LAWS_AT_ONCE = 200
 
 
 def beyond_library(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with data-driven terms, or with free curves of the joints where those are better."""
+    """The state with data-driven terms, free curves, or a law with impossible values, whichever is best."""
     driven = _with_term(problem, state)
     for _ in range(_MOST_TERMS - 1):
         if driven is None or floor_reached(driven):
@@ -40,7 +42,8 @@ def beyond_library(problem: SearchProblem, state: SearchState) -> SearchState | 
             break
         driven = further
     curved = None if driven is not None and floor_reached(driven) else with_joint_curves(problem, state)
-    states = [one for one in (curved, driven) if one is not None]
+    impossible = with_contradiction(problem, state)
+    states = [one for one in (impossible, curved, driven) if one is not None]
     return best_state(problem, states) if states else None
 
 
@@ -65,7 +68,11 @@ def _with_term(problem: SearchProblem, state: SearchState) -> SearchState | None
 def _best_scores(problem: SearchProblem, state: SearchState) -> list[LawScore]:
     """The best law of two variables and of one that pass the threshold, the preferred one first."""
     data, fit = state.data, state.fit
-    taken = {data_driven_form(term.law).subject for term in fit.terms if term.slug == UNKNOWN}
+    taken = {
+        data_driven_form(term.law).subject
+        for term in fit.terms
+        if term.slug == UNKNOWN and not is_contradiction(term.law)
+    }
     one = _best_law(state, [law for law in dictionary(data.context) if data_driven_form(law).subject not in taken])
     of_two = list(pairs(data.context))
     if one is not None:
