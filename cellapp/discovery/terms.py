@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.calibration.curve_prior import MAX_CYCLES, CurvePrior, spectrum_variances
-from cellapp.effects import EffectColumn, Law
+from cellapp.effects import EFFECTS, Effect, EffectColumn, Law
+from cellapp.effects.contradiction import ContradictionForm
 from cellapp.effects.modulation import Modulation
 from cellapp.kinematics.transforms import Array
 
@@ -63,6 +64,13 @@ class ModelTerm:
     def has_prior(self) -> bool:
         """Whether some of its columns have a prior."""
         return self.curves is not None or len(self.modulations) > 0
+
+    @property
+    def effect(self) -> Effect | None:
+        """The effect whose law it has, also where values are impossible; None for what is data-driven."""
+        if isinstance(self.law.form, ContradictionForm):
+            return self.law.form.effect
+        return EFFECTS[self.slug] if self.is_library_effect else None
 
     @property
     def is_library_effect(self) -> bool:

@@ -33,6 +33,9 @@ _LAWS_AT_ONCE = 200
 
 def beyond_library(problem: SearchProblem, state: SearchState) -> SearchState | None:
     """The state with data-driven terms, free curves, or a law with impossible values, whichever is best."""
+    impossible = with_contradiction(problem, state)
+    if impossible is not None and floor_reached(impossible):  # a law of few parameters explains all
+        return impossible
     driven = _with_term(problem, state)
     for _ in range(_MOST_TERMS - 1):
         if driven is None or floor_reached(driven):
@@ -42,7 +45,6 @@ def beyond_library(problem: SearchProblem, state: SearchState) -> SearchState | 
             break
         driven = further
     curved = None if driven is not None and floor_reached(driven) else with_joint_curves(problem, state)
-    impossible = with_contradiction(problem, state)
     states = [one for one in (impossible, curved, driven) if one is not None]
     return best_state(problem, states) if states else None
 
