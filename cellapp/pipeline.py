@@ -60,6 +60,7 @@ from cellapp.results import (
 )
 from cellapp.run import Readings, RunFile, import_csv, write_readings_csv
 from cellapp.run.collected import missing_share, reference_drifts
+from cellapp.run.in_order import read_in_order
 from cellapp.run.stages import (
     CALIBRATION_FILE,
     Basis,
@@ -203,12 +204,13 @@ def _collect(
     )
 
 
-def import_new_run(profile: Profile, csv: Path, folder: Path) -> ImportResult:
-    """Make a new run from readings in a CSV file. Raises as ``import_csv`` does."""
-    with import_csv(profile, csv, folder) as run:
+def import_new_run(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> ImportResult:
+    """Make a new run from readings in a CSV file; ``in_order`` and errors are as in ``import_csv``."""
+    with import_csv(profile, csv, folder, in_order=in_order) as run:
         return ImportResult(
             run=str(folder),
             readings=_counts(run),
+            in_order=read_in_order(run),
             notes=tuple(event.text for event in run.events() if event.level == "note"),
         )
 

@@ -12,13 +12,9 @@ from importlib.metadata import version
 import numpy as np
 
 import cellapp
+from cellapp.calibration.arm_identification import identify_with_excess
 from cellapp.calibration.evaluation import evaluate, repeatability
-from cellapp.calibration.identification import (
-    Identification,
-    TooFewReadings,
-    identify_with_excess,
-    start_from_nominal,
-)
+from cellapp.calibration.identification import Identification, TooFewReadings, start_from_nominal
 from cellapp.calibration.network_training import SHAPES, Shape, Training, train_network, training_steps
 from cellapp.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.calibration.splits import draw_splits
@@ -191,8 +187,8 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         bodies=bodies_of(arm),
         up_M=up_in_tracker(profile),
         smr_normal=np.array(arm.smr.normal, dtype=np.float64),
-        identified=identification.names,
-        covariance=identification.covariance,
+        identified=identification.estimated.names,
+        covariance=identification.estimated_covariance,
     )
     stages: dict[Stage, StageErrors] = {
         "nominal": evaluate(held_out.p_M, smr_positions(nominal, held_out.q)),

@@ -1,7 +1,10 @@
 """Nonlinear least squares: Gauss-Newton steps, damped after a step that made the fit worse.
 
-Undamped steps converge quadratically near the solution; Levenberg-Marquardt damping is added only where one of them
-raises the objective, and taken away again after steps that succeed. Source: Marquardt, J. SIAM 11 (1963) 431.
+Undamped steps converge fast where the residuals are small or the data determine all parameters. Along a direction that
+they hardly determine, residuals of unmodelled physics can bend the objective as much as the Jacobian does; steps then
+shrink slowly, and the secant of the last two takes the place of the missing second derivatives (Anderson, J. ACM 12
+(1965) 547, with one step of memory). Levenberg-Marquardt damping is added only where a step raises the objective, and
+taken away again after steps that succeed. Source: Marquardt, J. SIAM 11 (1963) 431.
 """
 
 from __future__ import annotations
@@ -26,6 +29,8 @@ _ROUNDING = 1e-9
 """A relative rise of the objective by less than this is rounding of its sum, not a worse fit."""
 _NEGLIGIBLE_STEP = 1e-7
 """Steps below 0.1 um (0.1 urad) are not tested: the objective does not resolve them."""
+_SLOW = 0.1
+"""Ratio of a step to the one before from which the secant is used; below, the next step is negligible or nearly so."""
 
 
 class Problem(Protocol[Point]):
@@ -35,8 +40,8 @@ class Problem(Protocol[Point]):
         """The same parameters with weights that follow from the residuals there; the point itself for fixed weights."""
         ...
 
-    def step(self, point: Point, damping: float) -> tuple[Array, float]:
-        """The damped Gauss-Newton step (k,) and its largest component in metres (radians) at the scale of the arm."""
+    def step(self, point: Point, damping: float) -> tuple[Array, Array]:
+        """The damped Gauss-Newton step (k,), and the same in metres (radians) at the scale of the arm (k,)."""
         ...
 
     def moved(self, point: Point, step: Array) -> Point:
@@ -65,22 +70,45 @@ def minimise(problem: Problem[Point], start: Point, *, tolerance: float, max_ite
     """
     point = problem.reweighted(start)
     sizes: list[float] = []
-    damping = 0.0
+    damping, last = 0.0, None
     for _ in range(max_iterations):
-        step, size = problem.step(point, damping)
+        step, scaled = problem.step(point, damping)
+        size = float(np.max(np.abs(scaled)))
         sizes.append(size)
         if size <= tolerance:
             return Minimum(point, tuple(sizes), True, f"converged: the next step is below {tolerance:g}")
-        trial = problem.moved(point, step)
-        worse = problem.objective(trial) > problem.objective(point) * (1.0 + _ROUNDING)
-        if worse and size > _NEGLIGIBLE_STEP:
-            damping = max(_FIRST_DAMPING, 10.0 * damping)
+        tried = [step] if last is None or damping > 0.0 else [*last.secant(step, scaled), step]
+        for taken in tried:
+            trial = problem.moved(point, taken)
+            worse = problem.objective(trial) > problem.objective(point) * (1.0 + _ROUNDING)
+            if not worse or size <= _NEGLIGIBLE_STEP:
+                break
+        else:
+            last, damping = None, max(_FIRST_DAMPING, 10.0 * damping)
             if damping > _MOST_DAMPING:
                 return Minimum(point, tuple(sizes), False, "not converged: no step improves the fit")
             continue
+        last = _Step(step, scaled, taken)
         damping = 0.0 if damping < _NO_DAMPING else damping / 10.0
         point = problem.reweighted(trial)
     return Minimum(point, tuple(sizes), False, f"not converged after {max_iterations} iterations")
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A Gauss-Newton step (k,), the same in metres, and the step that was taken instead."""
+
+    step: Array
+    scaled: Array
+    taken: Array
+
+    def secant(self, step: Array, scaled: Array) -> tuple[Array, ...]:
+        """The next step (k,) if steps change linearly along the one taken; none where they shrink fast anyway."""
+        change = scaled - self.scaled
+        if np.linalg.norm(scaled) < _SLOW * np.linalg.norm(self.scaled) or not change.any():
+            return ()
+        share = float(scaled @ change) / float(change @ change)
+        return (step - share * (self.taken + step - self.step),)
 
 
 def damped_step(A: Array, b: Array, damping: float) -> Array:

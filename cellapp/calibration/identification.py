@@ -1,8 +1,12 @@
 """Identification of one arm's geometry from SMR positions by weighted nonlinear least squares.
 
-    minimise  sum_i w_i |W_i (P_i - f(q_i; g))|^2 + sum_j ((g_j - m_j) / s_j)^2
+    minimise  sum_i w_i |W_i (P_i - f(q_i; g))|^2 / v + sum_j ((g_j - m_j) / s_j)^2
 
-over the geometry g, with whitening W_i, robust weights w_i and Gaussian priors (mean m_j, standard deviation s_j).
+over the geometry g, with whitening W_i, robust weights w_i, Gaussian priors (mean m_j, standard deviation s_j), and the
+variance v of the whitened residuals, which is estimated: ``v = sum_i w_i |W_i r_i|^2 / (3 n - gamma)``, where gamma is
+the number of parameters that the data determine (MacKay, Neural Comput. 4 (1992) 415). All parameters that can have an
+effect are estimated; what the data do not determine stays near nominal. The table states the *determined* ones, at the
+values that they have when the others are nominal and predictions are the same.
 Effects that are linear in their parameters (``EffectColumns``) are identified jointly with the geometry.
 """
 
@@ -11,8 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from typing import Literal
+from functools import cached_property
 
 import numpy as np
 
@@ -20,32 +23,32 @@ from cellapp.calibration.gauss_newton import Minimum, damped_step, minimise
 from cellapp.calibration.linear import inverse_psd
 from cellapp.calibration.normal_equations import (
     EffectColumns,
-    Linearisation,
     NormalEquations,
     Observations,
     normal_equations,
+    parameter_scale,
     split_values,
 )
 from cellapp.calibration.parameters import (
     ParameterSet,
-    candidate_columns,
-    full_set,
-    gram_matrix,
-    identifiable_set,
-    paper_set,
+    PriorSpread,
+    SetName,
+    determined_set,
+    estimated_parameters,
+    prior_sds,
+    prior_spreads,
 )
-from cellapp.calibration.weights import RobustName, excess_variance, robust_weights, whitener, with_excess
-from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, parameter_names, smr_positions
+from cellapp.calibration.weights import RobustName, robust_weights, whitener
+from cellapp.kinematics.chain import Geometry, JointAngles, parameter_names, smr_positions
 from cellapp.kinematics.transforms import Array, register
 
-SetName = Literal["auto", "paper", "full"]
-
-_EXCESS_ROUNDS = 6
-"""Rounds of identification and excess variance; the variance settles to a percent in two or three."""
-_EXCESS_SETTLED = 0.01
-"""Relative change of the excess variance at which the rounds end: weights then change by less than 1 %."""
 _LEAST_WEIGHT = 1e-3
 """Points with a smaller robust weight do not count as degrees of freedom."""
+_SMALLEST = 1e-300
+"""Keeps a variance above zero."""
+_TRACKER_M = 1e-5
+"""Standard deviation of a coordinate from the tracker alone. Where no uncertainty is stated, one coordinate with this
+scatter is added to those that weigh the priors: with few readings, or without noise, these would lose all weight."""
 
 
 class TooFewReadings(ValueError):
@@ -59,12 +62,20 @@ class Identification:
     Attributes
     ----------
     geometry : Geometry
-        With the identified values; parameters outside the set keep those of the start.
+        With all estimated values; parameters outside ``estimated`` keep those of the start.
+    estimated : ParameterSet
+        The parameters that were estimated.
+    estimated_covariance : array, shape (K + m, K + m)
+        Of the estimated parameters, then of the effects: for the uncertainty of predictions.
+    prior_sd : array, shape (K,)
+        Standard deviation of the prior of each estimated parameter, infinite without one.
     parameter_set : ParameterSet
-        Which parameters were identified, and with which the others were merged.
+        For the table: the estimated parameters that the data determine, and the others that are merged into them. The
+        estimated ones themselves, unless the set is ``auto``.
     names, units : tuple of str, length k
-        Of the identified parameters, geometry first, then effects.
+        Of the parameters in the table, geometry first, then effects.
     values, standard_errors : array, shape (k,)
+        A value is that which the parameter has with the merged ones at nominal and the same predictions.
     covariance : array, shape (k, k)
         Of the values, scaled by the scatter of the residuals (``scale``) unless the priors of effects forbid it.
     effect_values : array, shape (m,)
@@ -91,6 +102,9 @@ class Identification:
     """
 
     geometry: Geometry
+    estimated: ParameterSet
+    estimated_covariance: Array = field(repr=False)
+    prior_sd: Array = field(repr=False)
     parameter_set: ParameterSet
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -193,9 +207,10 @@ def identify(
     sigma : array, shape (n,) or (n, 3, 3), optional
         Standard uncertainty of each point [m], or its covariance [m^2]. Equal weights if not given.
     parameter_set : str or ParameterSet
-        ``auto`` (identifiable set, determined once at the start), ``paper``, ``full``, or a given set.
+        ``auto`` (all, with weak priors on those of the arm), ``paper``, ``full``, or a given set.
     prior_sigma : mapping, optional
-        Parameter name -> standard deviation about ``prior_mean``; parameters without an entry are free.
+        Parameter name -> standard deviation about ``prior_mean``. Parameters without an entry are free, unless the set
+        is ``auto``.
     prior_mean : Geometry, optional
         Mean of the priors; the start if not given.
     robust : str
@@ -218,93 +233,32 @@ def identify(
         white=None if sigma is None else whitener(sigma),
         effects=effects,
     )
-    parameters, linearised = _select_parameters(parameter_set, start, observations)
-    precision, mean = _priors(parameters, effects, prior_sigma or {}, prior_mean or start)
-    _check_count(len(q), precision)
-    problem = _Problem(start, observations, parameters, precision, mean, robust)
-    values = np.concatenate([start.vector()[list(parameters.columns)], np.zeros(problem.effect_count)])
-    first = problem.estimate(values, None, linearised)
-    return problem.result(minimise(problem, first, tolerance=tolerance, max_iterations=max_iterations))
-
-
-def identify_with_excess(
-    start: Geometry,
-    q: Array,
-    p_M: Array,
-    *,
-    sigma: Array | None,
-    parameter_set: SetName | ParameterSet = "auto",
-    prior_sigma: Mapping[str, float] | None = None,
-    robust: RobustName = "none",
-    tolerance: float = 1e-8,
-    max_iterations: int = 50,
-) -> tuple[Identification, float]:
-    """``identify`` with weights that include the scatter beyond the stated uncertainty.
-
-    Unmodelled physics leaves residuals far above the uncertainty of the tracker. Weights from the tracker's uncertainty
-    alone would then let the few readings with the smallest one dominate. The excess variance is estimated from the
-    residuals, added to the stated one, and the identification repeated until it settles. Arguments are those of
-    ``identify``; the mean of the priors is ``start``.
-
-    Returns
-    -------
-    identification : Identification
-        With the iterations and steps of all rounds.
-    excess : float
-        Excess standard deviation of a coordinate [m].
-    """
-    fit = partial(
-        identify,
-        q=q,
-        p_M=p_M,
-        prior_sigma=prior_sigma,
-        prior_mean=start,
-        robust=robust,
-        tolerance=tolerance,
-        max_iterations=max_iterations,
+    parameters, priors = (
+        (parameter_set, prior_sigma or {})
+        if isinstance(parameter_set, ParameterSet)
+        else estimated_parameters(parameter_set, start, prior_sigma or {})
     )
-    found = fit(start, sigma=sigma, parameter_set=parameter_set)
-    if sigma is None:
-        return found, 0.0
-    tau_squared = 0.0
-    for _ in range(_EXCESS_ROUNDS):
-        before = tau_squared
-        tau_squared = excess_variance(found.residuals, sigma, found.degrees_of_freedom)
-        if abs(tau_squared - before) <= _EXCESS_SETTLED * tau_squared:
-            break
-        earlier = found
-        found = fit(earlier.geometry, sigma=with_excess(sigma, tau_squared), parameter_set=earlier.parameter_set)
-        found = replace(found, iterations=earlier.iterations + found.iterations, steps=(*earlier.steps, *found.steps))
-    return found, math.sqrt(tau_squared)
-
-
-def _select_parameters(
-    wanted: SetName | ParameterSet, start: Geometry, observations: Observations
-) -> tuple[ParameterSet, Linearisation | None]:
-    """The parameter set and, where it was evaluated for all readings on the way, the linearisation at the start."""
-    if isinstance(wanted, ParameterSet):
-        return wanted, None
-    if wanted == "paper":
-        return paper_set(start), None
-    if wanted == "full":
-        return full_set(start), None
-    candidates = candidate_columns(start)
-    sample = observations.sample()
-    P, J = jacobian(start, sample, candidates)
-    gram = gram_matrix(J)
-    chosen = identifiable_set(start, gram)
-    if len(list(observations.chunks())) > 1 or observations.effects is not None:
-        return chosen, None
-    columns = set(chosen.columns)
-    places = [place for place, column in enumerate(candidates) if column in columns]
-    return chosen, Linearisation(P, J[:, places], gram[places][:, places])
+    precision, mean = _priors(parameters, effects, priors, prior_mean or start)
+    _check_count(len(q), precision)
+    free = set(priors) - set(prior_sigma or {})
+    problem = _Problem(
+        start,
+        observations,
+        parameters,
+        precision,
+        mean,
+        robust,
+        spreads=prior_spreads(parameters, free),
+        tabulated=parameter_set == "auto",
+    )
+    return problem.result(minimise(problem, problem.at_start(), tolerance=tolerance, max_iterations=max_iterations))
 
 
 def _priors(
     parameters: ParameterSet, effects: EffectColumns | None, sigma: Mapping[str, float], mean: Geometry
 ) -> tuple[Array, Array]:
     """Precision of each prior, 0 without one, and their means, both (k,), in the parameters' units."""
-    precision = np.array([1.0 / sigma[name] ** 2 if name in sigma else 0.0 for name in parameters.names])
+    precision = 1.0 / prior_sds(parameters, sigma) ** 2
     of_effects = np.zeros(0 if effects is None else len(effects.names))
     means = np.concatenate([mean.vector()[list(parameters.columns)], of_effects])
     if effects is not None and effects.prior_sd is not None:
@@ -322,7 +276,7 @@ def _check_count(n: int, precision: Array) -> None:
 
 @dataclass(frozen=True)
 class _Estimate:
-    """Parameter values (k,), the normal equations there, and the weights they were made with.
+    """Parameter values (k,), the normal equations there, the weights they were made with, precisions of priors (k,).
 
     ``variance`` multiplies the stated covariance of the readings where it is weighed against the priors.
     """
@@ -330,6 +284,7 @@ class _Estimate:
     values: Array
     normal: NormalEquations
     weights: Array | None
+    precision: Array
     variance: float = 1.0
 
 
@@ -341,8 +296,13 @@ class _Problem:
     observations: Observations
     parameters: ParameterSet
     precision: Array
+    """Of the priors (k,), at the start; zero without one."""
     mean: Array
     robust: RobustName
+    spreads: tuple[PriorSpread, ...]
+    """Priors whose standard deviations are estimated."""
+    tabulated: bool
+    """Whether the table states only what the data determine."""
 
     @property
     def effect_count(self) -> int:
@@ -355,70 +315,122 @@ class _Problem:
         effects = self.observations.effects
         return effects is not None and effects.prior_sd is not None
 
-    def estimate(self, values: Array, weights: Array | None, linearised: Linearisation | None = None) -> _Estimate:
-        normal = normal_equations(self.start, self.observations, self.parameters, values, weights, linearised)
-        return _Estimate(values, normal, weights)
+    def at_start(self) -> _Estimate:
+        values = self.start.vector()[list(self.parameters.columns)]
+        effects = self.observations.effects
+        of_effects = np.zeros(self.effect_count) if effects is None or effects.start is None else effects.start
+        return self._estimate(np.concatenate([values, of_effects]), None, self.precision)
+
+    def _estimate(self, values: Array, weights: Array | None, precision: Array) -> _Estimate:
+        normal = normal_equations(self.start, self.observations, self.parameters, values, weights)
+        return _Estimate(values, normal, weights, precision)
 
     def reweighted(self, point: _Estimate) -> _Estimate:
         if self.robust != "none":
             whitened = self.observations.whiten(point.normal.residuals, 0, self.observations.count)
-            point = self.estimate(point.values, robust_weights(np.linalg.norm(whitened, axis=0), self.robust))
+            weights = robust_weights(np.linalg.norm(whitened, axis=0), self.robust)
+            point = replace(self._estimate(point.values, weights, point.precision), variance=point.variance)
         # Priors are weighed against the present scatter of the readings. Far from the solution, where the scatter is
         # large, they dominate; near it they only determine what the readings do not.
-        if self.precision.any() and not self.sigma_is_exact:
-            point = replace(point, variance=self._residual_variance(point))
-        return point
+        if not point.precision.any() or (self.sigma_is_exact and not self.spreads):
+            return point
+        by_priors = self._by_priors(point)
+        precision = point.precision.copy()
+        for spread in self.spreads:
+            places = spread.places
+            deviations = point.values[places] - self.mean[places]
+            if deviations.any():  # all are zero at the start
+                precision[places] = 1.0 / spread.square(deviations, float(by_priors[places].sum()))
+        if self.sigma_is_exact:
+            return replace(point, precision=precision)
+        expected = _TRACKER_M**2 if self.observations.white is None else 1.0
+        freedom = self._degrees_of_freedom(point, by_priors)
+        return replace(point, precision=precision, variance=(point.normal.cost + expected) / (freedom + 1.0))
 
-    def step(self, point: _Estimate, damping: float) -> tuple[Array, float]:
-        A = point.normal.A / point.variance + np.diag(self.precision)
-        b = point.normal.b / point.variance + self.precision * (self.mean - point.values)
+    def step(self, point: _Estimate, damping: float) -> tuple[Array, Array]:
+        b = point.normal.b / point.variance + point.precision * (self.mean - point.values)
         unit = 1.0 / point.normal.scale
-        step = damped_step(A * unit * unit[:, None], unit * b, damping)
-        return unit * step, float(np.max(np.abs(step)))
+        step = damped_step(_posterior_precision(point, unit, point.variance), unit * b, damping)
+        return unit * step, step
 
     def moved(self, point: _Estimate, step: Array) -> _Estimate:
-        return replace(self.estimate(point.values + step, point.weights), variance=point.variance)
+        trial = self._estimate(point.values + step, point.weights, point.precision)
+        return replace(trial, variance=point.variance)
 
     def objective(self, point: _Estimate) -> float:
-        return point.normal.cost / point.variance + float(self.precision @ (point.values - self.mean) ** 2)
+        return point.normal.cost / point.variance + float(point.precision @ (point.values - self.mean) ** 2)
 
     def result(self, minimum: Minimum[_Estimate]) -> Identification:
         point, effects = minimum.point, self.observations.effects
         normal, n = point.normal, self.observations.count
         geometry, effect_values = split_values(self.start, self.parameters, point.values)
-        covariance = self._covariance(point)
+        before = _covariance(point, point.variance)
+        freedom = self._degrees_of_freedom(point, point.precision * np.diag(before))
+        variance = max(normal.cost / freedom, _SMALLEST)
+        weighed = 1.0 if self.sigma_is_exact else variance
+        covariance = before if weighed == point.variance else _covariance(point, weighed)
+        chosen = self._determined(normal.A / point.variance) if self.tabulated else self.parameters
+        to_table, kept = chosen.from_estimated(self.parameters, self.effect_count)
+        in_table = to_table @ covariance @ to_table.T
+        gram = normal.gram[kept[:, None], kept]
+        scale = parameter_scale(gram, n, chosen)
         return Identification(
             geometry=geometry,
-            parameter_set=self.parameters,
-            names=self.parameters.names + (() if effects is None else effects.names),
-            units=self.parameters.units + (() if effects is None else effects.units),
-            values=point.values,
-            standard_errors=np.sqrt(np.diag(covariance)),
-            covariance=covariance,
+            estimated=self.parameters,
+            estimated_covariance=covariance,
+            prior_sd=_standard_deviations(point.precision[: len(self.parameters.columns)]),
+            parameter_set=chosen,
+            names=chosen.names + (() if effects is None else effects.names),
+            units=chosen.units + (() if effects is None else effects.units),
+            values=self.mean[kept] + to_table @ (point.values - self.mean),
+            standard_errors=np.sqrt(np.diag(in_table)),
+            covariance=in_table,
             effect_values=effect_values,
             iterations=len(minimum.steps),
             converged=minimum.converged,
             message=minimum.message,
-            scale=math.sqrt(self._residual_variance(point)),
-            degrees_of_freedom=self._degrees_of_freedom(point),
+            scale=math.sqrt(variance),
+            degrees_of_freedom=max(1, round(freedom)),
             residuals=normal.residuals.T,
             weights=np.ones(n) if point.weights is None else point.weights,
             steps=minimum.steps,
-            gram=normal.gram / (normal.scale * normal.scale[:, None]) / n,
+            gram=gram / (scale * scale[:, None]) / n,
             configurations=n,
         )
 
-    def _degrees_of_freedom(self, point: _Estimate) -> int:
+    def _determined(self, information: Array) -> ParameterSet:
+        """The estimated parameters of the geometry that readings with ``information`` (K + m, K + m) determine."""
+        size = len(self.parameters.columns)
+        with np.errstate(divide="ignore"):
+            prior_sd = 1.0 / np.sqrt(self.precision[:size])
+        return determined_set(self.parameters, information[:size, :size], prior_sd)
+
+    def _by_priors(self, point: _Estimate) -> Array:
+        """Share (k,) of each parameter that its prior, and not the readings, determines."""
+        if not point.precision.any():
+            return point.precision
+        return np.asarray(point.precision * np.diag(_covariance(point, point.variance)))
+
+    def _degrees_of_freedom(self, point: _Estimate, by_priors: Array) -> float:
+        """Measured coordinates less the parameters that they determine."""
         n = self.observations.count if point.weights is None else int(np.count_nonzero(point.weights > _LEAST_WEIGHT))
-        return max(1, 3 * n - len(self.precision) + int(np.count_nonzero(self.precision)))
+        return max(1.0, 3 * n - len(by_priors) + float(by_priors.sum()))
 
-    def _residual_variance(self, point: _Estimate) -> float:
-        """Chi-square per degree of freedom; without a stated uncertainty, variance of a coordinate [m^2]."""
-        return max(point.normal.cost / self._degrees_of_freedom(point), 1e-300)
 
-    def _covariance(self, point: _Estimate) -> Array:
-        """Covariance (k, k) of the values: the readings' part is scaled by their scatter, the priors are not."""
-        variance = 1.0 if self.sigma_is_exact else self._residual_variance(point)
-        unit = 1.0 / point.normal.scale
-        A = point.normal.A / variance + np.diag(self.precision)
-        return inverse_psd(A * unit * unit[:, None]) * unit * unit[:, None]
+def _standard_deviations(precision: Array) -> Array:
+    """Infinite for a precision of zero."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / np.sqrt(precision))
+
+
+def _covariance(point: _Estimate, variance: float) -> Array:
+    """Covariance (k, k) of all values: the readings' part is scaled by their ``variance``, the priors are not."""
+    unit = 1.0 / point.normal.scale
+    return inverse_psd(_posterior_precision(point, unit, variance)) * unit * unit[:, None]
+
+
+def _posterior_precision(point: _Estimate, unit: Array, variance: float) -> Array:
+    """Precision (k, k) of the parameters, each divided by its ``unit``."""
+    H = point.normal.A * (unit * unit[:, None] / variance)
+    H.flat[:: len(H) + 1] += point.precision * unit**2
+    return H

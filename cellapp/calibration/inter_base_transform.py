@@ -128,9 +128,9 @@ class _Problem:
     def reweighted(self, point: _Estimate) -> _Estimate:
         return point
 
-    def step(self, point: _Estimate, damping: float) -> tuple[Array, float]:
+    def step(self, point: _Estimate, damping: float) -> tuple[Array, Array]:
         step = damped_step(point.J.T @ point.J, point.J.T @ point.residuals, damping)
-        return step, float(np.max(np.abs(step)))
+        return step, step
 
     def moved(self, point: _Estimate, step: Array) -> _Estimate:
         return self.estimate(rotation_from_vector(step[3:]) @ point.rotation, point.translation + step[:3])

@@ -42,6 +42,7 @@ def measurement_conditions(readings: Readings, other: tuple[ArmModel, Readings] 
         step=_with_derived_steps(readings.step, _steps(readings)),
         dwell_s=readings.dwell_s,
         time_s=time_s,
+        order=_order(readings),
         payload_kg=readings.payload_kg,
         air_c=readings.temperature_c,
         joints_c=readings.joint_temperature_c,
@@ -61,6 +62,14 @@ def conditions_of_arms(
         other = (models[others[0]], readings[others[0]]) if len(others) == 1 else None
         found[name] = measurement_conditions(own, other)
     return found
+
+
+def _order(readings: Readings) -> Array | None:
+    """Places (n,) in the order of measurement [stops], by sequence or else by time; None if neither is known of all."""
+    known = readings.time_s if readings.sequence is None else readings.sequence
+    if not len(known) or not np.isfinite(known).all():
+        return None
+    return np.argsort(np.argsort(known, kind="stable")).astype(np.float64)
 
 
 def _with_derived_steps(logged: Array | None, derived: Array | None) -> Array | None:

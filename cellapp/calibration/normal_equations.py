@@ -38,6 +38,8 @@ class EffectColumns:
     prior_sd : array, shape (m,), optional
         Standard deviation of a zero-mean prior in each parameter's unit, infinite without a prior. Where it is given,
         the stated uncertainty of the readings is taken as exact and is not rescaled by their scatter.
+    start : array, shape (m,), optional
+        Values from which the iteration begins; zero without.
     """
 
     names: tuple[str, ...]
@@ -46,6 +48,7 @@ class EffectColumns:
     offsets: Array
     shifts_M: Array
     prior_sd: Array | None = None
+    start: Array | None = None
 
     def take(self, rows: NDArray[np.intp]) -> EffectColumns:
         """The columns at some of the configurations."""
@@ -84,13 +87,6 @@ class Observations:
         """First and one past the last configuration of each chunk."""
         for first in range(0, self.count, _CHUNK):
             yield first, min(first + _CHUNK, self.count)
-
-    def sample(self) -> JointAngles:
-        """Evenly spaced configurations, at most two chunks of them: enough to find the rank of the Jacobian."""
-        stride = max(1, self.count // _CHUNK)
-        if stride == 1:
-            return self.angles
-        return JointAngles(self.angles.cosines[:, ::stride], self.angles.sines[:, ::stride])
 
     def angles_with(self, beta: Array, first: int, last: int) -> JointAngles:
         """Joint positions of a chunk after the effects' offsets."""
@@ -204,7 +200,7 @@ def normal_equations(
             A += gram_matrix(J)
         b += (J @ r[:, :, None]).sum(axis=0)[:, 0]
         cost += float(np.vdot(r, r))
-    scale = _scale(gram, observations.count, parameters)
+    scale = parameter_scale(gram, observations.count, parameters)
     return NormalEquations(gram if unweighted else A, b, gram, cost, scale, residuals)
 
 
@@ -220,8 +216,8 @@ def _linearise(
     return Linearisation(P, J, gram_matrix(J))
 
 
-def _scale(gram: Array, count: int, parameters: ParameterSet) -> Array:
-    """``NormalEquations.scale`` from the Gram matrix; 1 for translations of the geometry."""
+def parameter_scale(gram: Array, count: int, parameters: ParameterSet) -> Array:
+    """``NormalEquations.scale`` from the Gram matrix (k, k); 1 for translations of the geometry."""
     mean_square = np.maximum(np.diag(gram) / count, 1e-30)  # a parameter without effect must not divide by zero
     scale = np.ones(len(gram))
     rotations, size = parameters.rotations, len(parameters.columns)

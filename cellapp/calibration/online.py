@@ -4,9 +4,9 @@ Between renewals the measurement model is linear about one geometry, and a new r
 squares. A renewal linearises all readings again at the present estimate. Renewals follow a growing schedule, and come
 at once where the estimate has left the range in which the linear model holds.
 
-Few readings do not determine all parameters. Weak priors about the nominal arm then do; with many readings they have no
-effect. The weights are those of ``identification.identify_with_excess``: stated covariance plus the excess variance
-that unmodelled physics leaves. A gross error (a wrong target) gets no weight.
+Few readings do not determine all parameters. Priors about the nominal arm then do, as in ``identification``. The
+weights are those of ``arm_identification``: stated covariance plus the excess variance that unmodelled physics leaves.
+A gross error (a wrong target) gets no weight.
 
 Predictions come from a second model with the same geometry and the joints' compliance under gravity. The first model
 is what ``calibrate`` identifies; on a UR10 gravity leaves it residuals of half a millimetre, which hide a loose SMR.
@@ -20,22 +20,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.calibration.identification import SetName, start_from_nominal
+from cellapp.calibration.identification import start_from_nominal
 from cellapp.calibration.normal_equations import Linearisation, Observations, normal_equations
 from cellapp.calibration.online_model import GROSS, LinearModel, StoredReadings, excess_of, gross_weights
-from cellapp.calibration.parameters import ParameterSet, auto_set, full_set, gram_matrix, paper_set
+from cellapp.calibration.parameters import (
+    ParameterSet,
+    SetName,
+    auto_set,
+    estimated_parameters,
+    gram_matrix,
+    prior_sds,
+    prior_spreads,
+    weak_priors,
+)
 from cellapp.calibration.weights import RobustName, robust_weights, whitener
 from cellapp.errors import InputError
-from cellapp.kinematics.chain import BASE_NAMES, TOOL_NAMES, Geometry, JointAngles, frame_poses, jacobian
+from cellapp.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, frame_poses, jacobian
 from cellapp.kinematics.statics import Bodies, gravity_loads
 from cellapp.kinematics.transforms import Array
 from cellapp.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 from cellapp.profile import Profile
 from cellapp.progress import StopReport
 
-_PRIOR = {"m": 10e-3, "rad": 20e-3}
-"""Standard deviation of the arm's own parameters about the nominal ones: ten times what arms of this size show, so that
-a few stops are enough to predict, and 100 stops leave no trace of it."""
 _TOOL_PRIOR_M = 20e-3
 """Standard deviation of the SMR offset: an adapter measured with a ruler."""
 _UNKNOWN_TOOL_PRIOR_M = 0.3
@@ -160,7 +166,7 @@ class OnlineFit:
     parameter_set : str
         ``auto``, ``paper`` or ``full``. Redundant parameters of ``full`` are held by the priors.
     prior_sigma : mapping, optional
-        Parameter -> standard deviation about the nominal one, instead of the weak ones of this module.
+        Parameter -> standard deviation about the nominal one, instead of those of ``estimated_parameters``.
     robust : str
         ``none``, ``huber`` or ``tukey``; these weights are renewed with the linearisation.
     tool_unknown : bool
@@ -191,8 +197,15 @@ class OnlineFit:
         """The newest reading against the model before it; None where there was none."""
         self._nominal, self._tool_unknown, self._robust = nominal, tool_unknown, robust
         typical = replace(nominal, tool=_OFF_AXIS) if tool_unknown else nominal
-        self._parameters = _parameter_set(arm, parameter_set, typical, planned_q)
-        self._precision = _precision(self._parameters, prior_sigma or {}, tool_unknown=tool_unknown)
+        given = prior_sigma or {}
+        try:
+            self._parameters, priors = estimated_parameters(parameter_set, typical, given)
+        except ValueError as error:
+            raise InputError(f"arm '{arm}': calibration.parameter_set: {error}") from None
+        self._table = auto_set(typical, planned_q) if parameter_set == "auto" else self._parameters
+        weak = weak_priors(nominal.joints) | _tool_priors(tool_unknown=tool_unknown)
+        self._precision = 1.0 / prior_sds(self._parameters, weak | dict(priors)) ** 2
+        self._spreads = prior_spreads(self._parameters, set(priors) - set(given))
         self._rows = _Rows(self._parameters, planned_q, gravity)
         self._readings = StoredReadings(nominal.joints)
         self._models: _Models | None = None
@@ -262,15 +275,23 @@ class OnlineFit:
         origin, model = self._models.origin, self._models.geometry
         row = self._rows.at(origin, stop, q)
         residual = p_M - row.P - row.J[:, : len(model.step)] @ model.step
-        errors = np.sqrt(np.maximum(np.diag(model.covariance), 0.0)).tolist()  # rounding may leave less than zero
         mean_square = max(float(np.vdot(self._rows.planned_gram(origin), model.covariance)), 0.0)
         return StopReport(
             stop=stop,
             arm=self.arm,
             residual_mm=1e3 * float(np.linalg.norm(residual)),
             standard_error_mm=1e3 * math.sqrt(mean_square),
-            parameter_errors=dict(zip(self._parameters.names, errors, strict=True)),
+            parameter_errors=self._parameter_errors(model.covariance),
         )
+
+    def _parameter_errors(self, covariance: Array) -> dict[str, float]:
+        """Standard errors of the parameters that the planned stops determine, the others being nominal."""
+        determined = np.isin(self._parameters.columns, self._table.columns)
+        kept, rest = covariance[determined][:, determined], covariance[~determined]
+        by_rest = np.linalg.solve(rest[:, ~determined], rest[:, determined])
+        variances = np.diag(kept) - np.sum(rest[:, determined] * by_rest, axis=0)
+        errors = np.sqrt(np.maximum(variances, 0.0)).tolist()  # rounding may leave less than zero
+        return dict(zip(self._table.names, errors, strict=True))
 
     def _estimate(self, models: _Models) -> Geometry:
         vector = models.origin.vector()
@@ -362,7 +383,11 @@ class OnlineFit:
             variance=weighting.variance,
         )
         model.solve()
-        model.solve()  # with the scatter that the first solution left
+        deviations, by_priors = model.step - model.prior_step, model.precision * np.diag(model.covariance)
+        for spread in self._spreads:
+            square = spread.square(deviations[spread.places], float(by_priors[spread.places].sum()))
+            model.precision[spread.places] = 1.0 / square
+        model.solve()  # with the scatter that the first solution left, and the spread that it found
         return model
 
 
@@ -450,21 +475,6 @@ class _Rows:
         return gravity_loads(frame_poses(origin, q), self._gravity.bodies, self._gravity.up_M).joint_torques()
 
 
-def _parameter_set(arm: str, wanted: SetName, nominal: Geometry, planned_q: Array) -> ParameterSet:
-    try:
-        if wanted == "auto":
-            return auto_set(nominal, planned_q)
-        return paper_set(nominal) if wanted == "paper" else full_set(nominal)
-    except ValueError as error:
-        raise InputError(f"arm '{arm}': calibration.parameter_set: {error}") from None
-
-
-def _precision(parameters: ParameterSet, given: Mapping[str, float], *, tool_unknown: bool) -> Array:
-    """Prior precision (k,) of each parameter: zero for the base, which four points determine."""
-    tool = _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M
-    weak = {name: math.inf for name in BASE_NAMES} | {name: tool for name in TOOL_NAMES}
-    sigma = [
-        given.get(name, weak.get(name, _PRIOR[unit]))
-        for name, unit in zip(parameters.names, parameters.units, strict=True)
-    ]
-    return 1.0 / np.array(sigma) ** 2
+def _tool_priors(*, tool_unknown: bool) -> dict[str, float]:
+    """Standard deviations [m] of the SMR offset. The base has none: four points determine it."""
+    return dict.fromkeys(TOOL_NAMES, _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from cellapp.cli.docs import docs
 from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.motion import asking
 from cellapp.cli.options import AllowMotion, JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
@@ -51,7 +52,7 @@ def run(
     from cellapp.pipeline import run_whole
     from cellapp.profile import load_profile
     from cellapp.reporting.collection_text import collect_lines, other_notes
-    from cellapp.reporting.discovery_text import discovery_lines
+    from cellapp.reporting.discovery_text import discovery_lines, meaning_lines
     from cellapp.reporting.tables import calibration_tables, tracker_sentences, verification_tables
 
     with Job(json_file) as job:
@@ -62,7 +63,7 @@ def run(
         if result.calibrate is not None:
             job.show(calibration_tables(result.calibrate))
         if result.discover is not None:
-            job.say(*discovery_lines(result.discover))
+            job.say(*discovery_lines(result.discover), *meaning_lines(result.discover))
         if result.verify is not None:
             job.show(verification_tables(result.verify))
         if result.calibrate is not None:
@@ -132,6 +133,13 @@ def import_(
     profile: ProfilePath,
     csv: Annotated[Path, typer.Argument(metavar="CSV", help="Readings; see the README for the columns.")],
     folder: NewRun,
+    in_order: Annotated[
+        bool,
+        typer.Option(
+            "--in-order",
+            help="Rows stand in the order of measurement (with time_s: by time); derive missing approach and step.",
+        ),
+    ] = False,
     json_file: JsonOption = None,
 ) -> None:
     """Make a run from readings that were measured elsewhere."""
@@ -139,7 +147,7 @@ def import_(
     from cellapp.profile import load_profile
 
     with Job(json_file) as job:
-        result = import_new_run(load_profile(profile), csv, folder)
+        result = import_new_run(load_profile(profile), csv, folder, in_order=in_order)
         job.say(*(f"arm {name}: {count} readings" for name, count in result.readings.items()), *result.notes)
         job.result(result)
 
@@ -208,7 +216,7 @@ def discover(
 ) -> None:
     """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink."""
     from cellapp.pipeline import discover_run, propose_run
-    from cellapp.reporting.discovery_text import discovery_lines
+    from cellapp.reporting.discovery_text import discovery_lines, meaning_lines
     from cellapp.reporting.proposal import proposal_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
@@ -216,7 +224,7 @@ def discover(
             result = discover_run(opened, job.listen, job.control)
         else:
             result = propose_run(opened, propose, job.listen, job.control)
-        job.say(*discovery_lines(result))
+        job.say(*discovery_lines(result), *meaning_lines(result))
         if result.proposal is not None:
             job.say("", *proposal_lines(result.proposal))
         job.result(result)
@@ -280,7 +288,7 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-for command in (pause, resume, stop, abort, show, schema):
+for command in (pause, resume, stop, abort, show, schema, docs):
     app.command()(command)
 
 

@@ -163,11 +163,11 @@ def _show_parameters(job: Job, results: RunResults) -> None:
 
 def _show_discovery(job: Job, results: RunResults) -> None:
     from cellapp.reporting.discovery_tables import discovery_tables
-    from cellapp.reporting.discovery_text import discovery_lines
+    from cellapp.reporting.discovery_text import discovery_lines, meaning_lines
 
     assert results.discover is not None
     job.show(discovery_tables(results.discover))
-    job.say(*discovery_lines(results.discover))
+    job.say(*discovery_lines(results.discover), *meaning_lines(results.discover))
 
 
 def _show_targets(job: Job, results: RunResults) -> None:

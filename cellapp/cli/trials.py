@@ -1,4 +1,4 @@
-"""``cellapp trials``: trials on simulated cells and emulated devices."""
+"""``cellapp trials``: trials on simulated cells, emulated devices and measured series."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from cellapp.cli.job import Job
 from cellapp.cli.options import JsonOption, ProfilePath
 from cellapp.errors import CellappError, CheckFailed, InputError
 
-trials_app = typer.Typer(help="Monte Carlo trials on simulated cells.", no_args_is_help=True)
+trials_app = typer.Typer(help="Trials on simulated cells, emulated devices and measured series.", no_args_is_help=True)
+
+MarkdownOption = Annotated[
+    Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE.")
+]
 
 
 @trials_app.command("coverage")
@@ -200,21 +204,38 @@ def seal(
         int | None, typer.Option("--seed", min=0, help="Draws everything; left out, a secret one is drawn.")
     ] = None,
     kind: Annotated[
-        str, typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair or mixed.")
+        str, typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple or mixed.")
     ] = "one",
     noise: Annotated[
         str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 urad a joint).")
     ] = "gaussian",
+    laws: Annotated[
+        str, typer.Option("--laws", metavar="LAWS", help="same: shaped as the library's; other: by other shapes.")
+    ] = "same",
+    stops: Annotated[int | None, typer.Option("--stops", help="Stops of each run, instead of the profile's.")] = None,
+    ranges: Annotated[
+        str, typer.Option("--ranges", metavar="RANGES", help="full, or narrow: every joint moves over 10 to 50 deg.")
+    ] = "full",
+    mass_error: Annotated[
+        float, typer.Option("--mass-error", help="Standard deviation of true link masses, relative.")
+    ] = 0.05,
+    unstated: Annotated[bool, typer.Option("--unstated", help="Readings do not state their uncertainty.")] = False,
+    flip_approach: Annotated[
+        bool, typer.Option("--flip-approach", help="Backlash or friction, approach signs by the opposite convention.")
+    ] = False,
     json_file: JsonOption = None,
 ) -> None:
     """Write runs of simulated cells whose hidden effects are stated in a sealed file only."""
     from cellapp.profile import load_profile
     from cellapp.trials.sealed import SEAL_FILE, TRUTH_FILE, seal_trials
+    from cellapp.trials.sealed_setup import Setup
 
     with Job(json_file) as job:
-        result = seal_trials(
-            load_profile(profile), out, n, seed=seed, kind=kind, noise=noise, listener=job.listen, cancel=job.control
-        )
+        setup = Setup(
+            kind=kind, noise=noise, laws=laws, stops=stops, ranges=ranges, mass_error=mass_error,
+            stated=not unstated, flip_approach=flip_approach,
+        )  # fmt: skip
+        result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=job.listen, cancel=job.control)
         job.say(f"{result.runs} runs in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge' only")
         job.say(f"SHA-256 of the truth, also in {out / SEAL_FILE}: {result.sha256}")
         job.result(result)
@@ -225,9 +246,7 @@ def judge(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the trials.")],
     jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 2,
     again: Annotated[bool, typer.Option("--again", help="Judge again also what was judged before.")] = False,
-    markdown: Annotated[
-        Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE.")
-    ] = None,
+    markdown: MarkdownOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Calibrate and discover on every sealed run, then open the truth and compare; continues where it was stopped."""
@@ -235,16 +254,72 @@ def judge(
     from cellapp.trials.tables import judge_markdown, judge_sentences, judge_tables
 
     with Job(json_file) as job:
-        if markdown is not None and not markdown.absolute().parent.is_dir():
-            raise InputError(f"--markdown: {markdown}: folder not found; nothing was done")
+        _check_markdown(markdown)
         result = judge_trials(folder, jobs=jobs, again=again, listener=job.listen, cancel=job.control)
         job.show(judge_tables(result))
         job.say(*judge_sentences(result))
         job.result(result)
-        if markdown is not None:
-            try:
-                markdown.write_text(judge_markdown(result), encoding="utf-8")
-            except OSError as error:
-                raise CellappError(f"--markdown: {markdown} cannot be written ({error.strerror})") from None
+        _write_markdown(markdown, judge_markdown(result))
         if result.failed:
             raise CheckFailed(f"{len(result.failed)} runs could not be judged: {'; '.join(result.failed)}")
+        if result.missed:
+            raise CheckFailed(f"bars missed: {'; '.join(f'{one.kind}: {one.target}' for one in result.missed)}")
+
+
+@trials_app.command("league")
+def league(
+    series: Annotated[str, typer.Option("--series", metavar="LIST", help="Series, separated by commas.")] = "C,D,UR5",
+    rows: Annotated[
+        str, typer.Option("--rows", metavar="LIST", help="Numbers of rows to learn from, separated by commas.")
+    ] = "100,300,all",
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Draws of each.")] = 8,
+    network: Annotated[bool, typer.Option("--network", help="Train the residual networks too; slow.")] = False,
+    curve: Annotated[bool, typer.Option("--curve", help="Also a learning curve of series C.")] = False,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
+    data: Annotated[Path, typer.Option("--data", metavar="DIR", help="Folder of the series.")] = Path("tests/fixtures"),
+    profiles: Annotated[Path, typer.Option("--profiles", metavar="DIR", help="Folder of their profiles.")] = Path(
+        "profiles"
+    ),
+    markdown: MarkdownOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Real robots, measured by others: geometry, network and discovery on rows that were held out, against bars."""
+    from cellapp.reporting.table import markdown as as_markdown
+    from cellapp.trials.league.series import parse_rows
+    from cellapp.trials.league.tables import league_sentences, league_tables
+    from cellapp.trials.league.trial import league_trials
+
+    with Job(json_file) as job:
+        _check_markdown(markdown)
+        result = league_trials(
+            [name.strip() for name in series.split(",")],
+            parse_rows(rows),
+            seeds,
+            data=data,
+            profiles=profiles,
+            network=network,
+            curve=curve,
+            jobs=jobs,
+            listener=job.listen,
+            cancel=job.control,
+        )
+        job.show(league_tables(result))
+        job.say(*league_sentences(result))
+        job.result(result)
+        _write_markdown(markdown, as_markdown(league_tables(result), league_sentences(result)))
+        if result.complaints():
+            raise CheckFailed(f"trials league: {'; '.join(result.complaints())}")
+
+
+def _check_markdown(path: Path | None) -> None:
+    if path is not None and not path.absolute().parent.is_dir():
+        raise InputError(f"--markdown: {path}: folder not found; nothing was done")
+
+
+def _write_markdown(path: Path | None, text: str) -> None:
+    if path is None:
+        return
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CellappError(f"--markdown: {path} cannot be written ({error.strerror})") from None

@@ -12,6 +12,7 @@ from cellapp.collection.reaction import CellStopped, StopCause, StopReaction, ca
 from cellapp.errors import CellappError, InputError
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
+from cellapp.run.in_order import MOVED_RAD
 from cellapp.safety.cell_bodies import home_positions
 from cellapp.safety.gate import CellBodies, predicted_smr
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, MotionStopped
@@ -31,8 +32,6 @@ _WRONG_TARGET_M = 0.05
 """Nominal geometry and base poses predict an SMR better than this; SMRs of two arms are farther apart."""
 _AT_TARGET_RAD = 1e-3
 """Well above the repeatability of a joint, well below any planned step."""
-_MOVED_RAD = 1e-4
-"""Smaller steps are noise of the encoders: the joint does not move."""
 _MEASURING_TRIES = 2
 """A beam that somebody crossed is usually free at the second try."""
 
@@ -157,14 +156,14 @@ class Mover:
         """Record motions since the last one of this object that ended: one cut short, or an arm moved by hand."""
         for name, q in start.items():
             step = q - self._rested_at.get(name, q)
-            moved = np.abs(step) > _MOVED_RAD
+            moved = np.abs(step) > MOVED_RAD
             if moved.any():
                 self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
 
     def _record_step(self, name: str, start: Vector, commanded: Vector, reached: Vector) -> None:
         """Record the last motion of each joint. Raises ``CellStopped`` if the arm did not reach its target."""
         step = commanded - start
-        moved = np.abs(step) > _MOVED_RAD
+        moved = np.abs(step) > MOVED_RAD
         self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
         if moved.any() or name not in self._step:  # an arm that is there already keeps its last motion
             self._step[name] = np.where(moved, reached - start, 0.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,10 +15,15 @@ from cellapp.calibration.weights import whitener
 from cellapp.discovery.terms import ModelTerms
 from cellapp.effects import EFFECTS, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.effects.modulation import with_modulations
+from cellapp.effects.smooth import with_prior
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
+from cellapp.model.nominal import prior_sigmas
 from cellapp.profile import Profile
 from cellapp.run import Readings, stated_uncertainty
+
+TOLERANCE = 1e-6
+"""Step [m at arm's length] at which a fit ends: a twentieth of what a tracker resolves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +37,16 @@ class ArmData:
     ----------
     profile, model, readings, known
         ``model`` has geometry only; ``conditions`` are those of the readings.
-    stated, sigma : array, shape (n,) [m] or (n, 3, 3) [m^2], or None
-        Uncertainty that the readings state, and the one that weighs them.
+    stated : array, shape (n,) [m] or (n, 3, 3) [m^2], or None
+        Uncertainty that the readings state.
+    sigma : array, shape (n,) [m] or (n, 3, 3) [m^2]
+        The one that weighs them: stated or estimated, with the scatter beyond it.
     parameter_set : ParameterSet
         Geometric parameters that are fitted.
+    prior_sigma : mapping
+        Standard deviations of the priors of these [m, rad], about nominal.
+    start : mapping
+        Values of an earlier fit by effect and column, from which the next fit begins.
     true_q : array, shape (n, N), or None
         Joint positions with the offsets of known effects [rad]; None is the controller's positions.
     cache : dict
@@ -46,8 +58,10 @@ class ArmData:
     readings: Readings
     conditions: MeasurementConditions
     stated: Array | None
-    sigma: Array | None
+    sigma: Array
     parameter_set: ParameterSet
+    prior_sigma: Mapping[str, float]
+    start: Mapping[tuple[str, str], float] = field(default_factory=dict)
     true_q: Array | None = None
     cache: dict[tuple[str, str], list[EffectColumn]] = field(default_factory=dict)
 
@@ -60,10 +74,15 @@ class ArmData:
             readings.q,
             readings.p_M,
             parameter_set=profile.calibration.parameter_set,
-            max_iterations=1,
+            prior_sigma=prior_sigmas(model.nominal, profile.calibration.priors),
+            prior_mean=model.nominal,
+            tolerance=TOLERANCE,
         )
         stated = stated_uncertainty(readings)
-        return cls(profile, geometry_only, readings, conditions, stated, stated, found.parameter_set)
+        sigma = np.full(len(readings), found.scale) if stated is None else stated
+        sds = dict(zip(found.estimated.names, found.prior_sd.tolist(), strict=True))
+        prior_sigma = {name: sd for name, sd in sds.items() if math.isfinite(sd)}
+        return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, prior_sigma)
 
     def __len__(self) -> int:
         return len(self.readings)
@@ -76,7 +95,12 @@ class ArmData:
     def at(self, model: ArmModel) -> ArmData:
         """The same readings, with effects evaluated at the geometry and the true joint positions of ``model``."""
         true_q = model.true_joints(self.readings.q, conditions=self.conditions) if model.effects else None
-        return replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache={})
+        values = {
+            (term.slug, name): value
+            for term in model.effects
+            for name, value in zip(term.names, term.values.tolist(), strict=True)
+        }
+        return replace(self, model=replace(model, effects=(), network=None), start=values, true_q=true_q, cache={})
 
     def columns(self, slug: str, law: Law, names: Sequence[str] | None = None) -> list[EffectColumn]:
         """Columns of a law, all or those of ``names`` in that order."""
@@ -91,13 +115,12 @@ class ArmData:
 
     def term_columns(self, terms: ModelTerms) -> tuple[EffectColumn, ...]:
         """Columns of some terms, one term after the other: of the law, then of its free part."""
-        return tuple(
-            column
-            for term in terms
-            for column in with_modulations(
-                self.columns(term.slug, term.law, term.names), term.modulations, self.context
-            )
-        )
+        found: list[EffectColumn] = []
+        for term in terms:
+            columns = with_modulations(self.columns(term.slug, term.law, term.names), term.modulations, self.context)
+            found += columns[: len(term.names)]
+            found += map(with_prior, columns[len(term.names) :], term.modulation_sd)
+        return tuple(found)
 
 
 def whitening(sigma: Array | None, n: int) -> Array:

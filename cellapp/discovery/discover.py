@@ -25,7 +25,7 @@ from cellapp.discovery.remaining_network import with_network
 from cellapp.discovery.search.comparison import scatter
 from cellapp.discovery.search.state import SearchResult
 from cellapp.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
-from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, without_term
+from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, smoothness_of, without_term
 from cellapp.discovery.verdict import verdict
 from cellapp.effects import EFFECTS, MeasurementConditions
 from cellapp.model import ArmModel, CellModel
@@ -161,6 +161,7 @@ def discover_arm(
         model=final,
         stage=held_out.evaluate(final),
         pictures=pictures(found.data, found.fit),
+        scatter_m=0.0 if (smooth := smoothness_of(found.fit.terms)) is None else smooth.scatter_m,
         uncertainty_mm=held_out.predicted_uncertainty_mm(final),
     )
 
@@ -230,8 +231,8 @@ def _accepted_effects(found: SearchResult, held_out: HeldOut, after_mm: float) -
 
 
 def _most_correlated(fit: JointFit, number: int) -> tuple[str, float] | None:
-    """Geometric parameter most correlated with a term's values, and the correlation; None for free curves."""
-    if fit.terms[number].curves is not None:
+    """Geometric parameter most correlated with a term's values, and the correlation; None for smooth terms."""
+    if fit.terms[number].smooth is not None:
         return None
     covariance, size = fit.identification.covariance, fit.layout.geometric
     here = fit.layout.parameters(number)

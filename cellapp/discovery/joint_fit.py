@@ -13,20 +13,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.calibration.curve_prior import MAX_CYCLES, curve_standard_deviation
 from cellapp.calibration.identification import Identification, identify
 from cellapp.calibration.normal_equations import EffectColumns
 from cellapp.calibration.weights import excess_variance, with_excess
 from cellapp.design.information import NuisanceProjector
-from cellapp.discovery.arm_data import ArmData, whitening
+from cellapp.discovery.arm_data import TOLERANCE, ArmData, whitening
 from cellapp.discovery.candidates import CandidateLaw, whitened_displacements
 from cellapp.discovery.projected_residual import ProjectedResidual
-from cellapp.discovery.terms import ModelTerms, TermLayout, curve_prior_of, prior_sd
+from cellapp.discovery.terms import ModelTerms, TermLayout, prior_sd, smoothness_of
 from cellapp.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
-from cellapp.model.nominal import prior_sigmas
 
 _WEIGHING_ROUNDS = 3
 """Rounds of fitting and estimating the excess variance at most: the fit depends on its root only, and weakly."""
@@ -202,16 +200,21 @@ def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
 
 
 def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
-    """Return the data with weights that include the excess scatter of a model with ``terms``.
+    """Return the data with weights that include the scatter of a model with ``terms`` beyond the stated uncertainty.
 
-    With free curves the noise is the one that maximised the evidence of their prior.
+    Where none is stated, all of the scatter is estimated. With smooth terms the scatter is the one that maximised
+    their evidence.
     """
+    smooth = smoothness_of(terms)
+    if smooth is not None:
+        return replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter_m))
     if data.stated is None:
+        for _ in range(_WEIGHING_ROUNDS):
+            found, _ = _identify(data, terms)
+            data = replace(data, sigma=data.sigma * found.scale)
+            if abs(found.scale - 1.0) <= _EXCESS_CHANGE:
+                break
         return data
-    curves = curve_prior_of(terms)
-    if curves is not None:
-        noise = curves.noise
-        return replace(data, sigma=data.stated * (noise if data.stated.ndim == 1 else noise**2))
     sigma, excess = data.stated, -1.0
     for _ in range(_WEIGHING_ROUNDS):
         found, _ = _identify(replace(data, sigma=sigma), terms)
@@ -220,6 +223,13 @@ def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
         if abs(excess - before) <= _EXCESS_CHANGE * excess:
             break
     return replace(data, sigma=sigma)
+
+
+def uncertainty_with_scatter(data: ArmData, scatter_m: float) -> Array:
+    """Standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]: the stated ones, with a scatter [m] added."""
+    if data.stated is None:
+        return np.full(len(data), scatter_m)
+    return with_excess(data.stated, scatter_m**2)
 
 
 def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[EffectColumn, ...]]:
@@ -233,11 +243,11 @@ def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[E
         data.readings.p_M,
         sigma=data.sigma,
         parameter_set=data.parameter_set,
-        prior_sigma=prior_sigmas(data.model.nominal, settings.priors),
+        prior_sigma=data.prior_sigma,
         prior_mean=data.model.nominal,
         robust=settings.robust,
         effects=_effect_columns(data, terms, columns, order) if columns else None,
-        tolerance=settings.tolerance,
+        tolerance=max(settings.tolerance, TOLERANCE),
         max_iterations=settings.max_iterations,
     )
     return _reordered(found, np.argsort(order)), columns
@@ -254,7 +264,7 @@ def _effect_columns(
     """Columns as the identification takes them: joint offsets first."""
     of_joints = [columns[place] for place in order if columns[place].joint is not None]
     of_smr = [columns[place] for place in order if columns[place].joint is None]
-    sd, n = prior_sd(terms, columns), len(data)
+    sd, n = prior_sd(columns), len(data)
     return EffectColumns(
         names=tuple(columns[place].name for place in order),
         units=tuple(columns[place].unit for place in order),
@@ -262,7 +272,15 @@ def _effect_columns(
         offsets=np.array([column.offset for column in of_joints]).reshape(-1, n),
         shifts_M=np.array([column.shift_M for column in of_smr]).reshape(-1, n, 3).swapaxes(1, 2),
         prior_sd=None if sd is None else sd[order],
+        start=_start_values(data, terms, columns)[order],
     )
+
+
+def _start_values(data: ArmData, terms: ModelTerms, columns: Sequence[EffectColumn]) -> Array:
+    """Values (m,) of an earlier fit; zero for columns that it had not."""
+    slugs = (term.slug for term in terms for _ in range(term.size))
+    pairs = zip(slugs, columns, strict=True)
+    return np.array([data.start.get((slug, column.name), 0.0) for slug, column in pairs])
 
 
 def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identification:
@@ -285,12 +303,10 @@ def _precision(
 ) -> Array:
     """Prior precisions (p,) of all that was fitted; those of the geometry only beside a stated uncertainty."""
     precision = np.zeros(layout.total)
-    if data.sigma is not None:
-        prior_sd_by_name = prior_sigmas(data.model.nominal, data.profile.calibration.priors)
-        for row, name in enumerate(found.names[: layout.geometric]):
-            if name in prior_sd_by_name:
-                precision[row] = 1.0 / prior_sd_by_name[name] ** 2
-    sd = prior_sd(terms, columns)
+    for row, name in enumerate(found.names[: layout.geometric]):
+        if name in data.prior_sigma:
+            precision[row] = 1.0 / data.prior_sigma[name] ** 2
+    sd = prior_sd(columns)
     if sd is not None:
         precision[layout.geometric :] = 1.0 / sd**2
     return precision
@@ -305,16 +321,10 @@ def _fitted_model(
     for number, term in enumerate(terms):
         here = layout.parameters(number)
         bands: dict[int, Array] = {}
-        if term.curves is None:
+        if term.smooth is None:
             kept += range(here.start, here.start + len(term.names))
         else:
-            for joint in term.curves.joints:
-                rows = [
-                    here.start + i
-                    for i, column in enumerate(columns[layout.columns(number)])
-                    if column.joint == joint and column.cycles is not None and column.cycles <= MAX_CYCLES
-                ]
-                bands[joint] = curve_standard_deviation(found.covariance[np.ix_(rows, rows)], _CURVE_POINTS)
+            bands = _curve_bands(found.covariance[here, here], columns[layout.columns(number)])
         fitted.append(
             EffectTerm(
                 slug=term.slug,
@@ -335,3 +345,16 @@ def _fitted_model(
         identified=tuple(found.names[i] for i in kept),
         covariance=found.covariance[np.ix_(kept, kept)],
     )
+
+
+def _curve_bands(covariance: Array, columns: Sequence[EffectColumn]) -> dict[int, Array]:
+    """Standard deviation [rad] of the curve of each joint that a smooth term offsets, at equal steps of its angle."""
+    around = np.linspace(-np.pi, np.pi, _CURVE_POINTS, endpoint=False)
+    bands = {}
+    waves = [(k, column.joint, column.wave) for k, column in enumerate(columns)]
+    for joint in sorted({joint for _, joint, wave in waves if joint is not None and wave is not None}):
+        own = [k for k, of_joint, wave in waves if of_joint == joint and wave is not None]
+        shapes = np.array([wave(around) for _, of_joint, wave in waves if of_joint == joint and wave is not None])
+        variance = np.einsum("mp,mp->p", shapes, covariance[np.ix_(own, own)] @ shapes)
+        bands[joint] = np.sqrt(np.maximum(variance, 0.0))
+    return bands

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from cellapp.calibration.pair_calibration import PairCalibration
 from cellapp.discovery.describe import Description
@@ -13,10 +14,13 @@ from cellapp.model import ArmModel, CellModel
 from cellapp.results import (
     AbsentEffect,
     BeforeAfter,
+    Contradiction,
     CycleBand,
     HeldOutPosition,
+    Noise,
     Picture,
     PredictedUncertainty,
+    RemainingStructure,
     StageErrors,
     Verdict,
 )
@@ -44,6 +48,10 @@ class AcceptedEffect:
         Dominant cycles a turn of each joint, of a transmission error.
     description : Description, optional
         Of a data-driven term.
+    posterior : float
+        Probability that the effect is there, from the evidences of competing sets; NaN where it was not computed.
+    law_misfit : float, optional
+        Rms of the SMR's displacement by its smooth free part over that by the whole effect; None where it has none.
     """
 
     term: EffectTerm
@@ -57,6 +65,8 @@ class AcceptedEffect:
     correlated: tuple[str, float] | None
     cycles: Mapping[str, CycleBand] | None = None
     description: Description | None = None
+    posterior: float = math.nan
+    law_misfit: float | None = None
 
     @property
     def answer_set(self) -> tuple[str, ...]:
@@ -99,10 +109,20 @@ class Discovery:
     stage : StageErrors
         Held-out errors of that model.
     pictures : tuple of Picture
+    scatter_m : float
+        Standard deviation of a coordinate beyond the stated uncertainty in the final model [m].
     network_mm : BeforeAfter, optional
         Rms correction of a residual network before and after.
     uncertainty_mm : PredictedUncertainty, optional
         Predicted uncertainty at the held-out stops.
+    noise_mm : Noise, optional
+        Noise of the readings, stated or estimated.
+    candidates : mapping
+        Posterior probability of every effect that was tested, by its slug.
+    structure : RemainingStructure, optional
+        Tests for structure in what is left.
+    contradictions : tuple of Contradiction
+        Findings with an impossible sign or size, which count as unknown.
     """
 
     accepted: tuple[AcceptedEffect, ...]
@@ -121,8 +141,13 @@ class Discovery:
     model: ArmModel
     stage: StageErrors
     pictures: tuple[Picture, ...] = ()
+    scatter_m: float = 0.0
     network_mm: BeforeAfter | None = None
     uncertainty_mm: PredictedUncertainty | None = None
+    noise_mm: Noise | None = None
+    candidates: Mapping[str, float] = field(default_factory=dict)
+    structure: RemainingStructure | None = None
+    contradictions: tuple[Contradiction, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from cellapp.discovery.outcome import CellDiscovery, Discovery
 from cellapp.discovery.proposal.predictions import PredictedDiscrimination
 from cellapp.discovery.propose import Proposal as ProposedStops
 from cellapp.discovery.propose import ProposedStop
-from cellapp.effects import EFFECTS, term_to_json
+from cellapp.effects import EFFECTS, Meaning, place_in_words, term_to_json
 from cellapp.planning.stop_conditions import StopConditions
 from cellapp.results import (
     AcceptedEffect,
@@ -21,6 +21,7 @@ from cellapp.results import (
     Correlation,
     DiscoverResult,
     Discrimination,
+    EffectMeaning,
     Estimate,
     Evidence,
     GapStep,
@@ -47,6 +48,7 @@ def arm_result(found: Discovery) -> ArmDiscoveryResult:
     """Discovery in the data of one arm."""
     return ArmDiscoveryResult(
         noise_floor_mm=_finite(found.noise_floor_mm),
+        noise_mm=found.noise_mm,
         heldout_mm=BeforeAfter(before=found.before.rms, after=found.after.rms),
         heldout_position_mm=HeldOutBeforeAfter(before=found.before, after=found.after),
         seconds=found.seconds,
@@ -55,6 +57,9 @@ def arm_result(found: Discovery) -> ArmDiscoveryResult:
         omnibus_p=_finite(found.omnibus_p),
         scatter=_finite(found.scatter),
         accepted=tuple(_accepted(effect) for effect in found.accepted),
+        candidates=found.candidates,
+        contradictions=found.contradictions,
+        structure=found.structure,
         invisible=found.invisible,
         not_found=found.not_found,
         network_mm=found.network_mm,
@@ -111,8 +116,21 @@ def _accepted(effect: outcome.AcceptedEffect) -> AcceptedEffect:
         correlated_with=None
         if effect.correlated is None
         else Correlation(parameter=effect.correlated[0], correlation=effect.correlated[1]),
+        posterior=_finite(effect.posterior),
+        law_misfit=effect.law_misfit,
+        meaning=_meaning(EFFECTS[term.slug].meaning_of(term.law).at(place_in_words(effect.acts_on))),
         cycles=effect.cycles,
         description=None if described is None else _description(described),
+    )
+
+
+def _meaning(meaning: Meaning) -> EffectMeaning:
+    return EffectMeaning(
+        cause=meaning.cause,
+        size=meaning.size,
+        size_source=meaning.size_source,
+        check=meaning.check,
+        settle=meaning.settle,
     )
 
 

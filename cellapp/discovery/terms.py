@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.calibration.curve_prior import MAX_CYCLES, CurvePrior, spectrum_variances
 from cellapp.effects import EFFECTS, Effect, EffectColumn, Law
 from cellapp.effects.contradiction import ContradictionForm
 from cellapp.effects.modulation import Modulation
@@ -21,7 +19,26 @@ UNKNOWN = "unknown"
 TRANSMISSION_ERROR = "transmission_error"
 """Slug of the effect whose lines a free curve of the joint angle can replace."""
 _LEAST_PRIOR = 1e-9
-"""Least standard deviation of a curve coefficient [rad]: 1 nm at a metre, which keeps the normal matrix invertible."""
+"""Least standard deviation of a coefficient [rad, m]: 1 nm at a metre, which keeps the normal matrix invertible."""
+
+
+@dataclass(frozen=True)
+class Smoothness:
+    """How a smooth term was found.
+
+    Attributes
+    ----------
+    evidence : float
+        Twice the gain of the log evidence by this term.
+    hyperparameters : int
+        Amplitudes and length scales that were fitted.
+    scatter_m : float
+        Standard deviation of a coordinate beyond the stated uncertainty that goes with the prior [m].
+    """
+
+    evidence: float
+    hyperparameters: int
+    scatter_m: float
 
 
 @dataclass(frozen=True)
@@ -34,10 +51,8 @@ class ModelTerm:
         Effect and law.
     names : tuple of str
         Which of the law's columns.
-    curves : CurvePrior, optional
-        Prior of free curves of the joint angle.
-    free : frozenset of str
-        Columns of a free curve without a prior: sharp lines.
+    smooth : Smoothness, optional
+        Of a smooth free function, whose columns have priors.
     note : str
         Description of a data-driven term.
     modulations : tuple of Modulation
@@ -49,8 +64,7 @@ class ModelTerm:
     slug: str
     law: Law
     names: tuple[str, ...]
-    curves: CurvePrior | None = None
-    free: frozenset[str] = frozenset()
+    smooth: Smoothness | None = None
     note: str = ""
     modulations: tuple[Modulation, ...] = ()
     modulation_sd: tuple[float, ...] = ()
@@ -61,40 +75,16 @@ class ModelTerm:
         return len(self.names) + len(self.modulations)
 
     @property
-    def has_prior(self) -> bool:
-        """Whether some of its columns have a prior."""
-        return self.curves is not None or len(self.modulations) > 0
-
-    @property
     def effect(self) -> Effect | None:
-        """The effect whose law it has, also where values are impossible; None for what is data-driven."""
+        """The effect whose law it has, also where values are impossible; None for what is free or data-driven."""
         if isinstance(self.law.form, ContradictionForm):
             return self.law.form.effect
         return EFFECTS[self.slug] if self.is_library_effect else None
 
     @property
     def is_library_effect(self) -> bool:
-        """Whether it has a name and a law with few parameters: neither a data-driven term nor free curves."""
-        return self.slug != UNKNOWN and self.curves is None
-
-    def prior_sd(self, columns: Sequence[EffectColumn]) -> Array:
-        """Standard deviation (m,) of the prior of each of its ``columns``, infinite for those without."""
-        sd = np.concatenate([np.full(len(self.names), math.inf), np.array(self.modulation_sd)])
-        if self.curves is None:
-            return sd
-        curves = self.curves
-        by_joint: Mapping[int, Array] = {
-            joint: np.sqrt(spectrum_variances(length, amplitude, MAX_CYCLES))
-            for joint, length, amplitude in zip(
-                curves.joints, curves.lengths.tolist(), curves.amplitudes.tolist(), strict=True
-            )
-        }
-        for place, column in enumerate(columns):
-            if column.name in self.free or column.cycles is None or column.joint is None:
-                continue
-            if column.cycles <= MAX_CYCLES and column.joint in by_joint:
-                sd[place] = max(float(by_joint[column.joint][column.cycles - 1]), _LEAST_PRIOR)
-        return sd
+        """Whether it has a name and a law with few parameters: neither a data-driven term nor a smooth function."""
+        return self.slug != UNKNOWN and self.smooth is None
 
 
 ModelTerms = tuple[ModelTerm, ...]
@@ -111,22 +101,20 @@ def with_term(terms: ModelTerms, term: int, instead: ModelTerm) -> ModelTerms:
     return (*terms[:term], instead, *terms[term + 1 :])
 
 
-def curve_prior_of(terms: ModelTerms) -> CurvePrior | None:
-    """Prior of the free curves among some terms; None without curves. A model has one set of curves at most."""
-    return next((term.curves for term in terms if term.curves is not None), None)
+def smoothness_of(terms: ModelTerms) -> Smoothness | None:
+    """That of the first smooth term; None without one. Smooth terms of one model are found together."""
+    return next((term.smooth for term in terms if term.smooth is not None), None)
 
 
-def has_curves(terms: ModelTerms) -> bool:
-    """Whether some terms hold free curves."""
-    return curve_prior_of(terms) is not None
+def has_smooth_terms(terms: ModelTerms) -> bool:
+    """Whether some terms are smooth free functions."""
+    return smoothness_of(terms) is not None
 
 
-def prior_sd(terms: ModelTerms, columns: Sequence[EffectColumn]) -> Array | None:
-    """Standard deviation of the prior of each of the terms' columns, infinite without; None where no term has any."""
-    if not any(term.has_prior for term in terms):
-        return None
-    layout = TermLayout.of(0, [term.size for term in terms])
-    return np.concatenate([term.prior_sd(columns[layout.columns(number)]) for number, term in enumerate(terms)])
+def prior_sd(columns: Sequence[EffectColumn]) -> Array | None:
+    """Standard deviation of the prior of each column, infinite without; None where no column has any."""
+    sd = np.array([column.prior_sd for column in columns])
+    return np.maximum(sd, _LEAST_PRIOR) if np.isfinite(sd).any() else None
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from cellapp.effects.law import (
     NeighbouringPauses,
     Scaled,
 )
+from cellapp.effects.meaning import Meaning, SizeSource, enumeration, place_in_words
 from cellapp.effects.registry import EFFECTS, registered
 from cellapp.effects.term import Displacement, EffectTerm, displacement, term_from_json, term_to_json
 
@@ -30,13 +31,17 @@ __all__ = [
     "EffectTerm",
     "Law",
     "LawForm",
+    "Meaning",
     "MeasurementConditions",
     "NeighbouringPauses",
     "Scaled",
+    "SizeSource",
     "TemperatureRecord",
     "Wave",
     "displacement",
+    "enumeration",
     "joint_column",
+    "place_in_words",
     "registered",
     "shift_column",
     "term_from_json",

@@ -11,7 +11,9 @@ from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
+from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.kinematics.transforms import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -26,6 +28,7 @@ TYPICAL_STEP = Constant("step", "rad", FIXED, per_joint=True)
 """Median step of the run, for stops whose step is unknown."""
 CONSTANT = LawForm("constant", "the same after any motion")
 SATURATING = LawForm("saturating", "taken up only by large steps", (WIDTH, TYPICAL_STEP))
+SMALL = LawForm("smooth", "taken up only by large steps, small by prior", (WIDTH, TYPICAL_STEP, AMPLITUDE))
 LOAD = LawForm("load", "in proportion to the load")
 BOTH = LawForm("both", "dry friction, and in proportion to the load")
 
@@ -41,6 +44,9 @@ class Backlash(Effect):
         ``dq_j = -h_j s_j tanh(|step_j| / w)``: hysteresis that a small step does not take up; w is searched. An
         unknown step counts as the run's median step of that joint.
 
+    smooth
+        As ``saturating``, each half play small by prior, of either sign.
+
     Size: strain-wave gears are specified in arc minutes of lost motion (sourced), h some 10 to 150 urad; 40 urad are
     25 to 55 um at a UR10's flange. 90 % visible with stops approached from both sides; from one side only it hides in
     the joint zero. Look-alikes: unsettled measurement where sign and step are correlated, friction wind-up.
@@ -48,13 +54,37 @@ class Backlash(Effect):
 
     slug = "backlash"
     title = "backlash or hysteresis of joints"
+    meaning = Meaning(
+        cause="The gear of {place} has lost motion: the output lags behind the motor on each reversal.",
+        size=(
+            "40 urad of half play are 25 to 55 um at the flange of a UR10; catalogues of strain-wave gears give arc"
+            " minutes of lost motion"
+        ),
+        size_source="estimate",
+        check=(
+            (
+                "With drives on and the arm at rest, push and pull at the link beyond {place} with a dial gauge on it:"
+                " play is a loose bolt or a worn gear. With drives off the brake's own play shows as well."
+            ),
+            "Check the bolts of the gearbox of {place}, then have the gear inspected.",
+            "Until it is mended, approach every target from the same side as during calibration.",
+        ),
+        settle=(
+            "Measure 10 poses twice, each joint approached once from either side by the same step.",
+            (
+                "Approach one pose with last steps of 1, 5, 20 and 60 degrees: hysteresis grows with the step, play "
+                "does not."
+            ),
+            "Record approach signs, or import with --in-order: without them the effect is invisible.",
+        ),
+    )
     look_alikes = ("friction_windup", "unsettled_measurement")
     impossible = ImpossibleValues(
         sign="backlash of the opposite sign",
         sign_check="check the approach convention of the readings",
     )
     variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
-    forms = (CONSTANT, SATURATING)
+    forms = (CONSTANT, SATURATING, SMALL)
     free_drivers = (
         FreeDriver(Quantity.STEP, absolute=True),
         FreeDriver(Quantity.TORQUE, absolute=True),
@@ -76,9 +106,14 @@ class Backlash(Effect):
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint; zero where the side of approach is unknown."""
         lag = -context.approach
-        if law.form == SATURATING:
+        if law.form != CONSTANT:
             lag = lag * np.tanh(_step_sizes(context, law) / law.constants[WIDTH.name])
-        return [joint_column(f"half_play{j + 1}", "rad", j, lag[:, j], 0.0, _MOST_PLAY) for j in range(context.joints)]
+        columns = [
+            joint_column(f"half_play{j + 1}", "rad", j, lag[:, j], 0.0, _MOST_PLAY) for j in range(context.joints)
+        ]
+        if law.form == SMALL:
+            return [with_prior(column, law.constants[AMPLITUDE.name]) for column in columns]
+        return columns
 
 
 def _step_sizes(context: EffectContext, law: Law) -> Array:
@@ -107,6 +142,23 @@ class FrictionWindup(Effect):
 
     slug = "friction_windup"
     title = "friction wind-up of joints"
+    meaning = Meaning(
+        cause="Friction in {place} holds the gear wound up against its last motion, more so under load.",
+        size="1e-4 rad at 50 Nm, 50 to 130 um at the flange of a UR10",
+        size_source="estimate",
+        check=(
+            "Warm the arm up: cold grease has more friction.",
+            "Compare the motor current of {place} in slow motion with the other arm's: more current is more friction.",
+            "Check lubrication and brake of {place}: a brake that drags winds up too.",
+        ),
+        settle=(
+            (
+                "Approach the same poses from both sides with two payloads: wind-up grows with the load, backlash "
+                "does not."
+            ),
+            "Repeat 10 stops cold and after an hour of motion.",
+        ),
+    )
     look_alikes = ("backlash", "unsettled_measurement")
     impossible = ImpossibleValues(
         sign="friction wind-up of the opposite sign",

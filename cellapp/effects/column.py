@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -63,6 +64,9 @@ class EffectColumn:
         Its dependence on the angle of joint ``index``, where that is periodic.
     refines : bool
         Whether it only refines other columns: without them it is not the effect.
+    prior_sd : float
+        Standard deviation of the parameter's zero-mean prior, where the column is part of a smooth free function;
+        infinite where the parameter has no prior.
     offset : array, shape (n,), or None
         Joint offset per unit [rad]; channel ``JOINT`` only.
     shift_M : array, shape (n, 3), or None
@@ -78,6 +82,7 @@ class EffectColumn:
     index: int | None = None
     wave: Wave | None = None
     refines: bool = False
+    prior_sd: float = math.inf
     offset: Array | None = field(default=None, repr=False)
     shift_M: Array | None = field(default=None, repr=False)
 

@@ -37,6 +37,9 @@ class MeasurementConditions:
         Time from rest to the measurement [s].
     time_s : array, shape (n,)
         Time since the run began [s]; NaN means "now": the state at the end of the run that the effect was fitted to.
+    order : array, shape (n,)
+        Place in the order of measurement among all readings of the arm, counted in stops from 0. It says what came
+        first where no clock does.
     payload_kg, air_c : arrays, shape (n,)
         Payload [kg]; temperature of arm or air [degC].
     joints_c : array, shape (n, N)
@@ -53,6 +56,7 @@ class MeasurementConditions:
     step: Array | None = None
     dwell_s: Array | None = None
     time_s: Array | None = None
+    order: Array | None = None
     payload_kg: Array | None = None
     air_c: Array | None = None
     joints_c: Array | None = None

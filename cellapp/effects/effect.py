@@ -15,6 +15,7 @@ from typing import ClassVar
 from cellapp.effects.column import EffectColumn
 from cellapp.effects.context import EffectContext
 from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
 
 
@@ -48,6 +49,8 @@ class Effect(ABC):
     """Identifier in JSON and results."""
     title: ClassVar[str]
     """Name in reports."""
+    meaning: ClassVar[Meaning]
+    """Cause, usual size, what to check and what would settle it."""
     look_alikes: ClassVar[tuple[str, ...]] = ()
     """Slugs of effects that data may not distinguish from it."""
     variables: ClassVar[frozenset[DriverVariable]]
@@ -75,6 +78,10 @@ class Effect(ABC):
     @abstractmethod
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Columns of a law, the same set for any data; ``names`` requests columns that are made only on request."""
+
+    def meaning_of(self, law: Law) -> Meaning:
+        """What this law of the effect means; the same for all laws unless an effect says more."""
+        return self.meaning
 
     def form(self, name: str) -> LawForm:
         """The form of this name; the simplest one for an empty name. Raises ``ValueError`` if there is none."""

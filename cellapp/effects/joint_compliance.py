@@ -11,11 +11,15 @@ from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
+from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.kinematics.transforms import Array
 
 KNEES = (0.2, 0.35, 0.5, 0.65)
 """Where the stiffness may change, as fractions of the largest torque of the run."""
+_GRAVITY = 9.81
+"""Standard gravity [m/s^2]."""
 _ROUNDING = 1e-6
 """A torque that never exceeds this [Nm] is rounding error."""
 _MOST_COMPLIANCE = 1e-3
@@ -26,6 +30,7 @@ _LOADED = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVa
 
 KNEE = Constant("knee", "Nm", SCALED, "knee at {}", "{} Nm for joint {}", per_joint=True)
 LINEAR = LawForm("linear", "in proportion to the torque, a stiffness each")
+FREE_MASSES = LawForm("smooth", "in proportion to the torques of masses that are free", (AMPLITUDE,))
 TWO_SLOPE = LawForm("two_slope", "softer below a knee torque", (KNEE,))
 
 
@@ -39,8 +44,11 @@ class JointCompliance(Effect):
     two_slope
         ``dq_j = c_j tau_j + s_j clip(tau_j, -T_j, T_j)``: softer below a knee torque T_j, as catalogues of strain-wave
         gears show (K1 < K2 < K3).
-    In both, a correction of the torque of the load, or of one body, may be added at a joint: the load was weighed, the
-    arm's own masses were not.
+    smooth
+        ``dq_j = sum_i b_ji t_ji``, t_ji being the torque about joint j of 1 kg at the origin of frame i (the SMR for
+        the last one): masses and stiffness are free, b_ji [rad/Nm] small by prior.
+    In the first two, a correction of the torque of the load, or of one body, may be added at a joint: the load was
+    weighed, the arm's own masses were not.
 
     Size: strain-wave drives of this class have K = 1e4 to 1e5 Nm/rad (Harmonic Drive CSG catalogue, ratio 1:50,
     sourced); times the torques of a UR10, 1 to 3 mm at its flange (computed). Visible with a range of q2, q3; a payload
@@ -50,6 +58,34 @@ class JointCompliance(Effect):
 
     slug = "joint_compliance"
     title = "joint compliance under gravity"
+    meaning = Meaning(
+        cause=(
+            "The gears and bearings of {place} twist under the weight that they carry. Strain-wave gears always "
+            "do; a loose bolted joint or a worn gear adds to it."
+        ),
+        size=(
+            "1 to 3 mm at the flange of a UR10, 0.5 to 1.5 mm of a UR5: catalogue stiffness times the arm's own torques"
+        ),
+        size_source="computed",
+        check=(
+            (
+                "Compare the value with that of the same joint of the other arm and of earlier runs. If it grew, "
+                "check the bolts between the gearbox of {place} and both links."
+            ),
+            (
+                "Check masses, centres of mass and payload in the profile and in the controller: a wrong mass scales"
+                " the value."
+            ),
+        ),
+        settle=(
+            "Repeat 20 stops with a second payload: what grows with the load is compliance and not geometry.",
+            "Add stops over the full range of joints 2 and 3.",
+            (
+                "Log the motor-side and the output-side encoder: a compliant gear shows in their difference, a "
+                "bending link does not."
+            ),
+        ),
+    )
     look_alikes = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
     impossible = ImpossibleValues(
         sign="negative stiffness",
@@ -57,7 +93,7 @@ class JointCompliance(Effect):
         size_check="check masses, direction of gravity and mounting",
     )
     variables = _LOADED
-    forms = (LINEAR, TWO_SLOPE)
+    forms = (LINEAR, TWO_SLOPE, FREE_MASSES)
     free_drivers = (
         FreeDriver(Quantity.TORQUE),
         FreeDriver(Quantity.JOINT_ANGLE),
@@ -79,6 +115,8 @@ class JointCompliance(Effect):
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint, and those that refine it: bodies, load, knee."""
+        if law.form == FREE_MASSES:
+            return _torques_of_unit_masses(context, law.constants[AMPLITUDE.name])
         columns = _corrections_by_body(context, names)
         loads = context.loads.torques_of(-1)
         for j, stiff in enumerate(_compliances("compliance", context.torques)):
@@ -114,6 +152,29 @@ class PayloadCompliance(Effect):
 
     slug = "payload_compliance"
     title = "joint compliance under the payload"
+    meaning = Meaning(
+        cause=(
+            "The gears of {place} twist under the payload alone: the arm's own weight was calibrated away or is "
+            "compensated by the controller, the load in the gripper is not."
+        ),
+        size=(
+            "10 kg deflect the flange of a UR10 by 1.4 to 3.4 mm, 5 kg that of a UR5 by 0.5 to 1.2 mm: makers' "
+            "tables and catalogue stiffness"
+        ),
+        size_source="computed",
+        check=(
+            "Weigh the payload and enter its mass and centre of mass in the profile and in the controller.",
+            "Check that the payload is bolted tight: a loose one moves in the same way.",
+            "If the value is much above that of the other arm, check the bolts at the gearbox of {place}.",
+        ),
+        settle=(
+            "Measure the same 10 poses empty and with two payloads: geometry drops out of the differences.",
+            (
+                "Change only the payload setting of the controller at one pose: if the SMR moves, the controller "
+                "compensates."
+            ),
+        ),
+    )
     look_alikes = ("joint_compliance", "link_bending")
     impossible = ImpossibleValues(
         sign="negative stiffness under the payload",
@@ -160,6 +221,22 @@ def _corrections_by_body(context: EffectContext, names: Collection[str] | None) 
             name = f"moment{j + 1}_{i + 1}"
             if (masses[i] != 0.0 or i == last) and (names is None or name in names):
                 columns.append(_correction(name, j, by_body[i][:, j], name))
+    return columns
+
+
+def _torques_of_unit_masses(context: EffectContext, amplitude: float) -> list[EffectColumn]:
+    """``unit{j}_{i}``: torque about joint j [Nm] of 1 kg at the origin of each later frame i (the last: SMR)."""
+    rotations, origins = context.frames
+    weight_M = -_GRAVITY * context.up_M
+    columns = []
+    for j in range(context.joints):
+        axis = rotations[j][:, :, 2]
+        for i in range(j + 1, context.joints + 1):
+            place = context.p_M if i == context.joints else origins[i]
+            torque = np.einsum("na,na->n", axis, np.cross(place - origins[j], weight_M))
+            if np.abs(torque).max(initial=0.0) > _ROUNDING:
+                column = joint_column(f"unit{j + 1}_{i}", "rad/Nm", j, torque, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
+                columns.append(with_prior(column, amplitude))
     return columns
 
 

@@ -12,6 +12,9 @@ import numpy as np
 
 from cellapp.effects.context import EffectContext
 
+AMPLITUDE_NAME = "amplitude"
+"""Constant that only smooth forms have: the standard deviation of a free function."""
+
 
 class DriverVariable(Enum):
     """A quantity that effects depend on; effects that share one may be confounded."""
@@ -161,6 +164,11 @@ class LawForm:
     def law(self, constants: Mapping[str, float] | None = None, tried: int = 1) -> Law:
         """A law of this form with values for its constants."""
         return Law(self, {} if constants is None else constants, tried)
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether its parameters are those of smooth free functions, with priors of a fitted amplitude."""
+        return any(one.name == AMPLITUDE_NAME for one in self.constants)
 
     def constant(self, key: str) -> Constant | None:
         """The declaration that ``key`` belongs to."""

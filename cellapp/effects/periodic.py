@@ -11,8 +11,10 @@ from cellapp.effects.column import EffectColumn, Wave, joint_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
-from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.law import AMPLITUDE_NAME, FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
+from cellapp.effects.smooth import AMPLITUDE, CYCLES, circle_variances, with_prior
 from cellapp.kinematics.transforms import Array
 
 LINES_MAX = 210
@@ -23,16 +25,18 @@ _MANY = 8
 """Cycle counts from which powers of exp(i angle) are faster than a cosine each."""
 
 GEAR_RATIO = Constant("ratio", "", FIXED, "ratio {}")
-CYCLES = Constant("cycles", "", FIXED)
-"""Highest cycle count of a free curve."""
 CURVE_LENGTH = Constant("length", "rad", FIXED, per_joint=True)
 """Correlation length of a joint's curve; its amplitude is the next constant. The search sets both by the evidence."""
-CURVE_AMPLITUDE = Constant("amplitude", "rad", FIXED, per_joint=True)
+CURVE_AMPLITUDE = Constant(AMPLITUDE_NAME, "rad", FIXED, per_joint=True)
 
 TWO = LawForm("two", "two cycles a turn")
 LINES = LawForm("lines", "single lines of the spectrum")
 GEAR = LawForm("gear", "two cycles a turn and the lines of a gear", (GEAR_RATIO,))
 CURVE = LawForm("curve", "a free curve for each joint", (CYCLES, CURVE_LENGTH, CURVE_AMPLITUDE))
+
+
+ONE = LawForm("", "one cycle a turn")
+ONE_SMOOTH = LawForm("smooth", "one cycle a turn, small by prior", (AMPLITUDE,))
 
 
 class EncoderEccentricity(Effect):
@@ -46,14 +50,38 @@ class EncoderEccentricity(Effect):
 
     slug = "encoder_eccentricity"
     title = "encoder eccentricity (one cycle a turn)"
+    meaning = Meaning(
+        cause=(
+            "The graduated disc or magnet ring of the encoder of {place} is off the axis; a first-order error of"
+            " the gear has exactly the same shape."
+        ),
+        size="2 um on a radius of 25 mm are 80 urad, 50 to 110 um at the flange of a UR10",
+        size_source="estimate",
+        check=(
+            "After a repair of {place}: check how the encoder disc is seated and centred.",
+            "No repair is needed where the error is stable: the calibrated model corrects it.",
+        ),
+        settle=(
+            "Move {place} alone through a whole turn in steps of 10 degrees, all other joints at rest.",
+            "Log both encoders of {place}: an eccentric disc shows in one of them only.",
+        ),
+    )
     look_alikes = ("joint_compliance", "transmission_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
-    forms = (LawForm("", "one cycle a turn"),)
+    forms = (ONE, ONE_SMOOTH)
+
+    def laws(self, context: EffectContext) -> list[Law]:
+        """Free amplitudes."""
+        return [ONE.law()]
+
     free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each joint."""
-        return _waves(context, {j: (1,) for j in range(context.joints)})
+        columns = _waves(context, {j: (1,) for j in range(context.joints)})
+        if law.form == ONE_SMOOTH:
+            return [with_prior(column, law.constants[AMPLITUDE.name]) for column in columns]
+        return columns
 
 
 class TransmissionError(Effect):
@@ -80,6 +108,27 @@ class TransmissionError(Effect):
 
     slug = "transmission_error"
     title = "transmission error (two cycles a turn and up)"
+    meaning = Meaning(
+        cause=(
+            "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles a turn, the"
+            " wave generator one or two cycles a turn of the motor, the teeth more."
+        ),
+        size=(
+            "20 to 80 urad, 13 to 80 um at the flange of a UR10; the cycle counts are published, the size is an "
+            "estimate"
+        ),
+        size_source="estimate",
+        check=(
+            "Compare with earlier runs: a line that grew is wear, plan an exchange of the gear of {place}.",
+            "Check the oil or grease interval of {place}.",
+            "A stable error needs no repair: the calibrated model corrects it.",
+        ),
+        settle=(
+            "Move {place} alone in steps of 0.1 degrees over 10 degrees: the lines of the gear stand out.",
+            "Add stops over a whole turn of {place} where two cycles a turn and one are confused.",
+            "Read the encoders with all their digits: rounding hides lines of many cycles.",
+        ),
+    )
     look_alikes = ("encoder_eccentricity", "joint_axis_wobble", "joint_axis_runout")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
@@ -100,15 +149,14 @@ class TransmissionError(Effect):
         joints = range(context.joints)
         if law.form == TWO:
             return _waves(context, {j: (2,) for j in joints})
+        if law.form == CURVE:
+            return _curves(context, law, names)
         if names is not None:
-            return _waves(context, _counts_of(names, context.joints), by_line=law.form != CURVE)
+            return _waves(context, _counts_of(names, context.joints), by_line=True)
         if law.form == LINES:
             return _waves(context, dict.fromkeys(joints, range(2, LINES_MAX + 1)), by_line=True)
-        if law.form == GEAR:
-            ratio = round(law.constants[GEAR_RATIO.name])
-            return _waves(context, dict.fromkeys(joints, sorted({2, ratio, 2 * ratio})), by_line=True)
-        curved = [j for j in joints if CURVE_LENGTH.key(j) in law.constants] or joints
-        return _waves(context, dict.fromkeys(curved, range(2, round(law.constants[CYCLES.name]) + 1)))
+        ratio = round(law.constants[GEAR_RATIO.name])
+        return _waves(context, dict.fromkeys(joints, sorted({2, ratio, 2 * ratio})), by_line=True)
 
 
 def curve_law(prior: Mapping[int, tuple[float, float]], cycles: int) -> Law:
@@ -126,6 +174,21 @@ def curve_prior(law: Law, joints: int) -> dict[int, tuple[float, float]]:
         for j in range(joints)
         if law.form == CURVE and CURVE_LENGTH.key(j) in law.constants
     }
+
+
+def _curves(context: EffectContext, law: Law, names: Collection[str] | None) -> list[EffectColumn]:
+    """Waves of the joints' curves with their priors; lines beyond the curves' cycles have none."""
+    cycles, prior = round(law.constants[CYCLES.name]), curve_prior(law, context.joints)
+    counts = dict.fromkeys(prior, range(2, cycles + 1)) if names is None else _counts_of(names, context.joints)
+    sd = {j: amplitude * np.sqrt(circle_variances(length, cycles)) for j, (length, amplitude) in prior.items()}
+    columns = []
+    for column in _waves(context, counts):
+        assert column.joint is not None
+        assert column.cycles is not None
+        if column.joint in sd and column.cycles <= cycles:
+            column = with_prior(column, float(sd[column.joint][column.cycles - 1]))
+        columns.append(column)
+    return columns
 
 
 def wave_names(joint: int, counts: Iterable[int]) -> tuple[str, ...]:

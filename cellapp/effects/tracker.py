@@ -11,6 +11,7 @@ from cellapp.effects.context import EffectContext
 from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
 
 _ORDERS = (1, 2)
@@ -33,6 +34,20 @@ class TrackerScale(Effect):
 
     slug = "tracker_scale"
     title = "scale of the tracker"
+    meaning = Meaning(
+        cause=(
+            "The tracker's lengths are too long or too short: wrong air temperature, pressure or humidity, or a "
+            "bad reference."
+        ),
+        size="1 ppm per K and 0.27 ppm per hPa of opposite sign (published): 1 to 10 ppm of 3 m are 3 to 30 um",
+        size_source="computed",
+        check=(
+            "Check the readings of the weather station against another thermometer and barometer.",
+            "Check that the tracker's controller uses them.",
+            "Ask for the date of the tracker's last service and check it on a scale bar.",
+        ),
+        settle=("Measure a calibrated scale bar or two nests of known distance: the arm alone cannot show a scale.",),
+    )
     look_alikes = ("thermal_growth", "tracker_distance_offset")
     variables = frozenset({DriverVariable.BEAM})
     forms = (LawForm("", "in proportion to the distance"),)
@@ -56,6 +71,28 @@ class TrackerDistanceOffset(Effect):
 
     slug = "tracker_distance_offset"
     title = "zero of the tracker's distance"
+    meaning = Meaning(
+        cause=(
+            "All distances are off by the same length: zero of the absolute distance meter, a wrong reflector "
+            "type or home point."
+        ),
+        size="Permissible: 5 um for home distance, 10 um for the meter (manual of the AT500; no AT960 page was found)",
+        size_source="sourced",
+        check=(
+            (
+                "Check that the reflector selected in the tracker is the one on the flange: its offset is "
+                "millimetres if wrong."
+            ),
+            "Set the distance at the home point again.",
+            "Run the tracker's own check of the distance zero.",
+        ),
+        settle=(
+            (
+                "Measure a target between two stations of the tracker, or stops both near and far: poses at one "
+                "distance cannot show it."
+            ),
+        ),
+    )
     look_alikes = ("tracker_angle_error", "pedestal_compliance", "target_incidence")
     variables = frozenset({DriverVariable.BEAM})
     forms = (LawForm("", "the same at any distance"),)
@@ -77,6 +114,23 @@ class TrackerAngleError(Effect):
 
     slug = "tracker_angle_error"
     title = "errors of the tracker's angles"
+    meaning = Meaning(
+        cause=(
+            "The tracker's angles err periodically: eccentricity and ovality of its graduated circles, or a "
+            "tilted axis."
+        ),
+        size="About half (estimate) of the permissible 15 um + 6 um/m (manual of the AT500; no AT960 page was found)",
+        size_source="sourced",
+        check=(
+            "Run the tracker's two-face check, and its field adjustment where that fails.",
+            "Let the tracker warm up for two hours and repeat.",
+            "Check that its stand does not twist as the head turns.",
+        ),
+        settle=(
+            "Measure 10 stops in both faces: odd orders change sign, even orders stay.",
+            "Measure the same stops from a second station.",
+        ),
+    )
     look_alikes = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
     variables = frozenset({DriverVariable.BEAM})
     forms = (LawForm("orders", "one and two cycles a turn of either angle"),)

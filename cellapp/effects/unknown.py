@@ -15,6 +15,7 @@ from cellapp.effects.contradiction import ContradictionForm, contradicted_law, c
 from cellapp.effects.data_driven import (
     PERIOD,
     DataChannel,
+    DataDrivenForm,
     Direction,
     Quantity,
     Variable,
@@ -27,6 +28,8 @@ from cellapp.effects.data_driven import (
 from cellapp.effects.data_functions import PAIR_ORDER, functions, run_constants
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
+from cellapp.effects.meaning import Meaning
+from cellapp.effects.unknown_meaning import UNKNOWN_MEANING, data_driven_meaning
 from cellapp.kinematics.transforms import Array
 
 _LARGEST = 1e-2
@@ -57,6 +60,7 @@ class Unknown(Effect):
 
     slug = "unknown"
     title = "unknown effect"
+    meaning = UNKNOWN_MEANING
     variables: ClassVar[frozenset[DriverVariable]] = frozenset()
     forms: ClassVar[tuple[LawForm, ...]] = ()
 
@@ -67,6 +71,12 @@ class Unknown(Effect):
         """The form of a name such as ``joint 2|q1`` or ``contradiction|backlash|constant``."""
         form = form_named(name) or contradiction_named(name, self._library)
         return super().form(name) if form is None else form
+
+    def meaning_of(self, law: Law) -> Meaning:
+        """Checks by channel, further stops by variables; a general one for a term that is not of this form."""
+        if not isinstance(law.form, DataDrivenForm):
+            return self.meaning
+        return data_driven_meaning(law.form.channel, law.form.drivers)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per function and direction, all in one block; those of the effect for a contradiction."""

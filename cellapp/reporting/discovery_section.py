@@ -11,24 +11,42 @@ from cellapp.kinematics.transforms import Array
 from cellapp.reporting.captioned import CaptionedFigure
 from cellapp.reporting.discovery_tables import (
     accepted_table,
+    candidates_table,
     cycle_table,
     gap_steps,
     invisible_table,
     noise_floor,
+    noise_floor_words,
     not_found_table,
     numbered_steps_table,
     parameter_table,
+    structure_table,
 )
 from cellapp.reporting.discovery_text import (
+    contradiction_sentences,
     description_sentences,
+    misfit_sentences,
     picture_words,
     remainder_sentences,
     rival_sentences,
+    size_words,
     undrawn_sentences,
     verdict_sentence,
 )
 from cellapp.reporting.table import Table
+from cellapp.reporting.words import place_words
 from cellapp.results import ArmDiscoveryResult, DiscoverResult, Picture
+
+
+@dataclass(frozen=True)
+class MeaningPart:
+    """What an accepted effect means: a heading, cause, usual size, what to check, what would settle it."""
+
+    heading: str
+    cause: str
+    size: str
+    check: tuple[str, ...]
+    settle: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -42,6 +60,7 @@ class ArmSection:
     steps_table: Table
     tables: tuple[Table, ...]
     remarks: tuple[str, ...]
+    meanings: tuple[MeaningPart, ...]
     descriptions: tuple[tuple[str, str], ...]
     pictures: tuple[CaptionedFigure, ...]
     undetected: tuple[Table, ...]
@@ -58,7 +77,12 @@ def arm_sections(discover: DiscoverResult, predicted: Mapping[str, tuple[Array, 
     for number, (name, arm) in enumerate(discover.arms.items(), start=1):
         tables = (accepted_table(name, arm), parameter_table(name, arm), cycle_table(name, arm))
         certainty = [_certainty_figure(number, name, *predicted[name])] if name in predicted else []
-        undetected = (invisible_table(name, arm), not_found_table(name, arm))
+        undetected = (
+            invisible_table(name, arm),
+            not_found_table(name, arm),
+            candidates_table(name, arm),
+            structure_table(name, arm),
+        )
         sections.append(
             ArmSection(
                 name=name,
@@ -67,7 +91,13 @@ def arm_sections(discover: DiscoverResult, predicted: Mapping[str, tuple[Array, 
                 steps_figure=_steps_figure(number, name, arm),
                 steps_table=numbered_steps_table(name, arm),
                 tables=tuple(table for table in tables if table is not None),
-                remarks=(*rival_sentences(arm), *undrawn_sentences(arm)),
+                remarks=(
+                    *contradiction_sentences(arm),
+                    *rival_sentences(arm),
+                    *misfit_sentences(arm),
+                    *undrawn_sentences(arm),
+                ),
+                meanings=_meanings(arm),
                 descriptions=tuple(description_sentences(arm)),
                 pictures=(*_effect_figures(number, name, arm.pictures), *certainty),
                 undetected=tuple(table for table in undetected if table is not None),
@@ -77,13 +107,27 @@ def arm_sections(discover: DiscoverResult, predicted: Mapping[str, tuple[Array, 
     return sections
 
 
+def _meanings(arm: ArmDiscoveryResult) -> tuple[MeaningPart, ...]:
+    return tuple(
+        MeaningPart(
+            heading=f"{found.title}, {place_words(found.where)}",
+            cause=found.meaning.cause,
+            size=size_words(found.meaning),
+            check=found.meaning.check,
+            settle=found.meaning.settle,
+        )
+        for found in arm.accepted
+        if found.meaning is not None
+    )
+
+
 def _steps_figure(number: int, name: str, arm: ArmDiscoveryResult) -> CaptionedFigure:
     from cellapp.reporting import figures
 
     steps, floor = gap_steps(arm), noise_floor(arm)
     legend = [("geometry", "held-out rms after each step, as in the table")]
     if floor is not None:
-        legend.append(("floor", f"noise floor, {floor:.4f} mm"))
+        legend.append(("floor", f"{noise_floor_words(arm)}, {floor:.4f} mm"))
     return CaptionedFigure(
         figures.steps_figure(f"gap{number}", np.array([gap for _, gap in steps]), floor),
         f"Arm {name}: error after each step, on configurations that the search did not use",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from cellapp.reporting.table import Cell, Column, Interval, Table, number_column
-from cellapp.reporting.words import interval_95, law_words, place_words, short_reason
+from cellapp.reporting.words import interval_95, law_words, place_words, probability_words, short_reason
 from cellapp.results import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult
 
 _MM = ".4f"
@@ -23,9 +23,17 @@ def gap_steps(arm: ArmDiscoveryResult) -> list[tuple[str, float]]:
 
 
 def noise_floor(arm: ArmDiscoveryResult) -> float | None:
-    """Noise floor [mm]; None where the readings state no uncertainty."""
+    """Noise floor [mm], as stated or else as estimated; None where neither is known."""
     floor = arm.noise_floor_mm
-    return None if floor is None or not math.isfinite(floor) else floor
+    if floor is not None and math.isfinite(floor):
+        return floor
+    return None if arm.noise_mm is None else arm.noise_mm.rms
+
+
+def noise_floor_words(arm: ArmDiscoveryResult) -> str:
+    """``noise floor``, with ``estimated`` where the readings state no uncertainty."""
+    estimated = arm.noise_mm is not None and arm.noise_mm.source == "estimated"
+    return "noise floor, estimated" if estimated else "noise floor"
 
 
 def discovery_tables(result: DiscoverResult) -> list[Table]:
@@ -43,7 +51,7 @@ def steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
     rows: list[tuple[Cell, ...]] = [*gap_steps(arm)]
     floor = noise_floor(arm)
     if floor is not None:
-        rows.append(("noise floor", floor))
+        rows.append((noise_floor_words(arm), floor))
     columns = (Column("step"), number_column("held-out rms", _MM, "mm"))
     return Table(f"Arm {name}: {arm.verdict}", columns, tuple(rows))
 
@@ -53,7 +61,7 @@ def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
     rows: list[tuple[Cell, ...]] = [(str(number), what, gap) for number, (what, gap) in enumerate(gap_steps(arm))]
     floor = noise_floor(arm)
     if floor is not None:
-        rows.append(("", "noise floor", floor))
+        rows.append(("", noise_floor_words(arm), floor))
     columns = (Column("step"), Column("what was done"), number_column("held-out rms", _MM, "mm"))
     return Table(f"Arm {name}: held-out error after each step", columns, tuple(rows))
 
@@ -62,6 +70,7 @@ def _short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
     columns = (
         Column("accepted"),
         Column("where"),
+        number_column("probability", ""),
         number_column("corrected p", ".2g"),
         number_column("without", _MM),
         number_column("with", _MM),
@@ -70,6 +79,7 @@ def _short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
         (
             found.effect,
             place_words(found.where),
+            probability_words(found.posterior),
             found.evidence.corrected_p,
             found.evidence.heldout_mm.before,
             found.evidence.heldout_mm.after,
@@ -87,10 +97,12 @@ def accepted_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
         Column("effect"),
         Column("law"),
         Column("where"),
+        number_column("probability", ""),
         number_column("score", ".1f"),
         number_column("corrected p", ".2g"),
         number_column("without it", _MM, "mm"),
         number_column("with it", _MM, "mm"),
+        number_column("share beside its law", ".0f", "%"),
         Column("answer set"),
         Column("most correlated with"),
     )
@@ -104,10 +116,12 @@ def _accepted_row(found: AcceptedEffect) -> tuple[Cell, ...]:
         found.title,
         law_words(found.effect, found.law, found.where.joints),
         place_words(found.where),
+        probability_words(found.posterior),
         evidence.statistic,
         evidence.corrected_p,
         evidence.heldout_mm.before,
         evidence.heldout_mm.after,
+        None if found.law_misfit is None else 100.0 * found.law_misfit,
         " or ".join(found.answer_set),
         None if correlated is None else f"{correlated.parameter} ({correlated.correlation:+.2f})",
     )
@@ -157,6 +171,26 @@ def cycle_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
 
 def _band_cell(band: CycleBand) -> Cell:
     return band.first if band.first == band.last else Interval(band.first, band.last)
+
+
+def candidates_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """Posterior probability of every effect that was tested, the most probable first; None if there are none."""
+    if not arm.candidates:
+        return None
+    accepted = {found.effect for found in arm.accepted}
+    ordered = sorted(arm.candidates.items(), key=lambda entry: -entry[1])
+    rows = [(slug, probability_words(p), "yes" if slug in accepted else "no") for slug, p in ordered]
+    columns = (Column("effect"), number_column("probability", ""), Column("in the model"))
+    return Table(f"Arm {name}: probability of each effect that was tested", columns, tuple(rows))
+
+
+def structure_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """Tests of what is left for structure; None if there were none."""
+    if arm.structure is None or not arm.structure.tests:
+        return None
+    rows = tuple((test.against, test.p_value) for test in arm.structure.tests)
+    columns = (Column("what is left, against"), number_column("p", ".2g"))
+    return Table(f"Arm {name}: structure of what is left", columns, rows)
 
 
 def invisible_table(name: str, arm: ArmDiscoveryResult) -> Table | None:

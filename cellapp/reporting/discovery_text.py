@@ -7,15 +7,20 @@ import textwrap
 from collections.abc import Sequence
 from itertools import pairwise
 
-from cellapp.reporting.discovery_tables import gap_steps, noise_floor
-from cellapp.reporting.words import place_words, ranges, short_reason
-from cellapp.results import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult, Picture
+from cellapp.reporting.discovery_tables import gap_steps, noise_floor, noise_floor_words
+from cellapp.reporting.words import place_words, probability_words, ranges, short_reason
+from cellapp.results import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult, EffectMeaning, Picture
 
 WIDTH = 80
 """Columns of a terminal."""
 _TURN = 360.0
 _UNEVEN = 2.0
 """Ratio of the largest to the smallest standard deviation of a curve from which both are named."""
+_NOTICEABLE_MISFIT = 0.1
+"""Share of a displacement beside its law from which the law is called not quite as expected: below a tenth it is
+hidden by the uncertainty of the masses alone."""
+_NOT_IMPROBABLE = 0.05
+"""Probability from which an effect that was not accepted is mentioned."""
 _GAP_DEG = 10.0
 """The widest range of a joint without readings is named from here on: narrower ones are plain sampling."""
 
@@ -33,7 +38,7 @@ def discovery_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
     lines: list[str] = []
     for name, arm in result.arms.items():
         lines += [f"Arm {name}", "  held-out rms [mm] after each step"]
-        for what, gap in [*gap_steps(arm), ("noise floor", noise_floor(arm))]:
+        for what, gap in [*gap_steps(arm), (noise_floor_words(arm), noise_floor(arm))]:
             if gap is not None:
                 lines += _hanging(f"  {gap:9.4f}  ", what, width)
         lines += _accepted_lines(arm.accepted, width)
@@ -41,9 +46,16 @@ def discovery_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
             if found.indistinguishable:
                 words = f"of {found.effect}: {' or '.join(found.indistinguishable)}: these data cannot distinguish them"
                 lines += _hanging("  or instead   ", words, width)
+        possible = also_possible(arm)
+        if possible:
+            lines += _hanging("  possible too ", possible, width)
+        for contradiction in arm.contradictions:
+            lines += _hanging("  impossible   ", f"something {contradiction.sentence}", width)
         for place, entry in enumerate(arm.invisible):
             line = f"{entry.effect}: {short_reason(entry.reason)}"
             lines.append(_cut(f"  {'' if place else 'not visible':11}  {line}", width))
+        if arm.structure is not None:
+            lines += _hanging("  remainder    ", arm.structure.sentence, width)
         lines += _hanging("  verdict      ", f"{arm.verdict}: {verdict_sentence(name, arm)}", width)
         lines.append("")
     return lines
@@ -53,17 +65,78 @@ def _accepted_lines(accepted: Sequence[AcceptedEffect], width: int) -> list[str]
     """One line for each accepted effect; below it the cycles of a periodic error, or the description of a term."""
     if not accepted:
         return []
-    lines = [f"  {'accepted':23} {'where':20} {'corrected p':>11}  without -> with [mm]"]
+    lines = [f"  {'accepted':23} {'where':16} {'prob.':>6} {'corr. p':>8}  without -> with [mm]"]
     for found in accepted:
         gap = found.evidence.heldout_mm
         place, p = place_words(found.where), f"{found.evidence.corrected_p:.2g}"
-        lines.append(_cut(f"  {found.effect:23} {place:20} {p:>11}  {gap.before:7.4f} -> {gap.after:.4f}", width))
+        probable = probability_words(found.posterior)
+        numbers = f"{probable:>6} {p:>8}  {gap.before:7.4f} -> {gap.after:.4f}"
+        lines.append(_cut(f"  {found.effect:23} {place:16} {numbers}", width))
         cycles = cycle_words(found)
         if cycles:
             lines += _hanging("    cycles per turn  ", cycles, width)
         if found.description is not None:
             lines += _hanging("    ", found.description.sentence, width)
+        misfit = misfit_words(found)
+        if misfit:
+            lines += _hanging("    ", misfit, width)
     return lines
+
+
+def meaning_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
+    """Cause, usual size, what to check and what would settle it, of every accepted effect of every arm."""
+    lines: list[str] = []
+    for name, arm in result.arms.items():
+        for found in arm.accepted:
+            if found.meaning is None:
+                continue
+            lines.append(_cut(f"Arm {name}, {place_words(found.where)}: {found.title}", width))
+            lines += _hanging("  cause    ", found.meaning.cause, width)
+            lines += _hanging("  size     ", size_words(found.meaning), width)
+            for heading, items in (("check", found.meaning.check), ("settle", found.meaning.settle)):
+                for place, item in enumerate(items):
+                    lines += _hanging(f"  {'' if place else heading:9}- ", item, width)
+            lines.append(f"  more     cellapp docs {found.effect}")
+            lines.append("")
+    return lines
+
+
+def remark_lines(result: DiscoverResult) -> list[str]:
+    """What contradicts an effect, is possible too, hardly fits its law, or is left with structure: a line each."""
+    lines = []
+    for name, arm in result.arms.items():
+        possible = also_possible(arm)
+        others = [f"Not accepted, but possible: {possible}."] if possible else []
+        sentences = (*contradiction_sentences(arm), *others, *misfit_sentences(arm), *structure_sentences(arm))
+        lines += [f"Arm {name}: {sentence}" for sentence in sentences]
+    return [*lines, ""] if lines else []
+
+
+def explanation_text(result: DiscoverResult) -> str:
+    """All that explains the tables of a discovery."""
+    return "\n".join([*remark_lines(result), *meaning_lines(result)])
+
+
+def size_words(meaning: EffectMeaning) -> str:
+    """The usual size with how well it is known."""
+    return f"{meaning.size} ({meaning.size_source})"
+
+
+def misfit_words(found: AcceptedEffect) -> str:
+    """What the effect moves beside its law; empty where it has no free part or hardly any in it."""
+    if found.law_misfit is None or found.law_misfit < _NOTICEABLE_MISFIT:
+        return ""
+    return (
+        f"law not quite as expected: {100.0 * found.law_misfit:.0f} % of the displacement by {found.effect} is in its"
+        " smooth free part"
+    )
+
+
+def also_possible(arm: ArmDiscoveryResult) -> str:
+    """Effects that were not accepted and are not improbable, the most probable first."""
+    accepted = {found.effect for found in arm.accepted}
+    others = [(slug, p) for slug, p in arm.candidates.items() if slug not in accepted and p >= _NOT_IMPROBABLE]
+    return ", ".join(f"{slug} ({probability_words(p)})" for slug, p in sorted(others, key=lambda entry: -entry[1]))
 
 
 def cycle_words(found: AcceptedEffect) -> str:
@@ -107,6 +180,25 @@ def rival_sentences(arm: ArmDiscoveryResult) -> list[str]:
     return sentences
 
 
+def contradiction_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """What behaves like an effect with an impossible sign or size."""
+    return [f"Something {found.sentence}." for found in arm.contradictions]
+
+
+def misfit_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """Accepted effects whose law is not quite as expected."""
+    words = [misfit_words(found) for found in arm.accepted]
+    return [f"{text[0].upper()}{text[1:]}." for text in words if text]
+
+
+def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """Whether what is left shows structure; empty where it was not tested."""
+    if arm.structure is None:
+        return []
+    sentence = arm.structure.sentence
+    return [f"{sentence[0].upper()}{sentence[1:]}."]
+
+
 def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
     """Joints of an accepted effect that have no figure."""
     sentences = []
@@ -124,7 +216,12 @@ def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 def remainder_sentences(arm: ArmDiscoveryResult) -> list[str]:
     """What the effects leave, what a residual network finds in it, and the predicted uncertainty."""
-    return [*_scatter_sentences(arm), *_network_sentences(arm), *_uncertainty_sentences(arm)]
+    return [
+        *structure_sentences(arm),
+        *_scatter_sentences(arm),
+        *_network_sentences(arm),
+        *_uncertainty_sentences(arm),
+    ]
 
 
 def _scatter_sentences(arm: ArmDiscoveryResult) -> list[str]:

@@ -11,6 +11,7 @@ import cellapp
 from cellapp.profile import Profile, profile_to_json
 from cellapp.reporting.report_data import ReportData
 from cellapp.results import Provenance
+from cellapp.run.in_order import order_sentences
 from cellapp.run.stages import CALIBRATION_FILE, readings_digest
 
 HASH_TITLE = "SHA-256"
@@ -46,6 +47,7 @@ def _reading_lines(data: ReportData) -> list[tuple[str, str]]:
         arm = data.profile.arms[name]
         title = f"Readings of arm {name} ({arm.type.model})"
         lines.append((title, f"{len(readings)}: {used}, {unused} unused; driver: {arm.driver.kind}"))
+    lines += [("Order of measurement", sentence) for sentence in order_sentences(data.in_order)]
     pair = data.calibrate.pair.get("method_1")
     if pair is not None and pair.splits:
         lines.append(("Common stops of the pair", ", ".join(f"{count} {word}" for word, count in pair.splits.items())))

@@ -19,6 +19,7 @@ from cellapp.results import (
     DISCOVER,
     STAGES,
     VERIFY,
+    ArmOrder,
     CalibrateResult,
     DiscoverResult,
     RunResults,
@@ -27,6 +28,7 @@ from cellapp.results import (
 )
 from cellapp.run import Readings, RunFile
 from cellapp.run.file import Event
+from cellapp.run.in_order import read_in_order
 from cellapp.run.stages import RunStages, read_results, read_stages
 
 
@@ -40,6 +42,8 @@ class ReportData:
         The model that ``calibrate`` stored: geometry, and a residual network where one was used.
     discovered : CellModel or None
         The model that ``discover`` stored, while the discovery holds.
+    in_order : mapping
+        What an import derived from the order of the readings, by arm.
     model_in_force : str
         The stored model (JSON) that compensation uses; ``calibration.json`` has the same text.
     next_step : str
@@ -52,6 +56,7 @@ class ReportData:
     calibrated: CellModel
     discovered: CellModel | None
     readings: Mapping[str, Readings]
+    in_order: Mapping[str, ArmOrder]
     events: tuple[Event, ...]
     model_in_force: str
     next_step: str
@@ -160,6 +165,7 @@ def read_report_data(run: RunFile) -> ReportData:
         calibrated=calibrated,
         discovered=_stored_model(run, stages, DISCOVER) if holds else None,
         readings={name: run.readings(name) for name in calibrated.arms},
+        in_order=read_in_order(run),
         events=tuple(run.events()),
         model_in_force=stages.in_force.model,
         next_step=stages.next_step(run.folder),

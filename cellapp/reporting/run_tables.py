@@ -17,6 +17,7 @@ from cellapp.results import (
     StageState,
     StopsResult,
 )
+from cellapp.run.in_order import order_sentences
 
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
@@ -46,8 +47,8 @@ def overview_tables(state: OverviewResult) -> list[Table]:
 
 
 def overview_sentences(state: OverviewResult) -> list[str]:
-    """Which model is in force, and the next command."""
-    sentences = []
+    """What was derived from the order of the readings, which model is in force, and the next command."""
+    sentences = order_sentences(state.in_order)
     if state.in_force is not None:
         sentences.append(f"model in force: that of '{state.in_force}' (calibration.json)")
     sentences.append(f"next: {state.next_step}" if state.next_step else "next: nothing is left to do")

@@ -5,6 +5,7 @@ Terminal, TUI, HTML and Markdown draw the same ``Table``.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -100,3 +101,16 @@ def format_cell(cell: Cell, number_format: str = "") -> str:
         limits = number_format if cell.decimals is None else f".{cell.decimals}f"
         return f"{cell.low:{limits}} to {cell.high:{limits}}"
     return format(cell, number_format)
+
+
+def markdown(tables: Sequence[Table], sentences: Sequence[str]) -> str:
+    """Tables as Markdown, and the sentences as a paragraph at the end."""
+    parts = []
+    for table in tables:
+        lines = [f"**{table.title}**", "", _markdown_row(table.headings), "|" + " --- |" * len(table.columns)]
+        parts.append("\n".join([*lines, *map(_markdown_row, table.text_rows())]))
+    return "\n\n".join([*parts, " ".join(sentences)]) + "\n"
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -23,6 +23,8 @@ _UNITS = {
 }
 _MILLIMETRES = 1e-3
 """Lengths from here on are shown in mm [m]."""
+_NEARLY_CERTAIN = 0.99
+"""Probability beyond which only the limit is stated."""
 _TWO_SIDED = 1.959964
 """Half width of a 95 % interval in standard errors: quantile 0.975 of the normal distribution."""
 
@@ -77,6 +79,15 @@ def interval_95(estimate: Estimate) -> tuple[Number, Interval | None, str]:
     decimals = min(max(1 - math.floor(math.log10(error)), 0), 9) if 0.0 < error < math.inf else 3
     half = _TWO_SIDED * error
     return Number(value, decimals), Interval(value - half, value + half, decimals), unit
+
+
+def probability_words(probability: float | None) -> str:
+    """``97 %``; ``> 99 %`` and ``< 1 %`` near the ends, where rounding would claim certainty; empty for None."""
+    if probability is None:
+        return ""
+    if probability > _NEARLY_CERTAIN:
+        return "> 99 %"
+    return "< 1 %" if probability < 1.0 - _NEARLY_CERTAIN else f"{100.0 * probability:.0f} %"
 
 
 def geometry_unit(unit: str) -> tuple[float, str]:

@@ -114,13 +114,33 @@ class RequestResult(Result):
     answer: str
 
 
+class ArmOrder(Record):
+    """What an import in order of measurement derived for one arm.
+
+    Attributes
+    ----------
+    by : str
+        What gave the order: the rows, the column ``sequence``, or the times.
+    approach, step : int
+        Approach signs and steps of single joints that were derived from the reading before.
+    contradicted : int
+        Given approach signs that contradict the motion from the reading before; the steps there are unknown.
+    """
+
+    by: Literal["rows", "sequence", "time"]
+    approach: int
+    step: int
+    contradicted: int = 0
+
+
 class ImportResult(Result):
-    """``import``: number of readings of each arm."""
+    """``import``: number of readings of each arm; ``in_order`` maps arms to what their order of measurement gave."""
 
     schema_: Literal["cellapp-import"] = "cellapp-import"
     version: Literal[1] = 1
     run: str
     readings: Mapping[str, int]
+    in_order: Mapping[str, ArmOrder] = Field(default_factory=dict)
     notes: tuple[str, ...]
 
 

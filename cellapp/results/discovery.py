@@ -10,6 +10,9 @@ from pydantic import Field
 from cellapp.results.base import Estimate, Method, Record, Result, Stage, StageErrors, Verdict
 from cellapp.results.calibration import PairMethodResult
 
+SizeSource = Literal["sourced", "computed", "estimate"]
+StructureKind = Literal["joints", "order", "time", "approach", "position", "tracker"]
+
 
 class BeforeAfter(Record):
     """A number before and after."""
@@ -90,8 +93,27 @@ class TermDescription(Record):
     sentence: str
 
 
+class EffectMeaning(Record):
+    """What an effect means for whoever runs the cell.
+
+    ``cause`` is where it comes from, ``size`` how large it usually is and ``size_source`` how well that is known
+    (``sourced``: published, ``computed``: from published data, ``estimate``), ``check`` what to check or mend on the
+    machine, ``settle`` which further stops or observations would settle whether it is there.
+    """
+
+    cause: str
+    size: str
+    size_source: SizeSource
+    check: tuple[str, ...]
+    settle: tuple[str, ...]
+
+
 class AcceptedEffect(Record):
-    """An effect that discovery added to the model, with its evidence."""
+    """An effect that discovery added to the model, with its evidence.
+
+    ``posterior`` is the probability that it is there; None where it was not computed. ``law_misfit`` is the rms of what
+    its smooth free part moves the SMR over the rms of all that the effect moves it, None where it has no free part.
+    """
 
     effect: str
     title: str
@@ -102,6 +124,9 @@ class AcceptedEffect(Record):
     answer_set: tuple[str, ...]
     runners_up: tuple[RunnerUp, ...]
     correlated_with: Correlation | None
+    posterior: float | None = None
+    law_misfit: float | None = None
+    meaning: EffectMeaning | None = None
     cycles: Mapping[str, CycleBand] | None = None
     description: TermDescription | None = None
     omitted_when_none = frozenset({"cycles", "description"})
@@ -185,15 +210,50 @@ class HeldOutBeforeAfter(Record):
     after: HeldOutPosition
 
 
+class Noise(Record):
+    """Noise of a measured position: rms of its length [mm], as the readings state it or as discovery estimated it."""
+
+    rms: float
+    source: Literal["stated", "estimated"]
+
+
+class StructureTest(Record):
+    """p-value of the residual against one kind of structure: small where what is left still follows it."""
+
+    against: StructureKind
+    p_value: float
+
+
+class RemainingStructure(Record):
+    """Tests of the residual of the final model for structure, and their outcome in one sentence."""
+
+    tests: tuple[StructureTest, ...]
+    sentence: str
+
+
+class Contradiction(Record):
+    """What looks like a named effect with an impossible sign or size; it counts as unknown.
+
+    ``joints`` count from 1; ``size_um`` is the rms displacement of the SMR.
+    """
+
+    effect: str
+    joints: tuple[int, ...]
+    size_um: float
+    sentence: str
+
+
 class ArmDiscoveryResult(Record):
     """Discovery in the data of one arm; ``heldout_mm`` are rms errors on stops that the search did not see.
 
     ``validate`` has the held-out errors of the model with what was found; it is empty where nothing was.
     ``network_mm`` is the rms correction of a residual network trained before and after the effects were added.
     ``scatter`` is the root of chi-square per degree of freedom of what is left, ``omnibus_p`` its p-value.
+    ``candidates`` has the posterior probability of every effect that was tested, by its slug.
     """
 
     noise_floor_mm: float | None
+    noise_mm: Noise | None = None
     heldout_mm: BeforeAfter
     heldout_position_mm: HeldOutBeforeAfter | None = None
     seconds: float | None = None
@@ -202,6 +262,9 @@ class ArmDiscoveryResult(Record):
     omnibus_p: float | None
     scatter: float | None
     accepted: tuple[AcceptedEffect, ...]
+    candidates: Mapping[str, float] = {}
+    contradictions: tuple[Contradiction, ...] = ()
+    structure: RemainingStructure | None = None
     invisible: tuple[AbsentEffect, ...]
     not_found: tuple[AbsentEffect, ...]
     network_mm: BeforeAfter | None = None

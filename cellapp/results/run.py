@@ -7,7 +7,7 @@ from typing import Literal
 
 from cellapp.results.base import Record, Result, StageName
 from cellapp.results.calibration import CalibrateResult
-from cellapp.results.collection import CollectResult
+from cellapp.results.collection import ArmOrder, CollectResult
 from cellapp.results.discovery import DiscoverResult
 from cellapp.results.targets import CompensateResult, VerifyResult
 
@@ -49,6 +49,16 @@ class ReportResult(RunResults):
     page: str
 
 
+class DocsResult(Result):
+    """``docs``: a chapter or section of the handbook as Markdown, or the files that were drawn."""
+
+    schema_: Literal["cellapp-docs"] = "cellapp-docs"
+    version: Literal[1] = 1
+    topic: str
+    text: str | None = None
+    files: tuple[str, ...] = ()
+
+
 class ArmState(Record):
     """How much of one arm's plan is measured, and in which splits."""
 
@@ -76,13 +86,17 @@ class StageState(Record):
 
 
 class OverviewResult(Result):
-    """``show``: the state of a run and the command that comes next (empty if none)."""
+    """``show``: the state of a run and the command that comes next (empty if none).
+
+    ``in_order`` maps arms to what an import derived from their order of measurement.
+    """
 
     schema_: Literal["cellapp-overview"] = "cellapp-overview"
     version: Literal[1] = 1
     run: str
     profile: str
     arms: Mapping[str, ArmState]
+    in_order: Mapping[str, ArmOrder] = {}
     stages: tuple[StageState, ...]
     in_force: StageName | None
     next_step: str

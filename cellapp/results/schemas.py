@@ -16,7 +16,15 @@ from cellapp.results.collection import (
 )
 from cellapp.results.commissioning import DoctorResult, EmulateResult, TrackerBridgeResult
 from cellapp.results.discovery import DiscoverResult
-from cellapp.results.run import HistoryResult, LogResult, OverviewResult, ReportResult, StopsResult, WholeRunResult
+from cellapp.results.run import (
+    DocsResult,
+    HistoryResult,
+    LogResult,
+    OverviewResult,
+    ReportResult,
+    StopsResult,
+    WholeRunResult,
+)
 from cellapp.results.targets import CompensateResult, VerifyResult
 
 VERB_RESULTS: tuple[type[Result], ...] = (
@@ -39,6 +47,7 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     HistoryResult,
     LogResult,
     StopsResult,
+    DocsResult,
 )
 """Every result of a verb, for the exported JSON schemas."""
 

@@ -194,12 +194,26 @@ def _positive_definite(triangles: NDArray[Any]) -> Fault | None:
     return Fault(int(wrong[0]), None, "expected a positive definite covariance in m^2") if len(wrong) else None
 
 
+def _places(sequence: NDArray[Any]) -> Fault | None:
+    missing = np.isnan(sequence[:, 0])
+    if missing.all():
+        return None
+    if missing.any():
+        return Fault(int(np.argmax(missing)), 0, "the value is missing; give every row of the arm its place, or none")
+    _, first = np.unique(sequence[:, 0], return_index=True)
+    again = np.setdiff1d(np.arange(len(sequence)), first)
+    if not len(again):
+        return None
+    return Fault(int(again[0]), 0, f"{sequence[again[0], 0]:g} is the place of another row of the arm already")
+
+
 CONFIGURATION = Column("configuration", "", ("configuration",), dtype=np.int64, required=True)
 """The number of the stop, with the arm the key of a reading."""
 
 COLUMNS: tuple[Column, ...] = (
     CONFIGURATION,
     Column("time_s", "s", ("time_s",), fill=math.nan),
+    Column("sequence", "", ("sequence",), check=_places, since=5),
     Column("q", "rad", ("q",), "joints", required=True, check=_in_radians),
     Column(
         "approach",

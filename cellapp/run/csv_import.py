@@ -2,7 +2,8 @@
 
 Columns are those of ``columns.COLUMNS``: ``configuration``, ``arm``, ``q1`` ... ``qN`` and ``x_m, y_m, z_m`` have a
 value in every row; the others are optional and an empty cell is a missing value, but a covariance has all six numbers
-or none. A file without times gives NaN as time: the order of rows is not a clock. Unknown columns are kept as text.
+or none. A file without times gives NaN as time: the order of rows is not a clock. Whether it is the order of
+measurement, which gives each joint's last motion, the caller says (``in_order``). Unknown columns are kept as text.
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from numpy.typing import NDArray
 
 from cellapp.errors import InputError
 from cellapp.profile import Profile
+from cellapp.results import ArmOrder
 from cellapp.run.columns import COLUMNS, CONFIGURATION, Column, Values
 from cellapp.run.csv_text import CsvTable, Problems, read_csv_table
 from cellapp.run.file import RunFile
+from cellapp.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.run.readings import Readings, readings_from_columns
 
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
@@ -32,7 +35,9 @@ _LONGEST_SHOWN = 40
 """Characters of a wrong cell that a message shows."""
 
 
-def read_readings_csv(path: Path, joint_counts: Mapping[str, int]) -> tuple[dict[str, Readings], list[str]]:
+def read_readings_csv(
+    path: Path, joint_counts: Mapping[str, int], *, in_order: bool = False
+) -> tuple[dict[str, Readings], list[str]]:
     """Read and check a file of readings.
 
     Parameters
@@ -41,6 +46,9 @@ def read_readings_csv(path: Path, joint_counts: Mapping[str, int]) -> tuple[dict
         UTF-8, comma-separated.
     joint_counts : mapping
         Number of joints of each arm that may occur, by name.
+    in_order : bool
+        The rows of an arm stand in the order in which they were measured (with ``time_s``, the order is by time):
+        approach and step that the file does not give follow from the row before, see ``in_measured_order``.
 
     Returns
     -------
@@ -54,13 +62,15 @@ def read_readings_csv(path: Path, joint_counts: Mapping[str, int]) -> tuple[dict
     InputError
         Names file, line and column of values that are missing, not numbers, repeated or implausible.
     """
-    return _read(read_csv_table(Path(path)), joint_counts)
+    readings, _, notes = _read(read_csv_table(Path(path)), joint_counts, in_order)
+    return readings, notes
 
 
-def import_csv(profile: Profile, csv: Path, folder: Path) -> RunFile:
+def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> RunFile:
     """Make a run from a file of readings, after the whole file was read and checked.
 
-    Notes (unknown columns) are logged in the run with level ``note``.
+    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
+    run then keeps what was derived.
 
     Raises
     ------
@@ -69,7 +79,8 @@ def import_csv(profile: Profile, csv: Path, folder: Path) -> RunFile:
         made then.
     """
     table = read_csv_table(Path(csv))
-    readings, notes = _read(table, {name: len(arm.type.joints) for name, arm in profile.arms.items()})
+    joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
+    readings, orders, notes = _read(table, joint_counts, in_order)
     missing = [name for name in profile.arms if name not in readings]
     if missing:
         raise InputError(
@@ -83,6 +94,8 @@ def import_csv(profile: Profile, csv: Path, folder: Path) -> RunFile:
             run.add_readings(arm, rows)
         count = ", ".join(f"{len(rows)} of arm {arm}" for arm, rows in readings.items())
         run.log("info", f"imported {csv}: {count}")
+        if orders:
+            write_in_order(run, orders)
         for note in notes:
             run.log("note", note)
 
@@ -106,7 +119,10 @@ def _per_joint(name: str) -> tuple[str, int] | None:
     return None
 
 
-def _read(table: CsvTable, joint_counts: Mapping[str, int]) -> tuple[dict[str, Readings], list[str]]:
+def _read(
+    table: CsvTable, joint_counts: Mapping[str, int], in_order: bool
+) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
+    """Readings, what their order of measurement gave, and notes."""
     problems = Problems(table.path)
     _check_header(table, problems)
     names = [name.strip() for name in table.cells["arm"]]
@@ -116,15 +132,22 @@ def _read(table: CsvTable, joint_counts: Mapping[str, int]) -> tuple[dict[str, R
         elif name not in joint_counts:
             problems.add(line, "arm", f"arm '{name}' is not in the profile; arms are {', '.join(joint_counts)}")
     problems.check()
-    readings = {}
+    readings: dict[str, Readings] = {}
+    orders: dict[str, ArmOrder] = {}
     for arm in joint_counts:
         rows = [index for index, name in enumerate(names) if name == arm]
-        if rows:
-            result = _read_arm(_ArmCells(table, rows, problems), arm, joint_counts[arm])
-            if result is not None:
-                readings[arm] = result
+        cells = _ArmCells(table, rows, problems)
+        result = _read_arm(cells, arm, joint_counts[arm]) if rows else None
+        if result is None:
+            continue
+        fault = order_fault(result) if in_order else None
+        if fault is not None:
+            cells.refuse(*fault)
+        elif in_order:
+            result, orders[arm] = in_measured_order(result)
+        readings[arm] = result.take(np.argsort(result.configuration, kind="stable"))
     problems.check()
-    return readings, _notes(table, joint_counts, readings)
+    return readings, orders, [*_notes(table, joint_counts, readings), *order_sentences(orders)]
 
 
 def _check_header(table: CsvTable, problems: Problems) -> None:
@@ -243,7 +266,7 @@ class _ArmCells:
 
 
 def _read_arm(cells: _ArmCells, arm: str, joints: int) -> Readings | None:
-    """The readings of one arm, ordered by configuration; None if a problem was found."""
+    """The readings of one arm in the order of the rows; None if a problem was found."""
     problems, before = cells.problems, cells.problems.count
     _check_joint_columns(cells, arm, joints)
     if problems.count > before:
@@ -262,7 +285,7 @@ def _read_arm(cells: _ArmCells, arm: str, joints: int) -> Readings | None:
     if problems.count > before:
         return None
     extras = {name: tuple(cells.texts(name)) for name in cells.table.names if not is_known(name)}
-    return readings_from_columns(values, extras).take(np.argsort(configuration, kind="stable"))
+    return readings_from_columns(values, extras)
 
 
 def _check_joint_columns(cells: _ArmCells, arm: str, joints: int) -> None:

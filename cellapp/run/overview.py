@@ -17,6 +17,7 @@ from cellapp.results import (
     StopsResult,
 )
 from cellapp.run.file import RunFile
+from cellapp.run.in_order import read_in_order
 from cellapp.run.stages import RunStages, StoredStage, read_history, read_stages
 
 
@@ -34,6 +35,7 @@ def run_overview(run: RunFile) -> OverviewResult:
         run=str(run.folder),
         profile=run.profile.name,
         arms=arms,
+        in_order=read_in_order(run),
         stages=tuple(_state(stage, stages) for stage in stages.current.values()),
         in_force=None if stages.in_force is None else stages.in_force.name,
         next_step=_next_step(run, stages, arms),

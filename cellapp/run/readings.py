@@ -26,6 +26,8 @@ class Reading:
         Measured SMR centre in the tracker frame [m].
     time_s : float
         Seconds since the run began; NaN if unknown.
+    sequence : float or None
+        Place in the order in which the arm's readings were measured.
     approach : array, shape (N,), or None
         Sign of each joint's last motion before the stop: -1, 0 (unknown), +1; None if unknown for all joints.
     payload_kg, temperature_c, sigma_m : float or None
@@ -47,6 +49,7 @@ class Reading:
     q: _Floats
     p_M: _Floats
     time_s: float = float("nan")
+    sequence: float | None = None
     approach: NDArray[np.int8] | None = None
     payload_kg: float | None = None
     temperature_c: float | None = None
@@ -92,6 +95,8 @@ class Readings:
         Number of the stop; rows of both arms with the same number were measured at the same stop.
     time_s : array, shape (n,)
         Seconds since the run began; NaN if unknown.
+    sequence : array, shape (n,), or None
+        Place in the order in which the arm's readings were measured, of an imported file.
     q : array, shape (n, N)
         Joint positions read from the controller [rad].
     approach : array, shape (n, N), int8
@@ -121,6 +126,7 @@ class Readings:
     q: _Floats
     approach: NDArray[np.int8]
     p_M: _Floats
+    sequence: _Floats | None = None
     payload_kg: _Floats | None = None
     temperature_c: _Floats | None = None
     joint_temperature_c: _Floats | None = None

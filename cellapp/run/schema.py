@@ -6,9 +6,10 @@ import sqlite3
 
 from cellapp.run.columns import COLUMNS
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``. 4: sessions of
-collecting, outcomes of stops that were not measured, reference measurements."""
+collecting, outcomes of stops that were not measured, reference measurements. 5: place of a reading in the order of
+measurement."""
 
 _KEY = ("arm TEXT NOT NULL", "PRIMARY KEY (arm, configuration)")
 _EXTRAS = "extras TEXT"
@@ -61,7 +62,7 @@ def upgrade(connection: sqlite3.Connection) -> None:
     for column in COLUMNS:
         if column.since > version:
             connection.execute(f"ALTER TABLE reading ADD COLUMN {column.sql_declaration}")
-    for statement in (*([_STAGE_TABLE] if version < 3 else []), *_COLLECTION_TABLES):
+    for statement in (*([_STAGE_TABLE] if version < 3 else []), *(_COLLECTION_TABLES if version < 4 else ())):
         connection.execute(statement)
     connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))
     connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")

@@ -28,7 +28,7 @@ class ArmCoverage(Result):
     share : float
         Share of intervals that contained the truth.
     by_parameter : mapping
-        Parameter -> share of runs.
+        Parameter -> share of the runs that identified it.
     scatter : float
         Mean of the root of chi-square per degree of freedom: 1 when the tracker's noise model is the true one.
     """
@@ -78,16 +78,14 @@ def coverage(
 ) -> ArmCoverage:
     """Identify ``runs`` simulated arms from the same ``stops`` and count how often 95 % intervals contain the truth.
 
-    The truth of the identified parameters is their estimate from noise-free positions of the same plant, as parameters
-    that are merged into others have no true value of their own.
+    The truth of the identified parameters is their estimate from noise-free positions of the same plant, with the same
+    parameters merged into them: these have no true value of their own.
     """
     cancel = cancel or CancelToken()
     nominal = nominal_arm(profile.arms[arm])
     q = plan_stops(bare_profile(profile, stops))[arm]
-    inside = []
+    inside: dict[str, list[bool]] = {}
     scatter = []
-    names: tuple[str, ...] = ()
-    chosen = None
     for k in range(runs):
         cancel.check()
         if k % 10 == 0:
@@ -96,21 +94,22 @@ def coverage(
         exact = plant.smr_positions(arm, q)
         noisy, covariance = plant.measure_positions(exact, np.random.default_rng([profile.seed, 0xC0, k]))
         start = start_from_nominal(nominal, q, noisy, tool_unknown=False)
-        estimate = identify(start, q, noisy, sigma=covariance, parameter_set=chosen or "auto", tolerance=1e-10)
-        chosen = estimate.parameter_set
-        truth = identify(start, q, exact, sigma=covariance, parameter_set=chosen, tolerance=1e-12)
-        if np.abs(truth.residuals).max() > 1e-8:
-            raise ValueError(f"the {chosen.name} model does not fit noise-free positions: {truth.message}")
+        estimate = identify(start, q, noisy, sigma=covariance, tolerance=1e-10)
+        exactly = identify(start, q, exact, sigma=covariance, tolerance=1e-12)
+        if np.abs(exactly.residuals).max() > 1e-8:
+            raise ValueError(f"the model does not fit noise-free positions: {exactly.message}")
+        truth = estimate.parameter_set.merged_values(exactly.geometry, start)
         limit = student.ppf(0.975, estimate.degrees_of_freedom)
-        inside.append(np.abs(estimate.values - truth.values) <= limit * estimate.standard_errors)
+        held = np.abs(estimate.values - truth) <= limit * estimate.standard_errors
+        for name, one in zip(estimate.names, held.tolist(), strict=True):
+            inside.setdefault(name, []).append(one)
         scatter.append(estimate.scale)
-        names = estimate.names
-    held = np.array(inside)
+    every = [one for held_by_name in inside.values() for one in held_by_name]
     listener(Progress("coverage", runs, runs, "done"))
     return ArmCoverage(
         runs=runs,
-        intervals=held.size,
-        share=float(held.mean()),
-        by_parameter=dict(zip(names, held.mean(axis=0).tolist(), strict=True)),
+        intervals=len(every),
+        share=float(np.mean(every)),
+        by_parameter={name: float(np.mean(held_by_name)) for name, held_by_name in inside.items()},
         scatter=float(np.mean(scatter)),
     )

@@ -6,7 +6,6 @@ What was found is stored in each run's file, so that judging continues where it 
 from __future__ import annotations
 
 import hashlib
-import math
 import multiprocessing
 import os
 import signal
@@ -35,15 +34,9 @@ from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import CALIBRATE, ArmDiscoveryResult, BeforeAfter, Record
 from cellapp.run import RunFile
 from cellapp.run.stages import read_stages
-from cellapp.trials.scoring import (
-    ArmFindings,
-    DescribedTerm,
-    JudgeResult,
-    NoiseLengths,
-    ScoredRun,
-    score_run,
-    scores,
-)
+from cellapp.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
+from cellapp.trials.run_score import score_run
+from cellapp.trials.scoring import scores
 from cellapp.trials.sealed import GroundTruth, check_seal, digest_of, open_truth
 
 TRIAL_RESULT = "sealed-trial"
@@ -284,13 +277,33 @@ def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
         accepted=tuple(effect.effect for effect in found.accepted),
         answer_sets=tuple(effect.answer_set for effect in found.accepted),
         described=tuple(
-            DescribedTerm(channel=effect.where.channel or "", variables=effect.where.variables or ())
+            DescribedTerm(
+                channel=effect.where.channel or "",
+                variables=effect.where.variables or (),
+                sentence="" if effect.description is None else effect.description.sentence,
+            )
             for effect in found.accepted
             if effect.effect == UNKNOWN
         ),
+        posteriors=_posteriors(found),
+        invisible=tuple(effect.effect for effect in found.invisible),
         verdict=found.verdict,
+        sentence=found.sentence,
         heldout_um=BeforeAfter(before=found.heldout_mm.before * 1e3, after=found.heldout_mm.after * 1e3),
-        noise_um=NoiseLengths(stated=(found.noise_floor_mm or math.nan) * 1e3, drawn=drawn_um),
+        noise_um=NoiseLengths(
+            stated=None if found.noise_floor_mm is None else found.noise_floor_mm * 1e3, drawn=drawn_um
+        ),
         seconds=stored.seconds,
         cpu_seconds=stored.cpu_seconds,
     )
+
+
+def _posteriors(found: ArmDiscoveryResult) -> dict[str, float]:
+    """Stated probability of each effect: of the candidates, and of what was accepted; empty where none is stated."""
+    candidates: Mapping[str, float | None] = getattr(found, "candidates", None) or {}
+    stated = {slug: float(value) for slug, value in candidates.items() if value is not None}
+    for effect in found.accepted:
+        posterior: float | None = getattr(effect, "posterior", None)
+        if posterior is not None and effect.effect != UNKNOWN:
+            stated[effect.effect] = max(posterior, stated.get(effect.effect, 0.0))
+    return stated

@@ -6,10 +6,11 @@ from cellapp.results import Result
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.campaigns.trial import CampaignsResult
 from cellapp.trials.coverage import CoverageResult
+from cellapp.trials.judge_records import JudgeResult
+from cellapp.trials.league.trial import LeagueResult
 from cellapp.trials.link_results import LinksResult
 from cellapp.trials.paper import PaperResult
 from cellapp.trials.parameter_sets import ParameterSetsResult
-from cellapp.trials.scoring import JudgeResult
 from cellapp.trials.sealed import SealResult
 from cellapp.trials.storm import StormResult
 
@@ -23,4 +24,5 @@ TRIAL_RESULTS: tuple[type[Result], ...] = (
     CampaignsResult,
     SealResult,
     JudgeResult,
+    LeagueResult,
 )

@@ -13,7 +13,6 @@ import math
 import secrets
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -23,84 +22,34 @@ from pydantic import JsonValue
 
 from cellapp import __version__
 from cellapp.calibration.calibrate import rms_length_mm
-from cellapp.calibration.identification import start_from_nominal
-from cellapp.calibration.parameters import auto_set
+from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.collection.cell import build_plant
 from cellapp.errors import CheckFailed, InputError
-from cellapp.kinematics.chain import JointAngles, jacobian
 from cellapp.kinematics.transforms import Array
-from cellapp.model.nominal import nominal_arm
-from cellapp.planning.plan import plan_stops
-from cellapp.profile import Arm, Profile, Sensors
+from cellapp.profile import Profile, Sensors
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Record, Result
 from cellapp.run import Readings, RunFile, stated_uncertainty
-from cellapp.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
+from cellapp.trials.blind import DURATION_S, blind_readings, with_hidden
+from cellapp.trials.sealed_cases import EXPECTED, OUT, Case, cases, library_name
+from cellapp.trials.sealed_setup import NOISES, Setup
+from cellapp.trials.visible_size import beyond_geometry, beyond_law, registered_model
 from drivers.no_driver import NoDriver
-from drivers.plant import OUTSIDE, REALISTIC, suggest
+from drivers.plant import suggest, suggest_other_law
 
 TRUTH_FILE = "truth.json"
 SEAL_FILE = "seal.txt"
 
-NOISES: Mapping[str, Noise] = {
-    "gaussian": Noise(),
-    "heavy": Noise("heavy"),
-    "repeatability": Noise("gaussian", 8e-6),
-}
-"""How readings scatter: as stated, with heavy tails, or with 8 urad unstated repeatability of each joint."""
-
-PAIRS: tuple[tuple[str, str], ...] = (
-    ("joint_compliance", "backlash"),
-    ("joint_compliance", "base_drift"),
-    ("joint_compliance", "pedestal_coupling"),
-    ("encoder_eccentricity", "target_slip"),
-    ("backlash", "thermal_growth"),
-    ("transmission_error", "base_step"),
-    ("transmission_error", "friction_windup"),
-    ("joint_compliance", "transmission_error"),
-    ("pedestal_coupling", "thermal_growth"),
-    ("joint_axis_wobble", "unsettled_measurement"),
-    ("link_bending", "backlash"),
-    ("encoder_eccentricity", "joint_drift"),
-)
-"""Ordinary pairs: neither effect imitates the other."""
-LOOK_ALIKES: tuple[tuple[str, str], ...] = (
-    ("joint_compliance", "link_bending"),
-    ("backlash", "unsettled_measurement"),
-    ("backlash", "friction_windup"),
-    ("joint_compliance", "pedestal_compliance"),
-    ("joint_compliance", "encoder_eccentricity"),
-    ("base_drift", "thermal_growth"),
-    ("encoder_eccentricity", "transmission_error"),
-)
-"""Pairs of which each imitates a part of the other."""
-
-EXPECTED: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "dress_pack": ("joint 1", ("q1", "q2")),
-    "crosstalk": ("joint 4", ("q5",)),
-    "base_sway": ("base shift", ("time",)),
-    "tool_sag": ("tool", ("q5",)),
-    "wrist_cable": ("joint 6", ("q4",)),
-    "draught": ("tracker azimuth", ("time",)),
-}
-"""Channel and variables that a description of each law outside the library must state."""
-
-_IN_THE_LIBRARY = {"tracker_drift": "base_drift"}
-"""Laws of the plant that one arm's data cannot distinguish from an effect of the library, and that effect."""
-_ONE, _NONE, _OUTSIDE, _PAIR = KINDS = ("one", "none", "outside", "pair")
-MIXED = "mixed"
-_MIXTURE = (_ONE, _ONE, _NONE, _ONE, _OUTSIDE, _ONE, _ONE, _PAIR, _ONE, _NONE)
 _TRIALS_A_PLAN = 25
 """Runs that share a plan: planning takes longer than measuring a simulated run."""
-_MASS_SHARE = 0.05
-"""Standard deviation of true link masses about the nominal ones: they are never known better."""
 
 
 class HiddenLaw(Record):
     """One hidden effect: its name in the library and in the plant, its parameters, and how far it moves the SMR.
 
     ``raw_um`` is the rms displacement over the run's stops [um], ``visible_um`` what remains of it after the part that
-    the geometric parameters can follow.
+    the geometric parameters can follow, ``beyond_law_um`` what geometry and the library's best law of that effect
+    leave (None where the library has no such law).
     """
 
     effect: str
@@ -108,6 +57,12 @@ class HiddenLaw(Record):
     parameters: Mapping[str, JsonValue]
     raw_um: float
     visible_um: float
+    beyond_law_um: float | None = None
+
+    @property
+    def law(self) -> str:
+        """The word by which the plant selects the law; empty for the default one."""
+        return str(self.parameters.get("law") or self.parameters.get("mode") or "")
 
 
 class ExpectedTerm(Record):
@@ -152,8 +107,7 @@ class SealHeader(Record):
     program: str
     profile: str
     seed: int
-    kind: str
-    noise: str
+    setup: Setup
     runs: int
     stops: int
 
@@ -177,31 +131,17 @@ class SealResult(Result):
     sha256: str
 
 
-@dataclass(frozen=True)
-class _Design:
-    """What one run shall hide."""
-
-    kind: str
-    slugs: tuple[str, ...] = ()
-    look_alikes: bool = False
-    arm: str = ""
-
-
 def seal_trials(
     profile: Profile,
     folder: Path,
     n: int = 200,
+    setup: Setup = Setup(),  # noqa: B008  immutable
     *,
     seed: int | None = None,
-    kind: str = _ONE,
-    noise: str = "gaussian",
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> SealResult:
     """Write ``n`` sealed runs into a new folder. Without ``seed`` one is drawn that only ``truth.json`` states.
-
-    ``kind`` is ``one`` (each realistic effect in turn), ``none``, ``outside`` (laws that the library lacks), ``pair``
-    or ``mixed``; ``noise`` is one of ``NOISES``.
 
     Raises
     ------
@@ -211,24 +151,22 @@ def seal_trials(
         On request; nothing is left behind then.
     """
     cancel = cancel or CancelToken()
-    _check_words(kind, noise)
+    setup.check()
     if profile.plant is None or len(profile.arms) != 2:
         raise InputError(f"profile {profile.name}: sealed trials need a section 'plant' and two arms")
     seed = secrets.randbits(31) if seed is None else seed
-    hidden_masses = profile.plant.geometry.model_copy(update={"mass": _MASS_SHARE})
-    plant = profile.plant.model_copy(update={"geometry": hidden_masses, "effects": {}})
-    profile = profile.model_copy(update={"plant": plant})
+    profile = setup.cell(profile)
     build_plant(profile)  # an error in the cell is reported before a folder is made
     made = _new_folder(folder)
     try:
-        truths = _write_runs(profile, folder, _cases(tuple(profile.arms), kind, n, seed), seed, noise, listener, cancel)
+        hidden = cases(tuple(profile.arms), setup.hides, n, seed)
+        truths = _write_runs(profile, folder, hidden, seed, setup, listener, cancel)
         header = SealHeader(
             written=datetime.now(UTC).isoformat(timespec="seconds"),
             program=f"cellapp {__version__}",
             profile=profile.name,
             seed=seed,
-            kind=kind,
-            noise=noise,
+            setup=setup,
             runs=n,
             stops=profile.plan.stops,
         )
@@ -309,40 +247,12 @@ def without_truth(profile: Profile, number: int) -> Profile:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _check_words(kind: str, noise: str) -> None:
-    for name, word, known in (("kind", kind, (*KINDS, MIXED)), ("noise", noise, tuple(NOISES))):
-        if word not in known:
-            raise InputError(f"--{name}: '{word}' is not known; {name}s are {', '.join(known)}")
-
-
-def _cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[_Design]:
-    """What each run hides: every law of a kind in turn, in alternating arms; the runs in random order."""
-    menus: dict[str, list[tuple[tuple[str, ...], bool]]] = {
-        _ONE: [((slug,), False) for slug in REALISTIC],
-        _NONE: [((), False)],
-        _OUTSIDE: [((slug,), False) for slug in OUTSIDE],
-        _PAIR: [*((pair, False) for pair in PAIRS), *((pair, True) for pair in LOOK_ALIKES)],
-    }
-    counts = dict.fromkeys(KINDS, 0)
-    cases = []
-    for place in range(n):
-        here = _MIXTURE[place % len(_MIXTURE)] if kind == MIXED else kind
-        menu, turn = menus[here], counts[here]
-        counts[here] += 1
-        slugs, look_alikes = menu[turn % len(menu)]
-        # with an even number of laws, each would always be hidden in the same arm
-        shifted = turn + (turn // len(menu) if len(menu) % 2 == 0 else 0)
-        cases.append(_Design(here, slugs, look_alikes, arms[shifted % len(arms)] if slugs else ""))
-    order = np.random.default_rng([seed, 0x0DE2]).permutation(n)
-    return [cases[place] for place in order]
-
-
 def _write_runs(
     profile: Profile,
     folder: Path,
-    cases: Sequence[_Design],
+    cases: Sequence[Case],
     seed: int,
-    noise: str,
+    setup: Setup,
     listener: Listener,
     cancel: CancelToken,
 ) -> list[GroundTruth]:
@@ -356,8 +266,8 @@ def _write_runs(
         listener(Progress("seal", place, len(cases), f"run {number}"))
         if place % _TRIALS_A_PLAN == 0:
             plan_seed = int(np.random.default_rng([seed, 0x91A2, place]).integers(2**31))
-            plan = plan_stops(profile.model_copy(update={"seed": plan_seed}), cancel=cancel)
-        truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, plan_seed, seed, noise))
+            plan = setup.plan(profile, plan_seed, cancel)
+        truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, plan_seed, seed, setup))
     listener(Progress("seal", len(cases), len(cases), "done"))
     return truths
 
@@ -366,11 +276,11 @@ def _write_run(
     profile: Profile,
     folder: Path,
     number: int,
-    case: _Design,
+    case: Case,
     plan: Mapping[str, Array],
     plan_seed: int,
     seed: int,
-    noise: str,
+    setup: Setup,
 ) -> GroundTruth:
     """Write one run and return its ground truth."""
     rng = np.random.default_rng([seed, 0x5EA1, number])
@@ -378,7 +288,8 @@ def _write_run(
     parameters: dict[str, dict[str, Any]] = {}
     if case.slugs:
         config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
-        parameters = {slug: suggest(slug, rng, config, DURATION_S) for slug in case.slugs}
+        draw = suggest_other_law if setup.laws == "other" and case.kind != OUT else suggest
+        parameters = {slug: draw(slug, rng, config, DURATION_S) for slug in case.slugs}
     public = without_truth(profile, number)
 
     def cell(effects: Mapping[str, Mapping[str, Any]], noise_on: bool) -> Profile:
@@ -390,21 +301,20 @@ def _write_run(
     def exact(effects: Mapping[str, Mapping[str, Any]]) -> dict[str, Readings]:
         return blind_readings(cell(effects, False), plan, noise_seed)
 
-    readings = blind_readings(cell(parameters, True), plan, noise_seed, NOISES[noise])
+    readings = blind_readings(cell(parameters, True), plan, noise_seed, NOISES[setup.noise])
     with_all = exact(parameters)
     effects = []
     for slug in case.slugs:
-        without = exact({other: values for other, values in parameters.items() if other != slug})[case.arm]
-        moved = with_all[case.arm].p_M - without.p_M
-        effects.append(_hidden_law(profile.arms[case.arm], slug, parameters[slug], without, moved))
+        without = exact({other: values for other, values in parameters.items() if other != slug})
+        effects.append(_hidden_law(profile, case.arm, slug, parameters[slug], without, with_all))
 
     def fill(run: RunFile) -> None:
         for name, arm in readings.items():
-            run.add_readings(name, arm)
+            run.add_readings(name, setup.reported(arm))
 
     RunFile.create(folder, public, fill).close()
     held_out = {name: arm.in_split("validate") for name, arm in readings.items()}
-    expected = EXPECTED.get(case.slugs[0]) if case.kind == _OUTSIDE else None
+    expected = EXPECTED.get(case.slugs[0]) if case.kind == OUT else None
     return GroundTruth(
         run=folder.name,
         kind=case.kind,
@@ -419,29 +329,28 @@ def _write_run(
     )
 
 
-def _hidden_law(arm: Arm, slug: str, parameters: Mapping[str, Any], without: Readings, moved: Array) -> HiddenLaw:
-    """One hidden effect; ``without`` are exact readings without it, ``moved`` (n, 3) [m] the displacement by it."""
+def _hidden_law(
+    profile: Profile,
+    name: str,
+    slug: str,
+    parameters: Mapping[str, Any],
+    without: Mapping[str, Readings],
+    with_all: Mapping[str, Readings],
+) -> HiddenLaw:
+    """One hidden effect in arm ``name``, from exact readings of all arms without it and with all effects."""
+    own = without[name]
+    moved = with_all[name].p_M - own.p_M
+    models = {each: registered_model(profile, each, readings.q, readings.p_M) for each, readings in without.items()}
+    conditions = conditions_of_arms(models, without)[name]
+    beyond = beyond_law(models[name], library_name(slug), own.q, conditions, moved)
     return HiddenLaw(
-        effect=_IN_THE_LIBRARY.get(slug, slug),
+        effect=library_name(slug),
         plant=slug,
         parameters=_plain(parameters),
         raw_um=_rms_um(moved),
-        visible_um=_rms_um(beyond_geometry(arm, without.q, without.p_M, moved)),
+        visible_um=_rms_um(beyond_geometry(profile.arms[name], own.q, own.p_M, moved)),
+        beyond_law_um=None if beyond is None else _rms_um(beyond),
     )
-
-
-def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
-    """The part of displacements ``moved`` (n, 3) [m] that the identifiable geometry cannot follow.
-
-    ``q`` (n, N) [rad] are the stops, ``p_M`` (n, 3) [m] the SMR positions without the effect. Linear, about the nominal
-    arm registered to the tracker: the part of the displacement orthogonal to the columns of its Jacobian.
-    """
-    nominal = start_from_nominal(nominal_arm(arm), q, p_M, tool_unknown=arm.smr.offset == "unknown")
-    columns = auto_set(nominal, q).columns
-    _, J = jacobian(nominal, JointAngles.of(q), columns)
-    basis, _ = np.linalg.qr(J.transpose(0, 2, 1).reshape(-1, len(columns)))
-    y = moved.T.ravel()
-    return np.asarray((y - basis @ (basis.T @ y)).reshape(3, -1).T)
 
 
 def _plain(parameters: Mapping[str, Any]) -> dict[str, JsonValue]:

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.reporting.table import Cell, Column, Number, Table, number_column
+from cellapp.reporting.table import Cell, Column, Number, Table, markdown, number_column
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.campaigns.trial import CampaignsResult
-from cellapp.trials.link_results import LinksResult, Times
-from cellapp.trials.paper import PaperResult
-from cellapp.trials.parameter_sets import ParameterSetsResult
-from cellapp.trials.scoring import (
+from cellapp.trials.judge_records import (
     OUTCOMES,
     VERDICTS,
     CleanCounts,
     EndState,
     JudgeResult,
     OutcomeCounts,
+    PosteriorScore,
+    Scores,
     Spread,
     TargetScore,
 )
+from cellapp.trials.link_results import LinksResult, Times
+from cellapp.trials.paper import PaperResult
+from cellapp.trials.parameter_sets import ParameterSetsResult
+from cellapp.trials.sealed_setup import Setup
 from cellapp.trials.storm import StormResult
 
 _MM = ".4f"
@@ -179,10 +182,10 @@ def storm_tables(result: StormResult) -> list[Table]:
     ]
 
 
-def judge_tables(result: JudgeResult) -> list[Table]:
+def judge_tables(result: Scores) -> list[Table]:
     """Targets, then one table for each kind of trial; the last one lists the misses."""
     tables = [_target_table(result.targets)]
-    for title, groups in (("One hidden effect", result.one), ("Two hidden effects", result.pair)):
+    for title, groups in (("One hidden effect", result.one), ("Several hidden effects", result.pair)):
         rows = [
             row
             for name, group in groups.items()
@@ -193,6 +196,7 @@ def judge_tables(result: JudgeResult) -> list[Table]:
             columns: tuple[Column, ...] = (
                 Column("effect"),
                 Column("visible um"),
+                Column("beyond law um"),
                 number_column("n", "d"),
                 number_column("named", "d"),
                 Column("otherwise"),
@@ -205,6 +209,7 @@ def judge_tables(result: JudgeResult) -> list[Table]:
         tables.append(Table("Nothing hidden", columns, tuple(_clean_row(*entry) for entry in result.none.items())))
     if result.outside:
         tables.append(_outside_table(result))
+    tables += [_posterior_table(score) for score in result.posteriors]
     if result.misses:
         tables.append(_miss_table(result))
     return tables
@@ -232,20 +237,22 @@ def judge_sentences(result: JudgeResult) -> list[str]:
     said += [f"Not judged: {failure}." for failure in result.failed]
     said.append(
         f"{result.date}; {result.program}, source {result.source}; {sealed.runs} runs of {sealed.stops}"
-        f" stops an arm, profile {sealed.profile}, kind {sealed.kind}, noise {sealed.noise},"
+        f" stops an arm, profile {sealed.profile}, {setup_words(sealed.setup)},"
         f" seed {sealed.seed}, sealed {sealed.written[:10]} by {sealed.program}."
     )
     return said
 
 
+def setup_words(setup: Setup) -> str:
+    """The conditions of a set of trials in words."""
+    said = [f"kind {setup.hides}", f"noise {setup.noise}", f"laws {setup.laws}", f"ranges {setup.ranges}"]
+    said.append(f"masses {100 * setup.mass_error:.0f} % off")
+    return ", ".join([*said, *([] if setup.stated else ["no stated uncertainty"])])
+
+
 def judge_markdown(result: JudgeResult) -> str:
     """The tables as Markdown; date, seed and program stand at the end."""
-    parts = []
-    for table in judge_tables(result):
-        lines = [f"**{table.title}**", "", _markdown_row(table.headings), "|" + " --- |" * len(table.columns)]
-        parts.append("\n".join([*lines, *map(_markdown_row, table.text_rows())]))
-    parts.append(" ".join(judge_sentences(result)))
-    return "\n\n".join(parts) + "\n"
+    return markdown(judge_tables(result), judge_sentences(result))
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -256,17 +263,24 @@ def _times(what: str, times: Times | None) -> tuple[Cell, ...]:
 
 
 def _target_table(targets: Sequence[TargetScore]) -> Table:
-    columns = tuple(Column(title) for title in ("kind", "target", "wanted", "reached", "share", "met"))
+    columns = tuple(Column(title) for title in ("kind", "target", "wanted", "reached", "share", "", "met"))
     rows = []
     for target in targets:
         sign = "at most" if target.at_most else "at least"
-        wanted = f"{sign} {100 * target.wanted:.0f} %" if target.at_most or target.wanted else ""
+        wanted = f"{sign} {100 * target.wanted:.0f} %" if target.reached is not None else f"{sign} {target.wanted:g}"
         if target.n < target.trials_wanted:
             wanted += f" of {target.trials_wanted}"
-        met = {True: "yes", False: "no", None: "too few"}[target.met] if wanted else ""
-        reached = f"{target.reached} of {target.n}"
-        rows.append((target.kind, target.target, wanted, reached, Number(100 * target.share, 1, "%"), met))
+        met = {True: "yes", False: "MISSED" if target.missed else "no", None: "too few"}[target.met]
+        reached = f"{target.n} statements" if target.reached is None else f"{target.reached} of {target.n}"
+        share = Number(target.share, 3) if target.reached is None else Number(100 * target.share, 1, "%")
+        rows.append((target.kind, target.target, wanted, reached, share, "bar" if target.bar else "", met))
     return Table("Sealed trials: targets", columns, tuple(rows))
+
+
+def _posterior_table(score: PosteriorScore) -> Table:
+    columns = (Column("stated"), number_column("n", "d"), *(number_column(c, ".3f") for c in ("mean stated", "true")))
+    rows = tuple((f"{one.low:.1f} to {one.high:.1f}", one.n, one.stated, one.true) for one in score.bins)
+    return Table(f"Stated probabilities, {score.about}: Brier score {score.brier:.3f}", columns, rows)
 
 
 def _count_row(name: str, counts: OutcomeCounts) -> tuple[Cell, ...] | None:
@@ -274,14 +288,23 @@ def _count_row(name: str, counts: OutcomeCounts) -> tuple[Cell, ...] | None:
         return None
     otherwise = ", ".join(f"{word} {counts.count(word)}" for word in OUTCOMES[1:] if counts.count(word))
     visible = _range(counts.visible_um)
-    return name, visible, counts.n, counts.named, otherwise or "-", counts.in_answer_set, *_end(counts)
+    return (
+        name,
+        visible,
+        _range(counts.beyond_law_um),
+        counts.n,
+        counts.named,
+        otherwise or "-",
+        counts.in_answer_set,
+        *_end(counts),
+    )
 
 
 def _clean_row(what: str, counts: CleanCounts) -> tuple[Cell, ...]:
     return what, counts.n, counts.false_names, counts.false_unknown, *_end(counts)
 
 
-def _outside_table(result: JudgeResult) -> Table:
+def _outside_table(result: Scores) -> Table:
     titles = ("n", "called unknown", "described", "in part", "false names")
     columns = (Column("law"), Column("visible um"), *(number_column(title, "d") for title in titles), *_END)
     rows: list[tuple[Cell, ...]] = []
@@ -291,7 +314,7 @@ def _outside_table(result: JudgeResult) -> Table:
     return Table("Outside the library", columns, tuple(rows))
 
 
-def _miss_table(result: JudgeResult) -> Table:
+def _miss_table(result: Scores) -> Table:
     titles = ("run", "hidden (visible um)", "found", "or / described", "verdict")
     rows = tuple(
         (f"{miss.run} {miss.arm}", miss.hidden or "nothing", miss.found or "nothing", miss.said, miss.verdict,
@@ -312,7 +335,3 @@ def _range(spread: Spread | None) -> str:
         return ""
     low, high = f"{spread.min:.0f}", f"{spread.max:.0f}"
     return low if low == high else f"{low}-{high}"
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

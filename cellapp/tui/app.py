@@ -41,6 +41,7 @@ from cellapp.control import Aborted, JobControl
 from cellapp.errors import CellappError, HardwareError
 from cellapp.pipeline import default_folder, run_whole
 from cellapp.progress import Cancelled, JobState, Progress, StateChange, StopReport
+from cellapp.reporting.discovery_text import explanation_text
 from cellapp.reporting.page import PAGE_FILE
 from cellapp.reporting.progress_words import detail_words
 from cellapp.reporting.tables import all_tables, out_of_date_sentences
@@ -463,14 +464,14 @@ class CellApp(App[None]):
         outdated = out_of_date_sentences(results)
         for line in (*sentences, *outdated, *results.notes):
             self._note(line)
-        folder = Path(results.run)
-        page = folder / PAGE_FILE
-        self._say(f"Done; the run is in {folder}" + (f", its report in {page}." if page.exists() else "."), "done")
+        page = Path(results.run) / PAGE_FILE
+        self._say(f"Done; the run is in {page.parent}" + (f", its report in {page}." if page.exists() else "."), "done")
         marks = [Static(sentence, markup=False, classes="outdated") for sentence in outdated]
         verdicts = [Static(sentence, markup=False, classes="verdict") for sentence in sentences]
         notes = [Static(f"Note: {note}", markup=False, classes="note") for note in results.notes]
-        drawn = [draw_table(table) for table in all_tables(results)]
-        self._show_tables(*marks, *verdicts, ItemGrid(*drawn, min_column_width=_TABLE_WIDTH), *notes)
+        meanings = [] if found is None else [Static(explanation_text(found), markup=False, classes="meaning")]
+        grid = ItemGrid(*map(draw_table, all_tables(results)), min_column_width=_TABLE_WIDTH)
+        self._show_tables(*marks, *verdicts, grid, *meanings, *notes)
         self.query_one("#results", TabbedContent).active = "tables-pane"
         if not isinstance(self.screen, LeaveScreen):
             self.query_one("#tables").focus()

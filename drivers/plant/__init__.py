@@ -9,6 +9,7 @@ from drivers.plant.config import ArmConfig, CapsuleConfig, GeometryErrors, Plant
 from drivers.plant.mechanism import gravity_torques
 from drivers.plant.plant import Plant
 from drivers.plant.suggest import OUTSIDE, REALISTIC, suggest
+from drivers.plant.suggest_other import suggest_other_law
 from drivers.plant.true_arm import Target
 
 __all__ = [
@@ -24,4 +25,5 @@ __all__ = [
     "TrackerConfig",
     "gravity_torques",
     "suggest",
+    "suggest_other_law",
 ]

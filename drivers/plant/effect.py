@@ -103,6 +103,7 @@ class Parameters:
     """Configured parameters of one effect. A wrong one raises ``ValueError`` with its place and what is expected."""
 
     def __init__(self, arm: str, effect: str, values: Mapping[str, Any], joints: int) -> None:
+        self._arm, self._effect = arm, effect
         self._where = f"arm {arm}, effect {effect}"
         self._values = values
         self.joints = joints
@@ -116,6 +117,12 @@ class Parameters:
         for key in keys:
             if key not in self._values:
                 raise ValueError(f"{self._where}: parameter '{key}' is missing; its parameters are {named}")
+
+    def by_law(self, default: str, *others: str) -> tuple[str, Parameters]:
+        """Return the parameter ``law``, one of these words, ``default`` where it is missing; and the other ones."""
+        law = self.choice("law", default, *others) if "law" in self._values else default
+        rest = {key: value for key, value in self._values.items() if key != "law"}
+        return law, Parameters(self._arm, self._effect, rest, self.joints)
 
     def all_or_none(self, *keys: str) -> bool:
         """Return whether these optional keys are given; refuse a part of them."""
@@ -131,6 +138,13 @@ class Parameters:
     def effect_error(self, what: str) -> ValueError:
         """Return an error about the effect on this arm."""
         return ValueError(f"{self._where}: {what}")
+
+    def length(self, key: str) -> int:
+        """Return the length of a list of numbers."""
+        value = self._values[key]
+        if not isinstance(value, list | tuple | np.ndarray) or not len(value):
+            raise self.error(key, f"must be a list of numbers, not {value!r}")
+        return len(value)
 
     def _list(self, key: str, count: int | None) -> list[Any]:
         count = self.joints if count is None else count

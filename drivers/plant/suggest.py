@@ -21,7 +21,7 @@ _UR10_REACH_M = 1.39
 
 
 @dataclass(frozen=True, eq=False)
-class _Draw:
+class Draw:
     """Random draws for one effect, and what their sizes depend on: arm, duration of the run [s], torques, reach."""
 
     rng: np.random.Generator
@@ -29,6 +29,16 @@ class _Draw:
     duration_s: float
     torques: Array  # (N,) largest gravity torque on each joint of the unloaded arm [Nm]
     reach: float  # greatest distance of the SMR from joint 1 [m], approximately
+
+    @classmethod
+    def of(cls, rng: np.random.Generator, arm: ArmConfig, duration_s: float) -> Draw:
+        """Prepare draws for an arm and a run. Raises ``ValueError`` for a duration that is not positive."""
+        if not 0.0 < duration_s < np.inf:
+            raise ValueError(f"duration_s must be a positive time, not {duration_s:g}")
+        poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, arm.joints))
+        torques = np.maximum(np.abs(gravity_torques(arm, poses)).max(axis=0), 1e-3)
+        reach = float(np.hypot(arm.rows[:, 1], arm.rows[:, 2])[1:].sum())
+        return cls(rng, arm, float(duration_s), torques, reach)
 
     def uniform(self, low: float, high: float) -> float:
         """Draw between two numbers."""
@@ -41,6 +51,10 @@ class _Draw:
     def signed_log_uniform(self, low: float, high: float) -> float:
         """Like ``log_uniform``, with a random sign."""
         return float(self.rng.choice([-1.0, 1.0])) * self.log_uniform(low, high)
+
+    def seed(self) -> int:
+        """Draw the seed of a random function."""
+        return int(self.rng.integers(2**31))
 
     def angle(self) -> float:
         """Draw a phase [rad]."""
@@ -71,7 +85,7 @@ class _Draw:
         return [self.log_uniform(low, high) for _ in range(self.arm.joints)]
 
 
-def _drive_stiffness(draw: _Draw) -> list[float]:
+def _drive_stiffness(draw: Draw) -> list[float]:
     """Draw stiffnesses for drives dimensioned by torque: wind-up of 1 to 2.2 mrad under the largest torque.
 
     UR10, shoulder: 5.5e4 to 1.2e5 Nm/rad. Wrist drives are larger than their torque requires.
@@ -83,7 +97,7 @@ def _drive_stiffness(draw: _Draw) -> list[float]:
     return found
 
 
-def _joint_compliance(draw: _Draw) -> dict[str, Any]:
+def _joint_compliance(draw: Draw) -> dict[str, Any]:
     stiffness = _drive_stiffness(draw)
     if draw.rng.random() < 0.7:
         return {"stiffness": stiffness}
@@ -95,11 +109,11 @@ def _joint_compliance(draw: _Draw) -> dict[str, Any]:
     }
 
 
-def _payload_compliance(draw: _Draw) -> dict[str, Any]:
+def _payload_compliance(draw: Draw) -> dict[str, Any]:
     return {"stiffness": _drive_stiffness(draw)}
 
 
-def _link_bending(draw: _Draw) -> dict[str, Any]:
+def _link_bending(draw: Draw) -> dict[str, Any]:
     lengths = np.hypot(draw.arm.rows[:, 1], draw.arm.rows[:, 2])
     links = sorted(int(i) + 1 for i in np.argsort(lengths)[::-1][:2])
     size = draw.reach / _UR10_REACH_M
@@ -107,7 +121,7 @@ def _link_bending(draw: _Draw) -> dict[str, Any]:
     return {"links": links, "bending": bending, "torsion": [0.77 * value for value in bending]}
 
 
-def _transmission_error(draw: _Draw) -> dict[str, Any]:
+def _transmission_error(draw: Draw) -> dict[str, Any]:
     joints = draw.some_joints()
     count = len(joints)
     if draw.rng.random() < 0.4:
@@ -115,7 +129,7 @@ def _transmission_error(draw: _Draw) -> dict[str, Any]:
             "mode": "curve",
             "joints": joints,
             "rms": [draw.log_uniform(20e-6, 200e-6) for _ in joints],
-            "seed": int(draw.rng.integers(2**31)),
+            "seed": draw.seed(),
             "lowest": int(draw.rng.integers(4, 8)),
             "highest": int(draw.rng.integers(30, 46)),
         }
@@ -138,7 +152,7 @@ def _transmission_error(draw: _Draw) -> dict[str, Any]:
     }
 
 
-def _encoder_eccentricity(draw: _Draw) -> dict[str, Any]:
+def _encoder_eccentricity(draw: Draw) -> dict[str, Any]:
     joints = draw.some_joints()
     return {
         "joints": joints,
@@ -148,14 +162,14 @@ def _encoder_eccentricity(draw: _Draw) -> dict[str, Any]:
     }
 
 
-def _backlash(draw: _Draw) -> dict[str, Any]:
+def _backlash(draw: Draw) -> dict[str, Any]:
     values: dict[str, Any] = {"play": draw.per_joint(50e-6, 140e-6)}
     if draw.rng.random() < 0.3:
         values["reach"] = [draw.log_uniform(0.05, 0.4)] * draw.arm.joints
     return values
 
 
-def _friction_windup(draw: _Draw) -> dict[str, Any]:
+def _friction_windup(draw: Draw) -> dict[str, Any]:
     stiffness = np.array(_drive_stiffness(draw))
     # about 5 Nm and 5 % of the load at a shoulder of 122 Nm
     friction = [5.0 * draw.log_uniform(0.5, 1.5) * value / 8e4 for value in stiffness]
@@ -166,14 +180,14 @@ def _friction_windup(draw: _Draw) -> dict[str, Any]:
     }
 
 
-def _unsettled_measurement(draw: _Draw) -> dict[str, Any]:
+def _unsettled_measurement(draw: Draw) -> dict[str, Any]:
     return {
         "fraction": draw.per_joint(6e-5, 1.6e-4),
         "time_constant": [draw.log_uniform(2.0, 8.0)] * draw.arm.joints,
     }
 
 
-def _joint_axis_wobble(draw: _Draw) -> dict[str, Any]:
+def _joint_axis_wobble(draw: Draw) -> dict[str, Any]:
     joints = draw.some_joints()
     radius = 0.06 * draw.reach / _UR10_REACH_M
     two = [draw.log_uniform(20e-6, 50e-6) * radius / tilt_of_two_lobes() for _ in joints]
@@ -186,7 +200,19 @@ def _joint_axis_wobble(draw: _Draw) -> dict[str, Any]:
     }
 
 
-def _thermal_growth(draw: _Draw) -> dict[str, Any]:
+def _joint_axis_runout(draw: Draw) -> dict[str, Any]:
+    joints = draw.some_joints()
+    return {
+        "joints": joints,
+        "radial": [draw.log_uniform(15e-6, 50e-6) for _ in joints],
+        "axial": [draw.log_uniform(8e-6, 30e-6) for _ in joints],
+        "harmonics": [1.0, 2.0],
+        "shares": [draw.uniform(0.3, 0.8), 1.0],
+        "seed": draw.seed(),
+    }
+
+
+def _thermal_growth(draw: Draw) -> dict[str, Any]:
     return {
         "expansion": draw.uniform(20e-6, 25e-6),
         "share": draw.uniform(0.6, 1.0),
@@ -195,12 +221,12 @@ def _thermal_growth(draw: _Draw) -> dict[str, Any]:
     }
 
 
-def _joint_drift(draw: _Draw) -> dict[str, Any]:
+def _joint_drift(draw: Draw) -> dict[str, Any]:
     drift = [draw.signed_log_uniform(30e-6, 80e-6) for _ in range(draw.arm.joints)]
     return {"drift": drift, "time_constant": [draw.uniform(0.12, 0.4) * draw.duration_s] * draw.arm.joints}
 
 
-def _course(draw: _Draw) -> tuple[str, float, float]:
+def _course(draw: Draw) -> tuple[str, float, float]:
     """Draw a law and its time; also return the share of the drift that is reached at the end of the run."""
     law = str(draw.rng.choice(["linear", "exponential", "creep"]))
     if law == "linear":
@@ -212,7 +238,7 @@ def _course(draw: _Draw) -> tuple[str, float, float]:
     return law, time, float(np.log1p(draw.duration_s / time))
 
 
-def _drift(draw: _Draw, turn: tuple[float, float]) -> dict[str, Any]:
+def _drift(draw: Draw, turn: tuple[float, float]) -> dict[str, Any]:
     law, time, at_end = _course(draw)
     return {
         "shift": [value / at_end for value in draw.random_vector(30e-6, 80e-6)],
@@ -222,15 +248,15 @@ def _drift(draw: _Draw, turn: tuple[float, float]) -> dict[str, Any]:
     }
 
 
-def _base_drift(draw: _Draw) -> dict[str, Any]:
+def _base_drift(draw: Draw) -> dict[str, Any]:
     return _drift(draw, (30e-6, 80e-6))
 
 
-def _tracker_drift(draw: _Draw) -> dict[str, Any]:
+def _tracker_drift(draw: Draw) -> dict[str, Any]:
     return _drift(draw, (8e-6, 25e-6))
 
 
-def _base_step(draw: _Draw) -> dict[str, Any]:
+def _base_step(draw: Draw) -> dict[str, Any]:
     return {
         "shift": draw.random_vector(20e-6, 60e-6),
         "turn": draw.random_vector(20e-6, 60e-6),
@@ -238,11 +264,11 @@ def _base_step(draw: _Draw) -> dict[str, Any]:
     }
 
 
-def _target_slip(draw: _Draw) -> dict[str, Any]:
+def _target_slip(draw: Draw) -> dict[str, Any]:
     return {"shift": draw.random_vector(40e-6, 150e-6), "time": draw.uniform(0.2, 0.8) * draw.duration_s}
 
 
-def _pedestal_compliance(draw: _Draw) -> dict[str, Any]:
+def _pedestal_compliance(draw: Draw) -> dict[str, Any]:
     stiffness = draw.torques.max() / draw.log_uniform(45e-6, 90e-6)
     return {
         "height": draw.uniform(0.4, 1.0),
@@ -251,16 +277,16 @@ def _pedestal_compliance(draw: _Draw) -> dict[str, Any]:
     }
 
 
-def _pedestal_coupling(draw: _Draw) -> dict[str, Any]:
+def _pedestal_coupling(draw: Draw) -> dict[str, Any]:
     bending = draw.log_uniform(1.3e6, 3e6)
     return {"bending": bending, "torsion": bending * draw.uniform(0.6, 1.2), "depth": draw.uniform(0.2, 0.8)}
 
 
-def _tracker_scale(draw: _Draw) -> dict[str, Any]:
+def _tracker_scale(draw: Draw) -> dict[str, Any]:
     return {"ppm": draw.signed_log_uniform(2.0, 10.0)}
 
 
-def _tracker_angle_error(draw: _Draw) -> dict[str, Any]:
+def _tracker_angle_error(draw: Draw) -> dict[str, Any]:
     def circle() -> list[float]:
         # second order s^2 / 4
         return [
@@ -273,11 +299,11 @@ def _tracker_angle_error(draw: _Draw) -> dict[str, Any]:
     return {"azimuth": circle(), "elevation": circle(), "transit": draw.signed_log_uniform(5e-6, 15e-6)}
 
 
-def _tracker_distance_offset(draw: _Draw) -> dict[str, Any]:
+def _tracker_distance_offset(draw: Draw) -> dict[str, Any]:
     return {"offset": draw.signed_log_uniform(8e-6, 30e-6)}
 
 
-def _target_incidence(draw: _Draw) -> dict[str, Any]:
+def _target_incidence(draw: Draw) -> dict[str, Any]:
     # thickness such that the error has this size at the largest incidence that the reflector accepts
     index, cosine = 1.51, np.cos(draw.arm.smr_acceptance)
     path = np.sqrt(index**2 - 1.0 + cosine**2) - cosine - (index - 1.0)
@@ -285,7 +311,7 @@ def _target_incidence(draw: _Draw) -> dict[str, Any]:
     return {"thickness": thickness, "index": index, "dihedral": draw.signed_log_uniform(1e-6, 3e-6)}
 
 
-def _dress_pack(draw: _Draw) -> dict[str, Any]:
+def _dress_pack(draw: Draw) -> dict[str, Any]:
     mix = draw.uniform(0.4, 1.2)
     return {
         "torque": draw.signed_log_uniform(4.0, 9.0) * draw.torques.max() / 122.0,
@@ -297,25 +323,25 @@ def _dress_pack(draw: _Draw) -> dict[str, Any]:
     }
 
 
-def _crosstalk(draw: _Draw) -> dict[str, Any]:
+def _crosstalk(draw: Draw) -> dict[str, Any]:
     return {"amplitude": draw.signed_log_uniform(150e-6, 350e-6), "phase": draw.angle()}
 
 
-def _base_sway(draw: _Draw) -> dict[str, Any]:
+def _base_sway(draw: Draw) -> dict[str, Any]:
     shift = draw.random_vector(30e-6, 70e-6)
     return {"shift": shift, "period": draw.uniform(1500.0, 4500.0), "phase": draw.angle()}
 
 
-def _tool_sag(draw: _Draw) -> dict[str, Any]:
+def _tool_sag(draw: Draw) -> dict[str, Any]:
     return {"shift": draw.random_vector(60e-6, 140e-6)}
 
 
-def _wrist_cable(draw: _Draw) -> dict[str, Any]:
+def _wrist_cable(draw: Draw) -> dict[str, Any]:
     lever = max(float(np.hypot(*draw.arm.smr_offset[:2])), 0.02)
     return {"amplitude": draw.signed_log_uniform(40e-6, 90e-6) / lever, "phase": draw.angle()}
 
 
-def _draught(draw: _Draw) -> dict[str, Any]:
+def _draught(draw: Draw) -> dict[str, Any]:
     return {
         "angle": draw.signed_log_uniform(9e-6, 20e-6),
         "period": draw.uniform(1200.0, 3600.0),
@@ -323,7 +349,24 @@ def _draught(draw: _Draw) -> dict[str, Any]:
     }
 
 
-_CATALOGUED: dict[str, Callable[[_Draw], dict[str, Any]]] = {
+def _elbow_hose(draw: Draw) -> dict[str, Any]:
+    return {
+        "angle": draw.signed_log_uniform(100e-6, 250e-6),
+        "share": float(draw.rng.choice([-1.0, 1.0])) * draw.uniform(0.4, 1.2),
+        "centre": draw.uniform(-0.8, 0.8),
+        "width": draw.uniform(0.3, 0.9),
+    }
+
+
+def _warm_floor(draw: Draw) -> dict[str, Any]:
+    return {"per_kelvin": draw.random_vector(60e-6, 150e-6)}
+
+
+def _workspace_field(draw: Draw) -> dict[str, Any]:
+    return {"rms": draw.log_uniform(80e-6, 200e-6), "length": draw.uniform(0.4, 0.9), "seed": draw.seed()}
+
+
+_CATALOGUED: dict[str, Callable[[Draw], dict[str, Any]]] = {
     "joint_compliance": _joint_compliance,
     "payload_compliance": _payload_compliance,
     "link_bending": _link_bending,
@@ -345,14 +388,18 @@ _CATALOGUED: dict[str, Callable[[_Draw], dict[str, Any]]] = {
     "tracker_distance_offset": _tracker_distance_offset,
     "target_incidence": _target_incidence,
     "tracker_drift": _tracker_drift,
+    "joint_axis_runout": _joint_axis_runout,
 }
-_UNCATALOGUED: dict[str, Callable[[_Draw], dict[str, Any]]] = {
+_UNCATALOGUED: dict[str, Callable[[Draw], dict[str, Any]]] = {
     "dress_pack": _dress_pack,
     "crosstalk": _crosstalk,
     "base_sway": _base_sway,
     "tool_sag": _tool_sag,
     "wrist_cable": _wrist_cable,
     "draught": _draught,
+    "elbow_hose": _elbow_hose,
+    "warm_floor": _warm_floor,
+    "workspace_field": _workspace_field,
 }
 
 REALISTIC: tuple[str, ...] = tuple(_CATALOGUED)
@@ -381,9 +428,4 @@ def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: flo
     factories = _CATALOGUED | _UNCATALOGUED
     if slug not in factories:
         raise ValueError(f"unknown effect '{slug}'; effects are {', '.join(sorted(factories))}")
-    if not 0.0 < duration_s < np.inf:
-        raise ValueError(f"duration_s must be a positive time, not {duration_s:g}")
-    poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, arm.joints))
-    torques = np.maximum(np.abs(gravity_torques(arm, poses)).max(axis=0), 1e-3)
-    reach = float(np.hypot(arm.rows[:, 1], arm.rows[:, 2])[1:].sum())
-    return factories[slug](_Draw(rng, arm, float(duration_s), torques, reach))
+    return factories[slug](Draw.of(rng, arm, duration_s))

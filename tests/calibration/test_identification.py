@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from cellapp.calibration import normal_equations
-from cellapp.calibration.identification import TooFewReadings, identify, identify_with_excess, start_from_nominal
+from cellapp.calibration.arm_identification import identify_with_excess
+from cellapp.calibration.identification import TooFewReadings, identify, start_from_nominal
 from cellapp.calibration.normal_equations import EffectColumns
 from cellapp.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
 from cellapp.kinematics.chain import JointAngles, jacobian, nominal_geometry, smr_positions

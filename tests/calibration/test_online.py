@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from cellapp.calibration.identification import identify_with_excess, start_from_nominal
+from cellapp.calibration.arm_identification import identify_with_excess
+from cellapp.calibration.identification import start_from_nominal
 from cellapp.calibration.online import OnlineFit, online_fit
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import JointAngles, jacobian, smr_positions
@@ -50,7 +51,7 @@ def test_after_all_stops_it_agrees_with_the_identification_of_the_same_readings(
     fit, report = fitted(name, one, stated=stated)
     geometry = fit.geometry
     assert geometry is not None
-    off = (geometry.vector()[list(batch.parameter_set.columns)] - batch.values) / batch.standard_errors
+    off = (batch.parameter_set.merged_values(geometry, nominal) - batch.values) / batch.standard_errors
     assert np.abs(off).max() < 0.05
     assert set(report.parameter_errors) == set(batch.names)
     _, J = jacobian(batch.geometry, JointAngles.of(one.q), batch.parameter_set.columns)

@@ -362,6 +362,15 @@ def test_the_identified_arms_for_other_programs(work: Path, call: Any) -> None:
     assert "--csv FILE" in refused.err
 
 
+def test_the_league_on_one_series(work: Path, call: Any) -> None:
+    there = ("--data", ROOT / "tests" / "fixtures", "--profiles", PROFILES)
+    ended = call("trials", "league", "--series", "UR5", "--rows", 60, "--seeds", 1, *there, "--json", "-")
+    missed = [bar for bar in ended.json["bars"] if not bar["met"]]
+    assert ended.code == (1 if missed else 0)
+    assert [line["held_out"] for line in ended.json["lines"]] == [960, 940, 20]
+    assert call("trials", "league", "--markdown", "nowhere/league.md", *there).code == 2
+
+
 def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> None:
     assert call("export", "collected", "--csv", "out.csv", "--json", "-").json["readings"] == {"left": 30, "right": 30}
     found = call("import", "twin.yaml", "out.csv", "--run", "again", "--json", "-").json
@@ -378,6 +387,16 @@ def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> No
     call("export", "again", "--csv", "again.csv")
     for before, after in zip(rows_of(work / "out.csv"), rows_of(work / "again.csv"), strict=True):
         assert before == {key: value for key, value in after.items() if key != "split"}
+
+
+def test_an_import_in_order_says_what_it_derived(work: Path, call: Any) -> None:
+    readings = PROFILES.parent / "tests" / "fixtures" / "ur5-real" / "readings.csv"
+    made = call(
+        "import", str(PROFILES / "ur5-real.yaml"), str(readings), "--run", "ordered", "--in-order", "--json", "-"
+    )
+    assert made.json["in_order"] == {"left": {"by": "rows", "approach": 6114, "step": 6114, "contradicted": 0}}
+    assert "6114 approach signs" in made.err
+    assert "6114 approach signs" in call("show", "ordered").out
 
 
 # -- bad input --------------------------------------------------------------------------------------------------------
@@ -455,6 +474,9 @@ BAD = [
     (None, "calibrate collected --json targets", ["--json: targets is a folder"]),
     (None, "trials coverage ur10-ur5.yaml --n 2", ["profile ur10-ur5: these trials need a section 'plant'"]),
     (None, "trials paper ur10-ur5.yaml --seeds 1", ["the comparison needs a section 'plant' and two arms"]),
+    (None, "trials league --data nowhere", ["nowhere/ur10-real/readings.csv: file not found", "say with --data"]),
+    (None, "trials league --series X", ["'X' is not a series of the league"]),
+    (None, "trials league --rows few", ["--rows: expected numbers of rows or 'all'"]),
     (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: folder not found"]),
     (None, "emulate ur10-ur5.yaml", ["no controller to emulate"]),
     (None, "run ur10-ur5.yaml --run new", ["this moves real arms (left, right)", "--allow-motion"]),
@@ -592,6 +614,7 @@ LIGHT = (
     "plan twin.yaml --run new",
     "collect planned",
     "doctor twin.yaml",
+    "docs backlash",
     *(f"show done {part}" for part in ("overview", "calibration", "discovery", "verification", "plan")),
 )
 """Commands that need no network and draw nothing."""
@@ -626,7 +649,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     ended = shell("--help", cwd=tmp_path)
     assert ended.code == 0
     for command in ("run", "doctor", "plan", "collect", "import", "export", "calibrate", "discover", "compensate",
-                    "push", "report", "show", "schema", "trials", "emulate", "tracker-bridge",
+                    "push", "report", "show", "schema", "docs", "trials", "emulate", "tracker-bridge",
                     "pause", "resume", "stop", "abort"):  # fmt: skip
         assert f" {command} " in ended.out
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.calibration.curve_prior import CurvePrior, spectrum_variances
-from cellapp.discovery.terms import ModelTerm, TermLayout, has_curves, prior_sd, with_term, without_term
-from cellapp.effects import EffectColumn, Wave, joint_column
-from cellapp.effects.periodic import CURVE
+from cellapp.discovery.terms import ModelTerm, Smoothness, TermLayout, prior_sd, smoothness_of, with_term, without_term
+from cellapp.effects import EFFECTS, joint_column
+from cellapp.effects.periodic import CURVE, curve_law
+from cellapp.effects.smooth import circle_variances
 from tests.discovery.linear_problem import PLAIN
+from tests.effects.cell import context_of
 
 pytestmark = pytest.mark.fast
-
-
-def wave_column(name: str, joint: int, count: int, *, sine: bool) -> EffectColumn:
-    return joint_column(name, "rad", joint, np.zeros(2), -1.0, 1.0, wave=Wave(count, sine))
 
 
 def test_each_term_has_its_columns_behind_the_geometry() -> None:
@@ -34,22 +31,15 @@ def test_terms_are_left_out_and_replaced() -> None:
 
 
 def test_only_coefficients_of_the_curve_have_a_prior() -> None:
-    curves = CurvePrior((1,), np.array([0.1]), np.array([2e-4]), 1.0, 0.0)
-    columns = [
-        wave_column("cos2q2", 1, 2, sine=False),
-        wave_column("sin7q2", 1, 7, sine=True),
-        wave_column("cos120q2", 1, 120, sine=False),
-        wave_column("cos9q2", 1, 9, sine=False),
-        wave_column("cos2q1", 0, 2, sine=False),
-    ]
-    names = tuple(column.name for column in columns)
-    term = ModelTerm("transmission_error", CURVE.law(), names, curves, free=frozenset({"cos9q2"}))
-    wanted = np.sqrt(spectrum_variances(0.1, 2e-4, 10))
-    np.testing.assert_allclose(term.prior_sd(columns), [wanted[1], wanted[6], np.inf, np.inf, np.inf])
-    plain = ModelTerm("backlash", PLAIN.law(), ("half_play1",))
+    names = ("cos2q2", "sin7q2", "cos120q2", "cos2q1")
+    columns = EFFECTS["transmission_error"].columns(context_of(5), curve_law({1: (0.1, 2e-4)}, 80), names)
+    by_name = {column.name: column.prior_sd for column in columns}
+    wanted = 2e-4 * np.sqrt(circle_variances(0.1, 10))
+    np.testing.assert_allclose([by_name[name] for name in names], [wanted[1], wanted[6], np.inf, np.inf])
     play = joint_column("half_play1", "rad", 0, np.zeros(2), 0.0, 1.0)
-    assert prior_sd((plain,), [play]) is None
-    assert has_curves((plain, term))
-    sd = prior_sd((plain, term), [play, *columns])
+    assert prior_sd([play]) is None
+    sd = prior_sd([play, *columns])
     assert sd is not None
-    np.testing.assert_array_equal(sd, [np.inf, *term.prior_sd(columns)])
+    assert sd[0] == np.inf
+    smooth = ModelTerm("transmission_error", CURVE.law(), names, Smoothness(1.0, 2, 1e-5))
+    assert smoothness_of((smooth,)) is smooth.smooth

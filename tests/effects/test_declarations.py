@@ -23,10 +23,12 @@ from cellapp.effects import (
     LawForm,
     NeighbouringPauses,
     Scaled,
+    place_in_words,
     registered,
     term_from_json,
     term_to_json,
 )
+from cellapp.effects.data_driven import Quantity, Variable, channels, form_of
 from tests.effects.cell import context_of
 
 pytestmark = pytest.mark.fast
@@ -45,6 +47,43 @@ def test_every_form_declares_words_drivers_and_constants(slug: str, form: LawFor
         if constant.tuning != FIXED:
             assert "{}" in constant.words, "what is tuned is reported"
         assert not constant.per_joint or not constant.words or "{}" in constant.each
+
+
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=lambda effect: effect.slug)
+def test_every_effect_says_what_it_means_and_what_to_do(effect: Effect) -> None:
+    meaning = effect.meaning.at("joints 2 and 3")
+    assert meaning.size_source in ("sourced", "computed", "estimate")
+    assert any(letter.isdigit() for letter in meaning.size) or effect.slug == "unknown"
+    assert meaning.check
+    assert meaning.settle
+    for text in (meaning.cause, *meaning.check, *meaning.settle):
+        assert text.endswith("."), text
+        assert text[0].isupper(), text
+        assert not {"{", "_"} & set(text), text
+    assert len(set(meaning.check)) == len(meaning.check)
+
+
+def test_places_are_put_into_the_words() -> None:
+    assert place_in_words(["joint 2"]) == "joint 2"
+    assert place_in_words(["joint 1", "joint 2", "joint 4"]) == "joints 1, 2 and 4"
+    assert place_in_words(["link 2", "link 3"]) == "links 2 and 3"
+    assert place_in_words(["base", "tool"]) == "the base and the target on the flange"
+    check = EFFECTS["backlash"].meaning.at(place_in_words(["joint 2"])).check
+    assert "Check the bolts of the gearbox of joint 2, then have the gear inspected." in check
+
+
+def test_a_term_without_a_name_has_checks_by_channel_and_stops_by_variable() -> None:
+    unknown = EFFECTS["unknown"]
+    meaning = unknown.meaning_of(unknown.law("base shift|other q3", {"order": 4.0})).at("the base")
+    assert meaning.cause == (
+        "Something moves the base with joint 3 of the other arm, by a law that the library does not have."
+    )
+    assert "base plate" in meaning.check[0]
+    assert meaning.settle[0] == "Move joint 3 of the other arm at random between stops, then park it for 20 stops."
+    every = [form_of(channel, (Variable(quantity, 1),)) for channel in channels(6) for quantity in Quantity]
+    for form in every:
+        words = unknown.meaning_of(form.law({"order": 1.0})).at("it")
+        assert not any("{" in text for text in (words.cause, *words.check, *words.settle))
 
 
 def test_every_constant_of_every_law_is_declared() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,12 +13,14 @@ import pytest
 from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.result import arm_result
+from cellapp.discovery.sentences import contradiction, remaining_structure
 from cellapp.effects import EFFECTS, EffectTerm, registered, term_from_json, term_to_json
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import ArmModel
 from cellapp.model.nominal import bodies_of, nominal_arm
 from cellapp.profile import load_profile
 from cellapp.reporting.discovery_tables import accepted_table
+from cellapp.results import DiscoverResult, Noise
 from cellapp.run import Readings
 from tests.arms import STATION
 from tests.effects.toy_effect import FORM, GRID, SOFTENING, ToySag
@@ -74,12 +78,37 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
     sags = dict(zip(accepted.term.names, accepted.term.values.tolist(), strict=True))
     assert sags["sag1"] == pytest.approx(TRUE_SAG[0], rel=0.1)
     assert sags["sag2"] == pytest.approx(TRUE_SAG[1], rel=0.1)
-    table = accepted_table("left", arm_result(discovery))
+    result = arm_result(discovery)
+    assert result.accepted[0].meaning is not None
+    assert result.accepted[0].meaning.cause == "The toy at joints 1 and 2 sags."
+    table = accepted_table("left", result)
     assert table is not None
     titles = [column.title for column in table.columns]
     (row,) = (dict(zip(titles, row, strict=True)) for row in table.rows)
     assert row["effect"] == ToySag.title
     assert row["law"] == f"{FORM.words}, softening from {softening:.3g} kg on"
+
+
+def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discovery) -> None:
+    structure = remaining_structure({"joints": 0.4, "order": 0.02}, chance=0.01)
+    wrong = contradiction("backlash", ("joint 2",), (2,), 31.4, "sign")
+    found = replace(
+        discovery,
+        accepted=(replace(discovery.accepted[0], posterior=0.97, law_misfit=0.12),),
+        noise_mm=Noise(rms=0.017, source="estimated"),
+        candidates={ToySag.slug: 0.97, "backlash": 0.01},
+        structure=structure,
+        contradictions=(wrong,),
+    )
+    written = DiscoverResult(arms={"left": arm_result(found)}).to_json()
+    arm = DiscoverResult.from_json(written, "here").arms["left"]
+    assert (arm.accepted[0].posterior, arm.accepted[0].law_misfit) == (0.97, 0.12)
+    assert arm.accepted[0].meaning is not None
+    assert arm.accepted[0].meaning.check == ("Check the toy.",)
+    assert (arm.noise_mm, arm.candidates) == (found.noise_mm, found.candidates)
+    assert (arm.structure, arm.contradictions) == (structure, (wrong,))
+    uncertain = replace(found, accepted=(replace(discovery.accepted[0], posterior=math.nan),))
+    assert arm_result(uncertain).accepted[0].posterior is None, "what was not computed is not claimed"
 
 
 def test_a_new_effect_survives_json(registry: None) -> None:

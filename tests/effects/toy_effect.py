@@ -15,6 +15,7 @@ from cellapp.effects import (
     EffectContext,
     Law,
     LawForm,
+    Meaning,
     joint_column,
     varies,
 )
@@ -29,6 +30,13 @@ class ToySag(Effect):
 
     slug = "toy_sag"
     title = "toy sag of joints"
+    meaning = Meaning(
+        cause="The toy at {place} sags.",
+        size="100 um",
+        size_source="estimate",
+        check=("Check the toy.",),
+        settle=("Add payloads.",),
+    )
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.PAYLOAD})
     forms = (FORM,)
 

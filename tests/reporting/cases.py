@@ -11,24 +11,29 @@ from cellapp.results import (
     ArmDiscoveryResult,
     BeforeAfter,
     CalibrateResult,
+    Contradiction,
     Correlation,
     CurveRecord,
     CycleBand,
     DiscoverResult,
+    EffectMeaning,
     ErrorSummary,
     Estimate,
     Evidence,
     GapStep,
     LawRecord,
+    Noise,
     PairMethodResult,
     Picture,
     Place,
     PredictedUncertainty,
     Provenance,
+    RemainingStructure,
     RunnerUp,
     Scatter,
     SmallestSize,
     StageErrors,
+    StructureTest,
     TermDescription,
 )
 
@@ -100,6 +105,15 @@ def ambiguous_compliance() -> AcceptedEffect:
             RunnerUp(effect="tracker_angle_error", statistic=244.0, told_apart=True),
         ),
         correlated_with=Correlation(parameter="theta2", correlation=0.7283),
+        posterior=0.874,
+        law_misfit=0.183,
+        meaning=EffectMeaning(
+            cause="The gears of joints 2, 3, 4 and 6 twist.",
+            size="1 to 3 mm",
+            size_source="computed",
+            check=("Check the bolts of the gearbox of joint 2, which takes more than one line of a terminal to say.",),
+            settle=("Repeat 20 stops with a second payload.", "Log both encoders."),
+        ),
     )
 
 
@@ -141,6 +155,20 @@ def unknown_effect(name: str) -> ArmDiscoveryResult:
         omnibus_p=0.0,
         scatter=1.4,
         accepted=(free_curve(), ambiguous_compliance(), data_driven_term()),
+        noise_mm=Noise(rms=0.0223, source="stated"),
+        candidates={"joint_compliance": 0.874, "link_bending": 0.126, "backlash": 0.003, "transmission_error": 1.0},
+        contradictions=(
+            Contradiction(
+                effect="backlash",
+                joints=(1, 2),
+                size_um=31.4,
+                sentence="behaves like backlash, but of the opposite sign: check the approach convention",
+            ),
+        ),
+        structure=RemainingStructure(
+            tests=(StructureTest(against="joints", p_value=0.41), StructureTest(against="time", p_value=0.0005)),
+            sentence="what is left still depends on time (p below 0.001)",
+        ),
         invisible=(
             AbsentEffect(effect="backlash", reason="not testable: no approach signs"),
             AbsentEffect(

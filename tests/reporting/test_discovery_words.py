@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from cellapp.effects import EFFECTS
 from cellapp.reporting.discovery_tables import (
     accepted_table,
+    candidates_table,
     cycle_table,
     discovery_tables,
     gap_steps,
@@ -18,23 +19,27 @@ from cellapp.reporting.discovery_tables import (
     not_found_table,
     numbered_steps_table,
     parameter_table,
+    structure_table,
 )
 from cellapp.reporting.discovery_text import (
+    contradiction_sentences,
     description_sentences,
     discovery_lines,
+    meaning_lines,
+    misfit_sentences,
     picture_words,
     remainder_sentences,
     rival_sentences,
 )
 from cellapp.reporting.table import format_cell
-from cellapp.reporting.words import interval_95, law_words, place_words, ranges, short_reason
-from cellapp.results import BeforeAfter, DiscoverResult, Estimate, LawRecord, Place
+from cellapp.reporting.words import interval_95, law_words, place_words, probability_words, ranges, short_reason
+from cellapp.results import BeforeAfter, DiscoverResult, Estimate, LawRecord, Noise, Place
 from tests.effects.cell import context_of
 from tests.reporting.cases import data_driven_term, discovery, nothing_missing, picture, unknown_effect
 
 pytestmark = pytest.mark.fast
 
-MOST_LINES = 25
+MOST_LINES = 30
 
 
 def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
@@ -53,11 +58,15 @@ def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
         "or instead   of joint_compliance: pedestal_compliance or link_bending",
         "not visible  backlash: no approach signs\n",
         "tracker_scale: geometry follows nearly all of it\n",
+        "law not quite as expected: 18 % of the displacement by joint_compliance is",
+        "possible too link_bending (13 %)\n",
+        "impossible   something behaves like backlash, but of the opposite sign",
+        "remainder    what is left still depends on time (p below 0.001)",
         "verdict      unknown effect: something that the library does not have",
     ):
         assert text in left
     (row,) = [line.split() for line in left.splitlines() if line.startswith("  joint_compliance")]
-    assert row == ["joint_compliance", "joints", "2-4,", "6", "0.005", "0.4512", "->", "0.0312"]
+    assert row == ["joint_compliance", "joints", "2-4,", "6", "87", "%", "0.005", "0.4512", "->", "0.0312"]
     assert "accepted" not in right
     assert "verdict      nothing missing: 23 um rms" in right
 
@@ -83,7 +92,7 @@ def test_the_same_steps_everywhere() -> None:
     assert first.title == "Arm left: unknown effect"
     assert [row[-1] for row in first.rows] == [row[-1] for row in numbered_steps_table("left", arm).rows]
     assert [row[0] for row in accepted.rows] == ["transmission_error", "joint_compliance", "unknown"]
-    assert accepted.text_rows()[1][1:] == ("joints 2-4, 6", "0.005", "0.4512", "0.0312")
+    assert accepted.text_rows()[1][1:] == ("joints 2-4, 6", "87 %", "0.005", "0.4512", "0.0312")
     assert second.title == "Arm right: nothing missing"
     # the last step is the final model: no row of its own
     final = arm.model_copy(update={"heldout_mm": BeforeAfter(before=0.4906, after=0.0299)})
@@ -93,11 +102,67 @@ def test_the_same_steps_everywhere() -> None:
 @pytest.mark.parametrize("floor", [None, math.nan])
 def test_an_unknown_noise_floor_has_no_row(floor: float | None) -> None:
     result = discovery("left", "right")
-    left = result.arms["left"].model_copy(update={"noise_floor_mm": floor})
+    left = result.arms["left"].model_copy(update={"noise_floor_mm": floor, "noise_mm": None})
     result = result.model_copy(update={"arms": {**result.arms, "left": left}})
     table = discovery_tables(result)[0]
     assert "noise floor" not in [row[0] for row in table.rows]
     assert sum("noise floor" in line for line in discovery_lines(result)) == 2  # the other arm's, and its verdict
+
+
+def test_an_estimated_noise_is_the_floor_and_is_said_to_be_estimated() -> None:
+    arm = unknown_effect("left").model_copy(
+        update={"noise_floor_mm": None, "noise_mm": Noise(rms=0.031, source="estimated")}
+    )
+    result = DiscoverResult(arms={"left": arm})
+    assert discovery_tables(result)[0].text_rows()[-1] == ("noise floor, estimated", "0.0310")
+    assert "     0.0310  noise floor, estimated" in discovery_lines(result)
+
+
+def test_what_an_effect_means_stands_in_full() -> None:
+    lines = meaning_lines(discovery("left", "right"))
+    assert max(len(line) for line in lines) <= 80
+    assert lines[0] == "Arm left, joints 2-4, 6: joint compliance"
+    for text in (
+        "  cause    The gears of joints 2, 3, 4 and 6 twist.",
+        "  size     1 to 3 mm (computed)",
+        "  settle   - Repeat 20 stops with a second payload.",
+        "           - Log both encoders.",
+        "  more     cellapp docs joint_compliance",
+    ):
+        assert text in lines
+    assert meaning_lines(DiscoverResult(arms={"right": nothing_missing("right")})) == []
+
+
+def test_probabilities_do_not_claim_certainty() -> None:
+    words = [probability_words(p) for p in (None, 0.0, 0.004, 0.5, 0.985, 0.9999, 1.0)]
+    assert words == ["", "< 1 %", "< 1 %", "50 %", "98 %", "> 99 %", "> 99 %"]
+
+
+def test_every_tested_effect_has_its_probability_and_what_is_left_its_tests() -> None:
+    arm = unknown_effect("left")
+    tested, structure = candidates_table("left", arm), structure_table("left", arm)
+    assert tested is not None
+    assert structure is not None
+    assert tested.text_rows() == (
+        ("transmission_error", "> 99 %", "yes"),
+        ("joint_compliance", "87 %", "yes"),
+        ("link_bending", "13 %", "no"),
+        ("backlash", "< 1 %", "no"),
+    )
+    assert structure.text_rows() == (("joints", "0.41"), ("time", "0.0005"))
+    assert candidates_table("right", nothing_missing("right")) is None
+    assert structure_table("right", nothing_missing("right")) is None
+
+
+def test_impossible_findings_and_laws_that_hardly_fit_are_sentences() -> None:
+    arm = unknown_effect("left")
+    assert contradiction_sentences(arm) == [
+        "Something behaves like backlash, but of the opposite sign: check the approach convention."
+    ]
+    (misfit,) = misfit_sentences(arm)
+    assert misfit.startswith("Law not quite as expected: 18 %")
+    exact = arm.accepted[1].model_copy(update={"law_misfit": 0.02})
+    assert misfit_sentences(arm.model_copy(update={"accepted": (exact,)})) == []
 
 
 def test_accepted_effects_with_all_their_evidence() -> None:

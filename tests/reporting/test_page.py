@@ -358,6 +358,14 @@ def test_discovery_shows_everything_that_was_found(double: RunFile, monkeypatch:
         "Effect without a name: joint 5, q2",
         "No reading was taken from 128° to -170°.",
         "With 20 simulations without effects",
+        "Something behaves like backlash, but of the opposite sign: check the approach convention.",
+        "Law not quite as expected: 18 % of the displacement by joint_compliance is in its smooth free part.",
+        "What it means: joint compliance, joints 2-4, 6",
+        "The gears of joints 2, 3, 4 and 6 twist. Usual size: 1 to 3 mm (computed).",
+        "Repeat 20 stops with a second payload.",
+        "What is left still depends on time (p below 0.001).",
+        f"Arm {LEFT}: probability of each effect that was tested",
+        f"Arm {LEFT}: structure of what is left",
     ):
         assert words in page.words
     captions = [attributes["aria-label"] for tag, attributes in page.elements if tag == "figure"]

@@ -337,8 +337,10 @@ def some_readings(draw: st.DrawFn, joints: int, extras: tuple[str, ...]) -> Read
     # any text that CSV can carry: all but the characters that cannot be encoded
     texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=6)
     numbers = draw(st.lists(st.integers(-(10**17), 10**17), min_size=n, max_size=n, unique=True))
+    places = draw(st.none() | st.permutations(range(n)))
     return Readings(
         configuration=np.array(sorted(numbers), dtype=np.int64),
+        sequence=None if places is None else np.array(places, dtype=np.float64),
         time_s=np.full(n, np.nan) if times is None else times,
         q=draw(hnp.arrays(np.float64, (n, joints), elements=st.floats(-12.5, 12.5))),
         approach=draw(hnp.arrays(np.int8, (n, joints), elements=st.integers(-1, 1))),

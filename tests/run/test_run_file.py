@@ -427,7 +427,7 @@ def spoil_profile(path: Path) -> None:
         (spoil_header_only, "is cut off: 100 bytes of"),
         (spoil_cut, "is cut off: .* restore it from a copy"),
         (spoil_middle, "is damaged .* restore it from a copy"),
-        (spoil_newer, r"newer cellapp \(schema 99, this one reads up to 4\); install the newer"),
+        (spoil_newer, r"newer cellapp \(schema 99, this one reads up to 5\); install the newer"),
         (spoil_other, "is an SQLite file, but not a run of cellapp"),
         (spoil_tables, "is damaged .*no such table"),
         (spoil_profile, "holds a profile that this cellapp cannot read"),
@@ -545,6 +545,7 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
         connection.execute("ALTER TABLE reading DROP COLUMN step")
         connection.execute("ALTER TABLE reading DROP COLUMN dwell_s")
+        connection.execute("ALTER TABLE reading DROP COLUMN sequence")
         for table in ("stage", "session", "request", "outcome", "reference"):
             connection.execute(f"DROP TABLE {table}")
         connection.execute("UPDATE meta SET value = '1' WHERE key = 'version'")
@@ -572,6 +573,7 @@ def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
         for table in ("session", "request", "outcome", "reference"):
             connection.execute(f"DROP TABLE {table}")
+        connection.execute("ALTER TABLE reading DROP COLUMN sequence")
         connection.execute("PRAGMA user_version=3")
         connection.commit()
     with RunFile.open(folder) as run:
@@ -584,6 +586,22 @@ def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_
         (found,) = run.sessions()
     assert (found.outcome, found.reason) == ("stopped", "by a person")
     assert [request[1:] for request in found.requests] == [("pause", "by a person")]
+
+
+def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(1, {"left": reading(1)})
+        session = run.begin_session()
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        connection.execute("ALTER TABLE reading DROP COLUMN sequence")
+        connection.execute("PRAGMA user_version=4")
+        connection.commit()
+    with RunFile.open(folder) as run:
+        assert run.readings("left").sequence is None
+    with RunFile.open(folder, write=True) as run:
+        run.add_stop(2, {"left": replace(reading(2), sequence=1.0)})
+        run.end_session(session, "stopped", "by a person")
+        np.testing.assert_array_equal(run.readings("left").sequence, [np.nan, 1.0])
 
 
 def test_an_outcome_counts_until_the_stop_is_measured(profile: Profile, folder: Path) -> None:

@@ -17,6 +17,7 @@ import pytest
 
 from cellapp import cli
 from cellapp.collection.cell import build_plant
+from cellapp.effects import EFFECTS
 from cellapp.errors import CheckFailed, InputError
 from cellapp.kinematics.chain import JointAngles, jacobian, parameter_names, smr_positions
 from cellapp.kinematics.transforms import transform
@@ -27,31 +28,22 @@ from cellapp.results import BeforeAfter
 from cellapp.run import RunFile
 from cellapp.run.stages import read_stages
 from cellapp.trials.judge import TRIAL_RESULT, judge_run, judge_trials, source_digest
-from cellapp.trials.scoring import (
-    ArmFindings,
-    DescribedTerm,
-    JudgeResult,
-    NoiseLengths,
-    ScoredRun,
-    score_run,
-    scores,
-)
+from cellapp.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
+from cellapp.trials.run_score import score_run
+from cellapp.trials.scoring import scores
 from cellapp.trials.sealed import (
-    EXPECTED,
-    KINDS,
-    LOOK_ALIKES,
-    PAIRS,
     ExpectedTerm,
     GroundTruth,
     HiddenLaw,
     SealHeader,
-    _cases,
-    beyond_geometry,
     check_seal,
     open_truth,
     seal_trials,
 )
+from cellapp.trials.sealed_cases import EXPECTED, KINDS, LOOK_ALIKES, PAIRS, TRIPLES, cases, library_name
+from cellapp.trials.sealed_setup import Setup
 from cellapp.trials.tables import judge_markdown, judge_sentences, judge_tables
+from cellapp.trials.visible_size import beyond_geometry
 from drivers.plant import OUTSIDE, REALISTIC
 from tests.twin import PROFILES, small_twin
 
@@ -74,7 +66,7 @@ def small() -> Profile:
 def all_kinds(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Ten sealed runs, of every kind; nobody may change them."""
     folder = tmp_path_factory.mktemp("sealed") / "trials"
-    assert seal_trials(small(), folder, 10, seed=SEED, kind="mixed").runs == 10
+    assert seal_trials(small(), folder, 10, Setup(kind="mixed"), seed=SEED).runs == 10
     return folder
 
 
@@ -82,7 +74,7 @@ def all_kinds(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], JudgeResult]:
     """Three sealed runs that hide nothing, judged in two goes: folder, what the first go left in them, and outcome."""
     folder = tmp_path_factory.mktemp("judged") / "trials"
-    seal_trials(small(), folder, 3, seed=SEED, kind="none")
+    seal_trials(small(), folder, 3, Setup(kind="none"), seed=SEED)
     cancel = CancelToken()
 
     def stop_after_the_first(event: Progress) -> None:
@@ -196,24 +188,27 @@ def test_the_truth_names_kinds_and_arms_in_a_drawn_order(all_kinds: Path) -> Non
 
 @pytest.mark.fast
 def test_every_law_meets_both_arms() -> None:
-    for kind, laws in (("one", REALISTIC), ("outside", OUTSIDE)):
-        cases = _cases(("left", "right"), kind, 2 * len(laws), SEED)
-        met = {(case.slugs[0], case.arm) for case in cases}
+    known = tuple(slug for slug in REALISTIC if library_name(slug) in EFFECTS)
+    for kind, laws in (("one", known), ("outside", OUTSIDE)):
+        drawn = cases(("left", "right"), kind, 2 * len(laws), SEED)
+        met = {(case.slugs[0], case.arm) for case in drawn}
         assert met == {(law, arm) for law in laws for arm in ("left", "right")}
     assert set(EXPECTED) == set(OUTSIDE)
-    pairs = _cases(("left", "right"), "pair", len(PAIRS) + len(LOOK_ALIKES), SEED)
+    pairs = cases(("left", "right"), "pair", len(PAIRS) + len(LOOK_ALIKES), SEED)
     assert sum(case.look_alikes for case in pairs) == len(LOOK_ALIKES)
-    assert {slug for case in pairs for slug in case.slugs} <= set(REALISTIC)
+    triples = cases(("left", "right"), "triple", len(TRIPLES), SEED)
+    assert {len(case.slugs) for case in triples} == {3}
+    assert {slug for case in (*pairs, *triples) for slug in case.slugs} <= set(known)
 
 
 def test_a_seed_gives_the_same_trials_and_none_gives_others(
     judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path
 ) -> None:
-    seal_trials(small(), tmp_path / "again", 3, seed=SEED, kind="none")
+    seal_trials(small(), tmp_path / "again", 3, Setup(kind="none"), seed=SEED)
     assert open_truth(tmp_path / "again").trials == open_truth(judged_once[0]).trials
     drawn = []
     for name in ("a", "b"):
-        seal_trials(small_twin(), tmp_path / name, 1, kind="none")
+        seal_trials(small_twin(), tmp_path / name, 1, Setup(kind="none"))
         drawn.append(open_truth(tmp_path / name))
     assert drawn[0].sealed.seed != drawn[1].sealed.seed
     assert drawn[0].trials[0].readings != drawn[1].trials[0].readings
@@ -222,7 +217,7 @@ def test_a_seed_gives_the_same_trials_and_none_gives_others(
 def test_how_readings_scatter(tmp_path: Path) -> None:
     drawn = {}
     for noise in ("gaussian", "heavy", "repeatability"):
-        seal_trials(small(), tmp_path / noise, 1, seed=SEED, kind="none", noise=noise)
+        seal_trials(small(), tmp_path / noise, 1, Setup(kind="none", noise=noise), seed=SEED)
         drawn[noise] = open_truth(tmp_path / noise).trials[0].held_out_um
     assert len({tuple(each.values()) for each in drawn.values()}) == 3
 
@@ -262,7 +257,7 @@ def test_a_sealing_that_ends_early_leaves_nothing(tmp_path: Path, place: str) ->
             cancel.cancel()
 
     with pytest.raises(Cancelled):
-        seal_trials(small_twin(), tmp_path / place, 3, kind="none", listener=stop_after_the_first, cancel=cancel)
+        seal_trials(small_twin(), tmp_path / place, 3, Setup(kind="none"), listener=stop_after_the_first, cancel=cancel)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -311,7 +306,11 @@ def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], Judge
         ("judge bare --jobs 0", 2, ""),
         ("seal twin.yaml --out torn --n 1", 2, "torn is not empty; give a new folder"),
         ("seal twin.yaml --out torn/truth.json --n 1", 2, "torn/truth.json: "),
-        ("seal twin.yaml --out new --kind some", 2, "'some' is not known; kinds are one, none, outside, pair, mixed"),
+        (
+            "seal twin.yaml --out new --kind some",
+            2,
+            "'some' is not known; kinds are one, none, outside, pair, triple, mixed",
+        ),
         ("seal twin.yaml --out new --noise pink", 2, "noises are gaussian, heavy, repeatability"),
         ("seal ur10-real.yaml --out new", 2, "sealed trials need a section 'plant' and two arms"),
         ("seal nowhere.yaml --out new", 2, "nowhere.yaml"),
@@ -374,7 +373,7 @@ def test_what_judging_reports(judged_once: tuple[Path, list[str], JudgeResult]) 
 
 def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Path) -> None:
     folder = tmp_path / "trials"
-    seal_trials(small(), folder, 1, seed=SEED, kind="one")
+    seal_trials(small(), folder, 1, Setup(kind="one"), seed=SEED)
     judge_run(folder / "run-0001", source_digest())
     result = judge_trials(folder)
     (trial,) = result.trials
@@ -386,7 +385,7 @@ def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Pat
     assert arm.heldout_um.after < 0.2 * arm.heldout_um.before
     assert arm.noise_um.stated == pytest.approx(arm.noise_um.drawn, rel=0.6)
     assert result.judged_by_other_source == 0
-    assert {target.target for target in result.targets} >= {"visible: exactly its name", "one arm within 3 s"}
+    assert {target.target for target in result.targets} >= {"visible: exactly its name", "one arm within 5 s"}
 
 
 def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
@@ -551,16 +550,21 @@ def test_counts_targets_and_misses() -> None:
     assert reached == {
         "visible: exactly its name": (1, 2, False),
         "visible: truth in the answer set": (2, 2, True),
-        "held out within 5 % of the drawn noise": (4, 5, False),
-        "the same against the stated noise, which scatters": (4, 5, False),
+        "visible: exactly their names": (1, 1, None),
+        "visible look-alikes: exactly their names": (0, 1, False),
         "false names, by arm": (1, 4, False),
         "false unknown effects, by arm": (1, 4, False),
-        "called unknown": (2, 2, True),
+        "called unknown": (2, 2, None),
         "right channel and variables": (1, 2, False),
-        "ordinary: exactly both names": (1, 1, True),
-        "look-alikes: exactly both names": (0, 1, True),
-        "one arm within 3 s": (17, 18, False),
+        "names beyond the one description": (1, 2, False),
+        "second names": (0, 4, None),
+        "of these for the same cause": (0, 4, None),
+        "held out within 5 % of the drawn noise": (4, 5, False),
+        "the same against the assumed noise, which scatters": (4, 5, False),
+        "one arm within 1 s": (17, 18, True),
+        "one arm within 5 s": (17, 18, False),
     }
+    assert result.missed == (), "too few trials to say so"
     assert result.one["backlash"].visible.named == 1
     to_drawn = result.one["backlash"].visible.heldout_to_drawn
     assert to_drawn is not None
@@ -593,8 +597,8 @@ def test_few_clean_arms_meet_no_target_and_many_do() -> None:
 @pytest.mark.fast
 def test_the_table_for_the_readme_ends_with_date_seed_and_program() -> None:
     sealed = SealHeader(
-        written="2026-01-02T03:04:05", program="cellapp 0.0.9", profile="twin", seed=1234, kind="mixed", noise="heavy",
-        runs=4, stops=400,
+        written="2026-01-02T03:04:05", program="cellapp 0.0.9", profile="twin", seed=1234,
+        setup=Setup(kind="mixed", noise="heavy"), runs=4, stops=400,
     )  # fmt: skip
     trials = [
         judged(truth("one", "backlash"), named("friction_windup", answers=("a|b",))),
@@ -613,7 +617,7 @@ def test_the_table_for_the_readme_ends_with_date_seed_and_program() -> None:
     assert last.endswith(judge_sentences(result)[-1])
     titles = [table.title for table in judge_tables(result)]
     assert [line.strip("*") for line in text.splitlines() if line.startswith("**")] == titles
-    assert len(titles) == len(KINDS) + 2
+    assert len(titles) == len(KINDS) + 1  # pairs and triples share a table; targets and misses have their own
     for block in text.split("\n\n"):
         rows = [line.replace("\\|", "").count("|") for line in block.splitlines() if line.startswith("|")]
         assert len(set(rows)) <= 1, block

@@ -148,10 +148,15 @@ async def test_tables_verdict_and_notes_appear_when_the_run_is_done() -> None:
         assert "Arm left: held-out errors [mm] (27 parameters, 4 iterations)" in shown
         assert "Note: target left-17: not [reached]" in shown
         assert "target left-17" in log(app)
+        (meaning,) = [text for text in shown if "settle   - Repeat 20 stops with a second payload." in text]
+        assert meaning.startswith("Arm left: Something behaves like backlash, but of the opposite sign")
+        assert "Arm left: What is left still depends on time (p below 0.001)." in meaning
         steps, accepted = list(app.query(DataTable))[2:]
         assert RESULTS.discover is not None
         expected = discovery_tables(RESULTS.discover)
-        assert [table.title for table in expected] == [text for text in shown if text.startswith("Arm left: ")][-2:]
+        assert [table.title for table in expected] == [
+            text for text in shown if text.startswith("Arm left: ") and "\n" not in text
+        ][-2:]
         for drawn, table in zip((steps, accepted), expected, strict=True):
             assert tuple(str(column.label) for column in drawn.columns.values()) == table.headings
             rows = [tuple(str(cell) for cell in drawn.get_row_at(place)) for place in range(drawn.row_count)]

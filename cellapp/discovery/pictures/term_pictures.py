@@ -138,7 +138,7 @@ class _TermPictures:
     def _periodic_views(self, joint: int, cycles: dict[int, int]) -> list[_JointView]:
         """Waves over a whole turn; fast lines, which would be a blur there, with their cycles overlaid."""
         angle = np.degrees(self.data.readings.q[:, joint])
-        smooth = self.fit.terms[self.number].curves is not None
+        smooth = self.fit.terms[self.number].smooth is not None
         fast = [] if smooth else sorted({count for count in cycles.values() if count > _MOST_DRAWN})
         slow = [k for k, count in cycles.items() if count not in fast]
         views = []

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.calibration.curve_prior import CurvePrior
 from cellapp.design.discrimination import Discrimination
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, refit
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.proposal.candidate_design import CandidateDesign
-from cellapp.discovery.terms import ModelTerm
+from cellapp.discovery.terms import ModelTerm, Smoothness
 from cellapp.effects import EFFECTS, DriverVariable, EffectColumn, EffectTerm, Law
-from cellapp.effects.periodic import curve_prior
 from cellapp.kinematics.transforms import Array
 
 
@@ -115,24 +113,11 @@ def _bound_precision(column: EffectColumn) -> float:
 
 def refitted_discovery(data: ArmData, discovery: Discovery) -> tuple[ArmData, JointFit]:
     """The fit of what discovery accepted, with its weights, as its search left it."""
-    terms = tuple(_model_term(effect.term, discovery.scatter, data.readings.joints) for effect in discovery.accepted)
+    terms = tuple(_model_term(effect.term, discovery.scatter_m) for effect in discovery.accepted)
     return refit(data, terms)
 
 
-def _model_term(term: EffectTerm, scatter: float, joints: int) -> ModelTerm:
-    """An accepted term, without free part, as a term under test; ``scatter`` is the noise beside free curves."""
-    return ModelTerm(term.slug, term.law, term.law_names, _curve_prior(term.law, scatter, joints), note=term.note)
-
-
-def _curve_prior(law: Law, scatter: float, joints: int) -> CurvePrior | None:
-    """The prior of free curves, from the constants of their law."""
-    prior = curve_prior(law, joints)
-    if not prior:
-        return None
-    return CurvePrior(
-        joints=tuple(prior),
-        lengths=np.array([length for length, _ in prior.values()]),
-        amplitudes=np.array([amplitude for _, amplitude in prior.values()]),
-        noise=scatter if math.isfinite(scatter) else 1.0,
-        evidence=0.0,
-    )
+def _model_term(term: EffectTerm, scatter_m: float) -> ModelTerm:
+    """An accepted term, without free part, as a term under test; ``scatter_m`` goes with the priors of smooth terms."""
+    smooth = Smoothness(0.0, 0, scatter_m) if term.law.form.is_smooth else None
+    return ModelTerm(term.slug, term.law, term.law_names, smooth, note=term.note)

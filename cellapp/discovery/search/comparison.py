@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from cellapp.calibration.curve_prior import CurvePrior
+from cellapp.design.information import NuisanceProjector
 from cellapp.discovery.arm_data import ArmData, whitening
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.search.scan import choice_price
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
-from cellapp.discovery.terms import UNKNOWN, curve_prior_of, has_curves
+from cellapp.discovery.terms import UNKNOWN
+from cellapp.kinematics.transforms import Array
 
 FLOOR_CHANCE = 0.001
 """Chance of the remaining scatter above which it counts as noise; the search goes on below."""
@@ -54,39 +55,41 @@ def unexplained_square(data: ArmData, fit: JointFit) -> float:
     return float(np.sum(np.einsum("acn,nc->an", white, fit.identification.residuals) ** 2))
 
 
-def curve_price(curves: CurvePrior, coordinates: int) -> float:
-    """BIC price of a curve prior: length scale and amplitude of each joint, and the noise."""
-    return (2 * len(curves.joints) + 1) * math.log(coordinates)
-
-
 def best_state(problem: SearchProblem, states: Sequence[SearchState]) -> SearchState:
-    """The state with the least criterion.
+    """The state with the least criterion."""
+    return min(states, key=lambda state: criterion(state.fit))
 
-    Where only some have free curves, those are judged by their evidence: it integrates over the coefficients, which the
-    BIC would count.
+
+def criterion(fit: JointFit) -> float:
+    """Minus twice the log marginal likelihood of a model, and the prices of choosing laws.
+
+    Parameters with a smooth prior are integrated out; the others, and the hyperparameters, cost ln N each, as in the
+    Bayesian information criterion.
     """
-    curved = {has_curves(state.fit.terms) for state in states}
-    criterion = _criterion_by_evidence if len(curved) > 1 else _criterion
-    return min(states, key=lambda state: criterion(problem, state))
-
-
-def _criterion(problem: SearchProblem, state: SearchState) -> float:
-    """Bayesian information criterion with the stated uncertainty as weights, and the prices of choosing laws."""
-    fit, N = state.fit, 3 * len(state.data)
-    price = fit.projector.effective_parameters * math.log(N)
+    N, first = len(fit.residual), fit.layout.geometric
+    smooth = np.zeros(len(fit.precision), dtype=bool)
+    smooth[first:] = fit.precision[first:] > 0.0
+    values = fit.identification.values
+    square = float(fit.residual @ fit.residual) + float(fit.precision[smooth] @ values[smooth] ** 2)
+    log_variance = -2.0 * float(np.sum(np.log(np.einsum("aan->an", fit.white))))
+    flat = NuisanceProjector.of(fit.rows[~smooth], fit.precision[~smooth])
+    price = flat.effective_parameters * math.log(N)
     for term in fit.terms:
         price += choice_price(term.law) + SCORE_MARGIN * (2.0 if term.slug == UNKNOWN else 1.0)
-    return N * math.log(unexplained_square(state.data, fit)) + price
+        if term.smooth is not None:
+            price += term.smooth.hyperparameters * math.log(N)
+    return square + log_variance + price + _log_occam(fit.rows[smooth], fit.precision[smooth], flat)
 
 
-def _criterion_by_evidence(problem: SearchProblem, state: SearchState) -> float:
-    """The criterion without the term of free curves, less their evidence."""
-    curves = curve_prior_of(state.fit.terms)
-    if curves is None:
-        return _criterion(problem, state)
-    rest = tuple(term for term in state.fit.terms if term.curves is None)
-    gain = curves.evidence - curve_price(curves, 3 * len(state.data))
-    return _criterion(problem, problem.state(rest)) - gain + SCORE_MARGIN
+def _log_occam(rows: Array, precision: Array, flat: NuisanceProjector) -> float:
+    """Log determinant of ``I + V^1/2 S M S^T V^1/2`` of smooth columns S behind the other parameters, V their prior."""
+    if not len(rows):
+        return 0.0
+    explained = rows @ flat.basis
+    root = 1.0 / np.sqrt(precision)
+    gram = (rows @ rows.T - explained @ explained.T) * (root[:, None] * root)
+    gram[np.diag_indices_from(gram)] += 1.0
+    return 2.0 * float(np.sum(np.log(np.diag(np.linalg.cholesky(gram)))))
 
 
 def names_dominate(problem: SearchProblem, named: SearchState, extended: SearchState) -> bool:

@@ -12,8 +12,6 @@ from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.search.comparison import best_state, floor_reached
-from cellapp.discovery.search.contradiction import with_contradiction
-from cellapp.discovery.search.joint_curves import with_joint_curves
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.discovery.search.tuning import apply_step
@@ -31,11 +29,8 @@ _LAWS_AT_ONCE = 200
 """Laws whose columns are held together: bounds the memory (200 laws of 20 columns and 1800 coordinates: 60 MB)."""
 
 
-def beyond_library(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with data-driven terms, free curves, or a law with impossible values, whichever is best."""
-    impossible = with_contradiction(problem, state)
-    if impossible is not None and floor_reached(impossible):  # a law of few parameters explains all
-        return impossible
+def with_data_driven_terms(problem: SearchProblem, state: SearchState) -> SearchState | None:
+    """The state with data-driven terms; None where none holds."""
     driven = _with_term(problem, state)
     for _ in range(_MOST_TERMS - 1):
         if driven is None or floor_reached(driven):
@@ -44,9 +39,7 @@ def beyond_library(problem: SearchProblem, state: SearchState) -> SearchState | 
         if further is None:
             break
         driven = further
-    curved = None if driven is not None and floor_reached(driven) else with_joint_curves(problem, state)
-    states = [one for one in (impossible, curved, driven) if one is not None]
-    return best_state(problem, states) if states else None
+    return driven
 
 
 def _with_term(problem: SearchProblem, state: SearchState) -> SearchState | None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cellapp.calibration.curve_prior import MAX_CYCLES
 from cellapp.discovery.candidates import CandidateLaw, LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.search.addition import within_bounds
@@ -17,7 +16,8 @@ from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
 from cellapp.discovery.terms import ModelTerm, with_term, without_term
 from cellapp.effects import EFFECTS
-from cellapp.effects.periodic import LINES
+from cellapp.effects.periodic import CURVE, LINES, curve_prior
+from cellapp.effects.smooth import CYCLES
 
 MANY_LINES = 10
 """Columns of a transmission error from which free curves are tried in its place: five lines, more than a drive's
@@ -31,7 +31,7 @@ def refinement(problem: SearchProblem, state: SearchState, needed: float) -> Sea
     best: SearchStep | None = None
     for number, term in enumerate(state.fit.terms):
         least = needed if best is None else best.score
-        if term.curves is not None:
+        if term.law.form == CURVE:
             best = _lines_beside_curves(problem, state, number, least) or best
         elif term.is_library_effect:
             best = _better_law(problem, state, number, least) or best
@@ -82,14 +82,14 @@ def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int
     """Sharp lines of more cycles than the curves, which are smooth, reach."""
     data, fit = state.data, state.fit
     term = fit.terms[number]
-    assert term.curves is not None
+    joints, cycles = curve_prior(term.law, data.context.joints), term.law.constants[CYCLES.name]
     lines = next(law for law in EFFECTS[term.slug].laws(data.context) if law.form == LINES)
     candidate = fit.candidate(data, term.slug, lines)
     candidate = candidate.keep(
         [
             place
             for place, column in enumerate(candidate.columns)
-            if column.joint in term.curves.joints and column.cycles is not None and column.cycles > MAX_CYCLES
+            if column.joint in joints and column.cycles is not None and column.cycles > cycles
         ]
     )
     score = LawScan.of([candidate], fit.projector).score(0, fit.projected_residual)
@@ -98,7 +98,7 @@ def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int
     names = tuple(name for name in _confirmed_lines(state, score) if name not in term.names)
     if not names:
         return None
-    refined = replace(term, names=(*term.names, *names), free=frozenset(names) | term.free)
+    refined = replace(term, names=(*term.names, *names))
     terms = with_term(fit.terms, number, refined)
     return problem.step(term.slug, f"{EFFECTS[term.slug].title}: lines beside the curve", score.value, terms)
 

@@ -36,9 +36,9 @@ def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
 
 
 def _weakest(problem: SearchProblem, state: SearchState) -> int | None:
-    """The term with the least score, if that does not pass the threshold; free curves have a test of their own."""
+    """The term with the least score, if that does not pass the threshold; smooth terms have a test of their own."""
     scores = {
-        number: term_score(state.fit, number) for number, term in enumerate(state.fit.terms) if term.curves is None
+        number: term_score(state.fit, number) for number, term in enumerate(state.fit.terms) if term.smooth is None
     }
     weak = [number for number, score in scores.items() if score <= problem.threshold]
     return min(weak, key=lambda number: scores[number]) if weak else None
@@ -72,8 +72,8 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
     """Score of a term beside all others, and the effects of the library that could take its place."""
     fit = state.fit
     term = fit.terms[number]
-    if term.curves is not None:
-        return Review(term, term.curves.evidence, problem.p_value(term.curves.evidence), ())
+    if term.smooth is not None:
+        return Review(term, term.smooth.evidence, problem.p_value(term.smooth.evidence), ())
     score = term_score(fit, number)
     rivals: list[Rival] = []
     if term.slug != UNKNOWN:

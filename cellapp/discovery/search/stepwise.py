@@ -15,17 +15,16 @@ from dataclasses import dataclass, replace
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import fit_terms, refit, reweighted
 from cellapp.discovery.search.addition import addition
-from cellapp.discovery.search.comparison import best_state, floor_reached, names_dominate
-from cellapp.discovery.search.data_driven import beyond_library
+from cellapp.discovery.search.comparison import best_state, floor_reached
+from cellapp.discovery.search.data_driven import with_data_driven_terms
 from cellapp.discovery.search.free_part import with_free_parts
-from cellapp.discovery.search.joint_curves import with_joint_curves
-from cellapp.discovery.search.refinement import MANY_LINES, refinement
+from cellapp.discovery.search.refinement import refinement
 from cellapp.discovery.search.review import review, reviewed
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.significance import score_threshold, simulate_null_maxima
+from cellapp.discovery.search.smooth_terms import with_smooth_terms
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchResult, SearchState, SearchStep
 from cellapp.discovery.search.tuning import apply_step
-from cellapp.discovery.terms import TRANSMISSION_ERROR
 from cellapp.progress import CancelToken, Report, ignore_report
 
 _MOST_EFFECTS = 5
@@ -105,15 +104,30 @@ def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progr
     if floor_reached(named):
         return named
     progress.step("beyond the library")
-    extended = beyond_library(problem, named)
-    if extended is None:
-        return named
-    states = [named, reviewed(problem, _with_library_effects(problem, extended))]
-    if named.fit.terms and not names_dominate(problem, named, extended):
-        first = beyond_library(problem, start)
-        if first is not None:
-            states.append(reviewed(problem, _with_library_effects(problem, first)))
-    return best_state(problem, states)
+    best = best_state(problem, [named, *_with_free_functions(problem, start, named)])
+    if floor_reached(best):
+        return best
+    driven = [with_data_driven_terms(problem, state) for state in dict.fromkeys((best, named))]
+    return best_state(problem, [best, *(_reviewed_again(problem, state) for state in driven if state is not None)])
+
+
+def _with_free_functions(problem: SearchProblem, start: SearchState, named: SearchState) -> list[SearchState]:
+    """Models with smooth free functions: beside the named effects, and before any is named."""
+    found = []
+    first = with_smooth_terms(problem, start)
+    if first is not None:
+        after = _with_library_effects(problem, first)
+        found.append(reviewed(problem, after))
+    if named.fit.terms:
+        beside = with_smooth_terms(problem, named)
+        if beside is not None:
+            found.append(reviewed(problem, beside))
+    return found
+
+
+def _reviewed_again(problem: SearchProblem, state: SearchState) -> SearchState:
+    """The model with the library's effects that now show, reviewed."""
+    return reviewed(problem, _with_library_effects(problem, state))
 
 
 def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawScan | None = None) -> SearchState:
@@ -136,9 +150,6 @@ def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawS
             refining = False  # the refinement was better in the linear scan only
             continue
         state, scan, freed = after, None, False
-        if step.slug == TRANSMISSION_ERROR and len(step.terms[-1].names) >= MANY_LINES:
-            # the residual of a curve shows further effects better than the residual of some of its lines
-            state = with_joint_curves(problem, state) or state
     return state
 
 

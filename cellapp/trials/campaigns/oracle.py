@@ -170,11 +170,10 @@ def _identified(
     run: RunFile, name: str, readings: Readings, undisturbed: Mapping[str, ArmEstimate] | None
 ) -> ArmEstimate:
     q, p_M, covariance = readings.q, readings.p_M, readings.covariance_M
+    start = start_from_nominal(nominal_arm(run.profile.arms[name]), q, p_M, tool_unknown=False)
     if undisturbed is None:
-        start = start_from_nominal(nominal_arm(run.profile.arms[name]), q, p_M, tool_unknown=False)
         return identify(start, q, p_M, sigma=covariance)
-    before = undisturbed[name]
-    return identify(before.geometry, q, p_M, sigma=covariance, parameter_set=before.parameter_set)
+    return identify(start, q, p_M, sigma=covariance, parameter_set=undisturbed[name].parameter_set)
 
 
 def _other_calibration(

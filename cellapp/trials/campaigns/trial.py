@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from itertools import islice
+from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import chain
 from typing import Literal
 
 import numpy as np
@@ -19,12 +17,11 @@ from cellapp.results import Record, Result
 from cellapp.trials.campaigns.campaign import Bench, Campaign, make_bench, run_campaign
 from cellapp.trials.campaigns.faults import KINDS
 from cellapp.trials.campaigns.monitor import KINDS_OF_FAILURE
+from cellapp.trials.processes import in_processes
 
 STOPS = 400
 _AT_ONCE = 10
 """Campaigns of one task: some seconds, so that a cancelled job ends soon."""
-_POLL_S = 0.2
-"""How often a cancel request is looked at."""
 
 
 class FailedCampaign(Record):
@@ -99,7 +96,9 @@ def campaign_trials(
         bench = make_bench(profile, stops, cancel)
         seeds = range(seed, seed + n)
         campaigns = []
-        for campaign in _here(bench, seeds, cancel) if jobs == 1 else _in_processes(bench, seeds, jobs, cancel):
+        at_once = 1 if jobs == 1 else _AT_ONCE
+        tasks = (seeds[k : k + at_once] for k in range(0, n, at_once))
+        for campaign in chain.from_iterable(in_processes(partial(run_campaigns, bench), tasks, jobs, cancel)):
             campaigns.append(campaign)
             note = f"{sum(bool(one.failures) for one in campaigns)} failed"
             listener(Progress("campaigns", len(campaigns), n, note))
@@ -107,32 +106,8 @@ def campaign_trials(
 
 
 def run_campaigns(bench: Bench, seeds: Sequence[int]) -> list[Campaign]:
-    """Run the campaigns of some seeds, in one thread."""
-    with threadpool_limits(1):
-        return [run_campaign(bench, seed)[0] for seed in seeds]
-
-
-def _here(bench: Bench, seeds: Sequence[int], cancel: CancelToken) -> Iterator[Campaign]:
-    for seed in seeds:
-        cancel.check()
-        yield run_campaign(bench, seed)[0]
-
-
-def _in_processes(bench: Bench, seeds: Sequence[int], jobs: int, cancel: CancelToken) -> Iterator[Campaign]:
-    tasks = iter([seeds[k : k + _AT_ONCE] for k in range(0, len(seeds), _AT_ONCE)])
-    context = multiprocessing.get_context("spawn")  # not forked: BLAS has threads of its own
-    ignore_ctrl_c = (signal.SIGINT, signal.SIG_IGN)  # it reaches the whole group, and this process ends the others
-    with ProcessPoolExecutor(jobs, context, initializer=signal.signal, initargs=ignore_ctrl_c) as pool:
-        under_way: set[Future[list[Campaign]]] = set()
-        for task in islice(tasks, jobs):
-            under_way.add(pool.submit(run_campaigns, bench, task))
-        while under_way:
-            ended, under_way = wait(under_way, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-            for future in ended:
-                yield from future.result()
-                for task in islice(tasks, 0 if cancel.cancelled else 1):
-                    under_way.add(pool.submit(run_campaigns, bench, task))
-    cancel.check()
+    """Run the campaigns of some seeds."""
+    return [run_campaign(bench, seed)[0] for seed in seeds]
 
 
 def _summary(campaigns: Sequence[Campaign], seed: int, stops: int) -> CampaignsResult:

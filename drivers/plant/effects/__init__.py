@@ -10,6 +10,7 @@ from drivers.plant.effects.backlash import backlash
 from drivers.plant.effects.drift import base_drift, base_step, target_slip, tracker_drift
 from drivers.plant.effects.encoder_eccentricity import encoder_eccentricity
 from drivers.plant.effects.friction_windup import friction_windup
+from drivers.plant.effects.joint_axis_runout import joint_axis_runout
 from drivers.plant.effects.joint_axis_wobble import joint_axis_wobble
 from drivers.plant.effects.joint_compliance import joint_compliance
 from drivers.plant.effects.link_bending import link_bending
@@ -19,7 +20,17 @@ from drivers.plant.effects.target_incidence import target_incidence
 from drivers.plant.effects.thermal import joint_drift, thermal_growth
 from drivers.plant.effects.tracker import tracker_angle_error, tracker_distance_offset, tracker_scale
 from drivers.plant.effects.transmission_error import transmission_error
-from drivers.plant.effects.uncatalogued import base_sway, crosstalk, draught, dress_pack, tool_sag, wrist_cable
+from drivers.plant.effects.uncatalogued import (
+    base_sway,
+    crosstalk,
+    draught,
+    dress_pack,
+    elbow_hose,
+    tool_sag,
+    warm_floor,
+    workspace_field,
+    wrist_cable,
+)
 from drivers.plant.effects.unsettled_measurement import unsettled_measurement
 
 FACTORIES: Mapping[str, Callable[[Parameters], Effect]] = {
@@ -30,8 +41,10 @@ FACTORIES: Mapping[str, Callable[[Parameters], Effect]] = {
     "crosstalk": crosstalk,
     "draught": draught,
     "dress_pack": dress_pack,
+    "elbow_hose": elbow_hose,
     "encoder_eccentricity": encoder_eccentricity,
     "friction_windup": friction_windup,
+    "joint_axis_runout": joint_axis_runout,
     "joint_axis_wobble": joint_axis_wobble,
     "joint_compliance": joint_compliance,
     "joint_drift": joint_drift,
@@ -49,6 +62,8 @@ FACTORIES: Mapping[str, Callable[[Parameters], Effect]] = {
     "tracker_scale": tracker_scale,
     "transmission_error": transmission_error,
     "unsettled_measurement": unsettled_measurement,
+    "warm_floor": warm_floor,
+    "workspace_field": workspace_field,
     "wrist_cable": wrist_cable,
 }
 

@@ -10,24 +10,56 @@ from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters, Situation
 from drivers.plant.lines import carry, rigid
 from drivers.plant.mechanism import Deflection
+from drivers.plant.random_functions import RandomPaths
 
-_LAWS = ("linear", "exponential", "creep")
+_LAWS = ("linear", "exponential", "creep", "sinusoidal", "wandering")
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Course of a drift over time: linear (1 at ``time``), exponential (towards 1), or logarithmic creep.
+    """Course of a drift over time: linear (1 at ``time``), exponential (towards 1), logarithmic creep, and others.
 
-    Creep is ``log(1 + t / time)``, as of a bolted joint that settles under a constant load.
+    Creep is ``log(1 + t / time)``, as of a bolted joint that settles under a constant load. A sinusoidal drift, as with
+    the sun on a wall, has the period ``time`` and starts at ``phase``; a wandering one has a random path of its own for
+    each component of the twist, whose quickest wave has the period ``time``.
     """
 
     law: str
     time: float
+    phase: float = 0.0
+    paths: RandomPaths | None = None
 
     def share(self, time_s: Array) -> Array:
-        """Return the share (n,) of the full drift at times (n,) [s]."""
+        """Return the shares of the full drift at times (n,) [s]: (n,), or (n, 6) of a wandering one."""
+        if self.paths is not None:
+            return self.paths.at(np.maximum(time_s, 0.0))
         t = np.maximum(time_s, 0.0) / self.time
+        if self.law == "sinusoidal":
+            swing: Array = np.sin(2.0 * np.pi * t + self.phase) - np.sin(self.phase)
+            return swing
         shares: Array = {"linear": t, "exponential": -np.expm1(-t), "creep": np.log1p(t)}[self.law]
+        return shares
+
+
+def _scaled(share: Array, twist: Array) -> Array:
+    """Return twists (n, 6) from shares (n,) or (n, 6)."""
+    scaled: Array = (share if share.ndim == 2 else share[:, None]) * twist
+    return scaled
+
+
+@dataclass(frozen=True, eq=False)
+class Slip:
+    """Course of a slip at ``time`` [s]: ``creeping`` of it follows with ``time_constant`` [s], the rest is sudden."""
+
+    time: float
+    creeping: float = 0.0
+    time_constant: float = 1.0
+
+    def share(self, time_s: Array) -> Array:
+        """Return the share (n,) of the slip at times (n,) [s]."""
+        since = time_s - self.time
+        left = self.creeping * np.exp(-np.maximum(since, 0.0) / self.time_constant)
+        shares: Array = np.where(since >= 0.0, 1.0 - left, 0.0)
         return shares
 
 
@@ -39,7 +71,7 @@ class BaseDrift(Effect):
     course: Course
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        return Deflection(base=self.course.share(situation.time_s)[:, None] * self.twist)
+        return Deflection(base=_scaled(self.course.share(situation.time_s), self.twist))
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,29 +85,29 @@ class TrackerDrift(Effect):
     course: Course
 
     def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
-        return carry(rigid(-self.course.share(situation.time_s)[:, None] * self.twist), p_M)
+        return carry(rigid(_scaled(-self.course.share(situation.time_s), self.twist)), p_M)
 
 
 @dataclass(frozen=True, eq=False)
 class BaseStep(Effect):
-    """The base slips at ``time`` to another pose. Sizes: 10 to 50 um (an estimate)."""
+    """The base slips to another pose. Sizes: 10 to 50 um (an estimate)."""
 
     twist: Array
-    time: float
+    slip: Slip
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        return Deflection(base=np.where((situation.time_s >= self.time)[:, None], self.twist, 0.0))
+        return Deflection(base=self.slip.share(situation.time_s)[:, None] * self.twist)
 
 
 @dataclass(frozen=True, eq=False)
 class TargetSlip(Effect):
-    """The SMR's seat slips at ``time`` on the flange. Sizes: 20 to 200 um (an estimate)."""
+    """The SMR's seat slips on the flange. Sizes: 20 to 200 um (an estimate)."""
 
     shift: Array
-    time: float
+    slip: Slip
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        slipped = np.where((situation.time_s >= self.time)[:, None], self.shift, 0.0)
+        slipped = self.slip.share(situation.time_s)[:, None] * self.shift
         return Deflection(tool=np.concatenate([slipped, np.zeros_like(slipped)], axis=1))
 
 
@@ -84,28 +116,53 @@ def _twist(parameters: Parameters) -> Array:
 
 
 def _course(parameters: Parameters) -> Course:
-    return Course(parameters.choice("law", *_LAWS), parameters.number("time", above=0.0))
+    law = parameters.choice("law", *_LAWS)
+    extra = {"sinusoidal": ("phase",), "wandering": ("seed",)}.get(law, ())
+    parameters.require("shift", "turn", "law", "time", *extra)
+    time = parameters.number("time", above=0.0)
+    if law == "wandering":
+        return Course(law, time, paths=RandomPaths.drawn(parameters.integer("seed", least=0), 6, time))
+    return Course(law, time, parameters.number("phase", default=0.0))
+
+
+def _slip(parameters: Parameters, *sizes: str) -> Slip:
+    law, parameters = parameters.by_law("sudden", "creeping")
+    if law == "sudden":
+        parameters.require(*sizes, "time")
+        return Slip(parameters.number("time"))
+    parameters.require(*sizes, "time", "creeping", "time_constant")
+    return Slip(
+        parameters.number("time"),
+        parameters.number("creeping", least=0.0),
+        parameters.number("time_constant", above=0.0),
+    )
 
 
 def base_drift(parameters: Parameters) -> Effect:
-    """Build base drift: ``shift`` (3) [m], ``turn`` (3) [rad] in B; ``law`` linear, exponential, creep; ``time``."""
-    parameters.require("shift", "turn", "law", "time")
-    return BaseDrift(_twist(parameters), _course(parameters))
+    """Build base drift: ``shift`` (3) [m], ``turn`` (3) [rad] in B; ``law`` and its ``time`` [s].
+
+    ``law`` is linear, exponential, creep, sinusoidal (with ``phase`` [rad]) or wandering (with ``seed``).
+    """
+    course = _course(parameters)
+    return BaseDrift(_twist(parameters), course)
 
 
 def tracker_drift(parameters: Parameters) -> Effect:
     """Build tracker drift; parameters as of ``base_drift``, in M."""
-    parameters.require("shift", "turn", "law", "time")
-    return TrackerDrift(_twist(parameters), _course(parameters))
+    course = _course(parameters)
+    return TrackerDrift(_twist(parameters), course)
 
 
 def base_step(parameters: Parameters) -> Effect:
-    """Build a base step. ``shift`` (3) [m] and ``turn`` (3) [rad] in B at ``time`` [s]."""
-    parameters.require("shift", "turn", "time")
-    return BaseStep(_twist(parameters), parameters.number("time"))
+    """Build a base step. ``shift`` (3) [m] and ``turn`` (3) [rad] in B at ``time`` [s].
+
+    With ``law`` creeping, the share ``creeping`` of it follows with ``time_constant`` [s].
+    """
+    slip = _slip(parameters, "shift", "turn")
+    return BaseStep(_twist(parameters), slip)
 
 
 def target_slip(parameters: Parameters) -> Effect:
-    """Build a target slip. ``shift`` (3) in the flange frame [m] at ``time`` [s]."""
-    parameters.require("shift", "time")
-    return TargetSlip(parameters.numbers("shift", 3), parameters.number("time"))
+    """Build a target slip. ``shift`` (3) in the flange frame [m] at ``time`` [s]; ``law`` as of ``base_step``."""
+    slip = _slip(parameters, "shift")
+    return TargetSlip(parameters.numbers("shift", 3), slip)

@@ -23,15 +23,66 @@ class FrictionWindup(Effect):
     load_friction: Array
     stiffness: Array
 
+    def friction_torque(self, situation: Situation, load: Array) -> Array:
+        """Return the friction torque (n, N) that the last motion leaves under a load torque (n, N), both in Nm."""
+        torque: Array = self.friction + self.load_friction * np.abs(load)
+        return torque
+
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        wound = (self.friction + self.load_friction * np.abs(posture.gravity_torques)) / self.stiffness
+        wound = self.friction_torque(situation, posture.gravity_torques) / self.stiffness
         step = np.abs(situation.last_step)
         return Deflection(joints=-situation.approach * np.where(step == 0.0, wound, np.minimum(wound, step)))
 
 
+@dataclass(frozen=True, eq=False)
+class StribeckWindup(FrictionWindup):
+    """Friction that rises as the motion slows down (Stribeck): short steps, which are slow, leave more of it.
+
+    The friction torque is ``1 + rise exp(-(step / short)^2)`` times that of long steps, ``short`` in rad.
+    """
+
+    rise: float
+    short: float
+
+    def friction_torque(self, situation: Situation, load: Array) -> Array:
+        slow: Array = 1.0 + self.rise * np.exp(-((situation.last_step / self.short) ** 2))
+        # a step of zero stands for a long one
+        slow = np.where(situation.last_step == 0.0, 1.0, slow)
+        return slow * super().friction_torque(situation, load)
+
+
+@dataclass(frozen=True, eq=False)
+class RootLoadWindup(FrictionWindup):
+    """Friction that grows with the square root of the load, as of lubricated teeth: less than in proportion.
+
+    ``friction + load_friction * sqrt(|load| * typical_load)``, ``typical_load`` [Nm] per joint.
+    """
+
+    typical_load: Array
+
+    def friction_torque(self, situation: Situation, load: Array) -> Array:
+        torque: Array = self.friction + self.load_friction * np.sqrt(np.abs(load) * self.typical_load)
+        return torque
+
+
 def friction_windup(parameters: Parameters) -> Effect:
-    """Build wind-up. Per joint: ``friction`` [Nm], ``load_friction`` [Nm/Nm], drive ``stiffness`` [Nm/rad]."""
-    parameters.require("friction", "load_friction", "stiffness")
+    """Build wind-up. Per joint: ``friction`` [Nm], ``load_friction`` [Nm/Nm], drive ``stiffness`` [Nm/rad].
+
+    Other laws: ``law`` stribeck with ``rise`` and ``short`` [rad]; root_load with ``typical_load`` [Nm] per joint.
+    """
+    law, parameters = parameters.by_law("proportional", "stribeck", "root_load")
+    extra = {"proportional": (), "stribeck": ("rise", "short"), "root_load": ("typical_load",)}[law]
+    parameters.require("friction", "load_friction", "stiffness", *extra)
+    windup = _proportional(parameters)
+    plain = windup.friction, windup.load_friction, windup.stiffness
+    if law == "stribeck":
+        return StribeckWindup(*plain, parameters.number("rise"), parameters.number("short", above=0.0))
+    if law == "root_load":
+        return RootLoadWindup(*plain, parameters.numbers("typical_load", least=0.0))
+    return windup
+
+
+def _proportional(parameters: Parameters) -> FrictionWindup:
     return FrictionWindup(
         parameters.numbers("friction", least=0.0),
         parameters.numbers("load_friction", least=0.0),

@@ -9,6 +9,7 @@ import numpy as np
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters, Situation
 from drivers.plant.mechanism import Deflection
+from drivers.plant.random_functions import RandomWaves
 
 _BALLS = 2.0 * np.pi * np.arange(24) / 24
 _CONTACTS = 1.0 + 0.6 * np.cos(_BALLS) + 0.3 * np.cos(2.0 * _BALLS)
@@ -61,8 +62,38 @@ class JointAxisWobble(Effect):
         return Deflection(base=base, links=twists)
 
 
+@dataclass(frozen=True, eq=False)
+class HarmonicWobble(Effect):
+    """The axis tilts with any harmonics of its own angle, with other phases about x than about y.
+
+    About each of the two axes across it the joint tilts by ``tilt`` [rad] times a sum of harmonics with random phases.
+    One cycle a turn is therefore an ellipse; only its round part belongs to the geometry.
+    """
+
+    joints: np.ndarray
+    tilt: Array
+    waves: tuple[RandomWaves, ...]
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        n, count = situation.q.shape
+        twists, base = np.zeros((n, count, 6)), np.zeros((n, 6))
+        for joint, tilt, waves in zip(self.joints, self.tilt, self.waves, strict=True):
+            twist = base if joint == 0 else twists[:, joint - 1]
+            twist[:, 3:5] = tilt * waves.at(situation.q[:, joint])
+        return Deflection(base=base, links=twists)
+
+
 def joint_axis_wobble(parameters: Parameters) -> Effect:
-    """Build wobble. ``joints``: from 1; for each ``radius``, ``two_lobes``, ``three_lobes`` [m], ``phase`` [rad]."""
+    """Build wobble. ``joints``: from 1; for each ``radius``, ``two_lobes``, ``three_lobes`` [m], ``phase`` [rad].
+
+    With ``law`` harmonics instead: ``joints``, for each ``tilt`` [rad]; ``harmonics`` (cycles a turn), as many
+    ``shares``, and a ``seed`` of the phases.
+    """
+    law, parameters = parameters.by_law("lobes", "harmonics")
+    if law == "harmonics":
+        parameters.require("joints", "tilt", "harmonics", "shares", "seed")
+        joints = parameters.joint_numbers("joints")
+        return HarmonicWobble(joints, parameters.numbers("tilt", len(joints)), random_waves(parameters, len(joints), 2))
     parameters.require("joints", "radius", "two_lobes", "three_lobes", "phase")
     joints = parameters.joint_numbers("joints")
     return JointAxisWobble(
@@ -72,3 +103,11 @@ def joint_axis_wobble(parameters: Parameters) -> Effect:
         parameters.numbers("three_lobes", len(joints), least=0.0),
         parameters.numbers("phase", len(joints)),
     )
+
+
+def random_waves(parameters: Parameters, joints: int, directions: int) -> tuple[RandomWaves, ...]:
+    """Draw sums of ``harmonics`` with ``shares`` by ``seed`` for some joints, each in some directions."""
+    harmonics = parameters.numbers("harmonics", parameters.length("harmonics"), least=1.0)
+    shares = parameters.numbers("shares", len(harmonics))
+    rng = np.random.default_rng(parameters.integer("seed", least=0))
+    return tuple(RandomWaves.drawn(rng, directions, harmonics, shares) for _ in range(joints))

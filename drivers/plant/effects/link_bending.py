@@ -36,6 +36,41 @@ class LinkBending(Effect):
         return Deflection(links=twists)
 
 
+@dataclass(frozen=True, eq=False)
+class ShearingLinkBending(Effect):
+    """Beams that bend and also shear (Timoshenko), as short tubes with openings do.
+
+    Added to bending: the force across the beam, of all weight beyond the middle of the link, shifts its tip by
+    ``force length / shear``, ``shear`` being the product kappa G A [N].
+    """
+
+    bending: LinkBending
+    shear: Array
+
+    def bend(self, situation: Situation, posture: Posture) -> Deflection:
+        twists = self.bending.bend(situation, posture).links
+        assert twists is not None
+        for link, shear in zip(self.bending.links, self.shear, strict=True):
+            twists[:, link, :3] += _shear_shift(posture, int(link), shear)
+        return Deflection(links=twists)
+
+
+def _shear_shift(posture: Posture, link: int, shear: float) -> Array:
+    """Return the shift (n, 3) of a beam's tip by shear, in the D-H frame of the tip."""
+    mechanism = posture.mechanism
+    root = carry(inverse(mechanism.frames[link + 1]), mechanism.frames[link, :3, 3])
+    length = float(np.linalg.norm(root))
+    if length == 0.0:
+        return np.zeros((len(posture.q), 3))
+    pose = posture.placements[link] @ mechanism.frames[link + 1]
+    # half of the link's own weight lies beyond its middle
+    mass = posture.masses_beyond[link] - 0.5 * mechanism.masses[link]
+    force = mass[:, None] * (pose[:, :3, :3].swapaxes(1, 2) @ posture.gravity)
+    along = root / length
+    shift: Array = (force - (force @ along)[:, None] * along) * (length / shear)
+    return shift
+
+
 def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> Array:
     """Return the twist (n, 6) of a beam's tip, the origin of its D-H frame, in that frame."""
     mechanism = posture.mechanism
@@ -86,11 +121,16 @@ def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> A
 
 
 def link_bending(parameters: Parameters) -> Effect:
-    """Build link bending. ``links``: numbers from 1; for each ``bending`` EI and ``torsion`` GJ [Nm^2], or ``inf``."""
-    parameters.require("links", "bending", "torsion")
+    """Build link bending. ``links``: numbers from 1; for each ``bending`` EI and ``torsion`` GJ [Nm^2], or ``inf``.
+
+    With ``law`` shear also ``shear``, kappa G A of each [N].
+    """
+    law, parameters = parameters.by_law("slender", "shear")
+    parameters.require("links", "bending", "torsion", *(("shear",) if law == "shear" else ()))
     links = parameters.joint_numbers("links")
-    return LinkBending(
+    slender = LinkBending(
         links,
         parameters.stiffnesses("bending", len(links)),
         parameters.stiffnesses("torsion", len(links)),
     )
+    return slender if law == "slender" else ShearingLinkBending(slender, parameters.stiffnesses("shear", len(links)))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters, Situation
 from drivers.plant.mechanism import Deflection, Posture
@@ -22,7 +24,53 @@ class PayloadCompliance(Effect):
         return Deflection(joints=posture.load_torques / self.stiffness)
 
 
+@dataclass(frozen=True, eq=False)
+class OffCentrePayload(Effect):
+    """The load's centre of mass is elsewhere than was entered on the controller: ``shift`` (3,) [m] from it.
+
+    The shift is given in the flange frame; its moment is that of the load's weight at the shifted centre.
+    """
+
+    stiffness: Array
+    shift: Array
+
+    def bend(self, situation: Situation, posture: Posture) -> Deflection:
+        aside = posture.load_mass[:, None] * (posture.flange[:, :3, :3] @ self.shift)
+        turned = np.cross(aside, posture.gravity)
+        more = np.einsum("jnk,nk->nj", posture.axes[0], turned)
+        return Deflection(joints=(posture.load_torques + more) / self.stiffness)
+
+
+@dataclass(frozen=True, eq=False)
+class SofteningUnderPayload(Effect):
+    """Drives that yield more beyond the load torque ``knee``: ``soft_stiffness`` applies to what exceeds it."""
+
+    stiffness: Array
+    soft_stiffness: Array
+    knee: Array
+
+    def bend(self, situation: Situation, posture: Posture) -> Deflection:
+        torque = posture.load_torques
+        stiff = np.clip(torque, -self.knee, self.knee)
+        return Deflection(joints=stiff / self.stiffness + (torque - stiff) / self.soft_stiffness)
+
+
 def payload_compliance(parameters: Parameters) -> Effect:
-    """Build payload compliance. ``stiffness``: [Nm/rad] per joint; ``inf`` is rigid."""
+    """Build payload compliance. ``stiffness``: [Nm/rad] per joint; ``inf`` is rigid.
+
+    Other laws: ``law`` off_centre with the ``shift`` (3) [m] of the load's centre in the flange frame; softening with
+    ``soft_stiffness`` [Nm/rad] beyond the load torque ``knee`` [Nm], both per joint.
+    """
+    law, parameters = parameters.by_law("linear", "off_centre", "softening")
+    if law == "off_centre":
+        parameters.require("stiffness", "shift")
+        return OffCentrePayload(parameters.stiffnesses("stiffness"), parameters.numbers("shift", 3))
+    if law == "softening":
+        parameters.require("stiffness", "soft_stiffness", "knee")
+        return SofteningUnderPayload(
+            parameters.stiffnesses("stiffness"),
+            parameters.stiffnesses("soft_stiffness"),
+            parameters.numbers("knee", least=0.0),
+        )
     parameters.require("stiffness")
     return PayloadCompliance(parameters.stiffnesses("stiffness"))

@@ -49,6 +49,10 @@ class PedestalCoupling(Effect):
     torsion: float
     depth: float
 
+    def yielding(self, moment: Array) -> Array:
+        """Return by how much the beam yields to moments (n, 3) [Nm], relative to a linear one, (n, 1)."""
+        return np.ones((len(moment), 1))
+
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
         twist = np.zeros((len(situation.q), 6))
         for name, other in situation.others.items():
@@ -59,6 +63,7 @@ class PedestalCoupling(Effect):
             # for bases above one another no beam direction is defined
             along = beam / length if length > 1e-6 else np.zeros(3)
             moment = other.base_moment @ to_here[:3, :3].T
+            moment = moment * self.yielding(moment)
             twisting = (moment @ along)[:, None] * along
             turn = twisting / self.torsion + (moment - twisting) / self.bending
             twist[:, :3] += np.cross(turn, self.depth * up)
@@ -66,8 +71,51 @@ class PedestalCoupling(Effect):
         return Deflection(base=twist)
 
 
+@dataclass(frozen=True, eq=False)
+class FramePedestal(Effect):
+    """A welded frame: a full symmetric compliance, and a rotation about a pivot that is not below the base.
+
+    The moment of the arm's weight about the ``pivot`` rotates all above it: ``turn = compliance moment``. Off-diagonal
+    entries turn the base about one axis under a moment about another.
+    """
+
+    pivot: Array  # (3,) in B
+    compliance: Array  # (3, 3) [rad/Nm]
+
+    def bend(self, situation: Situation, posture: Posture) -> Deflection:
+        place = posture.first_moments.sum(axis=0) - posture.masses_beyond[0][:, None] * self.pivot
+        turn = np.cross(place, posture.gravity) @ self.compliance
+        return Deflection(base=np.concatenate([np.cross(turn, -self.pivot), turn], axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class HardeningCoupling(PedestalCoupling):
+    """Bolted joints whose gaps close under load: the beam turns less than in proportion to large moments.
+
+    The turn is that of a linear beam divided by ``1 + |moment| / limit``, ``limit`` in Nm.
+    """
+
+    limit: float
+
+    def yielding(self, moment: Array) -> Array:
+        yielding: Array = 1.0 / (1.0 + np.linalg.norm(moment, axis=1, keepdims=True) / self.limit)
+        return yielding
+
+
 def pedestal_compliance(parameters: Parameters) -> Effect:
-    """Build the column. ``height`` [m]; ``bending`` (2) [Nm/rad] about x and y of B; ``torsion`` [Nm/rad] about z."""
+    """Build the column. ``height`` [m]; ``bending`` (2) [Nm/rad] about x and y of B; ``torsion`` [Nm/rad] about z.
+
+    With ``law`` frame: ``pivot`` (3) [m] in B, ``direct`` (3) and ``cross`` (3: xy, xz, yz) compliances [rad/Nm].
+    """
+    law, parameters = parameters.by_law("column", "frame")
+    if law == "frame":
+        parameters.require("pivot", "direct", "cross")
+        xy, xz, yz = parameters.numbers("cross", 3)
+        compliance = np.diag(parameters.numbers("direct", 3, least=0.0))
+        compliance += np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
+        if np.linalg.eigvalsh(compliance)[0] < 0.0:
+            raise parameters.error("cross", "must be smaller: under some moment the frame would turn against it")
+        return FramePedestal(parameters.numbers("pivot", 3), compliance)
     parameters.require("height", "bending", "torsion")
     return PedestalCompliance(
         parameters.number("height", least=0.0),
@@ -76,10 +124,17 @@ def pedestal_compliance(parameters: Parameters) -> Effect:
 
 
 def pedestal_coupling(parameters: Parameters) -> Effect:
-    """Build the beam. ``bending``, ``torsion`` [Nm/rad]; ``depth`` [m] of its centre line below the base."""
-    parameters.require("bending", "torsion", "depth")
-    return PedestalCoupling(
+    """Build the beam. ``bending``, ``torsion`` [Nm/rad]; ``depth`` [m] of its centre line below the base.
+
+    With ``law`` hardening also the ``limit`` [Nm] of the moment at which it yields half as much.
+    """
+    law, parameters = parameters.by_law("linear", "hardening")
+    parameters.require("bending", "torsion", "depth", *(("limit",) if law == "hardening" else ()))
+    beam = (
         parameters.stiffness("bending"),
         parameters.stiffness("torsion"),
         parameters.number("depth", least=0.0),
     )
+    if law == "hardening":
+        return HardeningCoupling(*beam, parameters.number("limit", above=0.0))
+    return PedestalCoupling(*beam)

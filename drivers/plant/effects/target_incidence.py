@@ -35,8 +35,38 @@ class TargetIncidence(Effect):
         return apparent
 
 
+@dataclass(frozen=True, eq=False)
+class IncidencePower(Effect):
+    """An error along the beam that grows with a power of the incidence angle t: ``size (t / 30 deg)^power``.
+
+    A worn or tilted coating: the phase of the returned beam changes faster than a glass plate's path.
+    """
+
+    size: float
+    power: float
+    dihedral: float
+
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+        distance = np.linalg.norm(p_M, axis=1, keepdims=True)
+        beam = p_M / distance
+        cosine = -(beam * normal_M).sum(axis=1, keepdims=True)
+        incidence = np.arccos(np.clip(cosine, -1.0, 1.0))
+        longer = self.size * (incidence / np.radians(30.0)) ** self.power
+        aside = normal_M + cosine * beam
+        apparent: Array = p_M + longer * beam + self.dihedral * distance * aside
+        return apparent
+
+
 def target_incidence(parameters: Parameters) -> Effect:
-    """Build target incidence. ``thickness`` of the glass [m], its ``index`` of refraction, ``dihedral`` [rad]."""
+    """Build target incidence. ``thickness`` of the glass [m], its ``index`` of refraction, ``dihedral`` [rad].
+
+    With ``law`` power: ``size`` [m] at 30 degrees, ``power``, ``dihedral``.
+    """
+    law, parameters = parameters.by_law("glass", "power")
+    if law == "power":
+        parameters.require("size", "power", "dihedral")
+        size, power = parameters.number("size"), parameters.number("power", above=0.0)
+        return IncidencePower(size, power, parameters.number("dihedral"))
     parameters.require("thickness", "index", "dihedral")
     return TargetIncidence(
         parameters.number("thickness", least=0.0),

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters, Situation
 from drivers.plant.lines import carry, inverse
-from drivers.plant.mechanism import Deflection
+from drivers.plant.mechanism import Deflection, combined
+from drivers.plant.random_functions import RandomPaths
 
 _REFERENCE_C = 20.0
 """Default temperature at which the arm has its ideal shape [degC]."""
@@ -58,6 +60,11 @@ class ThermalGrowth(Effect):
             tubes[order[k + 1]] = mean + (tubes[order[k]] - mean) * keep
         return tubes
 
+    def _strain(self, tubes: Array) -> Array:
+        """Return the strains (n, N) of tubes of these temperatures."""
+        strain: Array = self.expansion * (tubes - self.reference)
+        return strain
+
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
         assert memory is not None
         now = self._steady_temperature(situation.air_c, situation.joints_c)
@@ -67,17 +74,78 @@ class ThermalGrowth(Effect):
         lengths = -carry(home, arm.frames[:-1, :3, 3])
         axes = (home[:, :3, :3] @ arm.directions[..., None])[..., 0]
         twists = np.zeros((*situation.q.shape, 6))
-        twists[..., :3] = self.expansion * (tubes - self.reference)[..., None] * lengths
+        twists[..., :3] = self._strain(tubes)[..., None] * lengths
         twists[..., :3] += self.motor * (situation.joints_c - self.reference)[..., None] * axes
         return Deflection(links=twists)
+
+
+@dataclass(frozen=True, eq=False)
+class SaturatingGrowth(ThermalGrowth):
+    """Growth that is held back as it becomes large, as of a tube clamped in one of lower expansion.
+
+    The strain is ``expansion limit tanh((T - reference) / limit)``, ``limit`` in K.
+    """
+
+    limit: float
+
+    def _strain(self, tubes: Array) -> Array:
+        strain: Array = self.expansion * self.limit * np.tanh((tubes - self.reference) / self.limit)
+        return strain
+
+
+@dataclass(frozen=True, eq=False)
+class TwoLagGrowth(Effect):
+    """Links of a thin shell and a heavy core: a part of the growth follows quickly, the rest slowly."""
+
+    quick: ThermalGrowth
+    slow: ThermalGrowth
+
+    def initial_memory(self, q: Array) -> Array | None:
+        return np.full((2, *q.shape), np.nan)
+
+    def memory_after_time(self, memory: Array | None, air_c: float, joints_c: Array, duration_s: float) -> Array | None:
+        assert memory is not None
+        parts = zip((self.quick, self.slow), memory, strict=True)
+        return _stacked([part.memory_after_time(own, air_c, joints_c, duration_s) for part, own in parts])
+
+    def assumed_memory(self, situation: Situation) -> Array | None:
+        return _stacked([part.assumed_memory(situation) for part in (self.quick, self.slow)])
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        assert memory is not None
+        parts = zip((self.quick, self.slow), memory, strict=True)
+        return combined([part.offset(situation, own) for part, own in parts])
+
+
+def _stacked(memories: Sequence[Array | None]) -> Array:
+    return np.stack([memory for memory in memories if memory is not None])
 
 
 def thermal_growth(parameters: Parameters) -> Effect:
     """Build thermal growth. ``expansion`` [1/K], ``share`` (0 to 1) of the joints' rise in a link, ``lag`` [s].
 
     Optional: ``motor``, growth of each joint's housing along its axis [m/K]; ``reference`` [degC], 20 by default.
+    Other laws: ``law`` two_lags with ``slow_lag`` [s] and ``slow_share`` (0 to 1) of the growth; saturating with
+    ``limit`` [K], a temperature rise beyond which growth is held back.
     """
-    parameters.require("expansion", "share", "lag", optional=("motor", "reference"))
+    law, parameters = parameters.by_law("lag", "two_lags", "saturating")
+    extra = {"lag": (), "two_lags": ("slow_lag", "slow_share"), "saturating": ("limit",)}[law]
+    parameters.require("expansion", "share", "lag", *extra, optional=("motor", "reference"))
+    growth = _growth(parameters)
+    if law == "two_lags":
+        slow_share = parameters.number("slow_share", least=0.0)
+        quick = replace(growth, expansion=(1.0 - slow_share) * growth.expansion)
+        slow = replace(
+            growth, expansion=slow_share * growth.expansion, lag=parameters.number("slow_lag", above=0.0), motor=0.0
+        )
+        return TwoLagGrowth(quick, slow)
+    if law == "saturating":
+        plain = growth.expansion, growth.share, growth.lag, growth.motor, growth.reference
+        return SaturatingGrowth(*plain, parameters.number("limit", above=0.0))
+    return growth
+
+
+def _growth(parameters: Parameters) -> ThermalGrowth:
     share = parameters.number("share", least=0.0)
     if share > 1.0:
         raise parameters.error("share", f"must be from 0 to 1, not {share:g}")
@@ -116,11 +184,28 @@ class ReadingHeadBracket(Effect):
         return Deflection(joints=self.per_kelvin * (situation.joints_c - self.reference))
 
 
+@dataclass(frozen=True, eq=False)
+class WanderingZeros(Effect):
+    """The zero of each joint's encoder wanders along a smooth random path: ``drift`` times a path of its own."""
+
+    drift: Array
+    paths: RandomPaths
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        return Deflection(joints=self.drift * self.paths.at(np.maximum(situation.time_s, 0.0)))
+
+
 def joint_drift(parameters: Parameters) -> Effect:
     """Build joint drift. Per joint final ``drift`` [rad] and ``time_constant`` [s]; or ``per_kelvin`` [rad/K].
 
-    Optional with the latter: ``reference`` [degC], 20 by default, at which the zeros are correct.
+    Optional with the latter: ``reference`` [degC], 20 by default, at which the zeros are correct. With ``law``
+    wandering: ``drift`` [rad] per joint, the ``time`` [s] of the paths' quickest wave, and their ``seed``.
     """
+    law, parameters = parameters.by_law("warm_up", "wandering")
+    if law == "wandering":
+        parameters.require("drift", "time", "seed")
+        seed, time = parameters.integer("seed", least=0), parameters.number("time", above=0.0)
+        return WanderingZeros(parameters.numbers("drift"), RandomPaths.drawn(seed, parameters.joints, time))
     if parameters.all_or_none("per_kelvin"):
         parameters.require("per_kelvin", optional=("reference",))
         return ReadingHeadBracket(

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters, Situation
 from drivers.plant.effects.transmission_error import cardan
+
+_REFERENCE_C = 20.0
+"""Air temperature for which a scale that depends on it is stated [degC]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +28,19 @@ class TrackerScale(Effect):
 
 
 @dataclass(frozen=True, eq=False)
+class AirScale(Effect):
+    """A scale error that changes with the air temperature, as where the weather station is not in the beam."""
+
+    ppm: float
+    per_kelvin: float
+
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+        ppm = self.ppm + self.per_kelvin * (situation.air_c - _REFERENCE_C)
+        apparent: Array = p_M * (1.0 + 1e-6 * ppm[:, None])
+        return apparent
+
+
+@dataclass(frozen=True, eq=False)
 class TrackerDistanceOffset(Effect):
     """Zero error of the distance from the intersection of the axes. Sizes: makers permit 5 to 10 um."""
 
@@ -36,6 +52,19 @@ class TrackerDistanceOffset(Effect):
 
 
 @dataclass(frozen=True, eq=False)
+class GrowingDistanceOffset(Effect):
+    """An offset of ``offset_m (1 - exp(-distance / length))``, as of a receiver that depends on the signal."""
+
+    offset_m: float
+    length: float
+
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+        distance = np.linalg.norm(p_M, axis=1, keepdims=True)
+        apparent: Array = p_M * (1.0 - self.offset_m * np.expm1(-distance / self.length) / distance)
+        return apparent
+
+
+@dataclass(frozen=True, eq=False)
 class Circle:
     """A graduated circle with one head: ``eccentric`` by a fraction of its radius (1 cycle), inclined (2 cycles)."""
 
@@ -43,9 +72,13 @@ class Circle:
     eccentric_phase: float
     slant: float
     slant_phase: float
+    higher: tuple[tuple[float, float, float], ...] = ()
+    """Cycles per revolution, amplitude [rad] and phase [rad] of further harmonics, as of a circle that is clamped."""
 
     def reading(self, angle: Array) -> Array:
         """Return the reading at a true angle (n,)."""
+        for cycles, amplitude, phase in self.higher:
+            angle = angle + amplitude * np.sin(cycles * angle + phase)
         turned = angle + self.eccentric_phase
         read = angle + np.arctan2(self.eccentric * np.sin(turned), 1.0 - self.eccentric * np.cos(turned))
         return read + cardan(angle + self.slant_phase, np.array(self.slant))
@@ -77,31 +110,54 @@ class TrackerAngleError(Effect):
 
 
 def tracker_scale(parameters: Parameters) -> Effect:
-    """Build a scale error. ``ppm``: relative excess of measured distances, in parts per million."""
+    """Build a scale error. ``ppm``: relative excess of measured distances, in parts per million.
+
+    With ``law`` air also ``per_kelvin`` [ppm/K], by which it changes with the air that the weather station misses.
+    """
+    law, parameters = parameters.by_law("constant", "air")
+    if law == "air":
+        parameters.require("ppm", "per_kelvin")
+        return AirScale(parameters.number("ppm"), parameters.number("per_kelvin"))
     parameters.require("ppm")
     return TrackerScale(parameters.number("ppm"))
 
 
 def tracker_distance_offset(parameters: Parameters) -> Effect:
-    """Build a distance offset. ``offset`` [m]: excess of measured distances."""
+    """Build a distance offset. ``offset`` [m]: excess of measured distances.
+
+    With ``law`` growing also the ``length`` [m] within which it grows from zero to ``offset``.
+    """
+    law, parameters = parameters.by_law("constant", "growing")
+    if law == "growing":
+        parameters.require("offset", "length")
+        return GrowingDistanceOffset(parameters.number("offset"), parameters.number("length", above=0.0))
     parameters.require("offset")
     return TrackerDistanceOffset(parameters.number("offset"))
 
 
-def _circle(parameters: Parameters, key: str) -> Circle:
+def _circle(parameters: Parameters, key: str, higher: bool = False) -> Circle:
     values = parameters.numbers(key, 4)
     if not (0.0 <= values[0] < 1.0 and 0.0 <= values[2] < 1.0):
         raise parameters.error(key, "must have eccentric and slant, its first and third, from 0 to less than 1")
-    return Circle(*(float(v) for v in values))
+    first, first_phase, slant, slant_phase = values.tolist()
+    circle = Circle(first, first_phase, slant, slant_phase)
+    if not higher:
+        return circle
+    third, third_phase, fourth, fourth_phase = parameters.numbers(f"{key}_higher", 4).tolist()
+    return replace(circle, higher=((3.0, third, third_phase), (4.0, fourth, fourth_phase)))
 
 
 def tracker_angle_error(parameters: Parameters) -> Effect:
     """Build angle errors. ``azimuth``, ``elevation``: (eccentric [m/m], phase, slant, phase [rad]); ``transit`` [rad].
 
-    A slant s causes an error of amplitude ``s^2 / 4`` with two cycles per revolution.
+    A slant s causes an error of amplitude ``s^2 / 4`` with two cycles per revolution. With ``law`` higher also
+    ``azimuth_higher``, ``elevation_higher``: amplitude and phase [rad] of three and of four cycles per revolution.
     """
-    parameters.require("azimuth", "elevation", "transit")
-    circles = _circle(parameters, "azimuth"), _circle(parameters, "elevation")
+    law, parameters = parameters.by_law("two", "higher")
+    higher = law == "higher"
+    more = ("azimuth_higher", "elevation_higher") if higher else ()
+    parameters.require("azimuth", "elevation", "transit", *more)
+    circles = _circle(parameters, "azimuth", higher), _circle(parameters, "elevation", higher)
     transit = parameters.number("transit")
     if not abs(transit) < 0.1:
         raise parameters.error("transit", f"must be a small angle, less than 0.1 rad, not {transit:g}")

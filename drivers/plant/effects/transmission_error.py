@@ -77,6 +77,36 @@ class ErrorCurve(Effect):
         return Deflection(joints=offsets)
 
 
+@dataclass(frozen=True, eq=False)
+class MeshingGears(Effect):
+    """Lines of two gear stages, the first with an amplitude that the output's run-out modulates.
+
+    The generator's line of ``ratio`` cycles a turn has the amplitude ``line (1 + depth cos(q + depth_phase))``, which
+    is a line with a sideband on either side. A second stage has ``second_cycles`` a turn, which need not be whole, and
+    a line of twice that of half its amplitude.
+    """
+
+    joints: np.ndarray
+    ratio: Array
+    line: Array
+    line_phase: Array
+    depth: Array
+    depth_phase: Array
+    second_cycles: Array
+    second: Array
+    second_phase: Array
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        joint = situation.q[:, self.joints]
+        swell = 1.0 + self.depth * np.cos(joint + self.depth_phase)
+        mesh = self.second_cycles * joint + self.second_phase
+        offsets = np.zeros_like(situation.q)
+        offsets[:, self.joints] = self.line * swell * np.sin(self.ratio * joint + self.line_phase) + self.second * (
+            np.sin(mesh) + 0.5 * np.sin(2.0 * mesh)
+        )
+        return Deflection(joints=offsets)
+
+
 _KNOTS = 1440
 """Knots per revolution: at least ten per cycle of the highest frequency allowed."""
 
@@ -92,13 +122,21 @@ def _random_curve(rng: np.random.Generator, rms: float, lowest: int, highest: in
 
 
 def transmission_error(parameters: Parameters) -> Effect:
-    """Build transmission error. ``mode`` lines or curve, ``joints``: numbers from 1.
+    """Build transmission error. ``mode`` lines, curve or meshing, ``joints``: numbers from 1.
 
     lines: for each joint ``ratio``; ``eccentric`` [m/m] and ``coupling_slant`` [rad] of the wave generator's coupling,
     ``output_slant`` [rad], each with its phase (``eccentric_phase``, ``coupling_phase``, ``output_phase``) [rad].
     curve: ``rms`` [rad] of each joint, ``seed``, ``lowest`` and ``highest`` cycles per revolution.
+    meshing: for each joint ``ratio``, ``line`` [rad], ``line_phase``; ``depth`` (0 to 1) and ``depth_phase`` of its
+    modulation; ``second_cycles``, ``second`` [rad] and ``second_phase`` of another stage.
     """
-    if parameters.choice("mode", "lines", "curve") == "curve":
+    mode = parameters.choice("mode", "lines", "curve", "meshing")
+    if mode == "meshing":
+        keys = ("ratio", "line", "line_phase", "depth", "depth_phase", "second_cycles", "second", "second_phase")
+        parameters.require("mode", "joints", *keys)
+        joints = parameters.joint_numbers("joints")
+        return MeshingGears(joints, *(parameters.numbers(key, len(joints)) for key in keys))
+    if mode == "curve":
         parameters.require("mode", "joints", "rms", "seed", "lowest", "highest")
         joints = parameters.joint_numbers("joints")
         lowest, highest = parameters.integer("lowest", least=2), parameters.integer("highest", least=2)

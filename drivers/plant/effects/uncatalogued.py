@@ -1,4 +1,4 @@
-"""Effects outside the catalogue of robot errors: hoses, cables, encoder crosstalk, floor sway, air currents."""
+"""Effects outside the catalogue of robot errors: hoses, cables, encoder crosstalk, floors, air, a field in space."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ import numpy as np
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters, Situation
 from drivers.plant.mechanism import Deflection
+from drivers.plant.random_functions import RandomField
+
+_REFERENCE_C = 20.0
+"""Air temperature at which a base that moves with it is in its place [degC]."""
 
 
 def _joint_offset(situation: Situation, joint: int, angle: Array) -> Deflection:
@@ -97,6 +101,43 @@ class Draught(Effect):
         return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class ElbowHose(Effect):
+    """A stiff hose over the elbow and the wrist loads joint 3: ``angle tanh((q3 + share q4 - centre) / width)``."""
+
+    angle: float
+    share: float
+    centre: float
+    width: float
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        pull = situation.q[:, 2] + self.share * situation.q[:, 3] - self.centre
+        return _joint_offset(situation, 2, self.angle * np.tanh(pull / self.width))
+
+
+@dataclass(frozen=True, eq=False)
+class WarmFloor(Effect):
+    """The floor below the base moves with the air temperature: ``per_kelvin`` (3,) [m/K] from its place at 20 degC."""
+
+    per_kelvin: Array
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        moved = (situation.air_c - _REFERENCE_C)[:, None] * self.per_kelvin
+        return Deflection(base=np.concatenate([moved, np.zeros_like(moved)], axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class WorkspaceField(Effect):
+    """Points look shifted by a smooth random field of their position, as by layers of air or a bent tracker stand."""
+
+    rms: float  # of the shift's length
+    field: RandomField
+
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+        apparent: Array = p_M + self.rms / np.sqrt(3.0) * self.field.at(p_M)
+        return apparent
+
+
 def _require_joints(parameters: Parameters, effect: str, count: int) -> None:
     if parameters.joints < count:
         raise parameters.effect_error(f"{effect} needs an arm of at least {count} joints, not {parameters.joints}")
@@ -147,3 +188,24 @@ def draught(parameters: Parameters) -> Effect:
     """Build a draught. ``angle`` [rad]: the amplitude; ``period`` [s], ``phase`` [rad]."""
     parameters.require("angle", "period", "phase")
     return Draught(parameters.number("angle"), parameters.number("period", above=0.0), parameters.number("phase"))
+
+
+def elbow_hose(parameters: Parameters) -> Effect:
+    """Build an elbow hose: ``angle`` [rad], ``share``, ``centre`` [rad], ``width`` [rad]."""
+    parameters.require("angle", "share", "centre", "width")
+    _require_joints(parameters, "an elbow hose", 4)
+    angle, share, centre = (parameters.number(key) for key in ("angle", "share", "centre"))
+    return ElbowHose(angle, share, centre, parameters.number("width", above=0.0))
+
+
+def warm_floor(parameters: Parameters) -> Effect:
+    """Build a warm floor. ``per_kelvin`` (3) [m/K] in B."""
+    parameters.require("per_kelvin")
+    return WarmFloor(parameters.numbers("per_kelvin", 3))
+
+
+def workspace_field(parameters: Parameters) -> Effect:
+    """Build a field. ``rms`` [m] of the shift, its correlation ``length`` [m] and ``seed``."""
+    parameters.require("rms", "length", "seed")
+    field = RandomField.drawn(parameters.integer("seed", least=0), parameters.number("length", above=0.0))
+    return WorkspaceField(parameters.number("rms", least=0.0), field)

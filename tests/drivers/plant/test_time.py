@@ -201,7 +201,10 @@ WALK = {"shift": SHIFT, "turn": TURN, "law": "linear", "time": 100.0}
         ({"thermal_growth": GROWTH | {"heat": 1.0}}, r"unknown parameter 'heat'; .*lag, motor \(optional\), reference"),
         ({"joint_drift": {"drift": [1e-5] * 6}}, "parameter 'time_constant' is missing"),
         ({"joint_drift": {"per_kelvin": [1e-5] * 6, "drift": [1e-5] * 6}}, "unknown parameter 'drift'"),
-        ({"base_drift": WALK | {"law": "random"}}, "law must be one of linear, exponential, creep, not 'random'"),
+        (
+            {"base_drift": WALK | {"law": "random"}},
+            "law must be one of linear, exponential, creep, sinusoidal, wandering, not 'random'",
+        ),
         ({"base_drift": WALK | {"time": -1}}, "time must be greater than 0, not -1"),
         ({"tracker_drift": WALK | {"shift": [0.0, 0.0]}}, "shift must be a list of 3 numbers"),
         ({"base_step": {"shift": SHIFT, "turn": TURN, "time": None}}, "time must be a number in SI units, not None"),

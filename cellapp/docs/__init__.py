@@ -1,0 +1,1 @@
+"""The handbook: chapters as Markdown, figures as SVG, and the code that draws the figures from the models."""

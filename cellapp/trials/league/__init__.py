@@ -1,0 +1,1 @@
+"""League of real robots: ``cellapp trials league``."""

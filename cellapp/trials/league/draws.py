@@ -1,0 +1,146 @@
+"""One draw of the league: calibrate and discover on some rows, judge geometry, network and discovery on the others."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.calibration.calibrate import ArmCalibration, calibrate_arm, train_arm
+from cellapp.calibration.measurement_conditions import measurement_conditions
+from cellapp.discovery.discover import discover_arm
+from cellapp.effects import MeasurementConditions
+from cellapp.kinematics.transforms import Array
+from cellapp.model import ArmModel
+from cellapp.profile import Profile
+from cellapp.results import Record
+from cellapp.run import Readings
+from cellapp.trials.league.series import DrawnRows, Entrant, Group, Rows, draw_rows
+
+_TWO_SIDED_95 = 1.959964
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
+
+
+class HeldOutScore(Record):
+    """Errors of the three models on held-out rows.
+
+    Attributes
+    ----------
+    n : int
+        Held-out rows.
+    geometry_mm, network_mm, discovery_mm : float
+        Mean position error; of the residual network None where it was not asked for or not trained.
+    within_95 : float
+        Share of the measured coordinates within the 95 % interval that discovery states for them.
+    """
+
+    n: int
+    geometry_mm: float
+    network_mm: float | None
+    discovery_mm: float
+    within_95: float
+
+
+class LeagueDraw(Record):
+    """One draw: ``learned`` rows of a series, drawn by ``seed``.
+
+    Attributes
+    ----------
+    rows : int or "all"
+        The size that was asked for.
+    scores : mapping
+        Group of held-out rows -> errors; the first one is all of them.
+    names : tuple of str
+        Effects that discovery accepted.
+    seconds : float
+        Wall time of discovery, in one thread [s].
+    """
+
+    series: str
+    rows: Rows
+    seed: int
+    learned: int
+    scores: Mapping[Group, HeldOutScore]
+    names: tuple[str, ...]
+    verdict: str
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class DrawTask:
+    """What to draw; ``learnable`` as in ``draw_rows``, ``network`` trains the residual network too."""
+
+    entrant: Entrant
+    rows: Rows
+    seed: int
+    network: bool = False
+    learnable: int | None = None
+
+    def drawn(self) -> DrawnRows:
+        """The rows. Raises ``InputError`` if the series has too few."""
+        return draw_rows(self.entrant, self.rows, self.seed, self.learnable)
+
+
+def predictive_sd(model: ArmModel, learned: Readings, conditions: MeasurementConditions, q: Array) -> Array:
+    """Standard deviation (n,) [m] of a measured coordinate at ``q`` (n, N) [rad], as discovery states it.
+
+    The uncertainty of the model, and noise of the size of what the model leaves of the readings it learned from;
+    ``conditions`` are those of these readings.
+    """
+    left = learned.p_M - model.predict(learned.q, conditions=conditions)
+    return np.asarray(np.hypot(model.uncertainty(q), np.sqrt(np.mean(left**2))))
+
+
+def run_draw(task: DrawTask) -> LeagueDraw:
+    """Learn from the drawn rows, and judge on the held-out ones. Raises ``InputError`` as ``drawn`` does."""
+    entrant, rows = task.entrant, task.drawn()
+    profile = entrant.profile.model_copy(update={"seed": task.seed})
+    words = np.full(len(entrant.readings), None, dtype=object)
+    words[rows.learned], words[rows.judged] = "identify", "validate"
+    readings = replace(entrant.readings, split=tuple(words.tolist()))
+    conditions = measurement_conditions(readings)
+    arm, _ = calibrate_arm(profile, entrant.arm, readings)
+    began = time.perf_counter()
+    found = discover_arm(profile, entrant.arm, arm.model, readings, conditions=conditions)
+    seconds = time.perf_counter() - began
+    network = _with_network(profile, arm, readings) if task.network else None
+    left = {
+        name: readings.p_M - model.predict(readings.q, conditions=conditions)
+        for name, model in (("geometry", arm.model), ("network", network), ("discovery", found.model))
+        if model is not None
+    }
+    learned = readings.take(rows.learned)
+    sd = predictive_sd(found.model, learned, conditions.take(rows.learned), readings.q)
+    return LeagueDraw(
+        series=entrant.name,
+        rows=task.rows,
+        seed=task.seed,
+        learned=len(rows.learned),
+        scores={
+            group: _score({name: off[some] for name, off in left.items()}, sd[some])
+            for group, some in rows.held_out.items()
+        },
+        names=tuple(effect.term.slug for effect in found.accepted),
+        verdict=found.verdict,
+        seconds=seconds,
+    )
+
+
+def _with_network(profile: Profile, arm: ArmCalibration, readings: Readings) -> ArmModel | None:
+    """The model with the residual network of ``calibrate``; None where its folds chose none."""
+    model = train_arm(profile, arm, readings).model
+    return None if model.network is None else model
+
+
+def _score(left: Mapping[str, Array], sd: Array) -> HeldOutScore:
+    """Score of what the models leave (n, 3) [m], beside the stated standard deviations (n,) [m]."""
+    means = {name: float(np.linalg.norm(off, axis=1).mean()) * 1e3 for name, off in left.items()}
+    return HeldOutScore(
+        n=len(sd),
+        geometry_mm=means["geometry"],
+        network_mm=means.get("network"),
+        discovery_mm=means["discovery"],
+        within_95=float(np.mean(np.abs(left["discovery"]) <= _TWO_SIDED_95 * sd[:, np.newaxis])),
+    )

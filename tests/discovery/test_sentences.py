@@ -1,0 +1,44 @@
+"""Structure tests and contradictions in words."""
+
+from __future__ import annotations
+
+import pytest
+
+from cellapp.discovery.sentences import contradiction, remaining_structure
+from cellapp.effects import EFFECTS
+
+pytestmark = pytest.mark.fast
+
+
+def test_structure_counts_where_it_survives_the_number_of_tests() -> None:
+    found = remaining_structure({"joints": 0.2, "order": 0.004, "time": 1e-6}, chance=0.01)
+    assert found.sentence == "what is left still depends on time (p below 0.001)"
+    assert [(test.against, test.p_value) for test in found.tests] == [("joints", 0.2), ("order", 0.004), ("time", 1e-6)]
+    both = remaining_structure({"order": 0.004, "approach": 0.005}, chance=0.01)
+    assert both.sentence == "what is left still depends on the order of the readings (p = 0.004) and the side of" + (
+        " approach (p = 0.005)"
+    )
+
+
+def test_no_structure_names_what_was_tested() -> None:
+    found = remaining_structure({"joints": 0.2, "position": 0.3}, chance=0.01)
+    assert found.sentence == (
+        "what is left shows no structure against the joint angles and the position in the workspace (smallest p = 0.2)"
+    )
+    assert remaining_structure({}, chance=0.01).tests == ()
+
+
+def test_an_impossible_sign_says_what_to_check() -> None:
+    found = contradiction("backlash", ("joint 1", "joint 2"), (1, 2), 31.4, "sign")
+    assert (found.effect, found.joints, found.size_um) == ("backlash", (1, 2), 31.4)
+    assert found.sentence == (
+        "behaves like backlash or hysteresis of joints, but of the opposite sign, at joints 1 and 2, 31 um rms at the"
+        " SMR: check the approach convention: +1 is a last motion towards larger joint angles; counted as unknown"
+    )
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_every_effect_can_be_contradicted(effect: str) -> None:
+    words = contradiction(effect, ("base",), (), 5.0, "size").sentence
+    assert "of an impossible size, at the base" in words
+    assert words.endswith("; counted as unknown")

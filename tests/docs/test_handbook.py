@@ -1,0 +1,147 @@
+"""The handbook: a section and a figure for every effect, links that resolve, figures that are drawn again alike."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cellapp.docs
+from cellapp.cli.app import app
+from cellapp.docs.chart import Chart, Series, chart_svg
+from cellapp.docs.effect_figures import FIGURES, figure_svg
+from cellapp.docs.handbook import (
+    CHAPTERS,
+    chapter_text,
+    effect_sections,
+    topic_text,
+    topics,
+    with_declarations,
+    write_figures,
+)
+from cellapp.docs.scene import Scene, joint_offset, smr_shift
+from cellapp.effects import EFFECTS
+from cellapp.errors import InputError
+from cellapp.profile import load_profile
+
+pytestmark = pytest.mark.fast
+
+ROOT = Path(__file__).parents[2]
+TWIN = ROOT / "profiles" / "twin.yaml"
+DOCS = Path(cellapp.docs.__file__).parent
+MOST_BYTES = 15_000
+LINK = re.compile(r"!?\[[^\]]+\]\(([^)]+)\)")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene.of(load_profile(TWIN))
+
+
+def test_every_effect_has_a_section_and_a_figure() -> None:
+    assert set(effect_sections()) == set(EFFECTS)
+    assert set(FIGURES) == set(EFFECTS)
+    assert {path.stem for path in (DOCS / "figures").iterdir()} == set(EFFECTS)
+
+
+@pytest.mark.parametrize("slug", EFFECTS)
+def test_a_section_says_what_it_is_what_imitates_it_and_what_to_do(slug: str) -> None:
+    section = effect_sections()[slug]
+    assert f"(figures/{slug}.svg)" in section
+    for part in ("```\n", "**Visible share.**", "**Usual size**", "**Check or mend**", "**What settles it**"):
+        assert section.count(part) >= 1, part
+    for rival in EFFECTS[slug].look_alikes:
+        assert f"[{rival}](#{rival})" in section
+
+
+def test_what_the_handbook_repeats_of_declarations_is_up_to_date() -> None:
+    text = chapter_text("effects")
+    assert with_declarations(text) == text, "renew the parts between markers with handbook.with_declarations"
+    assert text.count("<!-- declared: ") == len(EFFECTS)
+    assert "<!--" not in topic_text("effects") + topic_text("backlash"), "people need not see the markers"
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_links_resolve(chapter: str) -> None:
+    for target in LINK.findall(topic_text(chapter)):
+        file, _, anchor = target.partition("#")
+        assert not file or (DOCS / file).is_file(), target
+        assert not anchor or anchor in effect_sections(), target
+
+
+@pytest.mark.parametrize("slug", FIGURES)
+def test_figures_are_drawn_again_alike_and_are_small(slug: str, scene: Scene) -> None:
+    kept = (DOCS / "figures" / f"{slug}.svg").read_text("utf-8")
+    assert figure_svg(slug, scene) == kept, "draw them again: cellapp docs figures --out cellapp/docs/figures"
+    assert len(kept.encode()) < MOST_BYTES
+    drawing = ElementTree.fromstring(kept)
+    assert drawing.findtext("{*}title")
+
+
+@pytest.mark.parametrize("slug", FIGURES)
+def test_figures_show_an_effect(slug: str, scene: Scene) -> None:
+    chart = FIGURES[slug](scene)
+    for series in chart.series:
+        assert np.isfinite(series.x).all()
+        assert np.isfinite(series.y).all()
+        assert len(series.x) == len(series.y)
+    assert 2.0 < max(float(np.abs(series.y).max()) for series in chart.series) < 5000.0  # um or urad
+
+
+def test_a_chart_places_its_values_and_escapes_its_words() -> None:
+    chart = Chart("a < b", "x [m]", "y", (Series("one & two", np.array([0.0, 10.0]), np.array([0.0, 5.0])),))
+    text = chart_svg(chart)
+    assert "<title>a &lt; b</title>" in text
+    assert "one &amp; two" in text
+    assert '<path d="M66.0 272.0L544.0 34.0"' in text
+
+
+def test_a_parameter_that_a_law_does_not_have_is_refused(scene: Scene) -> None:
+    context, law = scene.context(scene.stretched(2)), EFFECTS["backlash"].law("constant")
+    with pytest.raises(ValueError, match="effect backlash: 0 of the parameters half_play9 are joint offsets"):
+        joint_offset(context, "backlash", law, {"half_play9": 1.0})
+    with pytest.raises(ValueError, match="shift the SMR"):
+        smr_shift(context, "backlash", law, {"half_play1": 1.0})
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None:
+    runner = CliRunner()
+    assert runner.invoke(app, ["docs", "discovery"]).output.startswith("# How discovery decides")
+    section = runner.invoke(app, ["docs", "backlash"]).output
+    assert section.startswith("## backlash\n")
+    assert "## friction_windup" not in section
+    listed = runner.invoke(app, ["docs"]).output
+    assert all(topic in listed for topic in topics())
+    found = json.loads(runner.invoke(app, ["docs", "backlash", "--json", "-"]).stdout)
+    assert (found["schema"], found["topic"]) == ("cellapp-docs", "backlash")
+
+
+def test_the_command_draws_the_figures(tmp_path: Path) -> None:
+    ended = CliRunner().invoke(app, ["docs", "figures", "--profile", str(TWIN), "--out", str(tmp_path / "new")])
+    assert ended.exit_code == 0
+    assert {path.stem for path in (tmp_path / "new").iterdir()} == set(EFFECTS)
+
+
+def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'sorcery' is not a topic; topics are effects, discovery, joint_compliance"):
+        topic_text("sorcery")
+    for arguments, words in (
+        (["docs", "figures"], "needs --out DIR"),
+        (["docs", "backlash", "--out", str(tmp_path)], "--out belongs to 'figures'"),
+    ):
+        assert words in str(CliRunner().invoke(app, arguments).exception)
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(InputError, match="give a folder that can be written"):
+        write_figures(load_profile(TWIN), tmp_path / "file")
+    twin = load_profile(TWIN)
+    unplaced = twin.model_copy(update={"tracker": twin.tracker.model_copy(update={"pose": None})})
+    with pytest.raises(InputError, match="figures need the poses of the tracker"):
+        write_figures(unplaced, tmp_path)
