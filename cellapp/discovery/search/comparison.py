@@ -13,14 +13,12 @@ from cellapp.design.information import NuisanceProjector
 from cellapp.discovery.arm_data import ArmData, whitening
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.search.scan import choice_price
-from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
+from cellapp.discovery.search.state import SCORE_MARGIN, SearchState
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.kinematics.transforms import Array
 
 FLOOR_CHANCE = 0.001
 """Chance of the remaining scatter above which it counts as noise; the search goes on below."""
-_DOMINANT = 0.9
-"""Share of what a data-driven model explains from which named effects alone are taken as the explanation."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ def unexplained_square(data: ArmData, fit: JointFit) -> float:
     return float(np.sum(np.einsum("acn,nc->an", white, fit.identification.residuals) ** 2))
 
 
-def best_state(problem: SearchProblem, states: Sequence[SearchState]) -> SearchState:
+def best_state(states: Sequence[SearchState]) -> SearchState:
     """The state with the least criterion."""
     return min(states, key=lambda state: criterion(state.fit))
 
@@ -90,11 +88,3 @@ def _log_occam(rows: Array, precision: Array, flat: NuisanceProjector) -> float:
     gram = (rows @ rows.T - explained @ explained.T) * (root[:, None] * root)
     gram[np.diag_indices_from(gram)] += 1.0
     return 2.0 * float(np.sum(np.log(np.diag(np.linalg.cholesky(gram)))))
-
-
-def names_dominate(problem: SearchProblem, named: SearchState, extended: SearchState) -> bool:
-    """Whether named effects explain nearly all that a model with data-driven terms explains."""
-    nothing = problem.state(())
-    without = unexplained_square(nothing.data, nothing.fit)
-    by_names = without - unexplained_square(named.data, named.fit)
-    return by_names > _DOMINANT * (without - unexplained_square(extended.data, extended.fit))

@@ -163,11 +163,11 @@ def with_free_parts(problem: SearchProblem, state: SearchState) -> SearchState |
     had = any(term.modulations for term in state.fit.terms)
     if state.data.sigma is None or all(term.effect is None for term in terms):
         return None
-    base = problem.state(terms, state.steps, state.dropped) if had else state
+    base = problem.state(terms, state) if had else state
     found = _free_terms(base)
     if not any(term.modulations for term in found):
         return base if had else None
-    return problem.state(found, state.steps, state.dropped)
+    return problem.state(found, state)
 
 
 def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:

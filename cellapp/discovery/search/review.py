@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cellapp.design.information import NuisanceProjector
@@ -30,9 +32,9 @@ def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
         if out is None:
             out = _rest_of_a_law(state)
         if out is None:
-            return SearchState(state.data, state.fit, state.steps, tuple(dropped))
+            return replace(state, dropped=tuple(dropped))
         dropped.append(state.fit.terms[out].slug)
-        state = problem.state(without_term(state.fit.terms, out), state.steps)
+        state = problem.state(without_term(state.fit.terms, out), state)
 
 
 def _weakest(problem: SearchProblem, state: SearchState) -> int | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from cellapp.discovery.arm_data import ArmData
@@ -78,9 +78,9 @@ class SearchProblem:
         """Probability of a score at least this large where nothing is missing, corrected for the whole scan."""
         return corrected_p_value(self.null_maxima, score)
 
-    def state(self, terms: ModelTerms, steps: Sequence[SearchStep] = (), dropped: Sequence[str] = ()) -> SearchState:
-        """The fitted state of some terms."""
-        return SearchState(*refit(self.data, terms), tuple(steps), tuple(dropped))
+    def state(self, terms: ModelTerms, near: SearchState) -> SearchState:
+        """The fitted state of some terms, from the values of a state nearby and with its history."""
+        return SearchState(*refit(self.data.at(near.fit.model), terms), near.steps, near.dropped)
 
     def step(self, slug: str, what: str, score: float, terms: ModelTerms) -> SearchStep:
         """A step with its p-value."""

@@ -104,25 +104,22 @@ def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progr
     if floor_reached(named):
         return named
     progress.step("beyond the library")
-    best = best_state(problem, [named, *_with_free_functions(problem, start, named)])
+    best = _with_free_functions(problem, start, named)
     if floor_reached(best):
         return best
     driven = [with_data_driven_terms(problem, state) for state in dict.fromkeys((best, named))]
-    return best_state(problem, [best, *(_reviewed_again(problem, state) for state in driven if state is not None)])
+    return best_state([best, *(_reviewed_again(problem, state) for state in driven if state is not None)])
 
 
-def _with_free_functions(problem: SearchProblem, start: SearchState, named: SearchState) -> list[SearchState]:
-    """Models with smooth free functions: beside the named effects, and before any is named."""
-    found = []
+def _with_free_functions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:
+    """The best model with smooth free functions, found before or beside the names; else that of named effects alone."""
     first = with_smooth_terms(problem, start)
     if first is not None:
-        after = _with_library_effects(problem, first)
-        found.append(reviewed(problem, after))
-    if named.fit.terms:
-        beside = with_smooth_terms(problem, named)
-        if beside is not None:
-            found.append(reviewed(problem, beside))
-    return found
+        first = reviewed(problem, _with_library_effects(problem, first))
+        if best_state([named, first]) is first:
+            return first
+    beside = with_smooth_terms(problem, named) if named.fit.terms else None
+    return named if beside is None else best_state([named, reviewed(problem, beside)])
 
 
 def _reviewed_again(problem: SearchProblem, state: SearchState) -> SearchState:
@@ -146,7 +143,7 @@ def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawS
             state, scan, freed = free, None, True
             continue
         after = apply_step(problem, state, step)
-        if step.slug in state.slugs and best_state(problem, [after, state]) is state:
+        if step.slug in state.slugs and best_state([after, state]) is state:
             refining = False  # the refinement was better in the linear scan only
             continue
         state, scan, freed = after, None, False
