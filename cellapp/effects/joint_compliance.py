@@ -9,7 +9,7 @@ import numpy as np
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.data_driven import Quantity
-from cellapp.effects.effect import Effect
+from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
@@ -87,6 +87,11 @@ class JointCompliance(Effect):
         ),
     )
     look_alikes = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
+    impossible = ImpossibleValues(
+        sign="negative stiffness",
+        sign_check="check masses, direction of gravity and mounting",
+        size_check="check masses, direction of gravity and mounting",
+    )
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE, FREE_MASSES)
     free_drivers = (
@@ -171,6 +176,11 @@ class PayloadCompliance(Effect):
         ),
     )
     look_alikes = ("joint_compliance", "link_bending")
+    impossible = ImpossibleValues(
+        sign="negative stiffness under the payload",
+        sign_check="check the payloads of the readings and the direction of gravity",
+        size_check="check the payloads of the readings",
+    )
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
     free_drivers = (

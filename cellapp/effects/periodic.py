@@ -127,7 +127,7 @@ class TransmissionError(Effect):
             "Read the encoders with all their digits: rounding hides lines of many cycles.",
         ),
     )
-    look_alikes = ("encoder_eccentricity", "joint_axis_wobble")
+    look_alikes = ("encoder_eccentricity", "joint_axis_wobble", "joint_axis_runout")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
     free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
