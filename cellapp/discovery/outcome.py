@@ -14,7 +14,6 @@ from cellapp.model import ArmModel, CellModel
 from cellapp.results import (
     AbsentEffect,
     BeforeAfter,
-    Contradiction,
     CycleBand,
     HeldOutPosition,
     Noise,
@@ -123,8 +122,6 @@ class Discovery:
         Posterior probability of every effect that was tested, by its slug.
     structure : RemainingStructure, optional
         Tests for structure in what is left.
-    contradictions : tuple of Contradiction
-        Findings with an impossible sign or size, which count as unknown.
     """
 
     accepted: tuple[AcceptedEffect, ...]
@@ -149,7 +146,6 @@ class Discovery:
     noise_mm: Noise | None = None
     candidates: Mapping[str, float] = field(default_factory=dict)
     structure: RemainingStructure | None = None
-    contradictions: tuple[Contradiction, ...] = ()
 
 
 @dataclass(frozen=True)

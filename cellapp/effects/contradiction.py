@@ -14,6 +14,7 @@ import numpy as np
 from cellapp.effects.column import INDEXED_CHANNELS, EffectColumn, place_name
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import Law, LawForm
+from cellapp.effects.meaning import Meaning
 
 _PREFIX = "contradiction"
 
@@ -53,9 +54,31 @@ def contradicted_law(law: Law) -> Law:
     return law.form.contradicted.law(law.constants, law.tried)
 
 
+def contradicted_effect(law: Law) -> Effect:
+    """The effect of the library that a contradiction behaves like."""
+    assert isinstance(law.form, ContradictionForm)
+    return law.form.effect
+
+
 def is_contradiction(law: Law) -> bool:
     """Whether a law is one of the library with impossible values."""
     return isinstance(law.form, ContradictionForm)
+
+
+def contradiction_meaning(effect: Effect) -> Meaning:
+    """What it means that the readings show an effect with impossible values."""
+    words = effect.impossible
+    checks = dict.fromkeys((words.sign_check, words.size_check))
+    return Meaning(
+        cause=(
+            f"Something behaves like {effect.title}, but with values that cannot be. The first suspects are signs,"
+            " units and conventions of the readings and of the profile."
+        ),
+        size="A value that cannot be has no usual size",
+        size_source="none",
+        check=tuple(f"{check[0].upper()}{check[1:]}." for check in checks),
+        settle=effect.meaning.settle,
+    )
 
 
 def sentence(effect: Effect, columns: Sequence[EffectColumn], values: Sequence[float]) -> str:

@@ -32,7 +32,7 @@ class JointAxisRunout(Effect):
 
     The law ``smooth`` has all n from 1 to ``cycles`` under a prior; it is not scanned.
 
-    Size: 10 to 50 um for bearings of this size, 8 to 27 um were found on a real UR10 (measured); some 80 % visible, with
+    Size: 10 to 50 um for bearings of this size, 8 to 27 um on a real UR10 (measured); some 80 % visible, with
     most of a turn of the joint. Look-alikes: wobble of the same axis, as only the lever to the target distinguishes
     them; errors of the angle, where the arm beyond the joint hardly moves.
     """

@@ -11,7 +11,12 @@ import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, joint_column, shift_column
 from cellapp.effects.context import EffectContext
-from cellapp.effects.contradiction import ContradictionForm, contradicted_law, contradiction_named
+from cellapp.effects.contradiction import (
+    ContradictionForm,
+    contradicted_law,
+    contradiction_meaning,
+    contradiction_named,
+)
 from cellapp.effects.data_driven import (
     PERIOD,
     DataChannel,
@@ -73,7 +78,9 @@ class Unknown(Effect):
         return super().form(name) if form is None else form
 
     def meaning_of(self, law: Law) -> Meaning:
-        """Checks by channel, further stops by variables; a general one for a term that is not of this form."""
+        """Checks by channel and further stops by variables; those of the effect that a contradiction behaves like."""
+        if isinstance(law.form, ContradictionForm):
+            return contradiction_meaning(law.form.effect)
         if not isinstance(law.form, DataDrivenForm):
             return self.meaning
         return data_driven_meaning(law.form.channel, law.form.drivers)
