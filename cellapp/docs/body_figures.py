@@ -42,10 +42,10 @@ def joint_axis_wobble(scene: Scene) -> Chart:
 
 
 def joint_axis_runout(scene: Scene) -> Chart:
-    """Displacement over a turn of joint 1: its axis shifts by 20 um along and by 20 um across, twice a turn."""
+    """Displacement over a turn of joint 1: its axis shifts by 20 um along itself once, across twice a turn."""
     law = EFFECTS["joint_axis_runout"].law()
     series = []
-    for label, name in (("axial", "runout_z1_cos2"), ("radial", "runout_x1_cos2")):
+    for label, name in (("axial, 1 cycle", "runout_z1_cos1"), ("radial, 2 cycles", "runout_x1_cos2")):
         context = scene.context(swept(scene.stretched(len(TURN)), 1, TURN))
         shift = smr_shift(context, "joint_axis_runout", law, {name: 20 * _MICRO})
         series.append(Series(label, TURN, _along_largest(shift)))
