@@ -114,10 +114,7 @@ class TransmissionError(Effect):
             "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles a turn, the"
             " wave generator one or two cycles a turn of the motor, the teeth more."
         ),
-        size=(
-            "20 to 80 urad, 13 to 80 um at the flange of a UR10; the cycle counts are published, the size is an "
-            "estimate"
-        ),
+        size="20 to 80 urad, 13 to 80 um at the flange of a UR10; only the cycle counts are published",
         size_source="estimate",
         check=(
             "Compare with earlier runs: a line that grew is wear, plan an exchange of the gear of {place}.",
@@ -130,7 +127,7 @@ class TransmissionError(Effect):
             "Read the encoders with all their digits: rounding hides lines of many cycles.",
         ),
     )
-    look_alikes = ("encoder_eccentricity", "joint_axis_wobble")
+    look_alikes = ("encoder_eccentricity", "joint_axis_wobble", "joint_axis_runout")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
     free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)

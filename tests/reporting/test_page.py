@@ -370,7 +370,7 @@ def test_discovery_shows_everything_that_was_found(double: RunFile, monkeypatch:
         "No reading was taken from 128° to -170°.",
         "With 20 simulations without effects",
         "Something behaves like backlash, but of the opposite sign: check the approach convention.",
-        "Law not quite as expected: 18 % of the displacement by joint_compliance is in its smooth free part.",
+        "Law not quite as expected: what joint_compliance moves beside its law is 18 % of what the law moves.",
         "What it means: joint compliance, joints 2-4, 6",
         "The gears of joints 2, 3, 4 and 6 twist. Usual size: 1 to 3 mm (computed).",
         "Repeat 20 stops with a second payload.",
