@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from cellapp.calibration.gauss_newton import Minimum, damped_step, minimise
-from cellapp.calibration.linear import inverse_psd
+from cellapp.calibration.linear import inverse_diagonal, inverse_psd
 from cellapp.calibration.normal_equations import (
     EffectColumns,
     NormalEquations,
@@ -402,7 +402,8 @@ class _Problem:
         """Share (k,) of each parameter that its prior, and not the readings, determines."""
         if not point.precision.any():
             return point.precision
-        return np.asarray(point.precision * np.diag(_covariance(point, point.variance)))
+        unit = 1.0 / point.normal.scale
+        return point.precision * unit**2 * inverse_diagonal(_posterior_precision(point, unit, point.variance))
 
     def _degrees_of_freedom(self, point: _Estimate, by_priors: Array) -> float:
         """Measured coordinates less the parameters that they determine."""
