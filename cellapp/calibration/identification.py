@@ -67,6 +67,8 @@ class Identification:
         The parameters that were estimated.
     estimated_covariance : array, shape (K + m, K + m)
         Of the estimated parameters, then of the effects: for the uncertainty of predictions.
+    prior_sigma : mapping
+        Parameter -> standard deviation of its prior, stated or estimated; none of those without a prior.
     parameter_set : ParameterSet
         For the table: the estimated parameters that the data determine, and the others that are merged into them. The
         estimated ones themselves, unless the set is ``auto``.
@@ -102,6 +104,7 @@ class Identification:
     geometry: Geometry
     estimated: ParameterSet
     estimated_covariance: Array = field(repr=False)
+    prior_sigma: Mapping[str, float] = field(repr=False)
     parameter_set: ParameterSet
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -372,6 +375,11 @@ class _Problem:
             geometry=geometry,
             estimated=self.parameters,
             estimated_covariance=covariance,
+            prior_sigma={
+                name: precision**-0.5
+                for name, precision in zip(self.parameters.names, point.precision.tolist(), strict=False)
+                if precision > 0.0
+            },
             parameter_set=chosen,
             names=chosen.names + (() if effects is None else effects.names),
             units=chosen.units + (() if effects is None else effects.units),

@@ -135,6 +135,14 @@ def test_stated_priors_are_used_as_stated_and_others_take_the_spread_of_the_arm(
     nominal = data.start.rows[1:3, 2]
     np.testing.assert_allclose(tight.geometry.rows[1:3, 2], nominal, atol=1e-8)
     assert np.abs(free.geometry.rows[1:3, 2] - nominal).max() > 1e-5
+    assert tight.prior_sigma["a2"] == pytest.approx(1e-9)
+    assert free.prior_sigma["a2"] == free.prior_sigma["d5"] == pytest.approx(LENGTH, rel=0.6)
+    assert free.prior_sigma["alpha1"] == pytest.approx(ANGLE, rel=0.6)
+    assert "x0" not in free.prior_sigma
+    again = identify(
+        data.start, data.q, data.p_M, parameter_set=free.estimated, prior_sigma=free.prior_sigma, prior_mean=data.start
+    )
+    np.testing.assert_allclose(again.geometry.vector(), free.geometry.vector(), atol=1e-6)
 
 
 def test_the_uncertainty_of_predictions_covers_what_the_table_does_not_state():
