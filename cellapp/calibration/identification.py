@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from cellapp.calibration.gauss_newton import Minimum, damped_step, minimise
-from cellapp.calibration.linear import inverse_psd
+from cellapp.calibration.linear import inverse_diagonal, inverse_psd
 from cellapp.calibration.normal_equations import (
     EffectColumns,
     NormalEquations,
@@ -67,8 +67,8 @@ class Identification:
         The parameters that were estimated.
     estimated_covariance : array, shape (K + m, K + m)
         Of the estimated parameters, then of the effects: for the uncertainty of predictions.
-    prior_sd : array, shape (K,)
-        Standard deviation of the prior of each estimated parameter, infinite without one.
+    prior_sigma : mapping
+        Parameter -> standard deviation of its prior, stated or estimated; none of those without a prior.
     parameter_set : ParameterSet
         For the table: the estimated parameters that the data determine, and the others that are merged into them. The
         estimated ones themselves, unless the set is ``auto``.
@@ -104,7 +104,7 @@ class Identification:
     geometry: Geometry
     estimated: ParameterSet
     estimated_covariance: Array = field(repr=False)
-    prior_sd: Array = field(repr=False)
+    prior_sigma: Mapping[str, float] = field(repr=False)
     parameter_set: ParameterSet
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -378,7 +378,11 @@ class _Problem:
             geometry=geometry,
             estimated=self.parameters,
             estimated_covariance=covariance,
-            prior_sd=_standard_deviations(point.precision[: len(self.parameters.columns)]),
+            prior_sigma={
+                name: precision**-0.5
+                for name, precision in zip(self.parameters.names, point.precision.tolist(), strict=False)
+                if precision > 0.0
+            },
             parameter_set=chosen,
             names=chosen.names + (() if effects is None else effects.names),
             units=chosen.units + (() if effects is None else effects.units),
@@ -409,18 +413,13 @@ class _Problem:
         """Share (k,) of each parameter that its prior, and not the readings, determines."""
         if not point.precision.any():
             return point.precision
-        return np.asarray(point.precision * np.diag(_covariance(point, point.variance)))
+        unit = 1.0 / point.normal.scale
+        return point.precision * unit**2 * inverse_diagonal(_posterior_precision(point, unit, point.variance))
 
     def _degrees_of_freedom(self, point: _Estimate, by_priors: Array) -> float:
         """Measured coordinates less the parameters that they determine."""
         n = self.observations.count if point.weights is None else int(np.count_nonzero(point.weights > _LEAST_WEIGHT))
         return max(1.0, 3 * n - len(by_priors) + float(by_priors.sum()))
-
-
-def _standard_deviations(precision: Array) -> Array:
-    """Infinite for a precision of zero."""
-    with np.errstate(divide="ignore"):
-        return np.asarray(1.0 / np.sqrt(precision))
 
 
 def _covariance(point: _Estimate, variance: float) -> Array:

@@ -58,6 +58,12 @@ def inverse_psd(gram: Array) -> Array:
     return np.asarray((vectors / values) @ vectors.T)
 
 
+def inverse_diagonal(gram: Array) -> Array:
+    """Diagonal (p,) of the inverse of ``gram`` (p, p)."""
+    factor = cholesky(gram)
+    return np.diag(inverse_psd(gram) if factor is None else lapack.dpotri(factor, lower=1)[0])
+
+
 def orthonormal_basis(design: Array, precision: Array | None = None) -> Array:
     """``Q`` (d, k) with ``Q Q^T = X (X^T X + P)^-1 X^T``; its columns are orthonormal where there are no priors.
 

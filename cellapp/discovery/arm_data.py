@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from cellapp.calibration.identification import identify
+from cellapp.calibration.arm_identification import identify_with_excess
 from cellapp.calibration.parameters import ParameterSet
 from cellapp.calibration.weights import whitener
 from cellapp.discovery.terms import ModelTerms
@@ -69,19 +68,20 @@ class ArmData:
     def of(cls, profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> ArmData:
         """Take the weights from the stated uncertainty, and select the geometric parameters."""
         geometry_only = replace(model, effects=(), network=None)
-        found = identify(
-            geometry_only.geometry,
+        stated = stated_uncertainty(readings)
+        settings = profile.calibration
+        found, _ = identify_with_excess(
+            model.nominal,
             readings.q,
             readings.p_M,
-            parameter_set=profile.calibration.parameter_set,
-            prior_sigma=prior_sigmas(model.nominal, profile.calibration.priors),
-            prior_mean=model.nominal,
+            sigma=stated,
+            parameter_set=settings.parameter_set,
+            prior_sigma=prior_sigmas(model.nominal, settings.priors),
             tolerance=TOLERANCE,
         )
-        stated = stated_uncertainty(readings)
         sigma = np.full(len(readings), found.scale) if stated is None else stated
-        sds = dict(zip(found.estimated.names, found.prior_sd.tolist(), strict=True))
-        prior_sigma = {name: sd for name, sd in sds.items() if math.isfinite(sd)}
+        geometry_only = replace(geometry_only, geometry=found.geometry)
+        prior_sigma = found.prior_sigma
         return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, prior_sigma)
 
     def __len__(self) -> int:

@@ -212,9 +212,9 @@ class Splits(Section):
 
 
 class Priors(Section):
-    """Prior standard deviations of the arm's own parameters about their nominal values; None: no prior.
+    """Prior standard deviations of the arm's own parameters about their nominal values. Base and tool never have one.
 
-    Base and tool never have one.
+    None: with the set ``auto``, the spread that the arm's own parameters show; with the other sets, no prior.
     """
 
     length: Annotated[Length, Field(gt=0.0)] | None = None
@@ -222,7 +222,11 @@ class Priors(Section):
 
 
 class Calibration(Section):
-    """How the geometry is identified. ``robust`` selects Huber or Tukey weights against outliers."""
+    """How the geometry is identified. ``robust`` selects Huber or Tukey weights against outliers.
+
+    ``auto`` estimates all parameters with priors, and the results state those that the data determine; ``paper`` is the
+    set of Bai et al., ``full`` all parameters without priors.
+    """
 
     parameter_set: Literal["auto", "paper", "full"] = "auto"
     priors: Priors = Priors()

@@ -58,7 +58,8 @@ def _settings(profile: Profile) -> str:
     settings = profile.calibration
     stated = (("length", settings.priors.length, "m"), ("angle", settings.priors.angle, "rad"))
     priors = [f"{kind} {value:g} {unit}" for kind, value, unit in stated if value is not None]
-    return f"parameter set {settings.parameter_set}, priors {', '.join(priors) or 'none'}, robust {settings.robust}"
+    none = "from the arm's own spread" if settings.parameter_set == "auto" else "none"
+    return f"parameter set {settings.parameter_set}, priors {', '.join(priors) or none}, robust {settings.robust}"
 
 
 def _programs(origin: Provenance, *, torch_used: bool) -> str:
