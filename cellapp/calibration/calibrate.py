@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from importlib.metadata import version
 
 import numpy as np
 
@@ -147,7 +146,6 @@ def provenance_of(profile: Profile) -> Provenance:
         program=f"cellapp {cellapp.__version__}",
         python=platform.python_version(),
         numpy=np.__version__,
-        torch=version("torch"),
         written=datetime.now(UTC).isoformat(timespec="seconds"),
     )
 
