@@ -46,7 +46,7 @@ _IMPROVED = 0.998
 """Share of a member's best squared error on its fold below which training has not stalled."""
 _PATIENCE = 8
 """Training of a member ends after this number of iterations that did not improve it."""
-_SCREENING = 20
+_SCREENING = 15
 """Iterations after which candidates are compared; only the best one is trained further."""
 _REPORTED = 10
 """Iterations between two reports: a second or less."""
