@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from importlib.metadata import version
 
 import numpy as np
 
@@ -15,7 +14,7 @@ import cellapp
 from cellapp.calibration.arm_identification import identify_with_excess
 from cellapp.calibration.evaluation import evaluate, repeatability
 from cellapp.calibration.identification import Identification, TooFewReadings, start_from_nominal
-from cellapp.calibration.network_training import SHAPES, Shape, Training, train_network, training_steps
+from cellapp.calibration.network_training import Shape, Training, train_network, training_steps
 from cellapp.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.calibration.splits import draw_splits
 from cellapp.calibration.station_change import station_change
@@ -34,8 +33,8 @@ from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProg
 from cellapp.results import Provenance, Repeatability, Stage, StageErrors
 from cellapp.run import SPLITS, Readings, stated_uncertainty
 
-_BASE_STEPS = training_steps(SHAPES)
-_TRAINING_STEPS = _BASE_STEPS + training_steps(SHAPES[:1])
+_BASE_STEPS = training_steps()
+_TRAINING_STEPS = _BASE_STEPS + training_steps(1)
 """Steps of an arm's training: in the base frame, and of the best shape in the tracker frame."""
 
 
@@ -111,7 +110,7 @@ def calibrate_readings(
         notes += arm_notes
     if profile.network.kind == "mlp":
         listener(Progress("calibrate", len(arms), total, "residual networks"))
-        with ThreadPoolExecutor(max_workers=2) as pool:  # torch works outside the interpreter lock
+        with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
             shared = SharedProgress(listener, "calibrate", len(arms), total)
             tasks = {
                 name: pool.submit(train_arm, profile, arm, readings[name], cancel, shared.part(f"arm {name}"))
@@ -143,7 +142,6 @@ def provenance_of(profile: Profile) -> Provenance:
         program=f"cellapp {cellapp.__version__}",
         python=platform.python_version(),
         numpy=np.__version__,
-        torch=version("torch"),
         written=datetime.now(UTC).isoformat(timespec="seconds"),
     )
 
@@ -254,7 +252,7 @@ def train_arm(
     rotation = arm.model.geometry.T_M_B()[:3, :3]
     left_M = learn.p_M - arm.model.predict(learn.q, learn.approach, learn.payload_kg)
 
-    def train(residual: Array, shapes: Sequence[Shape], first: int, frame: str) -> Training:
+    def train(residual: Array, shapes: Sequence[Shape] | None, first: int, frame: str) -> Training:
         return train_network(
             learn.q,
             residual,
@@ -266,10 +264,10 @@ def train_arm(
             report=lambda done, words: report(first + done, f"{frame}: {words}"),
         )
 
-    training = train(left_M @ rotation, SHAPES, 0, "base frame")
+    training = train(left_M @ rotation, None, 0, "base frame")
     if training.network is None:
         return replace(arm, training=training)
-    # the same layers, in a frame that does not rotate with joint 1: the tracker frame has no relation to that axis
+    # the same layer, in a frame that does not rotate with joint 1: the tracker frame has no relation to that axis
     in_tracker = train(
         left_M, (replace(training.shape, rotates_with_joint_1=False),), _BASE_STEPS, "tracker frame"
     ).network

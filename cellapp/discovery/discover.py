@@ -21,7 +21,7 @@ from cellapp.discovery.joint_fit import JointFit, fit_terms, with_posterior
 from cellapp.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
 from cellapp.discovery.pictures.cycles import dominant_cycles
 from cellapp.discovery.pictures.term_pictures import pictures
-from cellapp.discovery.remaining_network import with_network
+from cellapp.discovery.remaining_network import needs_network, with_network
 from cellapp.discovery.search.comparison import scatter
 from cellapp.discovery.search.state import SearchResult
 from cellapp.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
@@ -74,9 +74,13 @@ def discover_cell(
 
 
 def _total_steps(profile: Profile, arms: int) -> int:
-    """Steps that discovery reports: search and training of every arm, and the pair."""
-    training = training_steps() if profile.network.kind == "mlp" else 0
+    """Steps that discovery reports: search of every arm, training where it may be needed, and the pair."""
+    training = training_steps() if _may_train(profile) else 0
     return (SEARCH_STEPS + training) * arms + 1
+
+
+def _may_train(profile: Profile) -> bool:
+    return profile.network.kind == "mlp" and profile.discovery.network != "never"
 
 
 def _discover_arms(
@@ -94,26 +98,21 @@ def _discover_arms(
             profile, name, arm, readings[name], cancel, conditions=conditions[name], report=report
         )
         report(SEARCH_STEPS, found[name].verdict)
-    if profile.network.kind != "mlp":
+    if not _may_train(profile):
         return found
-    done = SEARCH_STEPS * len(model.arms)
-    listener(Progress("discover", done, total, "residual networks beside the effects"))
-    shared = SharedProgress(listener, "discover", done, total)
-    with ThreadPoolExecutor(max_workers=2) as pool:  # torch works outside the interpreter lock
-        tasks = {
-            name: pool.submit(
-                with_network,
-                profile,
-                model.arms[name],
-                discovery,
-                readings[name],
-                conditions[name],
-                cancel,
-                shared.part(f"arm {name}"),
+    trained = SharedProgress(listener, "discover", SEARCH_STEPS * len(model.arms), total)
+    with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
+        tasks = {}
+        for name, discovery in found.items():
+            report = trained.part(f"arm {name}")
+            if not needs_network(profile, discovery):
+                report(training_steps(), "no network is needed")
+                continue
+            report(0, "residual network beside the effects")
+            tasks[name] = pool.submit(
+                with_network, profile, model.arms[name], discovery, readings[name], conditions[name], cancel, report
             )
-            for name, discovery in found.items()
-        }
-        return {name: task.result() for name, task in tasks.items()}
+        return {**found, **{name: task.result() for name, task in tasks.items()}}
 
 
 def discover_arm(

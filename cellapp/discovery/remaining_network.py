@@ -21,6 +21,14 @@ _READINGS_A_FOLD = 2
 """Readings that each fold of a network's training needs: one reading has no scatter."""
 
 
+def needs_network(profile: Profile, discovery: Discovery) -> bool:
+    """Whether the profile asks for a network beside the effects of this outcome."""
+    if profile.network.kind != "mlp":
+        return False
+    asked = profile.discovery.network
+    return asked == "always" or (asked == "unknown" and discovery.verdict == "unknown effect")
+
+
 def with_network(
     profile: Profile,
     calibrated: ArmModel,
@@ -32,7 +40,8 @@ def with_network(
 ) -> Discovery:
     """The outcome with the corrections of a network before and after the accepted effects.
 
-    The network joins the model only where an effect stays unknown and it makes held-out errors smaller.
+    The network joins the model only where an effect stays unknown and it predicts the left-out folds of its training
+    readings better than none. The held-out readings judge the result, they do not choose it.
     """
     held_out = HeldOut.of(readings, conditions)
     network = discovery.model.network
@@ -46,8 +55,6 @@ def with_network(
         return discovery
     model = replace(discovery.model, network=network)
     after = held_out.position_mm(model)
-    if after.rms >= discovery.after.rms:
-        return discovery
     return replace(
         discovery,
         model=model,

@@ -21,14 +21,13 @@ HASH_TITLE = "SHA-256"
 def provenance_lines(data: ReportData) -> list[tuple[str, str]]:
     """Pairs of a title and a text."""
     origin = data.calibrate.provenance
-    torch_used = any(arm.network is not None for arm in data.calibrate.arms.values())
     plant = data.profile.plant
     return [
         ("Profile", data.profile.name),
         (f"{HASH_TITLE} of the profile", _sha256(profile_to_json(data.profile))),
         ("Seed of splits and draws", str(origin.seed)),
         *([] if plant is None else [("Seed of the simulated cell", str(plant.seed))]),
-        ("Calibrated by", _programs(origin, torch_used=torch_used)),
+        ("Calibrated by", _programs(origin)),
         ("Calibrated at", origin.written),
         ("Page made by", f"cellapp {cellapp.__version__}, Python {platform.python_version()}, numpy {np.__version__}"),
         *_reading_lines(data),
@@ -62,13 +61,11 @@ def _settings(profile: Profile) -> str:
     return f"parameter set {settings.parameter_set}, priors {', '.join(priors) or none}, robust {settings.robust}"
 
 
-def _programs(origin: Provenance, *, torch_used: bool) -> str:
+def _programs(origin: Provenance) -> str:
     words = [origin.program]
     for title, version in (("Python", origin.python), ("numpy", origin.numpy), ("torch", origin.torch)):
         if version is not None:
             words.append(f"{title} {version}")
-    if torch_used and origin.torch is None:
-        words.append("torch, version not recorded")
     return ", ".join(words)
 
 

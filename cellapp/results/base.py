@@ -109,7 +109,10 @@ class Estimate(Record):
 
 
 class Provenance(Record):
-    """Which program made a result, from which profile, when (ISO 8601, UTC)."""
+    """Which program made a result, from which profile, when (ISO 8601, UTC).
+
+    ``torch`` is in results of earlier versions, which trained networks with it.
+    """
 
     profile: str
     seed: int

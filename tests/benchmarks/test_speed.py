@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 from cellapp.calibration.identification import identify, start_from_nominal
+from cellapp.calibration.network_training import train_network
+from cellapp.calibration.perceptron import Perceptron
 from cellapp.kinematics.chain import JointAngles, jacobian, smr_positions
 from tests.arms import OFF_AXIS, UR10, at_station, true_geometry
 
@@ -90,3 +92,26 @@ def test_help_is_there_at_once(benchmark):
         lambda: subprocess.run(command, capture_output=True, text=True, timeout=60, check=True), rounds=3
     )
     assert "calibrate" in result.stdout
+
+
+def residual_problem(n):
+    """Poses, and a residual with the size and the smoothness of an elastic arm's."""
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-2.5, 2.5, (n, 6))
+    sag = 5e-4 * np.cos(q[:, 1]) + 3e-4 * np.sin(q[:, 1] + q[:, 2]) * np.cos(q[:, 3])
+    return q, np.stack([np.cos(q[:, 0]) * sag, np.sin(q[:, 0]) * sag, -sag], axis=1) + rng.normal(0.0, 15e-6, (n, 3))
+
+
+@pytest.mark.benchmark(group="residual network of an arm")
+@pytest.mark.parametrize("readings", [200, 12_000])
+def test_training_of_a_residual_network(benchmark, readings):
+    q, residual = residual_problem(readings)
+    training = benchmark.pedantic(train_network, args=(q, residual), kwargs={"seed": 1}, rounds=2)
+    assert training.network is not None
+
+
+@pytest.mark.benchmark(group="residual network of an arm")
+def test_normal_equations_of_a_member(benchmark):
+    q, residual = residual_problem(160)
+    net = Perceptron(12, 12, 3)
+    benchmark(net.normal_equations, net.start(np.random.default_rng(0)), np.hstack([np.cos(q), np.sin(q)]), residual)

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
 
-from cellapp.calibration.network_training import Shape, train_network
+from cellapp.calibration.network_training import Shape, candidate_shapes, train_network
+from cellapp.calibration.perceptron import Perceptron
 from cellapp.model.network import network_from_json, network_inputs, network_to_json, rotate_about_z
 
-SMALL = (Shape("sincos", 6), Shape("sincos", (6,), rotates_with_joint_1=True))
+SMALL = (Shape("sincos", 6), Shape("sincos", 6, rotates_with_joint_1=True))
 
 
 def bend(q):
@@ -117,3 +119,53 @@ def test_network_inputs():
     np.testing.assert_allclose(network_inputs("sincos", low, high, q)[0], [1.0, 0.0, 0.0, 1.0], atol=1e-12)
     scaled = network_inputs("angles", low, high, q)
     np.testing.assert_allclose(np.abs(scaled), 1.0)
+
+
+def test_joints_that_do_not_matter_are_left_out(trained):
+    """The fixture's residual depends on joints 1 to 3; the evidence removes the weights of the others."""
+    _, training = trained
+    q = poses(200, seed=11)
+    moved = {joint: q.copy() for joint in (1, 5)}
+    for joint, rows in moved.items():
+        rows[:, joint] = poses(200, seed=12)[:, joint]
+    change = {
+        joint: np.abs(training.network.correct(rows) - training.network.correct(q)).mean()
+        for joint, rows in moved.items()
+    }
+    assert change[5] < 0.05 * change[1]
+
+
+def test_the_network_grows_with_the_readings_up_to_a_limit():
+    hidden = [candidate_shapes(readings)[0].hidden for readings in (10, 60, 200, 300, 12_000, 1_000_000)]
+    assert hidden == sorted(hidden)
+    assert hidden[2] < hidden[3] < hidden[4] == hidden[5]
+
+
+def test_many_readings_take_no_more_memory_than_their_sample():
+    q = poses(12_000)
+    tracemalloc.start()
+    training = train_network(q, bend(q), seed=3, iterations=2)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 60e6
+    assert training.network is not None
+    np.testing.assert_array_equal(training.network.low, q.min(axis=0))
+
+
+def test_normal_equations_are_those_of_automatic_derivatives():
+    import torch  # an independent check of the closed form
+
+    net, rng = Perceptron(12, 7, 3), np.random.default_rng(2)
+    p, x, e = net.start(rng), rng.normal(size=(9, 12)), rng.normal(size=(9, 3))
+    n_W = net.sizes[0]
+
+    def outputs(parameters):
+        W, V = parameters[:n_W].reshape(net.hidden, -1), parameters[n_W:].reshape(net.outputs, -1)
+        ones = torch.ones(len(x), 1, dtype=torch.float64)
+        hidden = torch.tanh(torch.cat([torch.from_numpy(x), ones], dim=1) @ W.T)
+        return (torch.cat([hidden, ones], dim=1) @ V.T).reshape(-1)
+
+    J = torch.autograd.functional.jacobian(outputs, torch.from_numpy(p)).numpy()
+    gram, slope = net.normal_equations(p, x, e)
+    np.testing.assert_allclose(gram, J.T @ J, atol=1e-12)
+    np.testing.assert_allclose(slope, J.T @ e.ravel(), atol=1e-12)
