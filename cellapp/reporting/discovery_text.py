@@ -49,8 +49,6 @@ def discovery_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
         possible = also_possible(arm)
         if possible:
             lines += _hanging("  possible too ", possible, width)
-        for contradiction in arm.contradictions:
-            lines += _hanging("  impossible   ", f"something {contradiction.sentence}", width)
         for place, entry in enumerate(arm.invisible):
             line = f"{entry.effect}: {short_reason(entry.reason)}"
             lines.append(_cut(f"  {'' if place else 'not visible':11}  {line}", width))
@@ -268,7 +266,12 @@ def _uncertainty_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
     """Heading and description of each data-driven term."""
-    descriptions = [found.description for found in arm.accepted if found.description is not None]
+    impossible = {contradiction.sentence for contradiction in arm.contradictions}
+    descriptions = [
+        found.description
+        for found in arm.accepted
+        if found.description is not None and found.description.sentence not in impossible
+    ]
     sentences = []
     for term in descriptions:
         variables = " and ".join(term.variables)

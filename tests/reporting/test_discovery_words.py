@@ -60,7 +60,6 @@ def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
         "tracker_scale: geometry follows nearly all of it\n",
         "law not quite as expected: what joint_compliance moves beside its law is 18",
         "possible too link_bending (13 %)\n",
-        "impossible   something behaves like backlash, but of the opposite sign",
         "remainder    what is left still depends on time (p below 0.001)",
         "verdict      unknown effect: something that the library does not have",
     ):
@@ -162,6 +161,11 @@ def test_impossible_findings_and_laws_that_hardly_fit_are_sentences() -> None:
     assert contradiction_sentences(arm) == [
         "Something behaves like backlash, but of the opposite sign: check the approach convention."
     ]
+    (term,) = [found for found in arm.accepted if found.description is not None]
+    assert term.description is not None
+    same = term.description.model_copy(update={"sentence": arm.contradictions[0].sentence})
+    told = arm.model_copy(update={"accepted": (term.model_copy(update={"description": same}),)})
+    assert description_sentences(told) == [], "it is no curve without a name"
     (misfit,) = misfit_sentences(arm)
     assert "18 % of what the law moves" in misfit
     exact = arm.accepted[1].model_copy(update={"law_misfit": 0.02})
