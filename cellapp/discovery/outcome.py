@@ -51,7 +51,7 @@ class AcceptedEffect:
     posterior : float
         Probability that the effect is there, from the evidences of competing sets; NaN where it was not computed.
     law_misfit : float, optional
-        Rms of the SMR's displacement by its smooth free part over that by the whole effect; None where it has none.
+        Rms of the SMR's displacement by its smooth free part over that by its law; None where it has none.
     """
 
     term: EffectTerm
