@@ -17,6 +17,7 @@ from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchSt
 from cellapp.discovery.search.tuning import apply_step
 from cellapp.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
 from cellapp.effects import Law
+from cellapp.effects.contradiction import is_contradiction
 from cellapp.effects.data_driven import data_driven_form
 from cellapp.effects.unknown import dictionary, pairs
 
@@ -62,7 +63,11 @@ def _with_term(problem: SearchProblem, state: SearchState) -> SearchState | None
 def _best_scores(problem: SearchProblem, state: SearchState) -> list[LawScore]:
     """The best law of two variables and of one that pass the threshold, the preferred one first."""
     data, fit = state.data, state.fit
-    taken = {data_driven_form(term.law).subject for term in fit.terms if term.slug == UNKNOWN}
+    taken = {
+        data_driven_form(term.law).subject
+        for term in fit.terms
+        if term.slug == UNKNOWN and not is_contradiction(term.law)
+    }
     one = _best_law(state, [law for law in dictionary(data.context) if data_driven_form(law).subject not in taken])
     of_two = list(pairs(data.context))
     if one is not None:
