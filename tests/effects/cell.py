@@ -32,7 +32,6 @@ def conditions_of(rng: np.random.Generator, n: int, joints: int = 6) -> Measurem
         order=np.arange(n, dtype=np.float64),
         payload_kg=rng.choice([0.3, 5.0], n),
         air_c=rng.uniform(19.0, 23.0, n),
-        order=np.arange(float(n)),
         joints_c=rng.uniform(25.0, 35.0, (n, joints)),
         other_moment_M=np.column_stack([rng.normal(0.0, 30.0, (n, 2)), np.zeros(n)]),
         other_q=rng.uniform(-2.0, 2.0, (n, joints)),
