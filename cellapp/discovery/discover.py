@@ -22,7 +22,7 @@ from cellapp.discovery.joint_fit import JointFit, fit_terms, with_posterior
 from cellapp.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
 from cellapp.discovery.pictures.cycles import dominant_cycles
 from cellapp.discovery.pictures.term_pictures import pictures
-from cellapp.discovery.posterior import Posteriors, further_scores, posteriors, remaining_scan
+from cellapp.discovery.posterior import Posteriors, posteriors_of, remaining_scan
 from cellapp.discovery.remaining_network import with_network
 from cellapp.discovery.search.comparison import scatter
 from cellapp.discovery.search.state import SearchResult
@@ -143,7 +143,7 @@ def discover_arm(
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(found.fit.model)
     floor_mm = held_out.noise_floor_mm()
     scan = remaining_scan(searched)
-    probable = posteriors(searched.reviews, further_scores(searched, scan), searched.threshold)
+    probable = posteriors_of(searched, scan)
     accepted = _accepted_effects(found, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)

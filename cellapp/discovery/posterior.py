@@ -5,7 +5,7 @@ A score is a gain of the Bayesian information criterion, twice the log of a Baye
 
     ln weight = 0                            S,
                 -(score - threshold) / 2     S without an effect that has ``score`` beside all others,
-                (rival - score) / 2          S with a rival in its place, which has the score ``rival`` there,
+                -penalty / 2                 S with a rival in its place,
                 (score - threshold) / 2      S with a further effect.
 
 The threshold is the prior: with log prior odds of -threshold / 2 for each effect, a score at the threshold leaves it
@@ -15,20 +15,31 @@ have far smaller weights unless two differences are likely each; they are left o
 
     p(e) = sum of the weights of sets that hold e / sum of all weights.
 
+Laws are nearly right, not right, which is more than noise can tell apart. A rival that scores less by D leaves a share
+m^2 of the sum of squares that the effect explains. This is either noise that happened, at a penalty of D, or an error
+of the rival's law, at a penalty of m^2 / t^2 if laws are off by N(0, t^2) of their size:
+
+    penalty = 1 / (1 / D + t^2 / m^2).
+
+What other laws in S leave over may likewise look like an effect, so that its score is that behind their free parts.
 Rivals that tie share the probability. (Bayes factors: Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over
 models: Hoeting et al., Stat. Sci. 14 (1999) 382.)
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cellapp.design.information import NuisanceProjector
 from cellapp.discovery.candidates import best_law_of_each_effect
 from cellapp.discovery.cross_validation import cross_validated_gain
-from cellapp.discovery.search.free_part import behind_free_parts
+from cellapp.discovery.joint_fit import JointFit
+from cellapp.discovery.projected_residual import ProjectedResidual
+from cellapp.discovery.search.free_part import CAUTIOUS_SHARE, FreePart, behind_free_parts, possible_free_parts
 from cellapp.discovery.search.possible_score import possible_score
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, Review, SearchResult, SearchState
@@ -53,9 +64,18 @@ class _Set:
     has: str | None = None
 
 
-def posteriors(reviews: Sequence[Review], further: Mapping[str, float], threshold: float) -> Posteriors:
+def posteriors_of(found: SearchResult, scan: LawScan) -> Posteriors:
+    """Probabilities after a search; ``scan`` is ``remaining_scan(found)``."""
+    further = further_scores(found, scan)
+    return posteriors(cautious_reviews(found), further, found.threshold, len(found.fit.residual))
+
+
+def posteriors(
+    reviews: Sequence[Review], further: Mapping[str, float], threshold: float, coordinates: int
+) -> Posteriors:
     """Probabilities from the scores of a final set's terms, of their rivals, and of ``further`` effects beside it.
 
+    The scores come from ``coordinates`` measured coordinates.
     Several terms of one effect count as one, whose score is the sum of theirs; each data-driven term is an effect of
     its own.
     """
@@ -66,7 +86,8 @@ def posteriors(reviews: Sequence[Review], further: Mapping[str, float], threshol
         score = sum(review.score for review in own)
         sets.append(_Set(-(score - threshold) / 2.0, lacks=key))
         if len(own) == 1:
-            sets += [_Set((rival - score) / 2.0, key, slug) for slug, rival in own[0].alternatives.items()]
+            rivals = own[0].alternatives.items()
+            sets += [_Set(-_penalty(own[0].score, rival, coordinates) / 2.0, key, slug) for slug, rival in rivals]
     log_weights = np.array([one.log_weight for one in sets])
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
@@ -81,9 +102,50 @@ def posteriors(reviews: Sequence[Review], further: Mapping[str, float], threshol
     return Posteriors(terms, {**having, **named})
 
 
+def _penalty(score: float, rival: float, coordinates: int) -> float:
+    """Penalty of a rival in an effect's place, from their scores there; negative where the rival scores more."""
+    if rival > score:
+        return -_penalty(rival, score, coordinates)
+    if math.isinf(rival):
+        return math.inf
+    explained = -math.expm1(-max(score, 0.0) / coordinates)
+    left = math.exp(-rival / coordinates) - math.exp(-score / coordinates)
+    if left <= 0.0:
+        return 0.0
+    return 1.0 / (1.0 / (score - rival) + CAUTIOUS_SHARE**2 * explained / left)
+
+
 def _key(review: Review, number: int) -> str:
     slug = review.term.slug
     return f"{slug} {number}" if slug == UNKNOWN else slug
+
+
+def cautious_reviews(found: SearchResult) -> tuple[Review, ...]:
+    """The reviews with scores behind the free parts of all other laws, which may be slightly off.
+
+    Rivals lose as much as the effect whose place they take.
+    """
+    fit, cautious = found.fit, []
+    parts = [possible_free_parts(found.data, fit, number) for number in range(len(fit.terms))]
+    for number, review in enumerate(found.reviews):
+        others = [part for other, own in enumerate(parts) if other != number for part in own]
+        if review.term.smooth is None and others:
+            lost = max(_lost_beside(fit, number, others), 0.0)
+            alternatives = {slug: score - lost for slug, score in review.alternatives.items()}
+            review = replace(review, score=review.score - lost, alternatives=alternatives)
+        cautious.append(review)
+    return tuple(cautious)
+
+
+def _lost_beside(fit: JointFit, number: int, free_parts: Sequence[FreePart]) -> float:
+    """Score that a term loses beside free parts of the other laws."""
+    kept, rows = fit.layout.all_but(number), fit.law_rows(number)
+    share = CAUTIOUS_SHARE / math.sqrt(len(free_parts))
+    nuisance = np.concatenate([fit.rows[kept], *(part.rows for part in free_parts)])
+    precision = np.concatenate([fit.precision[kept], *(1.0 / (share * part.sd) ** 2 for part in free_parts)])
+    by_law = fit.term_values(number)[: len(rows)] @ rows
+    behind = ProjectedResidual(NuisanceProjector.of(nuisance, precision), fit.target + by_law)
+    return fit.residual_without(number).bic_gain(rows) - behind.bic_gain(rows)
 
 
 def remaining_scan(found: SearchResult) -> LawScan:

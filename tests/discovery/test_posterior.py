@@ -20,6 +20,7 @@ from tests.discovery.linear_problem import PLAIN, problem
 pytestmark = pytest.mark.fast
 
 THRESHOLD = 8.0
+COORDINATES = 900
 
 
 def review(slug, score, **alternatives):
@@ -27,40 +28,56 @@ def review(slug, score, **alternatives):
 
 
 def test_a_score_at_the_threshold_leaves_it_open():
-    found = posteriors([review("backlash", THRESHOLD)], {}, THRESHOLD)
+    found = posteriors([review("backlash", THRESHOLD)], {}, THRESHOLD, COORDINATES)
     assert found.terms[0] == pytest.approx(0.5)
     assert found.effects["backlash"] == found.terms[0]
-    assert posteriors([], {"backlash": THRESHOLD}, THRESHOLD).effects["backlash"] == pytest.approx(0.5)
+    assert posteriors([], {"backlash": THRESHOLD}, THRESHOLD, COORDINATES).effects["backlash"] == pytest.approx(0.5)
 
 
 def test_evidence_far_from_the_threshold_decides():
-    found = posteriors([review("backlash", 5000.0)], {"base_step": -6.0}, THRESHOLD)
+    found = posteriors([review("backlash", 5000.0)], {"base_step": -6.0}, THRESHOLD, COORDINATES)
     assert found.terms[0] == pytest.approx(1.0, abs=1e-3)
     assert found.effects["base_step"] < 0.001
     assert sum(found.effects.values()) < 1.01
 
 
 def test_rivals_that_tie_share_the_probability():
-    tied = review("backlash", 900.0, unsettled_measurement=900.0, friction_windup=880.0, base_step=-math.inf)
-    found = posteriors([tied, review("joint_compliance", 400.0)], {}, THRESHOLD)
+    tied = review("backlash", 900.0, unsettled_measurement=900.0, friction_windup=300.0, base_step=-math.inf)
+    found = posteriors([tied, review("joint_compliance", 400.0)], {}, THRESHOLD, COORDINATES)
     np.testing.assert_allclose(found.terms, (0.5, 1.0), atol=1e-3)
     assert found.effects["unsettled_measurement"] == pytest.approx(0.5, abs=1e-3)
     assert found.effects["friction_windup"] < 1e-4
     assert found.effects["base_step"] == 0.0
     three = review("backlash", 900.0, unsettled_measurement=900.0, friction_windup=900.0)
-    assert posteriors([three], {}, THRESHOLD).terms[0] == pytest.approx(1.0 / 3.0, abs=1e-3)
-    better = review("backlash", 900.0, unsettled_measurement=950.0)
-    assert posteriors([better], {}, THRESHOLD).terms[0] < 1e-6
+    assert posteriors([three], {}, THRESHOLD, COORDINATES).terms[0] == pytest.approx(1.0 / 3.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("score", [60.0, 600.0, 6000.0])
+def test_a_rival_that_leaves_what_a_law_may_leave_is_possible(score):
+    """The share m of the effect that a rival leaves decides where noise is small; laws hold to 10 %."""
+
+    def accepted_with_rival_that_leaves(share):
+        squares = math.exp(-score / COORDINATES)
+        rival = -COORDINATES * math.log(squares + share**2 * (1.0 - squares))
+        return posteriors([review("joint_drift", score, base_drift=rival)], {}, THRESHOLD, COORDINATES).terms[0]
+
+    assert 0.5 < accepted_with_rival_that_leaves(0.1) < 0.7
+    assert accepted_with_rival_that_leaves(0.5) > 0.99
+    tied, better = accepted_with_rival_that_leaves(0.0), review("joint_drift", score, base_drift=score + 1.0)
+    assert tied == pytest.approx(0.5, abs=1e-3)
+    assert posteriors([better], {}, THRESHOLD, COORDINATES).terms[0] < 0.5
 
 
 def test_two_terms_of_one_effect_count_as_one():
-    found = posteriors([review("transmission_error", 3.0), review("transmission_error", 20.0)], {}, THRESHOLD)
+    found = posteriors(
+        [review("transmission_error", 3.0), review("transmission_error", 20.0)], {}, THRESHOLD, COORDINATES
+    )
     wanted = 1.0 / (1.0 + math.exp(-(23.0 - THRESHOLD) / 2.0))
     np.testing.assert_allclose(found.terms, wanted)
 
 
 def test_data_driven_terms_are_effects_of_their_own_and_not_among_the_names():
-    found = posteriors([review(UNKNOWN, THRESHOLD), review(UNKNOWN, 300.0)], {"backlash": -2.0}, THRESHOLD)
+    found = posteriors([review(UNKNOWN, THRESHOLD), review(UNKNOWN, 300.0)], {"backlash": -2.0}, THRESHOLD, COORDINATES)
     assert found.terms[0] == pytest.approx(0.5, abs=0.01)
     assert found.terms[1] == pytest.approx(1.0)
     assert set(found.effects) == {"backlash"}
@@ -76,7 +93,7 @@ def test_posteriors_are_calibrated_where_effects_are_as_frequent_as_the_prior_sa
         # the unit information prior, whose Bayes factor the criterion approximates
         value = rng.normal(0.0, math.sqrt(1.0 + coordinates)) if there else rng.normal()
         score = value**2 - math.log(coordinates)
-        p = posteriors([], {"backlash": score}, THRESHOLD).effects["backlash"]
+        p = posteriors([], {"backlash": score}, THRESHOLD, COORDINATES).effects["backlash"]
         stated.append(p)
         true.append(there)
     assert np.mean(stated) == pytest.approx(np.mean(true), abs=0.008)
