@@ -17,11 +17,12 @@ have far smaller weights unless two differences are likely each; they are left o
 
 Laws are nearly right, not right, which is more than noise can tell apart. A rival that scores less by D leaves a share
 m^2 of the sum of squares that the effect explains. This is either noise that happened, at a penalty of D, or an error
-of the rival's law, at a penalty of m^2 / t^2 if laws are off by N(0, t^2) of their size:
+of the rival's law, at a penalty of m^2 / t^2 if the errors of laws that look so are N(0, t^2) of their size:
 
     penalty = 1 / (1 / D + t^2 / m^2).
 
-What other laws in S leave over may likewise look like an effect, so that its score is that behind their free parts.
+What other laws in S leave over may likewise look like an effect, so that its score is that behind their free parts, and
+what it leads the threshold by is limited in the same way where a larger effect depends on the same variables.
 Rivals that tie share the probability. (Bayes factors: Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over
 models: Hoeting et al., Stat. Sci. 14 (1999) 382.)
 """
@@ -44,7 +45,11 @@ from cellapp.discovery.search.possible_score import possible_score
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, Review, SearchResult, SearchState
 from cellapp.discovery.terms import UNKNOWN
-from cellapp.effects import EFFECTS
+from cellapp.effects import EFFECTS, DriverVariable
+
+_LIKE_ANOTHER = CAUTIOUS_SHARE / 2.0
+"""Error of a law, as a share of its effect, that may look like one given other effect: laws hold to some 10 %, and an
+error may look like several things, here four."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +80,8 @@ def posteriors(
 ) -> Posteriors:
     """Probabilities from the scores of a final set's terms, of their rivals, and of ``further`` effects beside it.
 
-    The scores come from ``coordinates`` measured coordinates.
-    Several terms of one effect count as one, whose score is the sum of theirs; each data-driven term is an effect of
-    its own.
+    The scores come from ``coordinates`` measured coordinates. Several terms of one effect count as one, whose score is
+    the sum of theirs; each data-driven term is an effect of its own.
     """
     keys = [_key(review, number) for number, review in enumerate(reviews)]
     sets = [_Set(0.0), *(_Set((score - threshold) / 2.0, has=slug) for slug, score in further.items())]
@@ -112,7 +116,7 @@ def _penalty(score: float, rival: float, coordinates: int) -> float:
     left = math.exp(-rival / coordinates) - math.exp(-score / coordinates)
     if left <= 0.0:
         return 0.0
-    return 1.0 / (1.0 / (score - rival) + CAUTIOUS_SHARE**2 * explained / left)
+    return 1.0 / (1.0 / (score - rival) + _LIKE_ANOTHER**2 * explained / left)
 
 
 def _key(review: Review, number: int) -> str:
@@ -133,8 +137,31 @@ def cautious_reviews(found: SearchResult) -> tuple[Review, ...]:
             lost = max(_lost_beside(fit, number, others), 0.0)
             alternatives = {slug: score - lost for slug, score in review.alternatives.items()}
             review = replace(review, score=review.score - lost, alternatives=alternatives)
+        share = _share_of_a_larger(fit, number)
+        if review.score > found.threshold and share < math.inf:
+            allowed = 1.0 / (1.0 / (review.score - found.threshold) + _LIKE_ANOTHER**2 / share)
+            review = replace(review, score=found.threshold + allowed)
         cautious.append(review)
     return tuple(cautious)
+
+
+def _share_of_a_larger(fit: JointFit, number: int) -> float:
+    """Least share of a term's sum of squares in that of a larger one with common variables; infinite without one.
+
+    Such a term may be what the law of the larger one leaves over. That both depend on the configuration says nothing.
+    """
+    own, removed = fit.terms[number], fit.removed_square(number)
+    if not own.is_library_effect:
+        return math.inf
+    least = math.inf
+    for other, term in enumerate(fit.terms):
+        if other == number or not term.is_library_effect:
+            continue
+        common = (EFFECTS[own.slug].variables & EFFECTS[term.slug].variables) - {DriverVariable.JOINT_ANGLE}
+        larger = fit.removed_square(other)
+        if common and larger > removed:
+            least = min(least, removed / larger)
+    return least
 
 
 def _lost_beside(fit: JointFit, number: int, free_parts: Sequence[FreePart]) -> float:
