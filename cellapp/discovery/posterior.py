@@ -47,9 +47,11 @@ from cellapp.discovery.search.state import SCORE_MARGIN, Review, SearchResult, S
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import EFFECTS, DriverVariable
 
+_LIKE_A_RIVAL = CAUTIOUS_SHARE / 10.0
+"""Error of a law, as a share of its effect, that looks like what one given rival explains better. Laws hold to some
+10 %, but an error has many directions (a hundred of equal variance), and the rival's is one of them."""
 _LIKE_ANOTHER = CAUTIOUS_SHARE / 2.0
-"""Error of a law, as a share of its effect, that may look like one given other effect: laws hold to some 10 %, and an
-error may look like several things, here four."""
+"""Error of a law that may look like another effect of the same variables, with whatever values that has."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ def _penalty(score: float, rival: float, coordinates: int) -> float:
     left = math.exp(-rival / coordinates) - math.exp(-score / coordinates)
     if left <= 0.0:
         return 0.0
-    return 1.0 / (1.0 / (score - rival) + _LIKE_ANOTHER**2 * explained / left)
+    return 1.0 / (1.0 / (score - rival) + _LIKE_A_RIVAL**2 * explained / left)
 
 
 def _key(review: Review, number: int) -> str:
