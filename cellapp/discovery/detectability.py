@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,19 +32,14 @@ class _Detectable:
     least_rms: float
 
 
-def detectability(
-    found: SearchResult, accepted: Iterable[str]
-) -> tuple[tuple[AbsentEffect, ...], tuple[AbsentEffect, ...]]:
+def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffect, ...], tuple[AbsentEffect, ...]]:
     """Effects that the data cannot show, and effects that were not found, with their smallest detectable sizes.
 
-    ``accepted`` effects are left out.
+    ``scan`` is that of all effects that the final model does not have.
     """
-    others = [slug for slug in EFFECTS if slug not in set(accepted) and slug != UNKNOWN]
-    scan, white = found.scan, found.geometry_only.white
-    if found.fit.terms:
-        scan = LawScan.of(found.fit.candidates(found.data, others), found.fit.projector)
-        white = found.fit.white
-    noise_mm = 1e3 * _noise_m(white)
+    taken = {term.slug for term in found.fit.terms}
+    others = [slug for slug in EFFECTS if slug not in taken and slug != UNKNOWN]
+    noise_mm = 1e3 * _noise_m(found.fit.white if found.fit.terms else found.geometry_only.white)
     invisible: list[AbsentEffect] = []
     not_found: list[AbsentEffect] = []
     for slug in others:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cellapp.calibration.calibrate import rms_length_mm
 from cellapp.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.calibration.network_training import training_steps
 from cellapp.calibration.pair_calibration import calibrate_pair
@@ -21,16 +22,19 @@ from cellapp.discovery.joint_fit import JointFit, fit_terms, with_posterior
 from cellapp.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
 from cellapp.discovery.pictures.cycles import dominant_cycles
 from cellapp.discovery.pictures.term_pictures import pictures
+from cellapp.discovery.posterior import Posteriors, posteriors_of, remaining_scan
 from cellapp.discovery.remaining_network import needs_network, with_network
 from cellapp.discovery.search.comparison import scatter
 from cellapp.discovery.search.state import SearchResult
 from cellapp.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
+from cellapp.discovery.structure import structure_left
 from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, smoothness_of, without_term
 from cellapp.discovery.verdict import verdict
 from cellapp.effects import EFFECTS, MeasurementConditions
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
+from cellapp.results import Noise
 from cellapp.run import Readings
 
 _MOST_SEARCHED = 600
@@ -134,18 +138,20 @@ def discover_arm(
     cancel = cancel or CancelToken()
     conditions = conditions or measurement_conditions(readings)
     held_out = HeldOut.of(readings, conditions)
-    found, fitted = _search_and_refit(profile, model, readings, conditions, cancel, report)
+    searched, found, fitted = _search_and_refit(profile, model, readings, conditions, cancel, report)
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(found.fit.model)
     floor_mm = held_out.noise_floor_mm()
-    accepted = _accepted_effects(found, held_out, after.rms)
-    left = scatter(found.data, found.fit)
-    word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left)
+    scan = remaining_scan(searched)
+    probable = posteriors_of(searched, scan)
+    accepted = _accepted_effects(found, held_out, after.rms, probable)
+    left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
+    word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
     # with the descriptions of data-driven terms; where nothing was found the model stays as it was calibrated
     fitted_model = with_posterior(found.data, found.fit)
     final = replace(fitted_model, effects=tuple(effect.term for effect in accepted))
     if not accepted:
         final = replace(model, posterior=fitted_model.posterior)
-    invisible, not_found = detectability(found, [effect.term.slug for effect in accepted])
+    invisible, not_found = detectability(found, scan if found is searched else remaining_scan(found))
     return Discovery(
         accepted=accepted,
         noise_floor_mm=floor_mm,
@@ -165,7 +171,17 @@ def discover_arm(
         pictures=pictures(found.data, found.fit),
         scatter_m=0.0 if (smooth := smoothness_of(found.fit.terms)) is None else smooth.scatter_m,
         uncertainty_mm=held_out.predicted_uncertainty_mm(final),
+        noise_mm=_noise(found.data),
+        candidates=probable.effects,
+        structure=structure,
     )
+
+
+def _noise(data: ArmData) -> Noise:
+    """Rms length of the noise: as stated, else as the final fit estimated it, with all of the scatter."""
+    if data.stated is None:
+        return Noise(rms=rms_length_mm(data.sigma), source="estimated")
+    return Noise(rms=rms_length_mm(data.stated), source="stated")
 
 
 def _search_and_refit(
@@ -175,8 +191,8 @@ def _search_and_refit(
     conditions: MeasurementConditions,
     cancel: CancelToken,
     report: Report,
-) -> tuple[SearchResult, int | None]:
-    """Search at most ``_MOST_SEARCHED`` readings, then fit to all; also the number of all readings if it is larger."""
+) -> tuple[SearchResult, SearchResult, int | None]:
+    """Search at most ``_MOST_SEARCHED`` readings, then fit to all; the number of all readings if it is larger."""
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
     some = rows
     if len(rows) > _MOST_SEARCHED:
@@ -185,8 +201,9 @@ def _search_and_refit(
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
     found = search(ArmData.of(profile, model, readings.take(some), conditions.take(some)), slugs, cancel, report)
     if len(some) == len(rows) or not found.fit.terms:
-        return found, None
-    return refit_to_all(found, ArmData.of(profile, model, readings.take(rows), conditions.take(rows))), len(rows)
+        return found, found, None
+    to_all = refit_to_all(found, ArmData.of(profile, model, readings.take(rows), conditions.take(rows)))
+    return found, to_all, len(rows)
 
 
 def _gap_steps(
@@ -205,7 +222,9 @@ def _gap_steps(
     return tuple(steps)
 
 
-def _accepted_effects(found: SearchResult, held_out: HeldOut, after_mm: float) -> tuple[AcceptedEffect, ...]:
+def _accepted_effects(
+    found: SearchResult, held_out: HeldOut, after_mm: float, probable: Posteriors
+) -> tuple[AcceptedEffect, ...]:
     """The reviewed terms of the final model, in order, with the held-out error without each."""
     fit = found.fit
     accepted = []
@@ -227,6 +246,7 @@ def _accepted_effects(found: SearchResult, held_out: HeldOut, after_mm: float) -
                 correlated=_most_correlated(fit, number),
                 cycles=dominant_cycles(columns, term.values) if term.slug == TRANSMISSION_ERROR else None,
                 description=description,
+                posterior=probable.terms[number],
             )
         )
     return tuple(accepted)

@@ -34,7 +34,7 @@ _EXCESS_CHANGE = 0.02
 """Relative change of the excess variance below which its estimate has converged: weights then change by 1 %."""
 _DRAW_SEED = 0xD4A7
 """Beside the profile's seed: the draws of parameters are then independent of all other draws."""
-_BOUND_ERRORS = 4.0
+BOUND_ERRORS = 4.0
 """Standard errors by which a value may exceed its physical bound: chance does so in one of 30 000 cases. The estimate
 of a joint that an effect hardly loads is often negative."""
 
@@ -159,7 +159,7 @@ class JointFit:
             for column, value, error in zip(
                 self.term_columns(term), self.term_values(term).tolist(), errors, strict=True
             )
-            if not column.lower - _BOUND_ERRORS * error <= value <= column.upper + _BOUND_ERRORS * error
+            if not column.lower - BOUND_ERRORS * error <= value <= column.upper + BOUND_ERRORS * error
         }
 
 

@@ -7,23 +7,31 @@ from collections.abc import Sequence
 
 from cellapp.discovery.outcome import AcceptedEffect
 from cellapp.discovery.search.comparison import FLOOR_CHANCE, Scatter
+from cellapp.discovery.structure import has_structure
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import EFFECTS
-from cellapp.results import Verdict
+from cellapp.results import RemainingStructure, Verdict
 
 _FLOOR = 1.05
 """Held-out rms error over the noise floor up to which the gap counts as closed: the twin's plan of a hundred held-out
 stops scatters it by 4 %."""
-_UNSTRUCTURED = 1.5
-"""Factor on the stated uncertainty up to which scatter without any structure is called noise and not an effect."""
 _SAMPLING_ERRORS = 2.5
 """Standard errors of the held-out rms by which it may pass the floor: a chance of 0.6 %."""
 
 
 def verdict(
-    accepted: Sequence[AcceptedEffect], floor_mm: float, after_mm: float, held_out: int, scatter: Scatter | None
+    accepted: Sequence[AcceptedEffect],
+    floor_mm: float,
+    after_mm: float,
+    held_out: int,
+    scatter: Scatter | None,
+    structure: RemainingStructure,
 ) -> tuple[Verdict, str]:
-    """Verdict and sentence; ``held_out`` is the number of held-out readings, ``scatter`` that of what is left."""
+    """Verdict and sentence.
+
+    ``held_out`` is the number of held-out readings; ``scatter`` and ``structure`` are those of what is left. An error
+    at the stated noise counts as explained. Above it, and where none is stated, what is left must show no structure.
+    """
     driven = [effect.description for effect in accepted if effect.description is not None]
     named = [effect for effect in accepted if effect.term.slug != UNKNOWN]
     names = " and ".join(EFFECTS[effect.term.slug].title for effect in named)
@@ -32,21 +40,32 @@ def verdict(
         also = f"{names}, and " if names else ""
         described = "; ".join(description.sentence for description in driven)
         return "unknown effect", f"{also}something that the library does not have: {described}"
-    if scatter is None:
-        left = "the readings state no uncertainty, so it is not known whether what is left is noise"
-        if ambiguous:
-            return "ambiguous", f"{names}, or {_rivals(ambiguous)}; {left}"
-        return ("explained", f"{names}; {left}") if accepted else ("nothing missing", f"nothing found; {left}")
-    gap = f"{after_mm * 1e3:.0f} um rms held out against a noise floor of {floor_mm * 1e3:.0f} um"
-    closed = _gap_closed(floor_mm, after_mm, held_out, scatter)
-    if not closed and (accepted or scatter.ratio > _UNSTRUCTURED):
+    closed = scatter is not None and _gap_closed(floor_mm, after_mm, held_out, scatter)
+    left = _left(floor_mm, after_mm, scatter, structure, closed=closed)
+    if not closed and has_structure(structure):
         found = f"{names} found{' (or a look-alike)' if ambiguous else ''}, but " if accepted else ""
-        return "unknown effect", f"{found}the library does not explain all of the error; {gap}"
+        return "unknown effect", f"{found}the library does not explain all of the error; {left}"
     if not accepted:
-        return "nothing missing", gap if closed else f"{_unstructured(scatter)}; {gap}"
+        return "nothing missing", left if closed else f"no effect found; {left}"
     if ambiguous:
-        return "ambiguous", f"{names}, or {_rivals(ambiguous)}: these data cannot distinguish them; {gap}"
-    return "explained", f"{names}; {gap}"
+        return "ambiguous", f"{names}, or {_rivals(ambiguous)}: these data cannot distinguish them; {left}"
+    return "explained", f"{names}; {left}"
+
+
+def _left(
+    floor_mm: float, after_mm: float, scatter: Scatter | None, structure: RemainingStructure, *, closed: bool
+) -> str:
+    """What is left, in words."""
+    held_out = f"{after_mm * 1e3:.0f} um rms held out"
+    if scatter is None:
+        return f"{structure.sentence}; {held_out}, and the readings state no uncertainty"
+    gap = f"{held_out} against a noise floor of {floor_mm * 1e3:.0f} um"
+    if closed:
+        return gap
+    if has_structure(structure):
+        return f"{structure.sentence}; {gap}"
+    without = "but without structure" if structure.tests else "and are too few to test for structure"
+    return f"readings scatter {scatter.ratio:.2f} times as stated {without}: repeatability or noise; {gap}"
 
 
 def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: Scatter) -> bool:
@@ -57,13 +76,6 @@ def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: Scatte
         after_mm <= floor_mm * _FLOOR
         or scatter.p_value > FLOOR_CHANCE
         or (after_mm <= floor_mm * sampling and scatter.ratio < _FLOOR)
-    )
-
-
-def _unstructured(scatter: Scatter) -> str:
-    return (
-        f"no effect found; readings scatter {scatter.ratio:.2f} times as stated but without structure in joints, time"
-        " or field: repeatability or noise, not something a model could follow"
     )
 
 

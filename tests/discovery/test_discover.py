@@ -88,6 +88,9 @@ def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan):
         for discovery in found.values():
             assert names(discovery) == set()
             assert discovery.verdict == "nothing missing"
+            assert max(discovery.candidates.values()) < 0.5
+            assert discovery.structure is not None
+            assert {test.against for test in discovery.structure.tests} > {"joints", "approach", "position"}
             assert discovery.after.rms == pytest.approx(discovery.noise_floor_mm, rel=0.25)
 
 
@@ -114,6 +117,7 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
         assert discovery.after.rms < 0.4 * discovery.before.rms
         for finding in discovery.accepted:
             assert finding.p_value < 0.01
+            assert finding.posterior == discovery.candidates[finding.term.slug] > 0.9
             assert finding.heldout_after_mm < finding.heldout_before_mm
             for name, value, error in zip(
                 finding.term.names, finding.term.values, finding.term.standard_errors, strict=True
@@ -231,6 +235,11 @@ def test_look_alikes_that_the_data_cannot_distinguish_are_an_answer_set(plan):
     assert found.verdict == "ambiguous"
     answers = set(found.accepted[0].answer_set)
     assert {"backlash", "unsettled_measurement"} <= answers
+    # they share the probability
+    shares = [found.candidates[slug] for slug in answers]
+    assert max(shares) < 0.6
+    assert min(shares) == pytest.approx(max(shares), abs=0.05)
+    assert sum(found.candidates.values()) == pytest.approx(1.0, abs=0.1)
 
 
 def test_effects_that_the_data_cannot_show_are_listed(plan):

@@ -8,6 +8,8 @@ import pytest
 from cellapp.discovery.outcome import AcceptedEffect
 from cellapp.discovery.search.comparison import Scatter
 from cellapp.discovery.search.state import Rival
+from cellapp.discovery.sentences import remaining_structure
+from cellapp.discovery.structure import CHANCE
 from cellapp.discovery.verdict import verdict
 from cellapp.effects import EFFECTS, EffectTerm
 
@@ -15,6 +17,9 @@ pytestmark = pytest.mark.fast
 
 NOISE = Scatter(1.0, 0.5)
 FAR_ABOVE = Scatter(3.0, 0.0)
+NONE = remaining_structure({"joints": 0.4, "time": 0.2}, CHANCE)
+STRUCTURE = remaining_structure({"joints": 0.4, "time": 1e-6}, CHANCE)
+UNTESTED = remaining_structure({}, CHANCE)
 
 
 def accepted(*rivals: Rival) -> AcceptedEffect:
@@ -24,19 +29,31 @@ def accepted(*rivals: Rival) -> AcceptedEffect:
 
 
 @pytest.mark.parametrize(
-    ("effects", "after_mm", "scatter", "word"),
+    ("effects", "after_mm", "scatter", "structure", "word"),
     [
-        ([], 0.1, NOISE, "nothing missing"),
-        ([], 0.12, Scatter(1.2, 0.0), "nothing missing"),
-        ([], 0.3, FAR_ABOVE, "unknown effect"),
-        ([accepted()], 0.1, NOISE, "explained"),
-        ([accepted(Rival("friction_windup", 45.0, True))], 0.1, NOISE, "explained"),
-        ([accepted(Rival("friction_windup", 45.0, False))], 0.1, NOISE, "ambiguous"),
-        ([accepted()], 0.3, FAR_ABOVE, "unknown effect"),
-        ([accepted()], 0.3, None, "explained"),
+        ([], 0.1, NOISE, NONE, "nothing missing"),
+        ([], 0.12, Scatter(1.2, 0.0), NONE, "nothing missing"),
+        ([], 0.12, Scatter(1.2, 0.0), STRUCTURE, "unknown effect"),
+        ([], 0.3, FAR_ABOVE, STRUCTURE, "unknown effect"),
+        ([], 0.3, FAR_ABOVE, NONE, "nothing missing"),
+        ([], 0.3, None, NONE, "nothing missing"),
+        ([], 0.3, None, STRUCTURE, "unknown effect"),
+        ([accepted()], 0.1, NOISE, NONE, "explained"),
+        ([accepted()], 0.1, NOISE, STRUCTURE, "explained"),
+        ([accepted(Rival("friction_windup", 45.0, True))], 0.1, NOISE, NONE, "explained"),
+        ([accepted(Rival("friction_windup", 45.0, False))], 0.1, NOISE, NONE, "ambiguous"),
+        ([accepted(Rival("friction_windup", 45.0, False))], 0.3, None, STRUCTURE, "unknown effect"),
+        ([accepted()], 0.3, FAR_ABOVE, STRUCTURE, "unknown effect"),
+        ([accepted()], 0.3, FAR_ABOVE, NONE, "explained"),
+        ([accepted()], 0.3, FAR_ABOVE, UNTESTED, "explained"),
+        ([accepted()], 0.3, None, NONE, "explained"),
+        ([accepted()], 0.3, None, STRUCTURE, "unknown effect"),
     ],
 )
-def test_the_verdict_follows_from_effects_rivals_and_scatter(effects, after_mm, scatter, word) -> None:
-    found, sentence = verdict(effects, 0.1, after_mm, 100, scatter)
+def test_the_verdict_follows_from_effects_rivals_and_what_is_left(effects, after_mm, scatter, structure, word) -> None:
+    found, sentence = verdict(effects, 0.1, after_mm, 100, scatter, structure)
     assert found == word
-    assert ("uncertainty" in sentence) == (scatter is None)
+    assert ("state no uncertainty" in sentence) == (scatter is None)
+    assert ("still depends on time" in sentence) == (word == "unknown effect")
+    scatters = scatter is not None and after_mm > 0.1 and structure is not STRUCTURE
+    assert ("times as stated" in sentence) == scatters

@@ -11,6 +11,7 @@ from cellapp.discovery.candidates import LawScore, best_law_of_each_effect
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.search.comparison import floor_reached
+from cellapp.discovery.search.possible_score import possible_score
 from cellapp.discovery.search.scan import LawScan, choice_price
 from cellapp.discovery.search.state import SCORE_MARGIN, Review, Rival, SearchProblem, SearchState
 from cellapp.discovery.terms import UNKNOWN, without_term
@@ -77,17 +78,22 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
     if term.smooth is not None:
         return Review(term, term.smooth.evidence, problem.p_value(term.smooth.evidence), ())
     score = term_score(fit, number)
-    rivals: list[Rival] = []
-    if term.slug != UNKNOWN:
-        residual = fit.residual_without(number)
-        others = [slug for slug in problem.slugs if slug not in state.slugs]
-        scan = LawScan.of(fit.candidates(state.data, others), residual.projector)
-        rivals = [
-            Rival(rival.slug, rival.value, _explains_beside(problem, fit, number, rival))
-            for rival in best_law_of_each_effect(scan.ranked(residual))
-            if rival.value > max(score - SCORE_MARGIN, 0.0)
-        ]
-    return Review(term, score, problem.p_value(score), tuple(rivals))
+    if term.slug == UNKNOWN:
+        return Review(term, score, problem.p_value(score), ())
+    residual = fit.residual_without(number)
+    others = [slug for slug in problem.slugs if slug not in state.slugs]
+    scan = LawScan.of(fit.candidates(state.data, others), residual.projector)
+    best = best_law_of_each_effect(scan.ranked(residual))
+    rivals = [
+        Rival(rival.slug, rival.value, _explains_beside(problem, fit, number, rival))
+        for rival in best
+        if rival.value > max(score - SCORE_MARGIN, 0.0)
+    ]
+    alternatives = {rival.slug: rival.value for rival in best}
+    alternatives |= {
+        rival.slug: possible_score(residual, rival) for rival in best if rival.value > score - 2.0 * SCORE_MARGIN
+    }
+    return Review(term, score, problem.p_value(score), tuple(rivals), alternatives)
 
 
 def _explains_beside(problem: SearchProblem, fit: JointFit, number: int, rival: LawScore) -> bool:

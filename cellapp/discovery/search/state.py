@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, refit
@@ -101,12 +101,16 @@ class Rival:
 
 @dataclass(frozen=True)
 class Review:
-    """Score of an accepted term beside all others, and the effects that could take its place."""
+    """Score of an accepted term beside all others, and the effects that could take its place.
+
+    ``alternatives`` are the scores of all effects in its place, with physically possible values, by slug.
+    """
 
     term: ModelTerm
     score: float
     p_value: float
     rivals: tuple[Rival, ...]
+    alternatives: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
