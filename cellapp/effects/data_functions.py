@@ -16,7 +16,9 @@ from cellapp.effects.data_driven import (
     Quantity,
     Variable,
     data_driven_form,
+    position_in_base,
 )
+from cellapp.effects.field import field_functions
 from cellapp.effects.law import Constant, Law
 from cellapp.effects.time_functions import run_span, with_default
 from cellapp.kinematics.transforms import Array
@@ -59,7 +61,10 @@ def _about(azimuth: Array, center: float) -> Array:
 
 def functions(context: EffectContext, law: Law) -> dict[str, Array]:
     """Functions (n,) of a law's variables, by name."""
-    drivers = data_driven_form(law).drivers
+    form = data_driven_form(law)
+    if form.is_field:
+        return field_functions(position_in_base(context), law.constants)
+    drivers = form.drivers
     first = _own(law.constants, FIRST_CONSTANTS, "")
     if len(drivers) == 1:
         if drivers[0].quantity is Quantity.TIME:

@@ -25,8 +25,10 @@ from cellapp.effects.data_driven import (
 )
 from cellapp.effects.data_functions import PAIR_ORDER, functions, run_constants
 from cellapp.effects.effect import Effect
+from cellapp.effects.field import FIELD_LENGTH, field_frequencies, field_variances
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.effects.unknown_meaning import UNKNOWN_MEANING, data_driven_meaning
 from cellapp.kinematics.transforms import Array
 
@@ -49,6 +51,9 @@ class Unknown(Effect):
     ``order``, ``low``, ``high`` and ``typical`` (the default where unknown: the end of the run for time, no step, the
     run's median dwell, its mean temperature, the nominal payload), ``center`` of an azimuth; with a ``2`` appended for
     the second variable.
+
+    Of the position: the smooth field over the workspace of ``effects.field``, a shift along x, y and z of the base with
+    one amplitude and one length scale.
 
     It is not scanned like the named effects; ``dictionary`` and ``pairs`` list the laws to try. A term imitates every
     named effect that has its channel and variable.
@@ -98,7 +103,7 @@ class Unknown(Effect):
                 )
                 for name, one in values.items()
             ]
-        return columns
+        return _with_priors(columns, law) if data_driven_form(law).is_field else columns
 
 
 def dictionary(context: EffectContext) -> list[Law]:
@@ -157,6 +162,13 @@ def pairs(
             both[key] = min(both[key], float(PAIR_ORDER))
         laws += [_law(one, (first, second), both) for one in chosen]
     return laws
+
+
+def _with_priors(columns: list[EffectColumn], law: Law) -> list[EffectColumn]:
+    """The columns of a field with the priors of its amplitude and length scale; each direction has all functions."""
+    variances = field_variances(law.constants[FIELD_LENGTH.name], field_frequencies(law.constants))
+    sd = law.constants[AMPLITUDE.name] * np.sqrt(variances)
+    return [with_prior(column, sd[k % len(sd)]) for k, column in enumerate(columns)]
 
 
 def channel_directions(context: EffectContext, channel: DataChannel) -> list[Array]:
