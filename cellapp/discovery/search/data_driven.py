@@ -12,7 +12,7 @@ from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.search.channel_scan import ChannelScan, Families
-from cellapp.discovery.search.comparison import best_state, floor_reached, scatter
+from cellapp.discovery.search.comparison import best_state, criterion, floor_reached, scatter
 from cellapp.discovery.search.free_part import explains_beside_free_parts
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
@@ -28,6 +28,9 @@ _COORDINATES_EACH = 4
 _LEAST_SHARE = 0.1
 """Least share of the remaining sum of squares beyond the noise that a term must explain: 5 % of the rms error. A check
 on a hundred held-out stops does not show less: its rms is itself uncertain by 4 %, 1 / sqrt(2 x 300 coordinates)."""
+_PROMISE = 0.67
+"""Score of a term, in the scan, over the gain of a fitted model from which it may be better: the scan weighs all
+coordinates alike while the effect is still in the residual, and its scores are up to 30 % too low."""
 _SELECTED = 5
 """Laws of the best scores whose columns are made: selection drops columns that do not show, which changes a score by a
 little."""
@@ -44,6 +47,18 @@ def with_data_driven_terms(problem: SearchProblem, state: SearchState) -> Search
             break
         driven = further
     return driven
+
+
+def in_place_of_names(problem: SearchProblem, start: SearchState, best: SearchState) -> SearchState | None:
+    """Data-driven terms on the geometry alone, where one of them promises about as much as ``best``; else None.
+
+    Several names, or a free function, can imitate one law that the library lacks. ``start`` is the geometry alone.
+    """
+    if not best.fit.terms:
+        return None
+    gain = criterion(start.fit) - criterion(best.fit)
+    promised = max((score.value for score in _best_scores(problem, start)), default=-math.inf)
+    return with_data_driven_terms(problem, start) if promised > _PROMISE * gain else None
 
 
 def _with_term(problem: SearchProblem, state: SearchState) -> SearchState | None:
