@@ -371,7 +371,7 @@ class _Problem:
         covariance = before if weighed == point.variance else _covariance(point, weighed)
         chosen = self._determined(normal.A / point.variance) if self.tabulated else self.parameters
         to_table, kept = chosen.from_estimated(self.parameters, self.effect_count)
-        in_table = to_table @ covariance @ to_table.T
+        in_table = covariance if chosen is self.parameters else to_table @ covariance @ to_table.T
         gram = normal.gram[kept[:, None], kept]
         scale = parameter_scale(gram, n, chosen)
         return Identification(

@@ -72,7 +72,7 @@ def _network(training: Training) -> NetworkResult:
     return NetworkResult(
         used=training.network is not None,
         inputs=training.shape.inputs,
-        hidden=training.shape.hidden,
+        hidden=(training.shape.hidden,),
         turning=training.shape.rotates_with_joint_1,
         left_out_rms_mm=training.left_out_rms * 1e3,
         without_rms_mm=training.without_rms * 1e3,
@@ -83,7 +83,7 @@ def _network(training: Training) -> NetworkResult:
 def _trial(shape: Shape, left_out_rms_m: float) -> NetworkTrial:
     return NetworkTrial(
         inputs=shape.inputs,
-        hidden=shape.hidden,
+        hidden=(shape.hidden,),
         turning=shape.rotates_with_joint_1,
         left_out_rms_mm=left_out_rms_m * 1e3,
     )

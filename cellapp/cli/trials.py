@@ -9,13 +9,14 @@ import typer
 
 from cellapp.cli.job import Job
 from cellapp.cli.options import JsonOption, ProfilePath
-from cellapp.errors import CellappError, CheckFailed, InputError
+from cellapp.cli.trial_files import check_bars, check_markdown, write_markdown
+from cellapp.errors import CheckFailed
 
-trials_app = typer.Typer(help="Trials on simulated cells, emulated devices and measured series.", no_args_is_help=True)
-
-MarkdownOption = Annotated[
+MarkdownFile = Annotated[
     Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE.")
 ]
+
+trials_app = typer.Typer(help="Trials on simulated cells, emulated devices and measured series.", no_args_is_help=True)
 
 
 @trials_app.command("coverage")
@@ -246,7 +247,7 @@ def judge(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the trials.")],
     jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 2,
     again: Annotated[bool, typer.Option("--again", help="Judge again also what was judged before.")] = False,
-    markdown: MarkdownOption = None,
+    markdown: MarkdownFile = None,
     json_file: JsonOption = None,
 ) -> None:
     """Calibrate and discover on every sealed run, then open the truth and compare; continues where it was stopped."""
@@ -254,16 +255,47 @@ def judge(
     from cellapp.trials.tables import judge_markdown, judge_sentences, judge_tables
 
     with Job(json_file) as job:
-        _check_markdown(markdown)
+        check_markdown(markdown)
         result = judge_trials(folder, jobs=jobs, again=again, listener=job.listen, cancel=job.control)
         job.show(judge_tables(result))
         job.say(*judge_sentences(result))
         job.result(result)
-        _write_markdown(markdown, judge_markdown(result))
-        if result.failed:
-            raise CheckFailed(f"{len(result.failed)} runs could not be judged: {'; '.join(result.failed)}")
-        if result.missed:
-            raise CheckFailed(f"bars missed: {'; '.join(f'{one.kind}: {one.target}' for one in result.missed)}")
+        write_markdown(markdown, judge_markdown(result))
+        check_bars(result.failed, result.missed)
+
+
+@trials_app.command("blind-matrix")
+def blind_matrix(
+    profile: ProfilePath,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder with a folder of trials for each cell.")],
+    n: Annotated[int, typer.Option("--n", min=1, help="Runs of each cell.")] = 40,
+    only: Annotated[
+        str, typer.Option("--only", metavar="PATTERN", help="Only cells of such names, as 'other.*' or '*.one'.")
+    ] = "*",
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="Draws everything; left out, secret ones are drawn.")
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 2,
+    markdown: MarkdownFile = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Sealed trials of every kind under many conditions; continues where it was stopped."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.blind_matrix import blind_matrix as run_matrix
+    from cellapp.trials.blind_matrix import matrix_cells
+    from cellapp.trials.tables import matrix_markdown, matrix_sentences, matrix_tables
+
+    with Job(json_file) as job:
+        check_markdown(markdown)
+        cells = matrix_cells(only)
+        result = run_matrix(
+            load_profile(profile), out, n, cells, seed=seed, jobs=jobs, listener=job.listen, cancel=job.control
+        )
+        job.show(matrix_tables(result))
+        job.say(*matrix_sentences(result))
+        job.result(result)
+        write_markdown(markdown, matrix_markdown(result))
+        check_bars(result.failed, result.missed)
 
 
 @trials_app.command("league")
@@ -280,7 +312,7 @@ def league(
     profiles: Annotated[Path, typer.Option("--profiles", metavar="DIR", help="Folder of their profiles.")] = Path(
         "profiles"
     ),
-    markdown: MarkdownOption = None,
+    markdown: MarkdownFile = None,
     json_file: JsonOption = None,
 ) -> None:
     """Real robots, measured by others: geometry, network and discovery on rows that were held out, against bars."""
@@ -290,7 +322,7 @@ def league(
     from cellapp.trials.league.trial import league_trials
 
     with Job(json_file) as job:
-        _check_markdown(markdown)
+        check_markdown(markdown)
         result = league_trials(
             [name.strip() for name in series.split(",")],
             parse_rows(rows),
@@ -306,20 +338,6 @@ def league(
         job.show(league_tables(result))
         job.say(*league_sentences(result))
         job.result(result)
-        _write_markdown(markdown, as_markdown(league_tables(result), league_sentences(result)))
+        write_markdown(markdown, as_markdown(league_tables(result), league_sentences(result)))
         if result.complaints():
             raise CheckFailed(f"trials league: {'; '.join(result.complaints())}")
-
-
-def _check_markdown(path: Path | None) -> None:
-    if path is not None and not path.absolute().parent.is_dir():
-        raise InputError(f"--markdown: {path}: folder not found; nothing was done")
-
-
-def _write_markdown(path: Path | None, text: str) -> None:
-    if path is None:
-        return
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CellappError(f"--markdown: {path} cannot be written ({error.strerror})") from None

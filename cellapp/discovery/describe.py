@@ -14,6 +14,7 @@ from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import Channel, EffectColumn, LawForm
+from cellapp.effects.contradiction import is_contradiction
 from cellapp.effects.data_driven import DataChannel, Variable, data_driven_form
 from cellapp.effects.field import FIELD_LENGTH
 from cellapp.effects.unknown import channel_directions
@@ -56,7 +57,9 @@ class Description:
 
 
 def describe(data: ArmData, fit: JointFit, number: int) -> Description:
-    """Describe a data-driven term of a fit."""
+    """Describe a data-driven term of a fit, or a law with impossible values."""
+    if is_contradiction(fit.terms[number].law):
+        return _contradiction(fit, number)
     form = data_driven_form(fit.terms[number].law)
     channel, variables = form.channel, form.drivers
     names = tuple(variable.name for variable in variables)
@@ -75,6 +78,15 @@ def describe(data: ArmData, fit: JointFit, number: int) -> Description:
     one_curve = len(variables) == 1 and fit.term_columns(number)[0].joint is not None
     curve = _curve(fit, number, values[0]) if one_curve else ()
     return Description(channel.name, names, size_um, formula, gain, curve, sentence)
+
+
+def _contradiction(fit: JointFit, number: int) -> Description:
+    """A law of the library with impossible values: the sentence of its term, and its size."""
+    term, size_um = fit.terms[number], _visible_rms(fit, number) * 1e6
+    places = dict.fromkeys(column.where for column in fit.term_columns(number))
+    names = sorted(variable.value for variable in term.law.form.variables)
+    sentence = f"{term.note}; {size_um:.0f} um rms at the SMR"
+    return Description(", ".join(places), tuple(names), size_um, "", None, (), sentence)
 
 
 def _visible_rms(fit: JointFit, number: int) -> float:

@@ -17,7 +17,7 @@ from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.describe import describe
 from cellapp.discovery.detectability import detectability
 from cellapp.discovery.held_out import HeldOut
-from cellapp.discovery.joint_fit import JointFit, fit_terms
+from cellapp.discovery.joint_fit import JointFit, fit_terms, with_posterior
 from cellapp.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
 from cellapp.discovery.pictures.cycles import dominant_cycles
 from cellapp.discovery.pictures.term_pictures import pictures
@@ -142,7 +142,10 @@ def discover_arm(
     left = scatter(found.data, found.fit)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left)
     # with the descriptions of data-driven terms; where nothing was found the model stays as it was calibrated
-    final = replace(found.fit.model, effects=tuple(effect.term for effect in accepted)) if accepted else model
+    fitted_model = with_posterior(found.data, found.fit)
+    final = replace(fitted_model, effects=tuple(effect.term for effect in accepted))
+    if not accepted:
+        final = replace(model, posterior=fitted_model.posterior)
     invisible, not_found = detectability(found, [effect.term.slug for effect in accepted])
     return Discovery(
         accepted=accepted,

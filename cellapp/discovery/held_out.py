@@ -57,7 +57,7 @@ class HeldOut:
 
     def predicted_uncertainty_mm(self, model: ArmModel) -> PredictedUncertainty | None:
         """Median and largest uncertainty that a model predicts of itself here; None where it predicts none."""
-        predicted = model.uncertainty(self.readings.q)
+        predicted = model.uncertainty(self.readings.q, self.conditions)
         if not predicted.any():
             return None
         return PredictedUncertainty(median=float(np.median(predicted)) * 1e3, largest=float(predicted.max()) * 1e3)

@@ -6,6 +6,7 @@ and by those of the terms. The residual y and these rows define the linear model
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,13 +26,14 @@ from cellapp.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
+from cellapp.model.posterior import PosteriorDraws
 
 _WEIGHING_ROUNDS = 3
 """Rounds of fitting and estimating the excess variance at most: the fit depends on its root only, and weakly."""
 _EXCESS_CHANGE = 0.02
 """Relative change of the excess variance below which its estimate has converged: weights then change by 1 %."""
-_CURVE_POINTS = 180
-"""Points of a curve's standard deviation over a turn: one in 2 degrees, below the shortest period (3.6)."""
+_DRAW_SEED = 0xD4A7
+"""Beside the profile's seed: the draws of parameters are then independent of all other draws."""
 _BOUND_ERRORS = 4.0
 """Standard errors by which a value may exceed its physical bound: chance does so in one of 30 000 cases. The estimate
 of a joint that an effect hardly loads is often negative."""
@@ -192,6 +194,26 @@ def _with_misfits(fit: JointFit) -> JointFit:
     return replace(fit, model=replace(fit.model, effects=tuple(stated)))
 
 
+def with_posterior(data: ArmData, fit: JointFit) -> ArmModel:
+    """The fitted model with draws of its parameters, and the scatter of the readings."""
+    found = fit.identification
+    draws = PosteriorDraws.of_covariance(
+        columns=found.estimated.columns,
+        sizes=[term.size for term in fit.terms],
+        covariance=found.covariance,
+        noise_m=math.sqrt(mean_variance(data.sigma)) * max(found.scale, 1.0),
+        seed=(data.profile.seed, _DRAW_SEED),
+    )
+    return replace(fit.model, posterior=draws)
+
+
+def mean_variance(sigma: Array) -> float:
+    """Mean variance of a coordinate [m^2] of standard uncertainties (n,) or covariances (n, 3, 3)."""
+    if sigma.ndim == 1:
+        return float(np.mean(sigma**2))
+    return float(np.mean(np.trace(sigma, axis1=1, axis2=2))) / 3.0
+
+
 def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
     """Fit terms with weights of their own; effects are evaluated at the geometry that this finds."""
     here = reweighted(data, terms)
@@ -320,11 +342,8 @@ def _fitted_model(
     kept = list(range(layout.geometric))
     for number, term in enumerate(terms):
         here = layout.parameters(number)
-        bands: dict[int, Array] = {}
         if term.smooth is None:
             kept += range(here.start, here.start + len(term.names))
-        else:
-            bands = _curve_bands(found.covariance[here, here], columns[layout.columns(number)])
         fitted.append(
             EffectTerm(
                 slug=term.slug,
@@ -334,7 +353,6 @@ def _fitted_model(
                 units=found.units[here],
                 law=term.law,
                 note=term.note,
-                spread=bands,
                 modulations=term.modulations,
             )
         )
@@ -345,16 +363,3 @@ def _fitted_model(
         identified=tuple(found.names[i] for i in kept),
         covariance=found.covariance[np.ix_(kept, kept)],
     )
-
-
-def _curve_bands(covariance: Array, columns: Sequence[EffectColumn]) -> dict[int, Array]:
-    """Standard deviation [rad] of the curve of each joint that a smooth term offsets, at equal steps of its angle."""
-    around = np.linspace(-np.pi, np.pi, _CURVE_POINTS, endpoint=False)
-    bands = {}
-    waves = [(k, column.joint, column.wave) for k, column in enumerate(columns)]
-    for joint in sorted({joint for _, joint, wave in waves if joint is not None and wave is not None}):
-        own = [k for k, of_joint, wave in waves if of_joint == joint and wave is not None]
-        shapes = np.array([wave(around) for _, of_joint, wave in waves if of_joint == joint and wave is not None])
-        variance = np.einsum("mp,mp->p", shapes, covariance[np.ix_(own, own)] @ shapes)
-        bands[joint] = np.sqrt(np.maximum(variance, 0.0))
-    return bands

@@ -14,7 +14,6 @@ from cellapp.model import ArmModel, CellModel
 from cellapp.results import (
     AbsentEffect,
     BeforeAfter,
-    Contradiction,
     CycleBand,
     HeldOutPosition,
     Noise,
@@ -50,8 +49,6 @@ class AcceptedEffect:
         Of a data-driven term.
     posterior : float
         Probability that the effect is there, from the evidences of competing sets; NaN where it was not computed.
-    law_misfit : float, optional
-        Rms of the SMR's displacement by its smooth free part over that by the whole effect; None where it has none.
     """
 
     term: EffectTerm
@@ -66,7 +63,11 @@ class AcceptedEffect:
     cycles: Mapping[str, CycleBand] | None = None
     description: Description | None = None
     posterior: float = math.nan
-    law_misfit: float | None = None
+
+    @property
+    def law_misfit(self) -> float | None:
+        """Rms displacement of the SMR by its smooth free part over that by its law; None where it has no free part."""
+        return self.term.law_misfit if self.term.modulations else None
 
     @property
     def answer_set(self) -> tuple[str, ...]:
@@ -121,8 +122,6 @@ class Discovery:
         Posterior probability of every effect that was tested, by its slug.
     structure : RemainingStructure, optional
         Tests for structure in what is left.
-    contradictions : tuple of Contradiction
-        Findings with an impossible sign or size, which count as unknown.
     """
 
     accepted: tuple[AcceptedEffect, ...]
@@ -147,7 +146,6 @@ class Discovery:
     noise_mm: Noise | None = None
     candidates: Mapping[str, float] = field(default_factory=dict)
     structure: RemainingStructure | None = None
-    contradictions: tuple[Contradiction, ...] = ()
 
 
 @dataclass(frozen=True)

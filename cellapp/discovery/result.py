@@ -13,11 +13,13 @@ from cellapp.discovery.proposal.predictions import PredictedDiscrimination
 from cellapp.discovery.propose import Proposal as ProposedStops
 from cellapp.discovery.propose import ProposedStop
 from cellapp.effects import EFFECTS, Meaning, place_in_words, term_to_json
+from cellapp.effects.contradiction import contradicted_effect, is_contradiction
 from cellapp.planning.stop_conditions import StopConditions
 from cellapp.results import (
     AcceptedEffect,
     ArmDiscoveryResult,
     BeforeAfter,
+    Contradiction,
     Correlation,
     DiscoverResult,
     Discrimination,
@@ -58,7 +60,7 @@ def arm_result(found: Discovery) -> ArmDiscoveryResult:
         scatter=_finite(found.scatter),
         accepted=tuple(_accepted(effect) for effect in found.accepted),
         candidates=found.candidates,
-        contradictions=found.contradictions,
+        contradictions=tuple(_contradiction(effect) for effect in found.accepted if is_contradiction(effect.term.law)),
         structure=found.structure,
         invisible=found.invisible,
         not_found=found.not_found,
@@ -102,7 +104,7 @@ def _accepted(effect: outcome.AcceptedEffect) -> AcceptedEffect:
             channel=None if described is None else described.channel,
             variables=None if described is None else described.variables,
         ),
-        parameters={name: Estimate.model_validate(entry) for name, entry in shared["parameters"].items()},
+        parameters={name: Estimate.model_validate(shared["parameters"][name]) for name in term.law_names},
         evidence=Evidence(
             statistic=effect.score,
             corrected_p=effect.p_value,
@@ -121,6 +123,16 @@ def _accepted(effect: outcome.AcceptedEffect) -> AcceptedEffect:
         meaning=_meaning(EFFECTS[term.slug].meaning_of(term.law).at(place_in_words(effect.acts_on))),
         cycles=effect.cycles,
         description=None if described is None else _description(described),
+    )
+
+
+def _contradiction(effect: outcome.AcceptedEffect) -> Contradiction:
+    contradicted = contradicted_effect(effect.term.law)
+    return Contradiction(
+        effect=contradicted.slug,
+        joints=effect.joints,
+        size_um=math.nan if effect.description is None else effect.description.size_um,
+        sentence=effect.term.note,
     )
 
 

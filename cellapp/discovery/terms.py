@@ -9,7 +9,8 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.effects import EffectColumn, Law
+from cellapp.effects import EFFECTS, Effect, EffectColumn, Law
+from cellapp.effects.contradiction import ContradictionForm
 from cellapp.effects.modulation import Modulation
 from cellapp.kinematics.transforms import Array
 
@@ -72,6 +73,13 @@ class ModelTerm:
     def size(self) -> int:
         """Number of its columns: of the law and of its free part."""
         return len(self.names) + len(self.modulations)
+
+    @property
+    def effect(self) -> Effect | None:
+        """The effect whose law it has, also where values are impossible; None for what is free or data-driven."""
+        if isinstance(self.law.form, ContradictionForm):
+            return self.law.form.effect
+        return EFFECTS[self.slug] if self.is_library_effect else None
 
     @property
     def is_library_effect(self) -> bool:

@@ -41,6 +41,17 @@ def joint_axis_wobble(scene: Scene) -> Chart:
     return Chart("The axis of joint 1 tilts as it turns", "joint 1 [deg]", "rise of the SMR [µm]", tuple(series))
 
 
+def joint_axis_runout(scene: Scene) -> Chart:
+    """Displacement over a turn of joint 1: its axis shifts by 20 um along itself once, across twice a turn."""
+    law = EFFECTS["joint_axis_runout"].law()
+    series = []
+    for label, name in (("axial, 1 cycle", "runout_z1_cos1"), ("radial, 2 cycles", "runout_x1_cos2")):
+        context = scene.context(swept(scene.stretched(len(TURN)), 1, TURN))
+        shift = smr_shift(context, "joint_axis_runout", law, {name: 20 * _MICRO})
+        series.append(Series(label, TURN, _along_largest(shift)))
+    return Chart("The axis of joint 1 shifts as it turns", "joint 1 [deg]", _MOVED, tuple(series))
+
+
 def thermal_growth(scene: Scene) -> Chart:
     """Displacement over time: aluminium links that warm up by 7 K with a time constant of 30 minutes."""
     law = EFFECTS["thermal_growth"].law("warm_up", {**_SPAN, "tau_s": 1800.0})

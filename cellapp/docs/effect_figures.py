@@ -17,6 +17,7 @@ FIGURES: Mapping[str, Callable[[Scene], Chart]] = {
     "friction_windup": joint_figures.friction_windup,
     "unsettled_measurement": joint_figures.unsettled_measurement,
     "joint_axis_wobble": body_figures.joint_axis_wobble,
+    "joint_axis_runout": body_figures.joint_axis_runout,
     "thermal_growth": body_figures.thermal_growth,
     "joint_drift": joint_figures.joint_drift,
     "base_drift": body_figures.base_drift,

@@ -67,9 +67,10 @@ def with_declarations(text: str) -> str:
 def declared_part(effect: Effect) -> str:
     """Usual size, checks and further stops of an effect as Markdown, with the markers around them."""
     meaning = effect.meaning.at(_GENERAL_PLACE.get(effect.slug, "the joint"))
+    known = "" if meaning.size_source == "none" else f" ({meaning.size_source})"
     parts = [
         _wrapped(f"**Cause.** {meaning.cause}"),
-        _wrapped(f"**Usual size** ({meaning.size_source}). {meaning.size}."),
+        _wrapped(f"**Usual size**{known}. {meaning.size}."),
         "**Check or mend**",
         "\n".join(_wrapped(f"- {line}") for line in meaning.check),
         "**What settles it**",

@@ -9,7 +9,7 @@ import numpy as np
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.data_driven import Quantity
-from cellapp.effects.effect import Effect
+from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
@@ -79,6 +79,10 @@ class Backlash(Effect):
         ),
     )
     look_alikes = ("friction_windup", "unsettled_measurement")
+    impossible = ImpossibleValues(
+        sign="backlash of the opposite sign",
+        sign_check="check the approach convention of the readings",
+    )
     variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
     forms = (CONSTANT, SATURATING, SMALL)
     free_drivers = (
@@ -156,6 +160,11 @@ class FrictionWindup(Effect):
         ),
     )
     look_alikes = ("backlash", "unsettled_measurement")
+    impossible = ImpossibleValues(
+        sign="friction wind-up of the opposite sign",
+        sign_check="check the approach convention of the readings",
+        size_check="check masses",
+    )
     variables = frozenset(
         {DriverVariable.APPROACH, DriverVariable.TORQUE, DriverVariable.PAYLOAD, DriverVariable.JOINT_ANGLE}
     )

@@ -121,10 +121,11 @@ def joint_column(
     *,
     wave: Wave | None = None,
     refines: bool = False,
+    prior_sd: float = math.inf,
 ) -> EffectColumn:
     """A column that offsets one joint (from 0); the default block is the joint."""
     block = block or place_name(Channel.JOINT, joint)
-    return EffectColumn(name, unit, block, lower, upper, Channel.JOINT, joint, wave, refines, offset=offset)
+    return EffectColumn(name, unit, block, lower, upper, Channel.JOINT, joint, wave, refines, prior_sd, offset=offset)
 
 
 def shift_column(
@@ -139,7 +140,8 @@ def shift_column(
     index: int | None = None,
     wave: Wave | None = None,
     refines: bool = False,
+    prior_sd: float = math.inf,
 ) -> EffectColumn:
     """A column that shifts the SMR (n, 3) [m per unit, tracker frame]; the default block is what it acts on."""
     block = block or place_name(channel, index)
-    return EffectColumn(name, unit, block, lower, upper, channel, index, wave, refines, shift_M=shift_M)
+    return EffectColumn(name, unit, block, lower, upper, channel, index, wave, refines, prior_sd, shift_M=shift_M)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import ClassVar
 
 from cellapp.effects.column import EffectColumn
@@ -16,6 +17,29 @@ from cellapp.effects.context import EffectContext
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
+
+
+@dataclass(frozen=True)
+class ImpossibleValues:
+    """Words for values of an effect outside their physical bounds, and what to check then.
+
+    Attributes
+    ----------
+    sign : str
+        What the opposite sign looks like; empty: the effect's title "of the opposite sign".
+    sign_check, size_check : str
+        What to check.
+    limit : str
+        What values beyond the bound are multiples of.
+    limit_size : float
+        That limit in the parameter's unit; 0 for the bound itself.
+    """
+
+    sign: str = ""
+    sign_check: str = "check signs and units of the readings and of the profile"
+    limit: str = "what is physically possible"
+    limit_size: float = 0.0
+    size_check: str = "check units of the readings and of the profile"
 
 
 class Effect(ABC):
@@ -35,6 +59,9 @@ class Effect(ABC):
     """All forms of its law, the simplest first."""
     free_drivers: ClassVar[tuple[FreeDriver, ...]] = ()
     """What its law may depend on in ways that the law does not describe; empty: the law is taken as exact."""
+
+    impossible: ClassVar[ImpossibleValues] = ImpossibleValues()
+    """Words for values outside the bounds of its columns."""
 
     def missing_data(self, context: EffectContext) -> str:
         """Reason why the data cannot show the effect at all ("no approach signs"); empty if they can."""

@@ -9,7 +9,7 @@ import numpy as np
 from cellapp.effects.column import EffectColumn, joint_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.data_driven import Quantity
-from cellapp.effects.effect import Effect
+from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
@@ -60,7 +60,7 @@ class JointCompliance(Effect):
     title = "joint compliance under gravity"
     meaning = Meaning(
         cause=(
-            "The gears and bearings of {place} twist under the weight that they carry. Strain-wave gears always "
+            "The gear and the bearings of {place} twist under the weight that they carry. Strain-wave gears always "
             "do; a loose bolted joint or a worn gear adds to it."
         ),
         size=(
@@ -87,6 +87,11 @@ class JointCompliance(Effect):
         ),
     )
     look_alikes = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
+    impossible = ImpossibleValues(
+        sign="negative stiffness",
+        sign_check="check masses, direction of gravity and mounting",
+        size_check="check masses, direction of gravity and mounting",
+    )
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE, FREE_MASSES)
     free_drivers = (
@@ -149,7 +154,7 @@ class PayloadCompliance(Effect):
     title = "joint compliance under the payload"
     meaning = Meaning(
         cause=(
-            "The gears of {place} twist under the payload alone: the arm's own weight was calibrated away or is "
+            "The gear of {place} twists under the payload alone: the arm's own weight was calibrated away or is "
             "compensated by the controller, the load in the gripper is not."
         ),
         size=(
@@ -171,6 +176,11 @@ class PayloadCompliance(Effect):
         ),
     )
     look_alikes = ("joint_compliance", "link_bending")
+    impossible = ImpossibleValues(
+        sign="negative stiffness under the payload",
+        sign_check="check the payloads of the readings and the direction of gravity",
+        size_check="check the payloads of the readings",
+    )
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
     free_drivers = (

@@ -10,7 +10,7 @@ import numpy as np
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext
 from cellapp.effects.data_driven import Quantity
-from cellapp.effects.effect import Effect
+from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
@@ -75,12 +75,17 @@ class LinkBending(Effect):
             ),
         ),
         settle=(
-            "Put two or three SMRs on {place} itself and measure them stretched and folded.",
+            "Put two or three SMRs on {place} and measure them stretched and folded.",
             "Log the motor-side and the output-side encoder: compliance shows there, bending does not.",
             "Repeat 20 stops with a second payload, near 0 and near the rated load.",
         ),
     )
     look_alikes = ("joint_compliance", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
+    impossible = ImpossibleValues(
+        sign="a link that bends upwards under its load",
+        sign_check="check masses, direction of gravity and mounting",
+        size_check="check masses, direction of gravity and mounting",
+    )
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
     forms = (BENDING, TORSION, OWN_WEIGHT, TORSION_OWN_WEIGHT, FREE_WEIGHT)
     free_drivers = (

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-SizeSource = Literal["sourced", "computed", "estimate"]
+SizeSource = Literal["sourced", "computed", "estimate", "none"]
 
 _FRAMES = {"base": "the base", "tool": "the target on the flange", "tracker": "the tracker's reading"}
 
@@ -23,8 +23,8 @@ class Meaning:
         Where it comes from.
     size : str
         How large it usually is at the SMR of arms of this class.
-    size_source : "sourced", "computed" or "estimate"
-        Read in a publication or catalogue; computed from such figures; or an engineer's estimate.
+    size_source : "sourced", "computed", "estimate" or "none"
+        Read in a publication or catalogue; computed from such figures; an engineer's estimate; or there is no size.
     check : tuple of str
         What to check or mend on the machine, the most likely first.
     settle : tuple of str
@@ -38,10 +38,11 @@ class Meaning:
     settle: tuple[str, ...]
 
     def at(self, place: str) -> Meaning:
-        """The same with the place in words, for example ``joints 2 and 3``."""
+        """The same with the place in words, for example ``joints 2 and 3``: texts then speak of ``each of`` them."""
+        one = f"each of {place}" if place.startswith(("joints ", "links ")) else place
 
         def fill(text: str) -> str:
-            filled = text.replace("{place}", place)
+            filled = text.replace("{place}", one)
             return filled[:1].upper() + filled[1:]
 
         return replace(

@@ -9,7 +9,7 @@ import numpy as np
 from cellapp.effects.column import Channel, EffectColumn, shift_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.data_driven import Quantity
-from cellapp.effects.effect import Effect
+from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
@@ -65,10 +65,15 @@ class PedestalCompliance(Effect):
         ),
         settle=(
             "Put an SMR in a nest on top of the pedestal and measure it with the arm stretched to four sides.",
-            "Another payload does not help: it loads the joints in the same way.",
+            "Add stops with the arm stretched to all sides; another payload loads the joints alike and does not help.",
         ),
     )
     look_alikes = ("joint_compliance", "link_bending", "transmission_error", "tracker_angle_error")
+    impossible = ImpossibleValues(
+        sign="a pedestal that tilts away from the load",
+        sign_check="check masses, direction of gravity and mounting",
+        size_check="check masses, direction of gravity and mounting",
+    )
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
     forms = (OWN_ISOTROPIC, OWN_TILT, OWN_PIVOT)
     free_drivers = (

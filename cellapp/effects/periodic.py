@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 
@@ -113,10 +114,7 @@ class TransmissionError(Effect):
             "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles a turn, the"
             " wave generator one or two cycles a turn of the motor, the teeth more."
         ),
-        size=(
-            "20 to 80 urad, 13 to 80 um at the flange of a UR10; the cycle counts are published, the size is an "
-            "estimate"
-        ),
+        size="20 to 80 urad, 13 to 80 um at the flange of a UR10; only the cycle counts are published",
         size_source="estimate",
         check=(
             "Compare with earlier runs: a line that grew is wear, plan an exchange of the gear of {place}.",
@@ -129,7 +127,7 @@ class TransmissionError(Effect):
             "Read the encoders with all their digits: rounding hides lines of many cycles.",
         ),
     )
-    look_alikes = ("encoder_eccentricity", "joint_axis_wobble")
+    look_alikes = ("encoder_eccentricity", "joint_axis_wobble", "joint_axis_runout")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
     free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
@@ -181,14 +179,7 @@ def _curves(context: EffectContext, law: Law, names: Collection[str] | None) -> 
     cycles, prior = round(law.constants[CYCLES.name]), curve_prior(law, context.joints)
     counts = dict.fromkeys(prior, range(2, cycles + 1)) if names is None else _counts_of(names, context.joints)
     sd = {j: amplitude * np.sqrt(circle_variances(length, cycles)) for j, (length, amplitude) in prior.items()}
-    columns = []
-    for column in _waves(context, counts):
-        assert column.joint is not None
-        assert column.cycles is not None
-        if column.joint in sd and column.cycles <= cycles:
-            column = with_prior(column, float(sd[column.joint][column.cycles - 1]))
-        columns.append(column)
-    return columns
+    return _waves(context, counts, sd={joint: values.tolist() for joint, values in sd.items()})
 
 
 def wave_names(joint: int, counts: Iterable[int]) -> tuple[str, ...]:
@@ -229,16 +220,28 @@ def _counts_of(names: Collection[str], joints: int) -> dict[int, Sequence[int]]:
     return {joint: sorted(found[joint]) for joint in sorted(found)}
 
 
-def _waves(context: EffectContext, cycles: Mapping[int, Sequence[int]], by_line: bool = False) -> list[EffectColumn]:
-    """Cosine and sine of each joint's cycle counts, a block per joint or a block per line."""
+def _waves(
+    context: EffectContext,
+    cycles: Mapping[int, Sequence[int]],
+    by_line: bool = False,
+    sd: Mapping[int, Sequence[float]] | None = None,
+) -> list[EffectColumn]:
+    """Cosine and sine of each joint's cycle counts, a block per joint or a block per line.
+
+    ``sd`` are the standard deviations of the priors of each joint's counts from 1; counts beyond have none.
+    """
     columns = []
     for joint, counts in cycles.items():
         harmonics = _harmonics(context.q[:, joint], counts)
+        priors = () if sd is None else sd.get(joint, ())
         for count, values in zip(counts, harmonics, strict=True):
             line, waves = _line(joint, count)
+            prior = priors[count - 1] if count <= len(priors) else math.inf
             block = line if by_line else None
             for (name, wave), offset in zip(waves, values, strict=True):
-                columns.append(joint_column(name, "rad", joint, offset, -_LARGEST, _LARGEST, block, wave=wave))
+                columns.append(
+                    joint_column(name, "rad", joint, offset, -_LARGEST, _LARGEST, block, wave=wave, prior_sd=prior)
+                )
     return columns
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from cellapp.effects.backlash import Backlash, FrictionWindup
 from cellapp.effects.base_motion import BaseDrift, BaseStep
 from cellapp.effects.effect import Effect
+from cellapp.effects.joint_axis_runout import JointAxisRunout
 from cellapp.effects.joint_axis_wobble import JointAxisWobble
 from cellapp.effects.joint_compliance import JointCompliance, PayloadCompliance
 from cellapp.effects.link_bending import LinkBending
@@ -35,7 +36,7 @@ def registered(effects: Iterable[Effect]) -> Mapping[str, Effect]:
     return found
 
 
-EFFECTS: Mapping[str, Effect] = registered(
+_LIBRARY: Mapping[str, Effect] = registered(
     (
         JointCompliance(),
         PayloadCompliance(),
@@ -45,6 +46,7 @@ EFFECTS: Mapping[str, Effect] = registered(
         FrictionWindup(),
         UnsettledMeasurement(),
         JointAxisWobble(),
+        JointAxisRunout(),
         ThermalGrowth(),
         JointDrift(),
         BaseDrift(),
@@ -57,6 +59,6 @@ EFFECTS: Mapping[str, Effect] = registered(
         TrackerDistanceOffset(),
         TrackerAngleError(),
         TargetIncidence(),
-        Unknown(),
     )
 )
+EFFECTS: Mapping[str, Effect] = registered((*_LIBRARY.values(), Unknown(_LIBRARY)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,7 @@ class EffectTerm:
     """An accepted effect in a model: its law, and name, value, standard error and unit of each parameter.
 
     The parameters are those of the law, then those of its free part ``modulations``; ``law_misfit`` is the rms
-    displacement by the free part over that by the law. ``note`` describes a data-driven term. ``spread`` is the
-    standard deviation of a free curve [rad] of each joint (from 0) at equal steps of the joint angle from -pi to pi;
-    empty where the standard errors are sufficient.
+    displacement by the free part over that by the law. ``note`` describes a data-driven term.
     """
 
     slug: str
@@ -32,7 +30,6 @@ class EffectTerm:
     units: tuple[str, ...]
     law: Law
     note: str = ""
-    spread: Mapping[int, Array] = field(default_factory=dict)
     modulations: tuple[Modulation, ...] = ()
     law_misfit: float = 0.0
 
@@ -68,14 +65,13 @@ def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], con
 
 
 def term_to_json(term: EffectTerm) -> dict[str, Any]:
-    """A term for JSON: slug, law, constants, parameters, note, spread, and its free part if any; joints from 1."""
+    """A term for JSON: slug, law, constants, parameters, note, and its free part if any."""
     free = {"modulations": [modulation_to_json(one) for one in term.modulations], "law_misfit": term.law_misfit}
     return {
         "effect": term.slug,
         "law": term.law.name,
         "constants": dict(term.law.constants),
         "note": term.note,
-        "spread_rad": {str(joint + 1): values.tolist() for joint, values in term.spread.items()},
         "parameters": {
             name: {"value": value, "standard_error": error, "unit": unit}
             for name, value, error, unit in zip(
@@ -108,10 +104,6 @@ def term_from_json(content: Mapping[str, Any], effects: Mapping[str, Effect]) ->
         units=tuple(p["unit"] for p in parameters.values()),
         law=_law_from_json(content["effect"], name, constants, effects),
         note=content.get("note", ""),
-        spread={
-            int(joint) - 1: np.array(values, dtype=np.float64)
-            for joint, values in content.get("spread_rad", {}).items()
-        },
         modulations=tuple(modulation_from_json(one) for one in content.get("modulations", ())),
         law_misfit=float(content.get("law_misfit", 0.0)),
     )

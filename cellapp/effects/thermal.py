@@ -9,7 +9,7 @@ import numpy as np
 from cellapp.effects.column import Channel, EffectColumn, joint_column, shift_column
 from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.data_driven import Quantity
-from cellapp.effects.effect import Effect
+from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
@@ -33,6 +33,8 @@ LAGS = (150.0, 400.0, 900.0, 2000.0, 4500.0)
 """Lags of links behind their joints to try [s]: conduction along tubes of this size takes minutes to an hour."""
 _MOST_GROWTH = 4e-5
 """No metal of which arms are made grows more [1/K]: aluminium 23e-6, magnesium 26e-6."""
+_ALUMINIUM = 23e-6
+"""Expansion of aluminium [1/K]."""
 _MOST_STRAIN = 2e-3
 """Bound of the whole strain of a warm-up [m/m]: aluminium over 90 K."""
 _MOST_HOUSING = 2e-5
@@ -111,6 +113,13 @@ class ThermalGrowth(Effect):
         ),
     )
     look_alikes = ("base_drift", "joint_drift", "base_step", "tracker_scale")
+    impossible = ImpossibleValues(
+        sign="links that shrink as they warm up",
+        sign_check="check which temperatures the readings state",
+        limit="the expansion of aluminium",
+        limit_size=_ALUMINIUM,
+        size_check="check the unit of the temperatures and where they were taken",
+    )
     variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {DriverVariable.JOINT_ANGLE}
     forms = (AIR, AIR_LINKS, JOINTS, JOINTS_LINKS, CONDUCTION, CONDUCTION_LINKS, WARM_UP, WARM_UP_LINKS)
     free_drivers = (

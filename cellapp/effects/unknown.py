@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import ClassVar
 
@@ -11,6 +11,12 @@ import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, joint_column, shift_column
 from cellapp.effects.context import EffectContext
+from cellapp.effects.contradiction import (
+    ContradictionForm,
+    contradicted_law,
+    contradiction_meaning,
+    contradiction_named,
+)
 from cellapp.effects.data_driven import (
     PERIOD,
     DataChannel,
@@ -56,6 +62,8 @@ class Unknown(Effect):
     Of the position: the smooth field over the workspace of ``effects.field``, a shift along x, y and z of the base with
     one amplitude and one length scale.
 
+    A law of an effect of the library whose values are physically impossible is such a term as well.
+
     It is not scanned like the named effects; ``dictionary`` and ``pairs`` list the laws to try. A term imitates every
     named effect that has its channel and variable.
     """
@@ -66,19 +74,27 @@ class Unknown(Effect):
     variables: ClassVar[frozenset[DriverVariable]] = frozenset()
     forms: ClassVar[tuple[LawForm, ...]] = ()
 
+    def __init__(self, library: Mapping[str, Effect] | None = None) -> None:
+        self._library = {} if library is None else library
+
     def form(self, name: str) -> LawForm:
-        """The form of a name such as ``joint 2|q1``."""
-        form = form_named(name)
+        """The form of a name such as ``joint 2|q1`` or ``contradiction|backlash|constant``."""
+        form = form_named(name) or contradiction_named(name, self._library)
         return super().form(name) if form is None else form
 
     def meaning_of(self, law: Law) -> Meaning:
-        """Checks by channel, further stops by variables; a general one for a term that is not of this form."""
+        """Checks by channel and further stops by variables; those of the effect that a contradiction behaves like."""
+        if isinstance(law.form, ContradictionForm):
+            return contradiction_meaning(law.form.effect)
         if not isinstance(law.form, DataDrivenForm):
             return self.meaning
         return data_driven_meaning(law.form.channel, law.form.drivers)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """One column per function and direction, all in one block."""
+        """One column per function and direction, all in one block; those of the effect for a contradiction."""
+        if isinstance(law.form, ContradictionForm):
+            of_effect = law.form.effect.columns(context, contradicted_law(law), names)
+            return [replace(column, lower=-np.inf, upper=np.inf) for column in of_effect]
         channel = data_driven_form(law).channel
         if channel not in channels(context.joints):
             raise ValueError(f"effect {self.slug} has no law '{law.name}' for an arm with {context.joints} joints")

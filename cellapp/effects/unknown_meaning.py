@@ -8,20 +8,21 @@ from cellapp.effects.column import Channel
 from cellapp.effects.data_driven import DataChannel, Quantity, Variable
 from cellapp.effects.meaning import Meaning, enumeration
 
+_OTHER_STATION = "Measure some of the stops from a second tracker station: a field of the tracker moves with it."
 UNKNOWN_MEANING = Meaning(
     cause=(
         "Something moves {place} by a law that the library does not have; where it follows the position alone, it is a"
         " field of the workspace or of the tracker's volume."
     ),
     size="No size is known in advance: the report states what was found",
-    size_source="estimate",
+    size_source="none",
     check=(
         "Look at the figure of the term: a jump, a bend or a period often tells where it comes from.",
         "Check what was changed in the cell since the last good run: cables, hoses, tool, mounts, software.",
         "For a field: look for warm air across the beam, sunlight, a stand or floor that gives way.",
     ),
     settle=(
-        "Measure some of the stops from a second tracker station: a field of the tracker moves with it.",
+        _OTHER_STATION,
         "Repeat the run on another day: what belongs to the machine stays, what belongs to the day does not.",
     ),
 )
@@ -64,7 +65,7 @@ _SETTLE: Mapping[Quantity, str] = {
 
 def data_driven_meaning(channel: DataChannel, drivers: Sequence[Variable]) -> Meaning:
     """Meaning of a term that moves ``channel`` with one or two variables."""
-    settle = dict.fromkeys(_SETTLE[one.quantity].replace("{variable}", _variable_in_words(one)) for one in drivers)
+    settle = dict.fromkeys(_to_settle(one) for one in drivers)
     depends = enumeration([_variable_in_words(one) for one in drivers])
     return Meaning(
         cause=f"Something moves {{place}} with {depends}, by a law that the library does not have.",
@@ -73,6 +74,10 @@ def data_driven_meaning(channel: DataChannel, drivers: Sequence[Variable]) -> Me
         check=(*_CHECKS.get(channel.channel, ()), *UNKNOWN_MEANING.check[:2]),
         settle=(*settle, UNKNOWN_MEANING.settle[-1]),
     )
+
+
+def _to_settle(variable: Variable) -> str:
+    return _SETTLE.get(variable.quantity, _OTHER_STATION).replace("{variable}", _variable_in_words(variable))
 
 
 def _variable_in_words(variable: Variable) -> str:

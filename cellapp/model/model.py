@@ -24,9 +24,7 @@ from cellapp.effects import (
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import (
     Geometry,
-    JointAngles,
     flange_poses,
-    joint_jacobian,
     parameter_names,
     parameter_unit,
     smr_positions,
@@ -34,6 +32,7 @@ from cellapp.kinematics.chain import (
 from cellapp.kinematics.statics import Bodies
 from cellapp.kinematics.transforms import Array
 from cellapp.model.network import ResidualNetwork, network_from_json, network_to_json
+from cellapp.model.posterior import PosteriorDraws, posterior_from_json, posterior_to_json
 
 Signs = NDArray[np.float64] | NDArray[np.int8]
 MODEL_SCHEMA = "cellapp-calibration"
@@ -65,6 +64,8 @@ class ArmModel:
         of the effects before the curve.
     smr_normal : array, shape (3,), or None
         SMR viewing direction in the flange frame.
+    posterior : PosteriorDraws or None
+        Uncertainty of geometry and effects, as draws.
     """
 
     geometry: Geometry
@@ -76,6 +77,7 @@ class ArmModel:
     identified: tuple[str, ...] = ()
     covariance: Array | None = None
     smr_normal: Array | None = None
+    posterior: PosteriorDraws | None = None
 
     def context(
         self,
@@ -146,24 +148,24 @@ class ArmModel:
             return p_M
         return np.asarray(p_M + self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T)
 
-    def uncertainty(self, q: Array) -> Array:
-        """Standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad] due to free curves and network.
+    def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
+        """Standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise of measuring.
 
-        Root mean square over the three coordinates. It grows outside the trained joint ranges. The uncertainty of the
-        geometry is not included; curves of different joints count as independent.
+        Root mean square over the three coordinates, of geometry, effects and network together; zero where the model
+        holds no draws and no network. It grows outside the trained joint ranges.
         """
         variance = np.zeros(len(q))
-        by_joint: Array | None = None
-        for term in self.effects:
-            for joint, spread in term.spread.items():
-                if by_joint is None:
-                    _, by_joint = joint_jacobian(self.geometry, JointAngles.of(q))
-                around = np.linspace(-np.pi, np.pi, len(spread), endpoint=False)
-                sd = np.interp(q[:, joint], around, spread, period=2.0 * np.pi)
-                variance += sd**2 * np.einsum("cn,cn->n", by_joint[:, joint], by_joint[:, joint]) / 3.0
+        if self.posterior is not None:
+            moved = self.posterior.displacements(self.geometry, self.effects, self.context(q, conditions=conditions))
+            variance += np.mean(moved**2, axis=(0, 2))
         if self.network is not None:
             variance += np.mean(self.network.spread(q) ** 2, axis=1)
         return np.asarray(np.sqrt(variance))
+
+    def measured_uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
+        """Standard deviation (n,) [m] of a measured coordinate about its prediction: ``uncertainty`` and noise."""
+        noise_m = 0.0 if self.posterior is None else self.posterior.noise_m
+        return np.asarray(np.hypot(self.uncertainty(q, conditions), noise_m))
 
     def flange(self, q: Array) -> tuple[Array, Array]:
         """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame."""
@@ -317,6 +319,7 @@ def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
         "identified": list(arm.identified),
         "covariance": None if arm.covariance is None else arm.covariance.tolist(),
         "smr_normal": None if arm.smr_normal is None else arm.smr_normal.tolist(),
+        "posterior": None if arm.posterior is None else posterior_to_json(arm.posterior),
     }
 
 
@@ -339,4 +342,5 @@ def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
         smr_normal=None
         if content.get("smr_normal") is None
         else np.array(content["smr_normal"], dtype=np.float64).reshape(3),
+        posterior=None if content.get("posterior") is None else posterior_from_json(content["posterior"]),
     )

@@ -102,7 +102,7 @@ def accepted_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
         number_column("corrected p", ".2g"),
         number_column("without it", _MM, "mm"),
         number_column("with it", _MM, "mm"),
-        number_column("share beside its law", ".0f", "%"),
+        number_column("beside its law", ".0f", "%"),
         Column("answer set"),
         Column("most correlated with"),
     )

@@ -17,7 +17,7 @@ _TURN = 360.0
 _UNEVEN = 2.0
 """Ratio of the largest to the smallest standard deviation of a curve from which both are named."""
 _NOTICEABLE_MISFIT = 0.1
-"""Share of a displacement beside its law from which the law is called not quite as expected: below a tenth it is
+"""Displacement beside a law over that by it from which the law is called not quite as expected: below a tenth it is
 hidden by the uncertainty of the masses alone."""
 _NOT_IMPROBABLE = 0.05
 """Probability from which an effect that was not accepted is mentioned."""
@@ -87,18 +87,25 @@ def meaning_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
     """Cause, usual size, what to check and what would settle it, of every accepted effect of every arm."""
     lines: list[str] = []
     for name, arm in result.arms.items():
+        said: set[str] = set()
         for found in arm.accepted:
             if found.meaning is None:
                 continue
             lines.append(_cut(f"Arm {name}, {place_words(found.where)}: {found.title}", width))
-            lines += _hanging("  cause    ", found.meaning.cause, width)
-            lines += _hanging("  size     ", size_words(found.meaning), width)
-            for heading, items in (("check", found.meaning.check), ("settle", found.meaning.settle)):
-                for place, item in enumerate(items):
-                    lines += _hanging(f"  {'' if place else heading:9}- ", item, width)
-            lines.append(f"  more     cellapp docs {found.effect}")
+            again = found.effect in said and found.description is None
+            lines += [f"  as {found.effect} above"] if again else _meaning_lines(found.effect, found.meaning, width)
             lines.append("")
+            said.add(found.effect)
     return lines
+
+
+def _meaning_lines(effect: str, meaning: EffectMeaning, width: int) -> list[str]:
+    lines = _hanging("  cause    ", meaning.cause, width)
+    lines += _hanging("  size     ", size_words(meaning), width)
+    for heading, items in (("check", meaning.check), ("settle", meaning.settle)):
+        for place, item in enumerate(items):
+            lines += _hanging(f"  {'' if place else heading:9}- ", item, width)
+    return [*lines, f"  more     cellapp docs {effect}"]
 
 
 def remark_lines(result: DiscoverResult) -> list[str]:
@@ -119,7 +126,7 @@ def explanation_text(result: DiscoverResult) -> str:
 
 def size_words(meaning: EffectMeaning) -> str:
     """The usual size with how well it is known."""
-    return f"{meaning.size} ({meaning.size_source})"
+    return meaning.size if meaning.size_source == "none" else f"{meaning.size} ({meaning.size_source})"
 
 
 def misfit_words(found: AcceptedEffect) -> str:
@@ -127,8 +134,8 @@ def misfit_words(found: AcceptedEffect) -> str:
     if found.law_misfit is None or found.law_misfit < _NOTICEABLE_MISFIT:
         return ""
     return (
-        f"law not quite as expected: {100.0 * found.law_misfit:.0f} % of the displacement by {found.effect} is in its"
-        " smooth free part"
+        f"law not quite as expected: what {found.effect} moves beside its law is {100.0 * found.law_misfit:.0f} %"
+        " of what the law moves"
     )
 
 

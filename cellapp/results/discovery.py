@@ -10,7 +10,7 @@ from pydantic import Field
 from cellapp.results.base import Estimate, Method, Record, Result, Stage, StageErrors, Verdict
 from cellapp.results.calibration import PairMethodResult
 
-SizeSource = Literal["sourced", "computed", "estimate"]
+SizeSource = Literal["sourced", "computed", "estimate", "none"]
 StructureKind = Literal["joints", "order", "time", "approach", "position", "tracker"]
 
 
@@ -97,8 +97,9 @@ class EffectMeaning(Record):
     """What an effect means for whoever runs the cell.
 
     ``cause`` is where it comes from, ``size`` how large it usually is and ``size_source`` how well that is known
-    (``sourced``: published, ``computed``: from published data, ``estimate``), ``check`` what to check or mend on the
-    machine, ``settle`` which further stops or observations would settle whether it is there.
+    (``sourced``: published, ``computed``: from published data, ``estimate``, ``none``: there is no size). ``check`` is
+    what to check or mend on the machine, ``settle`` which further stops or observations would settle whether it is
+    there.
     """
 
     cause: str
@@ -111,8 +112,9 @@ class EffectMeaning(Record):
 class AcceptedEffect(Record):
     """An effect that discovery added to the model, with its evidence.
 
-    ``posterior`` is the probability that it is there; None where it was not computed. ``law_misfit`` is the rms of what
-    its smooth free part moves the SMR over the rms of all that the effect moves it, None where it has no free part.
+    ``posterior`` is the probability that it is there; None where it was not computed. ``parameters`` are those of its
+    law. ``law_misfit`` is the rms displacement of the SMR by its smooth free part over that by its law, None where it
+    has no free part.
     """
 
     effect: str

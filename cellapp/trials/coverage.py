@@ -95,7 +95,7 @@ def coverage(
         noisy, covariance = plant.measure_positions(exact, np.random.default_rng([profile.seed, 0xC0, k]))
         start = start_from_nominal(nominal, q, noisy, tool_unknown=False)
         estimate = identify(start, q, noisy, sigma=covariance, tolerance=1e-10)
-        exactly = identify(start, q, exact, sigma=covariance, tolerance=1e-12)
+        exactly = identify(start, q, exact, parameter_set="full", tolerance=1e-12)
         if np.abs(exactly.residuals).max() > 1e-8:
             raise ValueError(f"the model does not fit noise-free positions: {exactly.message}")
         truth = estimate.parameter_set.merged_values(exactly.geometry, start)

@@ -151,10 +151,10 @@ class ScoredRun(Record):
 
     @property
     def hidden_names(self) -> str:
-        """The hidden effects as the plant names them; a single one with its law."""
-        if len(self.hidden) == 1 and self.hidden[0].law:
-            return f"{self.hidden[0].plant}/{self.hidden[0].law}"
-        return " + ".join(effect.plant for effect in self.hidden)
+        """The hidden effects as the plant names them; a single one with its law, and whether signs were flipped."""
+        names = " + ".join(effect.plant for effect in self.hidden)
+        law = self.hidden[0].law if len(self.hidden) == 1 else ""
+        return names + (f"/{law}" if law else "") + (", signs flipped" if self.says_convention is not None else "")
 
 
 class EndState(Record):

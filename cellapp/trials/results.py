@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cellapp.results import Result
+from cellapp.trials.blind_matrix import MatrixResult
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.campaigns.trial import CampaignsResult
 from cellapp.trials.coverage import CoverageResult
@@ -25,4 +26,5 @@ TRIAL_RESULTS: tuple[type[Result], ...] = (
     SealResult,
     JudgeResult,
     LeagueResult,
+    MatrixResult,
 )

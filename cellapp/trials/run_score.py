@@ -160,6 +160,8 @@ def _term_drivers(term: DescribedTerm | None) -> frozenset[DriverVariable]:
 
 def _drivers(hidden: Sequence[HiddenEffect], expected: DescribedTerm | None) -> frozenset[DriverVariable]:
     """What the hidden effects depend on."""
+    if expected is not None and expected.variables == (POSITION,):
+        return frozenset({DriverVariable.BEAM, DriverVariable.JOINT_ANGLE})
     if expected is not None:
         return _term_drivers(expected)
     each = [EFFECTS[effect.effect].variables for effect in hidden if effect.effect in EFFECTS]

@@ -141,7 +141,9 @@ def seal_trials(
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> SealResult:
-    """Write ``n`` sealed runs into a new folder. Without ``seed`` one is drawn that only ``truth.json`` states.
+    """Write ``n`` sealed runs into a new folder, under the conditions of ``setup``.
+
+    Without ``seed`` one is drawn that only ``truth.json`` states.
 
     Raises
     ------

@@ -87,7 +87,10 @@ def library_name(plant: str) -> str:
 
 
 def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
-    """What each of ``n`` runs hides: every law of a kind in turn, in alternating arms; the runs in random order."""
+    """What each of ``n`` runs hides: every law of a kind in turn, in alternating arms; the runs in random order.
+
+    The seed decides which law comes first, so that few runs do not always hide the same.
+    """
     known = [slug for slug in REALISTIC if library_name(slug) in EFFECTS]
     menus: dict[str, list[tuple[tuple[str, ...], bool]]] = {
         ONE: [((slug,), False) for slug in known],
@@ -103,7 +106,7 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
         here = _MIXTURE[place % len(_MIXTURE)] if kind == MIXED else kind
         menu, turn = menus[here], counts[here]
         counts[here] += 1
-        slugs, look_alikes = menu[turn % len(menu)]
+        slugs, look_alikes = menu[(seed + turn) % len(menu)]
         # with an even number of laws, each would always be hidden in the same arm
         shifted = turn + (turn // len(menu) if len(menu) % 2 == 0 else 0)
         found.append(Case(here, slugs, look_alikes, arms[shifted % len(arms)] if slugs else ""))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from cellapp.reporting.table import Cell, Column, Number, Table, markdown, number_column
+from cellapp.trials.blind_matrix import MatrixResult
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.campaigns.trial import CampaignsResult
 from cellapp.trials.judge_records import (
     OUTCOMES,
+    THRESHOLD,
     VERDICTS,
     CleanCounts,
     EndState,
@@ -27,6 +29,22 @@ from cellapp.trials.storm import StormResult
 
 _MM = ".4f"
 _SECONDS = ".3f"
+_CELLS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "Cells: visible effects, exactly named": {
+        "one": ("one", "visible: exactly its name"),
+        "several": ("pair, triple", "visible: exactly their names"),
+        "look-alikes": ("pair", "visible look-alikes: exactly their names"),
+        "second": ("one, pair, triple", "second names"),
+    },
+    "Cells: nothing hidden, laws outside the library, flipped signs": {
+        "false": ("none", "false names, by arm"),
+        "unknown": ("none", "false unknown effects, by arm"),
+        "called": ("outside", "visible: called unknown"),
+        "described": ("outside", "visible: right channel and variables"),
+        "sign": ("flipped", "visible: called unknown, opposite sign said"),
+    },
+}
+"""Tables of the cells: title, headings, and the target (kind, target) under each heading."""
 _END = (Column("held out"), Column("verdicts"))
 
 
@@ -248,6 +266,50 @@ def setup_words(setup: Setup) -> str:
     said = [f"kind {setup.hides}", f"noise {setup.noise}", f"laws {setup.laws}", f"ranges {setup.ranges}"]
     said.append(f"masses {100 * setup.mass_error:.0f} % off")
     return ", ".join([*said, *([] if setup.stated else ["no stated uncertainty"])])
+
+
+def matrix_tables(result: MatrixResult) -> list[Table]:
+    """Targets over all cells, stated probabilities, and the shares that each cell reached."""
+    return [
+        _target_table(result.targets),
+        *(_posterior_table(score) for score in result.posteriors),
+        *(_cell_table(title, result, headings) for title, headings in _CELLS.items()),
+    ]
+
+
+def _cell_table(title: str, result: MatrixResult, headings: Mapping[str, tuple[str, str]]) -> Table:
+    """The cells that have one of some targets, each named by kind and target, and the targets that any cell has."""
+    reached = {
+        cell.name: {(one.kind, one.target): f"{one.reached}/{one.n}" for one in cell.targets} for cell in result.cells
+    }
+    used = {heading: target for heading, target in headings.items() if any(target in cell for cell in reached.values())}
+    rows = []
+    for cell in result.cells:
+        if reached[cell.name].keys() & set(used.values()):
+            pace = cell.seconds_an_arm
+            spent = (None, None) if pace is None else (pace.median, pace.max)
+            rows.append((cell.name, *(reached[cell.name].get(target, "") for target in used.values()), *spent))
+    seconds = number_column("median s", ".1f"), number_column("longest", ".1f")
+    return Table(title, (Column("cell"), *(Column(heading) for heading in used), *seconds), tuple(rows))
+
+
+def matrix_sentences(result: MatrixResult) -> list[str]:
+    """How the tables came about."""
+    said = [f"Visible: {THRESHOLD}."]
+    if result.seconds_an_arm is not None:
+        pace = result.seconds_an_arm
+        said.append(f"Discovery of one arm: median {pace.median:.1f} s, longest {pace.max:.1f} s.")
+    said += [f"Not judged: {failure}." for failure in result.failed]
+    runs = sum(cell.runs for cell in result.cells)
+    return [
+        *said,
+        f"{result.date}; {result.program}, source {result.source}; {runs} runs in {len(result.cells)} cells.",
+    ]
+
+
+def matrix_markdown(result: MatrixResult) -> str:
+    """The tables of a matrix as Markdown."""
+    return markdown(matrix_tables(result), matrix_sentences(result))
 
 
 def judge_markdown(result: JudgeResult) -> str:

@@ -25,12 +25,15 @@ def targets(
 ) -> list[TargetScore]:
     """The wanted and the reached share of every target for which there are trials; ``clean`` arms hide nothing."""
     every = [found for run in runs for found in run.arms.values()]
+    beside = [found for run in runs if run.arm for arm, found in run.arms.items() if arm != run.arm]
     known = [run for run in runs if run.kind in ("one", "pair", "triple")]
     found = (
         *_names([run for run in known if run.visible]),
         _at_most("none", "false names, by arm", 0.01, [bool(arm.names) for arm in clean], ENOUGH_CLEAN),
         _at_most("none", "false unknown effects, by arm", 0.01, [arm.unknown for arm in clean], ENOUGH_CLEAN),
+        _at_most("beside", "false names, arms beside one that hides something", 0.01, _false(beside), ENOUGH_CLEAN),
         *_outside([run for run in runs if run.kind == "outside"], [run for run in runs if run.kind == "flipped"]),
+        _at_most("one", "below the noise: another name", 0.02, _wrong_below(known), _SECOND, bar=False),
         *_second([run for run in known if run.visible], [run for run in runs if run.kind == "outside"]),
         *(_brier(score) for score in posteriors if score.about in (EVERY, ACCEPTED)),
         *_errors([run.findings for run in known]),
@@ -38,6 +41,11 @@ def targets(
         _at_least("all", f"one arm within {SLOWEST_S:g} s", 1.0, [arm.seconds <= SLOWEST_S for arm in every]),
     )
     return [target for target in found if target is not None]
+
+
+def _false(arms: Sequence[ArmFindings]) -> list[bool]:
+    """Whether anything was named or called unknown in arms that hide nothing."""
+    return [bool(found.accepted) or found.unknown for found in arms]
 
 
 def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
@@ -54,14 +62,20 @@ def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
     ]
 
 
+def _wrong_below(known: Sequence[ScoredRun]) -> list[bool]:
+    """Whether a single effect below the noise made the search accept anything else."""
+    below = [run for run in known if run.kind == "one" and not run.visible]
+    return [run.outcome not in ("none", "named") for run in below]
+
+
 def _outside(outside: Sequence[ScoredRun], flipped: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """What the library lacks, and signs of the wrong convention."""
-    called = [run.findings.unknown for run in outside]
-    described = [run.description == "right" for run in outside]
+    """What the library lacks, and signs of the wrong convention; above the noise only."""
+    called = [run.findings.unknown for run in outside if run.visible]
+    described = [run.description == "right" for run in outside if run.visible]
     said = [run.findings.unknown and bool(run.says_convention) for run in flipped if run.visible]
     return [
-        _at_least("outside", "called unknown", 0.95, called, _OUTSIDE),
-        _at_least("outside", "right channel and variables", 0.85, described, _OUTSIDE),
+        _at_least("outside", "visible: called unknown", 0.95, called, _OUTSIDE),
+        _at_least("outside", "visible: right channel and variables", 0.85, described, _OUTSIDE),
         _at_least("flipped", "visible: called unknown, opposite sign said", 0.95, said, _OUTSIDE),
     ]
 

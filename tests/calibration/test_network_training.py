@@ -12,7 +12,7 @@ import pytest
 from cellapp.calibration.network_training import Shape, train_network
 from cellapp.model.network import network_from_json, network_inputs, network_to_json, rotate_about_z
 
-SMALL = (Shape("sincos", (6,)), Shape("sincos", (6,), rotates_with_joint_1=True))
+SMALL = (Shape("sincos", 6), Shape("sincos", (6,), rotates_with_joint_1=True))
 
 
 def bend(q):

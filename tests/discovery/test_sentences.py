@@ -1,11 +1,10 @@
-"""Structure tests and contradictions in words."""
+"""Structure tests in words."""
 
 from __future__ import annotations
 
 import pytest
 
-from cellapp.discovery.sentences import contradiction, remaining_structure
-from cellapp.effects import EFFECTS
+from cellapp.discovery.sentences import remaining_structure
 
 pytestmark = pytest.mark.fast
 
@@ -26,19 +25,3 @@ def test_no_structure_names_what_was_tested() -> None:
         "what is left shows no structure against the joint angles and the position in the workspace (smallest p = 0.2)"
     )
     assert remaining_structure({}, chance=0.01).tests == ()
-
-
-def test_an_impossible_sign_says_what_to_check() -> None:
-    found = contradiction("backlash", ("joint 1", "joint 2"), (1, 2), 31.4, "sign")
-    assert (found.effect, found.joints, found.size_um) == ("backlash", (1, 2), 31.4)
-    assert found.sentence == (
-        "behaves like backlash or hysteresis of joints, but of the opposite sign, at joints 1 and 2, 31 um rms at the"
-        " SMR: check the approach convention: +1 is a last motion towards larger joint angles; counted as unknown"
-    )
-
-
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_every_effect_can_be_contradicted(effect: str) -> None:
-    words = contradiction(effect, ("base",), (), 5.0, "size").sentence
-    assert "of an impossible size, at the base" in words
-    assert words.endswith("; counted as unknown")

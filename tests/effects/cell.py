@@ -29,6 +29,7 @@ def conditions_of(rng: np.random.Generator, n: int, joints: int = 6) -> Measurem
         step=step,
         dwell_s=rng.uniform(0.5, 5.0, n),
         time_s=np.sort(rng.uniform(100.0, 18000.0, n)),
+        order=np.arange(n, dtype=np.float64),
         payload_kg=rng.choice([0.3, 5.0], n),
         air_c=rng.uniform(19.0, 23.0, n),
         joints_c=rng.uniform(25.0, 35.0, (n, joints)),

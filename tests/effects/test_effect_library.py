@@ -86,6 +86,7 @@ def test_the_vocabulary_is_complete_and_in_order():
         "friction_windup",
         "unsettled_measurement",
         "joint_axis_wobble",
+        "joint_axis_runout",
         "thermal_growth",
         "joint_drift",
         "base_drift",

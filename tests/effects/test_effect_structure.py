@@ -55,6 +55,36 @@ def test_an_axis_tilts_twice_a_turn(joint, letter, axis, wave, function):
     assert len(found) == 24
 
 
+@pytest.mark.parametrize("joint", [1, 4, 6])
+@pytest.mark.parametrize(("letter", "axis"), [("x", EYE[0]), ("y", EYE[1])])
+@pytest.mark.parametrize("cycles", [1, 3, 6])
+def test_an_axis_tilts_with_any_cycles_of_its_joint(joint, letter, axis, cycles):
+    def moved(row, h):
+        return chain(CONTEXT, row, twist={joint - 1: h * np.sin(cycles * CONTEXT.q[row, joint - 1]) * axis}).smr
+
+    found = columns("joint_axis_wobble", laws("joint_axis_wobble", "harmonics")[0])
+    column = found[f"wobble_{letter}{joint}_sin{cycles}"]
+    assert (column.block, column.cycles, column.where) == (f"joint {joint} {cycles} cycles", cycles, f"joint {joint}")
+    assert column.refines == (cycles == 1), "one cycle is in part geometry"
+    np.testing.assert_allclose(shifts(column), each_row(moved), atol=1e-9)
+    assert len(found) == 6 * 6 * 4
+
+
+@pytest.mark.parametrize("joint", [1, 4, 6])
+@pytest.mark.parametrize(("letter", "axis"), list(zip("xyz", EYE, strict=True)))
+@pytest.mark.parametrize("cycles", [1, 2, 5])
+def test_an_axis_shifts_with_its_angle(joint, letter, axis, cycles):
+    rotations, _ = CONTEXT.frames
+    along = rotations[joint - 1] @ axis
+    found = columns("joint_axis_runout", EFFECTS["joint_axis_runout"].law())
+    column = found[f"runout_{letter}{joint}_cos{cycles}"]
+    way = "axial" if letter == "z" else "radial"
+    assert (column.block, column.where) == (f"joint {joint} {way} {cycles} cycles", f"joint {joint}")
+    assert column.refines == (cycles == 1 and letter != "z")
+    np.testing.assert_allclose(shifts(column), np.cos(cycles * CONTEXT.q[:, joint - 1])[:, None] * along, atol=1e-12)
+    assert len(found) == 6 * 6 * 6
+
+
 # -- thermal ---------------------------------------------------------------------------------------------------------
 
 

@@ -10,17 +10,21 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from cellapp.discovery.describe import Description
 from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.result import arm_result
-from cellapp.discovery.sentences import contradiction, remaining_structure
+from cellapp.discovery.sentences import remaining_structure
 from cellapp.effects import EFFECTS, EffectTerm, registered, term_from_json, term_to_json
+from cellapp.effects.contradiction import form_without_bounds
+from cellapp.effects.data_driven import Quantity, Variable
+from cellapp.effects.modulation import Modulation
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import ArmModel
 from cellapp.model.nominal import bodies_of, nominal_arm
 from cellapp.profile import load_profile
 from cellapp.reporting.discovery_tables import accepted_table
-from cellapp.results import DiscoverResult, Noise
+from cellapp.results import Contradiction, DiscoverResult, Noise
 from cellapp.run import Readings
 from tests.arms import STATION
 from tests.effects.toy_effect import FORM, GRID, SOFTENING, ToySag
@@ -80,7 +84,7 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
     assert sags["sag2"] == pytest.approx(TRUE_SAG[1], rel=0.1)
     result = arm_result(discovery)
     assert result.accepted[0].meaning is not None
-    assert result.accepted[0].meaning.cause == "The toy at joints 1 and 2 sags."
+    assert result.accepted[0].meaning.cause == "The toy at each of joints 1 and 2 sags."
     table = accepted_table("left", result)
     assert table is not None
     titles = [column.title for column in table.columns]
@@ -90,23 +94,45 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
 
 
 def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discovery) -> None:
+    (accepted,) = discovery.accepted
     structure = remaining_structure({"joints": 0.4, "order": 0.02}, chance=0.01)
-    wrong = contradiction("backlash", ("joint 2",), (2,), 31.4, "sign")
+    form = form_without_bounds(EFFECTS["backlash"], EFFECTS["backlash"].form("constant"))
+    sentence = "behaves like backlash of the opposite sign at joint 2: check the approach convention"
+    term = EffectTerm(
+        "unknown", ("half_play2",), np.array([-4e-5]), np.array([1e-6]), ("rad",), form.law(), note=sentence
+    )
+    described = Description("joint 2", ("approach",), 31.4, "", None, (), f"{sentence}; 31 um rms at the SMR")
+    wrong = replace(accepted, term=term, joints=(2,), acts_on=("joint 2",), description=described)
+    modulation = Modulation(accepted.term.law_names[0], Variable(Quantity.PAYLOAD), 1, low=0.5, high=5.0)
+    free = replace(
+        accepted.term,
+        names=(*accepted.term.law_names, modulation.name),
+        values=np.append(accepted.term.values[: len(accepted.term.law_names)], 1e-6),
+        standard_errors=np.append(accepted.term.standard_errors[: len(accepted.term.law_names)], 1e-7),
+        units=(*accepted.term.units[: len(accepted.term.law_names)], "rad"),
+        modulations=(modulation,),
+        law_misfit=0.12,
+    )
     found = replace(
         discovery,
-        accepted=(replace(discovery.accepted[0], posterior=0.97, law_misfit=0.12),),
+        accepted=(replace(accepted, term=free, posterior=0.97), wrong),
         noise_mm=Noise(rms=0.017, source="estimated"),
         candidates={ToySag.slug: 0.97, "backlash": 0.01},
         structure=structure,
-        contradictions=(wrong,),
     )
     written = DiscoverResult(arms={"left": arm_result(found)}).to_json()
     arm = DiscoverResult.from_json(written, "here").arms["left"]
     assert (arm.accepted[0].posterior, arm.accepted[0].law_misfit) == (0.97, 0.12)
+    assert tuple(arm.accepted[0].parameters) == accepted.term.law_names, "not those of the free part"
     assert arm.accepted[0].meaning is not None
     assert arm.accepted[0].meaning.check == ("Check the toy.",)
     assert (arm.noise_mm, arm.candidates) == (found.noise_mm, found.candidates)
-    assert (arm.structure, arm.contradictions) == (structure, (wrong,))
+    assert arm.structure == structure
+    assert arm.contradictions == (Contradiction(effect="backlash", joints=(2,), size_um=31.4, sentence=sentence),)
+    meaning = arm.accepted[1].meaning
+    assert meaning is not None
+    assert "Check the approach convention of the readings." in meaning.check
+    assert "Measure 10 poses twice" in meaning.settle[0]
     uncertain = replace(found, accepted=(replace(discovery.accepted[0], posterior=math.nan),))
     assert arm_result(uncertain).accepted[0].posterior is None, "what was not computed is not claimed"
 

@@ -58,7 +58,7 @@ def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
         "or instead   of joint_compliance: pedestal_compliance or link_bending",
         "not visible  backlash: no approach signs\n",
         "tracker_scale: geometry follows nearly all of it\n",
-        "law not quite as expected: 18 % of the displacement by joint_compliance is",
+        "law not quite as expected: what joint_compliance moves beside its law is 18",
         "possible too link_bending (13 %)\n",
         "impossible   something behaves like backlash, but of the opposite sign",
         "remainder    what is left still depends on time (p below 0.001)",
@@ -130,6 +130,9 @@ def test_what_an_effect_means_stands_in_full() -> None:
         "  more     cellapp docs joint_compliance",
     ):
         assert text in lines
+    arm = unknown_effect("left")
+    twice = arm.model_copy(update={"accepted": (*arm.accepted, arm.accepted[1])})
+    assert meaning_lines(DiscoverResult(arms={"left": twice}))[-2] == "  as joint_compliance above"
     assert meaning_lines(DiscoverResult(arms={"right": nothing_missing("right")})) == []
 
 
@@ -160,7 +163,7 @@ def test_impossible_findings_and_laws_that_hardly_fit_are_sentences() -> None:
         "Something behaves like backlash, but of the opposite sign: check the approach convention."
     ]
     (misfit,) = misfit_sentences(arm)
-    assert misfit.startswith("Law not quite as expected: 18 %")
+    assert "18 % of what the law moves" in misfit
     exact = arm.accepted[1].model_copy(update={"law_misfit": 0.02})
     assert misfit_sentences(arm.model_copy(update={"accepted": (exact,)})) == []
 

@@ -40,12 +40,14 @@ from cellapp.reporting.tables import (
 from cellapp.results import (
     CALIBRATE,
     VERIFY,
+    ArmOrder,
     CalibrateResult,
     DiscoverResult,
     Picture,
     VerifyResult,
 )
 from cellapp.run import RunFile
+from cellapp.run.in_order import write_in_order
 from cellapp.run.stages import CALIBRATION_FILE, append_stage, basis_of, read_results, read_stages
 from tests.reporting.cases import discovery, nothing_missing, unknown_effect
 from tests.reporting.parsed_page import NOON, Page, page_of
@@ -234,6 +236,15 @@ def test_inter_base_transform_by_either_way(whole: RunFile, whole_page: Page) ->
                 assert f"{value * factor:.5f}" in whole_page.texts
 
 
+def test_provenance_says_what_was_derived_from_the_order_of_the_readings(single: RunFile, single_text: str) -> None:
+    assert "Order of measurement" not in Page(single_text).text
+    write_in_order(single, {"only": ArmOrder(by="rows", approach=7, step=8)})
+    assert (
+        "arm only: measured in the order of the rows; 7 approach signs and 8 steps"
+        in Page(page_text(single, NOON)).text
+    )
+
+
 def test_provenance_names_its_files_by_their_hashes(whole: RunFile, whole_page: Page) -> None:
     profile = hashlib.sha256(profile_to_json(whole.profile).encode()).hexdigest()
     calibration = hashlib.sha256((whole.folder / CALIBRATION_FILE).read_bytes()).hexdigest()
@@ -359,7 +370,7 @@ def test_discovery_shows_everything_that_was_found(double: RunFile, monkeypatch:
         "No reading was taken from 128° to -170°.",
         "With 20 simulations without effects",
         "Something behaves like backlash, but of the opposite sign: check the approach convention.",
-        "Law not quite as expected: 18 % of the displacement by joint_compliance is in its smooth free part.",
+        "Law not quite as expected: what joint_compliance moves beside its law is 18 % of what the law moves.",
         "What it means: joint compliance, joints 2-4, 6",
         "The gears of joints 2, 3, 4 and 6 twist. Usual size: 1 to 3 mm (computed).",
         "Repeat 20 stops with a second payload.",

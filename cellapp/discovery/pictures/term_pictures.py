@@ -22,6 +22,7 @@ from cellapp.discovery.pictures.axes import axes_of
 from cellapp.discovery.pictures.picture import PictureData, make_picture, rounded
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import EFFECTS, Channel
+from cellapp.effects.contradiction import is_contradiction
 from cellapp.effects.data_driven import data_driven_form
 from cellapp.kinematics.transforms import Array
 from cellapp.results import CurveRecord, Picture
@@ -94,7 +95,7 @@ class _TermPictures:
     def _title(self) -> str:
         term = self.fit.terms[self.number]
         title = EFFECTS[term.slug].title
-        if term.slug != UNKNOWN:
+        if term.slug != UNKNOWN or is_contradiction(term.law):
             return title
         channel = data_driven_form(term.law).channel
         return title if channel.channel is Channel.JOINT else f"{title}, {channel.name}"

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.discovery.arm_data import ArmData
-from cellapp.discovery.joint_fit import JointFit, fit_terms, uncertainty_with_scatter
+from cellapp.discovery.joint_fit import JointFit, fit_terms, mean_variance, uncertainty_with_scatter
 from cellapp.discovery.process.components import Component, components
 from cellapp.discovery.process.evidence import (
     Hyperparameters,
@@ -26,7 +26,6 @@ from cellapp.discovery.process.evidence import (
     most_evident,
 )
 from cellapp.discovery.terms import ModelTerm, ModelTerms, Smoothness
-from cellapp.kinematics.transforms import Array
 
 LEAST_READINGS = 40
 """Readings from which a process is tried: 120 coordinates for some 20 hyperparameters beside 30 of geometry."""
@@ -182,15 +181,6 @@ def process_terms(process: StructuredProcess, scatter_m: float) -> ModelTerms:
 
 def _scatter(data: ArmData, noise: float) -> float:
     """Standard deviation of a coordinate [m] beyond the stated uncertainty, from the noise over that of the weights."""
-    total = noise * _mean_variance(data.sigma)
-    stated = 0.0 if data.stated is None else _mean_variance(data.stated)
+    total = noise * mean_variance(data.sigma)
+    stated = 0.0 if data.stated is None else mean_variance(data.stated)
     return math.sqrt(max(total - stated, 0.0))
-
-
-def _mean_variance(sigma: Array | None) -> float:
-    """Mean variance of a coordinate [m^2]."""
-    if sigma is None:
-        return 1.0
-    if sigma.ndim == 1:
-        return float(np.mean(sigma**2))
-    return float(np.mean(np.trace(sigma, axis1=1, axis2=2))) / 3.0

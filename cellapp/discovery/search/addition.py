@@ -73,7 +73,7 @@ def _is_remainder(state: SearchState, score: LawScore) -> bool:
     return any(
         explained < _REMAINDER**2 * fit.removed_square(number)
         for number, term in enumerate(fit.terms)
-        if term.is_library_effect and _are_look_alikes(score.slug, term.slug)
+        if term.effect is not None and _are_look_alikes(score.slug, term.effect.slug)
     )
 
 

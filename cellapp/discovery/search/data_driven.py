@@ -18,6 +18,7 @@ from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.discovery.search.tuning import apply_step
 from cellapp.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
+from cellapp.effects.contradiction import is_contradiction
 from cellapp.effects.data_driven import DataChannel, channels, data_driven_form
 from cellapp.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
 
@@ -134,7 +135,11 @@ class _Tried:
     ) -> _Tried:
         """Score the laws that the readings can determine, of subjects that no term has."""
         data, fit = state.data, state.fit
-        taken = {data_driven_form(term.law).subject for term in fit.terms if term.slug == UNKNOWN}
+        taken = {
+            data_driven_form(term.law).subject
+            for term in fit.terms
+            if term.slug == UNKNOWN and not is_contradiction(term.law)
+        }
         evaluated = Families.of(data, families)
         possible = np.array(
             [[(channel.subject, family.drivers) not in taken for family in families] for channel in chosen], dtype=bool

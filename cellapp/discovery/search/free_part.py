@@ -31,7 +31,7 @@ from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.discovery.terms import ModelTerm, with_term
-from cellapp.effects import EFFECTS, EffectColumn
+from cellapp.effects import EffectColumn
 from cellapp.effects.modulation import HALF_CYCLES, HARMONICS, Modulation, closes, modulations
 from cellapp.kinematics.transforms import Array
 
@@ -64,14 +64,15 @@ class FreePart:
 def possible_free_parts(data: ArmData, fit: JointFit, number: int) -> list[FreePart]:
     """The free part of a term with each driver that its effect declares; none for terms without a law."""
     term = fit.terms[number]
-    if not term.is_library_effect:
+    effect = term.effect
+    if effect is None:
         return []
     size = len(term.names)
     columns = [column for column in fit.term_columns(number)[:size] if not column.refines]
     sizes = _sizes(fit, number)
     columns = [column for column in columns if sizes[column.name] > 0.0]
     found = []
-    for driver in EFFECTS[term.slug].free_drivers:
+    for driver in effect.free_drivers:
         ones = _lowest_orders(modulations(driver, columns, data.context))
         if ones:
             found.append(_free_part(data, fit, columns, ones, sizes))
@@ -160,7 +161,7 @@ def with_free_parts(problem: SearchProblem, state: SearchState) -> SearchState |
     """
     terms = tuple(replace(term, modulations=(), modulation_sd=()) for term in state.fit.terms)
     had = any(term.modulations for term in state.fit.terms)
-    if state.data.sigma is None or not any(term.is_library_effect for term in terms):
+    if state.data.sigma is None or all(term.effect is None for term in terms):
         return None
     base = problem.state(terms, state) if had else state
     found = _free_terms(base)

@@ -10,6 +10,7 @@ from cellapp.discovery.joint_fit import JointFit, refit
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.significance import corrected_p_value
 from cellapp.discovery.terms import ModelTerm, ModelTerms
+from cellapp.effects.contradiction import is_contradiction
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.progress import CancelToken
@@ -136,3 +137,8 @@ class SearchResult:
     steps: tuple[SearchStep, ...]
     dropped: tuple[str, ...]
     threshold: float
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """What the readings look like where a law of the library holds with impossible values only."""
+        return tuple(term.note for term in self.fit.terms if is_contradiction(term.law))

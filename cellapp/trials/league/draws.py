@@ -8,15 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.calibration.calibrate import ArmCalibration, calibrate_arm, train_arm
+from cellapp.calibration.calibrate import calibrate_arm, train_arm
 from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.discovery.discover import discover_arm
-from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
-from cellapp.model import ArmModel
-from cellapp.profile import Profile
 from cellapp.results import Record
-from cellapp.run import Readings
 from cellapp.trials.league.series import DrawnRows, Entrant, Group, Rows, draw_rows
 
 _TWO_SIDED_95 = 1.959964
@@ -31,7 +27,8 @@ class HeldOutScore(Record):
     n : int
         Held-out rows.
     geometry_mm, network_mm, discovery_mm : float
-        Mean position error; of the residual network None where it was not asked for or not trained.
+        Mean position error. That of the residual network is None where it was not asked for, and that of geometry
+        alone where its folds chose no network.
     within_95 : float
         Share of the measured coordinates within the 95 % interval that discovery states for them.
     """
@@ -83,16 +80,6 @@ class DrawTask:
         return draw_rows(self.entrant, self.rows, self.seed, self.learnable)
 
 
-def predictive_sd(model: ArmModel, learned: Readings, conditions: MeasurementConditions, q: Array) -> Array:
-    """Standard deviation (n,) [m] of a measured coordinate at ``q`` (n, N) [rad], as discovery states it.
-
-    The uncertainty of the model, and noise of the size of what the model leaves of the readings it learned from;
-    ``conditions`` are those of these readings.
-    """
-    left = learned.p_M - model.predict(learned.q, conditions=conditions)
-    return np.asarray(np.hypot(model.uncertainty(q), np.sqrt(np.mean(left**2))))
-
-
 def run_draw(task: DrawTask) -> LeagueDraw:
     """Learn from the drawn rows, and judge on the held-out ones. Raises ``InputError`` as ``drawn`` does."""
     entrant, rows = task.entrant, task.drawn()
@@ -105,14 +92,13 @@ def run_draw(task: DrawTask) -> LeagueDraw:
     began = time.perf_counter()
     found = discover_arm(profile, entrant.arm, arm.model, readings, conditions=conditions)
     seconds = time.perf_counter() - began
-    network = _with_network(profile, arm, readings) if task.network else None
+    network = train_arm(profile, arm, readings).model if task.network else None
     left = {
         name: readings.p_M - model.predict(readings.q, conditions=conditions)
         for name, model in (("geometry", arm.model), ("network", network), ("discovery", found.model))
         if model is not None
     }
-    learned = readings.take(rows.learned)
-    sd = predictive_sd(found.model, learned, conditions.take(rows.learned), readings.q)
+    sd = found.model.measured_uncertainty(readings.q, conditions)
     return LeagueDraw(
         series=entrant.name,
         rows=task.rows,
@@ -126,12 +112,6 @@ def run_draw(task: DrawTask) -> LeagueDraw:
         verdict=found.verdict,
         seconds=seconds,
     )
-
-
-def _with_network(profile: Profile, arm: ArmCalibration, readings: Readings) -> ArmModel | None:
-    """The model with the residual network of ``calibrate``; None where its folds chose none."""
-    model = train_arm(profile, arm, readings).model
-    return None if model.network is None else model
 
 
 def _score(left: Mapping[str, Array], sd: Array) -> HeldOutScore:

@@ -37,7 +37,7 @@ class LeagueLine(Record):
     draws, learned, held_out : int
         Number of draws; rows of a draw that were learned from and held out.
     geometry_mm, network_mm, discovery_mm : float
-        Mean over draws of the mean position error; of the network over draws where one was trained.
+        Mean over draws of the mean position error; of the network None where it was not asked for.
     worst_to_mean : float
         Largest mean position error of a draw, over the mean of all draws; discovery.
     within_95 : float

@@ -37,7 +37,7 @@ class TargetIncidence(Effect):
 
 @dataclass(frozen=True, eq=False)
 class IncidencePower(Effect):
-    """An error along the beam that grows with a power of the incidence angle t: ``size (t / 30 deg)^power``.
+    """An error along the beam that grows with a power of the incidence t: ``size (2 sin t)^power``, size at 30 deg.
 
     A worn or tilted coating: the phase of the returned beam changes faster than a glass plate's path.
     """
@@ -50,9 +50,8 @@ class IncidencePower(Effect):
         distance = np.linalg.norm(p_M, axis=1, keepdims=True)
         beam = p_M / distance
         cosine = -(beam * normal_M).sum(axis=1, keepdims=True)
-        incidence = np.arccos(np.clip(cosine, -1.0, 1.0))
-        longer = self.size * (incidence / np.radians(30.0)) ** self.power
-        aside = normal_M + cosine * beam
+        aside = normal_M + cosine * beam  # perpendicular to the beam, length sin(t)
+        longer = self.size * (2.0 * np.linalg.norm(aside, axis=1, keepdims=True)) ** self.power
         apparent: Array = p_M + longer * beam + self.dihedral * distance * aside
         return apparent
 
