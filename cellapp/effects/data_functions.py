@@ -33,6 +33,8 @@ TIME_ORDER = 20
 """Half cycles over the run: a drift may change its direction twenty times."""
 PAIR_ORDER = 3
 """Highest total order of the functions of two variables: 24 columns at most."""
+PAIR_ORDERS = (2, PAIR_ORDER)
+"""Total orders that are tried: with 12 columns or fewer, a weak effect in few readings can be described as well."""
 
 
 def run_constants(context: EffectContext, variable: Variable) -> dict[str, float]:
@@ -89,13 +91,14 @@ class FunctionTable:
                 return _of_time(self.context, drivers[0], first)
             return {name: values for _, name, values in self._family(drivers[0], first)}
         if all(one.is_joint_angle for one in drivers):
-            return self._of_two_angles(drivers)
+            return self._of_two_angles(drivers, round(constants["order"]))
         second = _own(constants, SECOND_CONSTANTS, "2")
+        most = round(max(first["order"], second["order"]))
         ones = [(0, "", np.ones(len(self.context)))]
         products = {}
         for m, left, f in ones + self._family(drivers[0], first):
             for k, right, g in ones + self._family(drivers[1], second):
-                if 1 <= m + k <= PAIR_ORDER:
+                if 1 <= m + k <= most:
                     products["*".join(filter(None, (left, right)))] = f * g
         return products
 
@@ -105,12 +108,12 @@ class FunctionTable:
             self.families[key] = _family(self.context, variable, constants)
         return self.families[key]
 
-    def _of_two_angles(self, drivers: tuple[Variable, ...]) -> dict[str, Array]:
-        """Cosine and sine of m v + k w for 1 <= |m| + |k| <= 3, each pair of opposite signs once."""
+    def _of_two_angles(self, drivers: tuple[Variable, ...], order: int) -> dict[str, Array]:
+        """Cosine and sine of m v + k w for 1 <= |m| + |k| <= ``order``, each pair of opposite signs once."""
         v, w = (self._waves(one) for one in drivers)
         labels = tuple(one.name.replace(" ", "_") for one in drivers)
         found = {}
-        for m, k, text in _phases(labels):
+        for m, k, text in _phases(labels, order):
             wave = v[m] * (w[k] if k >= 0 else w[-k].conj())
             found[f"cos({text})"], found[f"sin({text})"] = wave.real, wave.imag
         return found
@@ -163,12 +166,12 @@ def _of_time(context: EffectContext, time: Variable, constants: Mapping[str, flo
 
 
 @lru_cache(maxsize=256)
-def _phases(labels: tuple[str, ...]) -> tuple[tuple[int, int, str], ...]:
+def _phases(labels: tuple[str, ...], order: int) -> tuple[tuple[int, int, str], ...]:
     """m, k and the text of each m v + k w."""
     return tuple(
         (m, k, _phase_text(m, k, labels))
-        for m in range(PAIR_ORDER + 1)
-        for k in range(m - PAIR_ORDER, PAIR_ORDER - m + 1)
+        for m in range(order + 1)
+        for k in range(m - order, order - m + 1)
         if m > 0 or k > 0
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import ClassVar
@@ -30,7 +30,7 @@ from cellapp.effects.data_driven import (
     form_of,
     variables,
 )
-from cellapp.effects.data_functions import PAIR_ORDER, functions, run_constants
+from cellapp.effects.data_functions import PAIR_ORDER, PAIR_ORDERS, functions, run_constants
 from cellapp.effects.effect import Effect
 from cellapp.effects.field import FIELD_LENGTH, field_frequencies, field_variances
 from cellapp.effects.law import DriverVariable, Law, LawForm
@@ -152,16 +152,18 @@ def curve_families(context: EffectContext) -> list[FunctionFamily]:
     return [*straight, *curves, *(FunctionFamily((time,), one) for one in periods)]
 
 
-def pair_families(context: EffectContext, among: Collection[Variable] | None = None) -> list[FunctionFamily]:
-    """Functions of all pairs of variables that vary, or of those ``among`` them."""
+def pair_families(
+    context: EffectContext, among: Collection[Variable] | None = None, orders: Sequence[int] = PAIR_ORDERS
+) -> list[FunctionFamily]:
+    """Functions of all pairs of variables that vary, or of those ``among`` them, of each total order."""
     used = [one for one in variables(context) if among is None or one in among]
     constants = {one: run_constants(context, one) for one in used}
     found = []
     for first, second in combinations(used, 2):
         both = {**constants[first], **{f"{key}2": value for key, value in constants[second].items()}}
-        for key in ("order", "order2"):
-            both[key] = min(both[key], float(PAIR_ORDER))
-        found.append(FunctionFamily((first, second), both))
+        for most in orders:
+            limited = {key: min(both[key], float(most)) for key in ("order", "order2")}
+            found.append(FunctionFamily((first, second), {**both, **limited}))
     return found
 
 
@@ -193,7 +195,7 @@ def pairs(
     if among is None and channel is None:
         among = own_angles(context)
     chosen = channels(context.joints) if channel is None else (channel,)
-    return [family.law(one) for family in pair_families(context, among) for one in chosen]
+    return [family.law(one) for family in pair_families(context, among, (PAIR_ORDER,)) for one in chosen]
 
 
 def own_angles(context: EffectContext) -> tuple[Variable, ...]:
