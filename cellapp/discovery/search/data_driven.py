@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cellapp.design.information import SMALLEST, VISIBLE
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
+from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.search.channel_scan import ChannelScan, Families
 from cellapp.discovery.search.comparison import best_state, criterion, floor_reached, scatter
 from cellapp.discovery.search.free_part import explains_beside_free_parts
@@ -164,7 +166,36 @@ def _best_law(state: SearchState, tried: _Tried) -> LawScore | None:
     data, fit = state.data, state.fit
     candidates = [fit.candidate(data, UNKNOWN, family.law(channel)) for _, family, channel in tried.best]
     ranked = LawScan.of(candidates, fit.projector).ranked(fit.projected_residual)
-    return replace(ranked[0], value=ranked[0].value - 2.0 * math.log(max(tried.count, 1))) if ranked else None
+    if not ranked:
+        return None
+    best = _with_needed_functions(ranked[0], fit)
+    return replace(best, value=best.value - 2.0 * math.log(max(tried.count, 1)))
+
+
+def _with_needed_functions(score: LawScore, fit: JointFit) -> LawScore:
+    """The law with the functions that the criterion needs, if it is better so; choosing r of k costs 2 ln C(k, r).
+
+    Without column j of the rest the explained square falls by w_j^2 / (G^-1)_jj, w the solution and G the information.
+    """
+    residual, rows, price = fit.projected_residual, score.rows, math.log(len(fit.residual))
+    gram, moments = rows @ fit.projector.project(rows).T, rows @ residual.projected
+    kept = np.arange(len(rows))
+    left = residual.square * (1.0 - score.explained_share)
+    while len(kept) > 1:
+        inverse = np.linalg.pinv(gram[np.ix_(kept, kept)], rcond=VISIBLE**2, hermitian=True)
+        losses = (inverse @ moments[kept]) ** 2 / np.maximum(np.diag(inverse), SMALLEST)
+        least = int(np.argmin(losses))
+        if len(residual) * math.log1p(float(losses[least]) / left) > price:
+            break
+        left += float(losses[least])
+        kept = np.delete(kept, least)
+    choices = math.comb(len(rows), len(kept))
+    value = residual.bic_gain(rows[kept]) - 2.0 * math.log(choices)
+    if value <= score.value:
+        return score
+    candidate = replace(score.candidate, law=replace(score.candidate.law, tried=choices))
+    chosen = tuple(score.chosen[k] for k in kept)
+    return LawScore(candidate, value, chosen, residual.explained_share(rows[kept]))
 
 
 def _acts_only_on(data: ArmData, term: ModelTerm, where: str) -> bool:
