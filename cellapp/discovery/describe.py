@@ -16,6 +16,7 @@ from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import Channel, EffectColumn, LawForm
 from cellapp.effects.contradiction import is_contradiction
 from cellapp.effects.data_driven import DataChannel, Variable, data_driven_form
+from cellapp.effects.field import FIELD_LENGTH
 from cellapp.effects.unknown import channel_directions
 from cellapp.kinematics.transforms import Array
 
@@ -64,6 +65,13 @@ def describe(data: ArmData, fit: JointFit, number: int) -> Description:
     names = tuple(variable.name for variable in variables)
     values = [variable.values(data.context) for variable in variables]
     size_um = _visible_rms(fit, number) * 1e6
+    if form.is_field:
+        length = fit.terms[number].law.constants[FIELD_LENGTH.name]
+        sentence = (
+            f"{channel.name} depends on the position, a field over the workspace that changes within some"
+            f" {length:.1g} m; {size_um:.0f} um rms at the SMR"
+        )
+        return Description(channel.name, names, size_um, "", None, (), sentence)
     formula, gain = _formula(data, fit, number, channel, variables, values)
     shape = f", about {formula}" if formula else ""
     sentence = f"{channel.name} depends on {' and '.join(names)}{shape}; {size_um:.0f} um rms at the SMR"

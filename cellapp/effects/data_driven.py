@@ -1,6 +1,7 @@
-"""Forms of data-driven laws: which channel depends on which one or two variables.
+"""Forms of data-driven laws: which channel depends on which one or two variables, or on the position.
 
-In JSON such a law is named ``channel|variable`` or ``channel|variable|variable``.
+In JSON such a law is named ``channel|variable`` or ``channel|variable|variable``; a field over the workspace is named
+``base shift|x|y|z``.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from cellapp.effects.column import Channel, place_name
 from cellapp.effects.context import EffectContext, varies
+from cellapp.effects.field import FIELD_CONSTANTS
 from cellapp.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.time_functions import times_known
 from cellapp.kinematics.transforms import Array
@@ -109,6 +111,9 @@ class Quantity(Enum):
     AZIMUTH = "azimuth"
     ELEVATION = "elevation"
     INCIDENCE = "incidence"
+    X = "x"
+    Y = "y"
+    Z = "z"
 
 
 PER_JOINT = frozenset({Quantity.JOINT_ANGLE, Quantity.OTHER_JOINT_ANGLE, Quantity.TORQUE, Quantity.STEP})
@@ -126,6 +131,9 @@ _DRIVERS = {
     Quantity.AZIMUTH: DriverVariable.BEAM,
     Quantity.ELEVATION: DriverVariable.BEAM,
     Quantity.INCIDENCE: DriverVariable.INCIDENCE,
+    Quantity.X: DriverVariable.BEAM,  # where the SMR is, seen from the base or from the tracker
+    Quantity.Y: DriverVariable.BEAM,
+    Quantity.Z: DriverVariable.BEAM,
 }
 
 
@@ -173,6 +181,8 @@ class Variable:
                 return context.across[1]
             case Quantity.INCIDENCE:
                 return _incidence(context)
+            case Quantity.X | Quantity.Y | Quantity.Z:
+                return np.ascontiguousarray(position_in_base(context)[:, "xyz".index(self.quantity.value)])
             case Quantity.TIME:
                 logged = conditions.time_s
             case Quantity.DWELL:
@@ -180,6 +190,16 @@ class Variable:
             case Quantity.TEMPERATURE:
                 logged = conditions.air_c
         return unknown if logged is None else logged
+
+
+POSITION = (Variable(Quantity.X), Variable(Quantity.Y), Variable(Quantity.Z))
+"""Where in the workspace the SMR is, in the base frame."""
+
+
+def position_in_base(context: EffectContext) -> Array:
+    """SMR positions in the base frame (n, 3) [m]."""
+    rotations, origins = context.frames
+    return np.asarray(np.einsum("nba,nb->na", rotations[0], context.p_M - origins[0]))
 
 
 def _incidence(context: EffectContext) -> Array:
@@ -235,10 +255,15 @@ SECOND_CONSTANTS = _constants("2")
 
 @dataclass(frozen=True)
 class DataDrivenForm(LawForm):
-    """The form of a data-driven law: its channel and one or two driver variables."""
+    """The form of a data-driven law: its channel and one or two driver variables, or the three of the position."""
 
     channel: DataChannel = field(kw_only=True)
     drivers: tuple[Variable, ...] = field(kw_only=True)
+
+    @property
+    def is_field(self) -> bool:
+        """Whether it is a field over the workspace."""
+        return self.drivers == POSITION
 
     @property
     def subject(self) -> tuple[DataChannel, tuple[Variable, ...]]:
@@ -248,16 +273,21 @@ class DataDrivenForm(LawForm):
 
 @lru_cache(maxsize=16384)
 def form_of(channel: DataChannel, drivers: tuple[Variable, ...]) -> DataDrivenForm:
-    """The form of one or two driver variables in a channel; cached, as a search makes the same thousands repeatedly."""
+    """The form of driver variables in a channel; cached, as a search makes the same thousands repeatedly."""
     names = [one.name for one in drivers]
+    of = "the position, a field over the workspace" if drivers == POSITION else " and ".join(names)
     return DataDrivenForm(
         name="|".join([channel.name, *names]),
-        words=f"{channel.name} as a function of {' and '.join(names)}",
-        constants=FIRST_CONSTANTS + SECOND_CONSTANTS,
+        words=f"{channel.name} as a function of {of}",
+        constants=FIELD_CONSTANTS if drivers == POSITION else FIRST_CONSTANTS + SECOND_CONSTANTS,
         variables=frozenset(_DRIVERS[one.quantity] for one in drivers),
         channel=channel,
         drivers=drivers,
     )
+
+
+FIELD = form_of(DataChannel(Channel.BASE), POSITION)
+"""A field over the workspace. A shift seen in the tracker's frame is the same field, with other coordinates."""
 
 
 def data_driven_form(law: Law) -> DataDrivenForm:
@@ -275,7 +305,11 @@ def form_named(name: str) -> DataDrivenForm | None:
     channel = _channel_named(first)
     found = [variable_named(one) for one in rest]
     drivers = tuple(one for one in found if one is not None)
-    if channel is None or not 1 <= len(rest) <= 2 or len(drivers) < len(rest):
+    if channel is None or len(drivers) < len(rest):
+        return None
+    if drivers == FIELD.drivers:
+        return FIELD if channel == FIELD.channel else None
+    if not 1 <= len(rest) <= 2 or set(drivers) & set(POSITION):
         return None
     return form_of(channel, drivers)
 

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
+from numpy.typing import NDArray
 
 from cellapp.effects.context import EffectContext
 from cellapp.effects.data_driven import (
     FIRST_CONSTANTS,
     PERIOD,
+    POSITION,
     SECOND_CONSTANTS,
     Quantity,
     Variable,
     data_driven_form,
+    position_in_base,
 )
+from cellapp.effects.field import field_functions
 from cellapp.effects.law import Constant, Law
 from cellapp.effects.time_functions import run_span, with_default
 from cellapp.kinematics.transforms import Array
@@ -27,6 +33,8 @@ TIME_ORDER = 20
 """Half cycles over the run: a drift may change its direction twenty times."""
 PAIR_ORDER = 3
 """Highest total order of the functions of two variables: 24 columns at most."""
+PAIR_ORDERS = (2, PAIR_ORDER)
+"""Total orders that are tried: with 12 columns or fewer, a weak effect in few readings can be described as well."""
 
 
 def run_constants(context: EffectContext, variable: Variable) -> dict[str, float]:
@@ -59,22 +67,64 @@ def _about(azimuth: Array, center: float) -> Array:
 
 def functions(context: EffectContext, law: Law) -> dict[str, Array]:
     """Functions (n,) of a law's variables, by name."""
-    drivers = data_driven_form(law).drivers
-    first = _own(law.constants, FIRST_CONSTANTS, "")
-    if len(drivers) == 1:
-        if drivers[0].quantity is Quantity.TIME:
-            return _of_time(context, drivers[0], first)
-        return {name: values for _, name, values in _family(context, drivers[0], first)}
-    if all(one.is_joint_angle for one in drivers):
-        return _of_two_angles(context, drivers)
-    second = _own(law.constants, SECOND_CONSTANTS, "2")
-    ones = [(0, "", np.ones(len(context)))]
-    products = {}
-    for m, left, f in ones + _family(context, drivers[0], first):
-        for k, right, g in ones + _family(context, drivers[1], second):
-            if 1 <= m + k <= PAIR_ORDER:
-                products["*".join(filter(None, (left, right)))] = f * g
-    return products
+    return FunctionTable(context).functions(data_driven_form(law).drivers, law.constants)
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionTable:
+    """Functions of data-driven laws at the stops of a context; those of one variable are evaluated once for all pairs.
+
+    ``families`` and ``waves`` hold what was evaluated before.
+    """
+
+    context: EffectContext
+    families: dict[tuple[Variable, float], list[tuple[int, str, Array]]] = field(default_factory=dict)
+    waves: dict[Variable, NDArray[np.complex128]] = field(default_factory=dict)
+
+    def functions(self, drivers: tuple[Variable, ...], constants: Mapping[str, float]) -> dict[str, Array]:
+        """Functions (n,) of some variables, by name."""
+        if drivers == POSITION:
+            return field_functions(position_in_base(self.context), constants)
+        first = _own(constants, FIRST_CONSTANTS, "")
+        if len(drivers) == 1:
+            if drivers[0].quantity is Quantity.TIME:
+                return _of_time(self.context, drivers[0], first)
+            return {name: values for _, name, values in self._family(drivers[0], first)}
+        if all(one.is_joint_angle for one in drivers):
+            return self._of_two_angles(drivers, round(constants["order"]))
+        second = _own(constants, SECOND_CONSTANTS, "2")
+        most = round(max(first["order"], second["order"]))
+        ones = [(0, "", np.ones(len(self.context)))]
+        products = {}
+        for m, left, f in ones + self._family(drivers[0], first):
+            for k, right, g in ones + self._family(drivers[1], second):
+                if 1 <= m + k <= most:
+                    products["*".join(filter(None, (left, right)))] = f * g
+        return products
+
+    def _family(self, variable: Variable, constants: Mapping[str, float]) -> list[tuple[int, str, Array]]:
+        key = (variable, constants["order"])
+        if key not in self.families:
+            self.families[key] = _family(self.context, variable, constants)
+        return self.families[key]
+
+    def _of_two_angles(self, drivers: tuple[Variable, ...], order: int) -> dict[str, Array]:
+        """Cosine and sine of m v + k w for 1 <= |m| + |k| <= ``order``, each pair of opposite signs once."""
+        v, w = (self._waves(one) for one in drivers)
+        labels = tuple(one.name.replace(" ", "_") for one in drivers)
+        found = {}
+        for m, k, text in _phases(labels, order):
+            wave = v[m] * (w[k] if k >= 0 else w[-k].conj())
+            found[f"cos({text})"], found[f"sin({text})"] = wave.real, wave.imag
+        return found
+
+    def _waves(self, angle: Variable) -> NDArray[np.complex128]:
+        """``exp(i m v)`` for m = 0 to 3 (4, n); zero where an angle is unknown, as a cosine's mean over the turn."""
+        if angle not in self.waves:
+            values = angle.values(self.context)
+            waves = np.exp(1j * np.arange(PAIR_ORDER + 1)[:, None] * values)
+            self.waves[angle] = np.where(np.isfinite(values), waves, 0.0)
+        return self.waves[angle]
 
 
 def _own(constants: Mapping[str, float], declared: Iterable[Constant], suffix: str) -> dict[str, float]:
@@ -115,22 +165,18 @@ def _of_time(context: EffectContext, time: Variable, constants: Mapping[str, flo
     return {"linear_time": 2.0 * x - 1.0} | {f"cos{k}_time": np.cos(np.pi * k * x) for k in half_cycles}
 
 
-def _of_two_angles(context: EffectContext, drivers: tuple[Variable, ...]) -> dict[str, Array]:
-    """Cosine and sine of m v + k w for 1 <= |m| + |k| <= 3, each pair of opposite signs once."""
-    v, w = (one.values(context) for one in drivers)
-    labels = [one.name.replace(" ", "_") for one in drivers]
-    found = {}
-    for m in range(PAIR_ORDER + 1):
-        for k in range(m - PAIR_ORDER, PAIR_ORDER - m + 1):
-            if m == 0 and k <= 0:
-                continue
-            phase = m * v + k * w
-            for letter, wave in (("cos", np.cos), ("sin", np.sin)):
-                found[f"{letter}({_phase_text(m, k, labels)})"] = _or_zero(wave(phase))
-    return found
+@lru_cache(maxsize=256)
+def _phases(labels: tuple[str, ...], order: int) -> tuple[tuple[int, int, str], ...]:
+    """m, k and the text of each m v + k w."""
+    return tuple(
+        (m, k, _phase_text(m, k, labels))
+        for m in range(order + 1)
+        for k in range(m - order, order - m + 1)
+        if m > 0 or k > 0
+    )
 
 
-def _phase_text(m: int, k: int, labels: list[str]) -> str:
+def _phase_text(m: int, k: int, labels: tuple[str, ...]) -> str:
     """``2*q1-q2`` and the like."""
     terms = [f"{count:+d}*{label}" for count, label in zip((m, k), labels, strict=True) if count]
     return "".join(terms).replace("+1*", "+").replace("-1*", "-").removeprefix("+")

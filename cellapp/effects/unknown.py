@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import ClassVar
 
@@ -30,10 +30,12 @@ from cellapp.effects.data_driven import (
     form_of,
     variables,
 )
-from cellapp.effects.data_functions import PAIR_ORDER, functions, run_constants
+from cellapp.effects.data_functions import PAIR_ORDER, PAIR_ORDERS, functions, run_constants
 from cellapp.effects.effect import Effect
+from cellapp.effects.field import FIELD_LENGTH, field_frequencies, field_variances
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
+from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.effects.unknown_meaning import UNKNOWN_MEANING, data_driven_meaning
 from cellapp.kinematics.transforms import Array
 
@@ -56,6 +58,9 @@ class Unknown(Effect):
     ``order``, ``low``, ``high`` and ``typical`` (the default where unknown: the end of the run for time, no step, the
     run's median dwell, its mean temperature, the nominal payload), ``center`` of an azimuth; with a ``2`` appended for
     the second variable.
+
+    Of the position: the smooth field over the workspace of ``effects.field``, a shift along x, y and z of the base with
+    one amplitude and one length scale.
 
     A law of an effect of the library whose values are physically impossible is such a term as well.
 
@@ -115,7 +120,51 @@ class Unknown(Effect):
                 )
                 for name, one in values.items()
             ]
-        return columns
+        return _with_priors(columns, law) if data_driven_form(law).is_field else columns
+
+
+@dataclass(frozen=True)
+class FunctionFamily:
+    """Functions of one or two variables that any channel may depend on: the variables, and the constants of the law."""
+
+    drivers: tuple[Variable, ...]
+    constants: Mapping[str, float]
+
+    def law(self, channel: DataChannel) -> Law:
+        """The data-driven law of a channel."""
+        return form_of(channel, self.drivers).law(self.constants)
+
+
+def curve_families(context: EffectContext) -> list[FunctionFamily]:
+    """Functions of every variable that the data at hand allow, the straight lines first.
+
+    Unlike a curve a line is not misled by a few stops far from the others.
+    """
+    constants = {one: run_constants(context, one) for one in variables(context)}
+    straight = [
+        FunctionFamily((one,), {**values, "order": 1.0})
+        for one, values in constants.items()
+        if not one.is_joint_angle and one.quantity is not Quantity.TIME and values["order"] > 1.0
+    ]
+    curves = [FunctionFamily((one,), values) for one, values in constants.items()]
+    time = Variable(Quantity.TIME)
+    periods = _single_periods(constants[time], len(context)) if time in constants else []
+    return [*straight, *curves, *(FunctionFamily((time,), one) for one in periods)]
+
+
+def pair_families(
+    context: EffectContext, among: Collection[Variable] | None = None, orders: Sequence[int] = PAIR_ORDERS
+) -> list[FunctionFamily]:
+    """Functions of all pairs of variables that vary, or of those ``among`` them, of each total order."""
+    used = [one for one in variables(context) if among is None or one in among]
+    constants = {one: run_constants(context, one) for one in used}
+    found = []
+    for first, second in combinations(used, 2):
+        both = {**constants[first], **{f"{key}2": value for key, value in constants[second].items()}}
+        for most in orders:
+            limited = {key: min(both[key], float(most)) for key in ("order", "order2")}
+            found.append(FunctionFamily((first, second), {**both, **limited}))
+    return found
 
 
 def dictionary(context: EffectContext) -> list[Law]:
@@ -123,26 +172,8 @@ def dictionary(context: EffectContext) -> list[Law]:
 
     Choosing among them costs as much as their number says: a law itself does not know that number.
     """
-    constants = {one: run_constants(context, one) for one in variables(context)}
-    chosen = channels(context.joints)
-    # A straight line is tried too: unlike a curve it is not misled by a few stops far from the others.
-    straight = {
-        one: {**values, "order": 1.0}
-        for one, values in constants.items()
-        if not one.is_joint_angle and one.quantity is not Quantity.TIME and values["order"] > 1.0
-    }
-    terms = [
-        _law(channel, (one,), values)
-        for group in (straight, constants)
-        for channel in chosen
-        for one, values in group.items()
-    ]
-    time = Variable(Quantity.TIME)
-    if time in constants:
-        terms += [
-            _law(channel, (time,), one) for one in _single_periods(constants[time], len(context)) for channel in chosen
-        ]
-    return terms
+    families = curve_families(context)
+    return [family.law(channel) for channel in channels(context.joints) for family in families]
 
 
 def _single_periods(ends: Mapping[str, float], stops: int) -> list[dict[str, float]]:
@@ -161,28 +192,27 @@ def pairs(
     Both variables are of ``among``; where it is not given, of all that vary for one channel, and of the arm's own joint
     angles for every channel, as there would be thousands of terms.
     """
-    chosen = channels(context.joints) if channel is None else (channel,)
-    known = variables(context)
     if among is None and channel is None:
-        among = [one for one in known if one.quantity is Quantity.JOINT_ANGLE]
-    used = [one for one in known if among is None or one in among]
-    constants = {one: run_constants(context, one) for one in used}
-    laws = []
-    for first, second in combinations(used, 2):
-        both = {**constants[first], **{f"{key}2": value for key, value in constants[second].items()}}
-        for key in ("order", "order2"):
-            both[key] = min(both[key], float(PAIR_ORDER))
-        laws += [_law(one, (first, second), both) for one in chosen]
-    return laws
+        among = own_angles(context)
+    chosen = channels(context.joints) if channel is None else (channel,)
+    return [family.law(one) for family in pair_families(context, among, (PAIR_ORDER,)) for one in chosen]
+
+
+def own_angles(context: EffectContext) -> tuple[Variable, ...]:
+    """The arm's own joint angles."""
+    return tuple(Variable(Quantity.JOINT_ANGLE, joint) for joint in range(context.joints))
+
+
+def _with_priors(columns: list[EffectColumn], law: Law) -> list[EffectColumn]:
+    """The columns of a field with the priors of its amplitude and length scale; each direction has all functions."""
+    variances = field_variances(law.constants[FIELD_LENGTH.name], field_frequencies(law.constants))
+    sd = law.constants[AMPLITUDE.name] * np.sqrt(variances)
+    return [with_prior(column, sd[k % len(sd)]) for k, column in enumerate(columns)]
 
 
 def channel_directions(context: EffectContext, channel: DataChannel) -> list[Array]:
     """SMR shifts (n, 3) [m, tracker frame] per unit of a channel other than a joint, in each of its directions."""
     return [moved for _, moved in _shifts(context, channel)]
-
-
-def _law(channel: DataChannel, drivers: tuple[Variable, ...], constants: Mapping[str, float]) -> Law:
-    return form_of(channel, drivers).law(constants)
 
 
 def _label(channel: DataChannel) -> str:

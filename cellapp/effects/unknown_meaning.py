@@ -59,6 +59,7 @@ _SETTLE: Mapping[Quantity, str] = {
     Quantity.AZIMUTH: "Measure some of the stops from a second tracker station.",
     Quantity.ELEVATION: "Measure some of the stops from a second tracker station, higher or lower.",
     Quantity.INCIDENCE: "Measure the same point at six rolls of the wrist.",
+    **dict.fromkeys((Quantity.X, Quantity.Y, Quantity.Z), UNKNOWN_MEANING.settle[0]),
 }
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from cellapp.effects import EFFECTS, Channel, EffectColumn, MeasurementConditions
 from cellapp.effects.data_driven import DataDrivenForm, Quantity, channels, data_driven_form, form_named, variables
-from cellapp.effects.unknown import dictionary, pairs
+from cellapp.effects.unknown import dictionary, pair_families, pairs
 from cellapp.kinematics.transforms import rotation_z
 from tests.effects.cell import EYE, NOTHING, by_name, chain, context_of, offsets, shifts, slope, under
 
@@ -41,6 +41,10 @@ def pairs_of(channel, names):
     """Pairs of one channel among variables, by their names."""
     (one,) = (one for one in channels(6) if one.name == channel)
     return pairs(CONTEXT, one, [known for known in variables(CONTEXT) if known.name in names])
+
+
+def pairs_among(*names):
+    return [known for known in variables(CONTEXT) if known.name in names]
 
 
 def law_of(channel, variable, context=CONTEXT):
@@ -324,6 +328,18 @@ def test_pairs_of_one_channel_are_of_all_variables_and_of_all_channels_of_joint_
     assert {data_driven_form(law).channel for law in of_all} == set(channels(6))
     drivers = [driver for law in of_all for driver in data_driven_form(law).drivers]
     assert {driver.quantity for driver in drivers} == {Quantity.JOINT_ANGLE}
+
+
+def test_pairs_of_a_lower_order_have_some_of_the_functions():
+    lower, higher = (family.law(channels(6)[3]) for family in pair_families(CONTEXT, pairs_among("q2", "time")))
+    assert (lower.constants["order"], higher.constants["order"]) == (2.0, 3.0)
+    assert lower.name == higher.name == "joint 4|q2|time"
+    few, many = columns(lower), columns(higher)
+    assert len(few) < len(many)
+    for name, column in few.items():
+        np.testing.assert_array_equal(offsets(column), offsets(many[name]))
+    two, three = (family.law(channels(6)[0]) for family in pair_families(CONTEXT, pairs_among("q1", "q2")))
+    assert (len(columns(two)), len(columns(three))) == (12, 24)
 
 
 def test_a_curve_of_one_variable_can_be_found_again():

@@ -26,6 +26,9 @@ _LABELS = {
     Quantity.AZIMUTH: ("azimuth seen by the tracker [deg]", np.degrees(1.0)),
     Quantity.ELEVATION: ("elevation seen by the tracker [deg]", np.degrees(1.0)),
     Quantity.INCIDENCE: ("incidence [deg]", np.degrees(1.0)),
+    Quantity.X: ("x in the base frame [m]", 1.0),
+    Quantity.Y: ("y in the base frame [m]", 1.0),
+    Quantity.Z: ("z in the base frame [m]", 1.0),
 }
 """Label of a variable of data-driven terms, with a place for the joint, and the factor from SI units to the label's."""
 _LOADED_JOINT = 1

@@ -17,9 +17,12 @@ from numpy.typing import NDArray
 
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit
+from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import EFFECTS, EffectColumn, EffectContext, Law, LawForm
 from cellapp.effects.backlash import TYPICAL_STEP, WIDTH
 from cellapp.effects.base_motion import order_span
+from cellapp.effects.data_driven import FIELD, position_in_base
+from cellapp.effects.field import FIELD_LENGTH, box_of, field_frequencies, field_variances
 from cellapp.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH
 from cellapp.effects.smooth import AMPLITUDE, CYCLES, LENGTH, circle_variances
 from cellapp.effects.time_functions import FIRST, run_span, times_known
@@ -37,7 +40,7 @@ _LEAST_LEVER = 0.05
 
 @dataclass(frozen=True)
 class LengthRange:
-    """First guess and bounds of a length scale [rad]."""
+    """First guess and bounds of a length scale [rad], of a field over the workspace [m]."""
 
     start: float
     least: float
@@ -48,6 +51,9 @@ CURVE_LENGTHS = LengthRange(math.radians(5.0), math.radians(3.0), math.radians(4
 """A gear's errors have periods from a few degrees to a turn; below 3 degrees lines of the spectrum describe them."""
 MOTION_LENGTHS = LengthRange(math.radians(40.0), math.radians(20.0), math.radians(120.0))
 """Errors of a bearing's raceways have a few cycles a turn."""
+FIELD_LENGTHS = LengthRange(0.5, 0.2, 3.0)
+"""Layers of air and bent stands act over a good part of the workspace; shorter fields need more readings than there
+are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +81,8 @@ class Component:
     lengths : LengthRange, optional
     length_keys : tuple of str
         Constants of the law that hold the length scale; one value for all.
+    frequencies : array, shape (m,), optional
+        Of a field over the workspace: angular frequency of each column [1/m].
     """
 
     slug: str
@@ -88,11 +96,14 @@ class Component:
     weights: Array
     lengths: LengthRange | None = None
     length_keys: tuple[str, ...] = ()
+    frequencies: Array | None = None
 
     def relative_variances(self, length: float) -> Array:
         """Prior variances (m,) at unit amplitude."""
         if self.lengths is None:
             return self.weights
+        if self.frequencies is not None:
+            return field_variances(length, self.frequencies)
         cycles = np.array([0 if column.cycles is None else column.cycles for column in self.columns])
         return np.asarray(circle_variances(length, int(cycles.max()))[cycles - 1])
 
@@ -131,6 +142,7 @@ def components(data: ArmData, fit: JointFit) -> list[Component]:
         found.append(_plain(data, fit, slug, name, constants, start))
     for slug, start in (("joint_axis_wobble", 3e-5), ("joint_axis_runout", 1e-5)):
         found.append(_error_motions(data, fit, slug, start))
+    found.append(_field(data, fit))
     return [one for one in found if one is not None]
 
 
@@ -214,4 +226,25 @@ def _curves(data: ArmData, fit: JointFit) -> Component | None:
         weights=np.ones(len(columns)),
         lengths=CURVE_LENGTHS,
         length_keys=tuple(length for _, length in keys.values()),
+    )
+
+
+def _field(data: ArmData, fit: JointFit) -> Component:
+    """A field over the workspace: one amplitude for its three directions, one length scale."""
+    box = box_of(position_in_base(data.context))
+    law = FIELD.law({**box, AMPLITUDE.name: 1.0, FIELD_LENGTH.name: FIELD_LENGTHS.start})
+    columns = tuple(data.columns(UNKNOWN, law))
+    return Component(
+        slug=UNKNOWN,
+        columns=columns,
+        rows=fit.displacements(columns),
+        form=FIELD,
+        constants=box,
+        groups=np.zeros(len(columns), dtype=np.intp),
+        amplitude_keys=(AMPLITUDE.name,),
+        start=2e-5,
+        weights=np.ones(len(columns)),
+        lengths=FIELD_LENGTHS,
+        length_keys=(FIELD_LENGTH.name,),
+        frequencies=np.tile(field_frequencies(box), 3),
     )

@@ -27,7 +27,7 @@ from cellapp.kinematics.transforms import Array
 _MOST_LAWS = 10
 """Laws of one effect whose blocks are selected in full, the best by their best single block: selection costs a hundred
 times as much, and among dozens of onsets neighbours differ little."""
-_NO_DISPLACEMENT = 1e-9
+NO_DISPLACEMENT = 1e-9
 """Whitened norm below which a column does not move the SMR: far below the standard uncertainty, which is 1."""
 _GRAMS_AT_ONCE = 256
 """Blocks whose Gram matrices are computed together: bounds the memory for copies of their rows."""
@@ -156,5 +156,5 @@ def _block_group(
         some = chosen[begin : begin + _GRAMS_AT_ONCE]
         gram[begin : begin + _GRAMS_AT_ONCE] = rows[some] @ projected[some].swapaxes(1, 2)
     root, rank = visible_root(gram, norms[chosen])
-    moves = norms[chosen].max(axis=1) > _NO_DISPLACEMENT
+    moves = norms[chosen].max(axis=1) > NO_DISPLACEMENT
     return _BlockGroup(owner, places, root * moves[:, None, None], np.where(moves, rank, 0))
