@@ -16,7 +16,8 @@ from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import fit_terms, refit, reweighted
 from cellapp.discovery.search.addition import addition
 from cellapp.discovery.search.comparison import best_state, floor_reached
-from cellapp.discovery.search.data_driven import with_data_driven_terms
+from cellapp.discovery.search.contradiction import with_contradiction
+from cellapp.discovery.search.data_driven import in_place_of_names, with_data_driven_terms
 from cellapp.discovery.search.free_part import with_free_parts
 from cellapp.discovery.search.refinement import refinement
 from cellapp.discovery.search.review import review, reviewed
@@ -101,14 +102,28 @@ class _SearchProgress:
 def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progress: _SearchProgress) -> SearchState:
     """The best of the reviewed models: named effects alone, extended by what the library lacks, or the reverse."""
     named = reviewed(problem, _with_library_effects(problem, start, scan))
-    if floor_reached(named):
-        return named
     progress.step("beyond the library")
-    best = _with_free_functions(problem, start, named)
+    if not floor_reached(named):
+        named = _with_contradictions(problem, start, named)
+    instead = in_place_of_names(problem, start, named)
+    best = named if instead is None else best_state([named, reviewed(problem, instead)])
+    if floor_reached(best):  # a law of few parameters explains all
+        return best
+    free = _with_free_functions(problem, start, named)
+    if best_state([best, free]) is not best:
+        best = free
     if floor_reached(best):
         return best
-    driven = [with_data_driven_terms(problem, state) for state in dict.fromkeys((best, named))]
+    # where one unknown law replaces all names, names beside it would only share it
+    bases = dict.fromkeys((best, named)) if best in (named, free) else (best,)
+    driven = [with_data_driven_terms(problem, state) for state in bases]
     return best_state([best, *(_reviewed_again(problem, state) for state in driven if state is not None)])
+
+
+def _with_contradictions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:
+    """The best of the named model and those with a law that holds with impossible values only, before or beside it."""
+    found = [with_contradiction(problem, state) for state in dict.fromkeys((start, named))]
+    return best_state([named, *(_reviewed_again(problem, state) for state in found if state is not None)])
 
 
 def _with_free_functions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:
