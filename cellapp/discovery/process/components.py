@@ -119,14 +119,26 @@ class Component:
         places = np.flatnonzero(np.isin(self.groups, list(kept)))
         keys = [self.amplitude_keys[k] for k in kept]
         lengths = [key for key in self.length_keys if len(self.length_keys) == 1 or _same_joint(key, keys)]
+        some = self._take(places)
+        groups = np.searchsorted(np.asarray(sorted(kept)), some.groups)
+        return replace(some, groups=groups, amplitude_keys=tuple(keys), length_keys=tuple(lengths))
+
+    def coarse(self) -> Component:
+        """The component with the slower half of its waves, where it has a length scale."""
+        if self.lengths is None:
+            return self
+        cycles = [0 if column.cycles is None else column.cycles for column in self.columns]
+        fast = np.array(cycles, dtype=np.float64) if self.frequencies is None else self.frequencies
+        return self._take(np.flatnonzero(fast <= 0.5 * fast.max()))
+
+    def _take(self, places: NDArray[np.intp]) -> Component:
         return replace(
             self,
             columns=tuple(self.columns[k] for k in places),
             rows=self.rows[places],
-            groups=np.searchsorted(np.asarray(sorted(kept)), self.groups[places]),
-            amplitude_keys=tuple(keys),
+            groups=self.groups[places],
             weights=self.weights[places],
-            length_keys=tuple(lengths),
+            frequencies=None if self.frequencies is None else self.frequencies[places],
         )
 
 
