@@ -38,7 +38,7 @@ from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProg
 from cellapp.results import Noise
 from cellapp.run import Readings
 
-_MOST_SEARCHED = 600
+_MOST_SEARCHED = 400
 """Largest number of readings to search: the cost grows with it, and some hundred readings show effects of the size of
 the noise. The accepted terms are then fitted to all readings."""
 _SUBSET_SEED = 0x5EA
