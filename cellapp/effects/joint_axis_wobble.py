@@ -45,7 +45,8 @@ class JointAxisWobble(Effect):
     origin, and moves everything beyond the joint. With ``joint_axis_runout`` and errors of the angle itself these are
     the six error motions of a rotary axis (ISO 230-7). Size: 5 to 20 urad, 5 to 25 um (estimate, not sourced); 79 %
     visible, with most of a turn of the joint. Look-alikes: run-out of the same axis, as the lever to the target
-    distinguishes them; slightly, two cycles a turn of a neighbouring joint.
+    distinguishes them; slightly, two cycles a turn of a neighbouring joint. Where the axis of the joint before meets
+    this one at a right angle, an error of that joint that depends on this joint's angle is the same motion.
     """
 
     slug = "joint_axis_wobble"

@@ -59,7 +59,11 @@ def predicted_by(model, q):
     _, by_joint = joint_jacobian(model.geometry, angles)
     columns = EFFECTS[COMPLIANCE.slug].columns(model.context(q), COMPLIANCE.law, frozenset(COMPLIANCE.names))
     by_name = {column.name: column for column in columns}
-    moved = [by_joint[:, by_name[name].joint] * by_name[name].offset for name in COMPLIANCE.names]
+    moved = []
+    for column in (by_name[name] for name in COMPLIANCE.names):
+        assert column.joint is not None
+        assert column.offset is not None
+        moved.append(by_joint[:, column.joint] * column.offset)
     return np.concatenate([J, np.stack(moved, axis=1)], axis=1).transpose(2, 0, 1)
 
 
