@@ -14,9 +14,11 @@ from cellapp.calibration.calibrate import rms_length_mm
 from cellapp.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.calibration.network_training import training_steps
 from cellapp.calibration.pair_calibration import calibrate_pair
+from cellapp.discovery.all_readings import fit_to_all
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.describe import describe
 from cellapp.discovery.detectability import detectability
+from cellapp.discovery.gross_errors import ROUNDS, gross_errors, gross_errors_of_geometry
 from cellapp.discovery.held_out import HeldOut
 from cellapp.discovery.joint_fit import JointFit, fit_terms, with_posterior
 from cellapp.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
@@ -25,7 +27,7 @@ from cellapp.discovery.pictures.term_pictures import pictures
 from cellapp.discovery.posterior import Posteriors, posteriors_of, remaining_scan
 from cellapp.discovery.remaining_network import needs_network, with_network
 from cellapp.discovery.search.comparison import scatter
-from cellapp.discovery.search.state import SearchResult
+from cellapp.discovery.search.state import SCORE_MARGIN, SearchResult
 from cellapp.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
 from cellapp.discovery.structure import structure_left
 from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, smoothness_of, without_term
@@ -37,9 +39,11 @@ from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProg
 from cellapp.results import Noise
 from cellapp.run import Readings
 
-_MOST_SEARCHED = 600
+_MOST_SEARCHED = 400
 """Largest number of readings to search: the cost grows with it, and some hundred readings show effects of the size of
 the noise. The accepted terms are then fitted to all readings."""
+_MOST_LISTED = 8
+"""Configurations with gross errors that a sentence lists; more are counted."""
 _SUBSET_SEED = 0x5EA
 """Beside the profile's seed: the draw of these readings is then independent of all other draws."""
 
@@ -138,16 +142,16 @@ def discover_arm(
     cancel = cancel or CancelToken()
     conditions = conditions or measurement_conditions(readings)
     held_out = HeldOut.of(readings, conditions)
-    searched, found, fitted = _search_and_refit(profile, model, readings, conditions, cancel, report)
-    before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(found.fit.model)
+    result = _search_and_refit(profile, model, readings, conditions, cancel, report)
+    searched, found, fitted_model = result.judged, result.found, result.model
+    before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
     floor_mm = held_out.noise_floor_mm()
     scan = remaining_scan(searched)
     probable = posteriors_of(searched, scan)
-    accepted = _accepted_effects(found, held_out, after.rms, probable)
+    accepted = _accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
     # with the descriptions of data-driven terms; where nothing was found the model stays as it was calibrated
-    fitted_model = with_posterior(found.data, found.fit)
     final = replace(fitted_model, effects=tuple(effect.term for effect in accepted))
     if not accepted:
         final = replace(model, posterior=fitted_model.posterior)
@@ -158,14 +162,14 @@ def discover_arm(
         before=before,
         after=after,
         seconds=time.perf_counter() - started,
-        steps=_gap_steps(found, held_out, before.rms, after.rms, fitted),
+        steps=_gap_steps(found, held_out, before.rms, after.rms, result.fitted),
         threshold=found.threshold,
         omnibus_p=math.nan if left is None else left.p_value,
         scatter=math.nan if left is None else left.ratio,
         invisible=invisible,
         not_found=not_found,
         verdict=word,
-        sentence=f"arm {name}: {sentence}",
+        sentence=f"arm {name}: {_without_gross_errors(sentence, result.left_out)}",
         model=final,
         stage=held_out.evaluate(final),
         pictures=pictures(found.data, found.fit),
@@ -184,6 +188,21 @@ def _noise(data: ArmData) -> Noise:
     return Noise(rms=rms_length_mm(data.stated), source="stated")
 
 
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """The outcome of a search, and the model fitted to all readings.
+
+    ``judged`` holds the searched readings; ``found`` those of the final fit. ``fitted`` is the number of all readings
+    if not all were searched, ``left_out`` are the configurations of gross errors.
+    """
+
+    judged: SearchResult
+    found: SearchResult
+    model: ArmModel
+    fitted: int | None
+    left_out: tuple[int, ...] = ()
+
+
 def _search_and_refit(
     profile: Profile,
     model: ArmModel,
@@ -191,9 +210,32 @@ def _search_and_refit(
     conditions: MeasurementConditions,
     cancel: CancelToken,
     report: Report,
-) -> tuple[SearchResult, SearchResult, int | None]:
-    """Search at most ``_MOST_SEARCHED`` readings, then fit to all; the number of all readings if it is larger."""
+) -> _Searched:
+    """Search at most ``_MOST_SEARCHED`` readings to learn from, without gross errors, then fit to all of them."""
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
+    all_rows = rows
+    rows = rows[~gross_errors_of_geometry(model, readings.q[rows], readings.p_M[rows])]
+    for _ in range(ROUNDS):
+        result = _search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report)
+        computed = result.model.predict(readings.q[rows], conditions=conditions.take(rows))
+        wrong = gross_errors(readings.p_M[rows] - computed)
+        if not wrong.any():
+            break
+        rows = rows[~wrong]
+    left_out = readings.configuration[np.setdiff1d(all_rows, rows)]
+    return replace(result, left_out=tuple(left_out.tolist()))
+
+
+def _search_rows(
+    profile: Profile,
+    model: ArmModel,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    cancel: CancelToken,
+    report: Report,
+) -> _Searched:
+    """Search some of the readings, and fit to all of them."""
+    rows = np.arange(len(readings), dtype=np.intp)
     some = rows
     if len(rows) > _MOST_SEARCHED:
         generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
@@ -201,9 +243,21 @@ def _search_and_refit(
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
     found = search(ArmData.of(profile, model, readings.take(some), conditions.take(some)), slugs, cancel, report)
     if len(some) == len(rows) or not found.fit.terms:
-        return found, found, None
-    to_all = refit_to_all(found, ArmData.of(profile, model, readings.take(rows), conditions.take(rows)))
-    return found, to_all, len(rows)
+        return _Searched(found, found, with_posterior(found.data, found.fit), None)
+    everything = ArmData.of(profile, model, readings, conditions)
+    if smoothness_of(found.fit.terms) is None:
+        to_all = refit_to_all(found, everything)
+        return _Searched(found, to_all, with_posterior(to_all.data, to_all.fit), len(rows))
+    to_all, fitted_model = fit_to_all(found, everything, max(found.threshold, SCORE_MARGIN))
+    return _Searched(to_all, to_all, fitted_model, len(rows))
+
+
+def _without_gross_errors(sentence: str, left_out: tuple[int, ...]) -> str:
+    """The sentence of the verdict, with the readings that were left out."""
+    if not left_out:
+        return sentence
+    named = ", ".join(map(str, left_out[:_MOST_LISTED])) + (", ..." if len(left_out) > _MOST_LISTED else "")
+    return f"{sentence}; {len(left_out)} readings with gross errors were left out (configurations {named})"
 
 
 def _gap_steps(
@@ -223,13 +277,13 @@ def _gap_steps(
 
 
 def _accepted_effects(
-    found: SearchResult, held_out: HeldOut, after_mm: float, probable: Posteriors
+    found: SearchResult, model: ArmModel, held_out: HeldOut, after_mm: float, probable: Posteriors
 ) -> tuple[AcceptedEffect, ...]:
     """The reviewed terms of the final model, in order, with the held-out error without each."""
     fit = found.fit
     accepted = []
     for number, review in enumerate(found.reviews):
-        term, columns = fit.model.effects[number], fit.term_columns(number)
+        term, columns = model.effects[number], fit.term_columns(number)
         description = describe(found.data, fit, number) if term.slug == UNKNOWN else None
         if description is not None:
             term = replace(term, note=description.sentence)

@@ -32,8 +32,9 @@ CURVE_CYCLES = 80
 """Highest cycle count of a joint's curve: at the shortest length scale, 3 degrees, 1 % of its variance is beyond."""
 MOTION_CYCLES = 10
 """Highest cycle count of the other error motions of an axis, which bearings and raceways make."""
-_USUAL_WIDTH = 0.3
-"""Step [rad] beyond which lost motion is taken as complete, where no law says otherwise."""
+_USUAL_WIDTH = 0.03
+"""Step [rad] beyond which lost motion is taken as complete, where no law says otherwise: below the steps of nearly all
+runs, so that stops after larger steps than the run had are not given more of it than was measured."""
 _LEAST_LEVER = 0.05
 """Joints whose rms lever is below this share of the longest get no curve: their errors do not show at the SMR."""
 

@@ -65,9 +65,9 @@ class StructuredProcess:
         gram = gathered(fit, chosen)
         begin = first_guess(chosen, gram) if start is None else start
         values, log_evidence = most_evident(chosen, gram, begin, evaluations)
-        return cls(tuple(chosen), values, gram, log_evidence)._without_idle()
+        return cls(tuple(chosen), values, gram, log_evidence).without_idle()
 
-    def _without_idle(self) -> StructuredProcess:
+    def without_idle(self) -> StructuredProcess:
         """The process without amplitudes whose signal is negligible beside the noise."""
         kept_components, amplitudes, lengths, places, first = [], [], [], [], 0
         power = np.diag(self.gram.gram) * self.values.variances(self.components) / self.gram.coordinates
@@ -144,7 +144,7 @@ def fit_process(data: ArmData, fit: JointFit, needed: float) -> tuple[Structured
     chosen = [replace(one, rows=fit.displacements(one.columns)) for one in _whole(candidates, screened.components)]
     process = StructuredProcess.fitted(fit, chosen, replace(screened.values, noise=1.0), _NEXT_EVALUATIONS)
     scatter_m = _scatter(weighed, process.values.noise)
-    process = _needed_components(process, needed)
+    process = needed_components(process, needed)
     return (process, scatter_m) if process.components else None
 
 
@@ -157,7 +157,7 @@ def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> li
     return found
 
 
-def _needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
+def needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
     """The process without the components that the evidence does not need, the least needed removed first.
 
     The evidence without a component only grows when the others are fitted again: that is done where it may decide.

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from cellapp.discovery.arm_data import ArmData
+from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.joint_fit import fit_terms, refit, reweighted
 from cellapp.discovery.search.addition import addition
 from cellapp.discovery.search.comparison import best_state, floor_reached
@@ -26,6 +27,7 @@ from cellapp.discovery.search.significance import score_threshold, simulate_null
 from cellapp.discovery.search.smooth_terms import with_smooth_terms
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchResult, SearchState, SearchStep
 from cellapp.discovery.search.tuning import apply_step
+from cellapp.discovery.terms import has_smooth_terms
 from cellapp.progress import CancelToken, Report, ignore_report
 
 _MOST_EFFECTS = 5
@@ -182,12 +184,22 @@ def _next_step(
         left = [slug for slug in problem.slugs if slug not in state.slugs]
         scan = LawScan.of(fit.candidates(state.data, left), fit.projector)
     scores = [score for score in scan.ranked(fit.projected_residual) if score.key not in refused]
-    if refining:
+    # beside smooth functions laws are seldom off, and their refinement is costly: last
+    late = has_smooth_terms(fit.terms)
+    if refining and not late:
         step = refinement(problem, state, _needed_gain(problem, scores[0].value if scores else -math.inf))
         if step is not None:
             return step
-    if len(state.slugs) >= _MOST_EFFECTS:
-        return None
+    step = None if len(state.slugs) >= _MOST_EFFECTS else _next_addition(problem, state, scores, refused)
+    if step is None and refining and late:
+        step = refinement(problem, state, _needed_gain(problem, -math.inf))
+    return step
+
+
+def _next_addition(
+    problem: SearchProblem, state: SearchState, scores: Sequence[LawScore], refused: set[tuple[str, str]]
+) -> SearchStep | None:
+    """The best new effect that holds; laws that do not hold join ``refused``."""
     for score in scores:
         if score.value <= problem.threshold:
             break
