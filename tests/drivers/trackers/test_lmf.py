@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.trackers.lmf import MEASURING_S, LmfTracker
@@ -327,6 +327,7 @@ def test_search_radius_in_its_own_unit(tracker: Callable[..., LmfTracker], scene
     assert tree(scene).TargetSearch.Radius.Value == 0.03
 
 
+@settings(deadline=None)
 @given(
     p=st.tuples(*[st.floats(-8.0, 8.0)] * 3).filter(lambda p: math.hypot(*p) > 0.5),
 )
