@@ -20,13 +20,18 @@ _MOST = 10.0
 several thousand is beyond; of a normal distribution none."""
 _LEAST_M = 5e-5
 """Lengths below this are no gross errors [m], however small the typical one."""
+_LEAST_READINGS = 40
+"""Readings from which they are judged: with fewer, some 30 parameters of geometry leave residuals of most readings far
+below the noise, and an effect that the model lacks looks like a gross error."""
 ROUNDS = 3
 """Searches at most: gross errors that a first one hid show in the next."""
 
 
 def gross_errors(left_M: Array) -> NDArray[np.bool_]:
-    """Which of the residuals (n, 3) [m] are gross errors."""
+    """Which of the residuals (n, 3) [m] are gross errors; none where there are few."""
     lengths = np.linalg.norm(left_M, axis=1)
+    if len(lengths) < _LEAST_READINGS:
+        return np.zeros(len(lengths), dtype=np.bool_)
     return np.asarray(lengths > max(_MOST * float(np.median(lengths)) / MEDIAN_NORM, _LEAST_M))
 
 
