@@ -23,6 +23,8 @@ _LEAST_M = 5e-5
 _LEAST_READINGS = 40
 """Readings from which they are judged: with fewer, some 30 parameters of geometry leave residuals of most readings far
 below the noise, and an effect that the model lacks looks like a gross error."""
+_LARGEST_SHARE = 0.05
+"""Share of readings beyond which long residuals are no gross errors but an effect that acts on some stops only."""
 ROUNDS = 3
 """Searches at most: gross errors that a first one hid show in the next."""
 
@@ -32,7 +34,8 @@ def gross_errors(left_M: Array) -> NDArray[np.bool_]:
     lengths = np.linalg.norm(left_M, axis=1)
     if len(lengths) < _LEAST_READINGS:
         return np.zeros(len(lengths), dtype=np.bool_)
-    return np.asarray(lengths > max(_MOST * float(np.median(lengths)) / MEDIAN_NORM, _LEAST_M))
+    wrong = np.asarray(lengths > max(_MOST * float(np.median(lengths)) / MEDIAN_NORM, _LEAST_M))
+    return wrong if wrong.mean() <= _LARGEST_SHARE else np.zeros_like(wrong)
 
 
 def gross_errors_of_geometry(model: ArmModel, q: Array, p_M: Array) -> NDArray[np.bool_]:
