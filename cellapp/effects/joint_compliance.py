@@ -12,7 +12,7 @@ from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
-from cellapp.effects.modulation import FreeDriver
+from cellapp.effects.modulation import OWN_SIZE, FreeDriver
 from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.kinematics.transforms import Array
 
@@ -95,7 +95,7 @@ class JointCompliance(Effect):
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE, FREE_MASSES)
     free_drivers = (
-        FreeDriver(Quantity.TORQUE),
+        OWN_SIZE,
         FreeDriver(Quantity.JOINT_ANGLE),
         FreeDriver(Quantity.PAYLOAD),
     )
@@ -184,7 +184,7 @@ class PayloadCompliance(Effect):
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
     free_drivers = (
-        FreeDriver(Quantity.TORQUE),
+        OWN_SIZE,
         FreeDriver(Quantity.JOINT_ANGLE),
         FreeDriver(Quantity.PAYLOAD),
     )

@@ -126,7 +126,7 @@ def test_columns_are_well_formed(slug, law):
         if column.joint is None:
             assert column.offset is None
             assert values.shape == (len(CONTEXT), 3)
-            assert column.unit in ("m", "rad", "m/m", "1/K", "m/K", "rad/Nm", "m/Nm", "1/(N m^2)")
+            assert column.unit in ("m", "rad", "m/m", "1/K", "m/K", "rad/Nm", "m/Nm", "1/(N m^2)", "1/N")
         else:
             assert column.shift_M is None
             assert values.shape == (len(CONTEXT),)
