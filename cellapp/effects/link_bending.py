@@ -56,8 +56,8 @@ class LinkBending(Effect):
         The bending by its own weight is a parameter and block of its own: how the mass is distributed along the beam is
         unknown.
 
-    In all of them shear, ``shift = F_perp L / (k G A)`` [1/N] (Timoshenko), may refine the bending of a link: short wide
-    tubes with openings show it.
+    In all of them shear, ``shift = F_perp L / (k G A)`` [1/N] (Timoshenko), may refine the bending of a link: short
+    wide tubes with openings show it.
 
     Size: EI of 1e5 N m^2 (estimate) gives 0.2 to 0.4 mm on a UR10, 0.1 mm on a UR5. 54 % visible. Look-alikes: joint
     compliance explains 0.99 of what is visible, 0.96 with two payloads; readings of both encoders of a joint

@@ -82,6 +82,8 @@ class Modulation:
         Of the driver's absolute value.
     low, high : float
         Range of the driver in the run, in its unit; not of angles that close on themselves.
+    scale : float
+        Of an absolute value z: u follows ``z / (z + scale)``, which resolves small values more finely. 0: u follows z.
     """
 
     base: str
@@ -91,6 +93,7 @@ class Modulation:
     absolute: bool = False
     low: float = 0.0
     high: float = 0.0
+    scale: float = 0.0
 
     @property
     def driver_name(self) -> str:
@@ -110,7 +113,8 @@ class Modulation:
         if closes(self.driver):
             wave = np.sin if self.sine else np.cos
             return np.asarray(np.nan_to_num(wave(self.order * z)), dtype=np.float64)
-        u = np.clip((z - self.low) / (self.high - self.low), 0.0, 1.0)
+        low, high = _compressed(np.array([self.low, self.high]), self.scale).tolist()
+        u = np.clip((_compressed(z, self.scale) - low) / (high - low), 0.0, 1.0)
         return np.asarray(np.nan_to_num(np.cos(self.order * np.pi * u)), dtype=np.float64)
 
     def column(self, base: EffectColumn, context: EffectContext) -> EffectColumn:
@@ -131,6 +135,11 @@ class Modulation:
 def closes(driver: Variable | None) -> bool:
     """Whether a driver is an angle that closes on itself after a turn."""
     return driver is not None and (driver.is_joint_angle or driver.quantity is Quantity.AZIMUTH)
+
+
+def _compressed(z: Array, scale: float) -> Array:
+    """``z / (z + scale)``; z itself for a scale of 0."""
+    return z if scale == 0.0 else np.asarray(z / (z + scale))
 
 
 def _driver_values(driver: Variable | None, base: EffectColumn, context: EffectContext, *, absolute: bool) -> Array:
@@ -164,7 +173,12 @@ def _of_variable(
     values = _driver_values(variable, base, context, absolute=absolute)
     low, high = float(values.min()), float(values.max())
     most = min(HALF_CYCLES if variable is not None else OWN_HALF_CYCLES, len(np.unique(values)) - 1)
-    return [Modulation(base.name, variable, k, absolute=absolute, low=low, high=high) for k in range(1, most + 1)]
+    # short steps and small loads leave most to see: half of the values are below the scale
+    scale = float(np.median(values)) if absolute else 0.0
+    return [
+        Modulation(base.name, variable, k, absolute=absolute, low=low, high=high, scale=scale)
+        for k in range(1, most + 1)
+    ]
 
 
 def with_modulations(
@@ -194,6 +208,7 @@ def modulation_to_json(one: Modulation) -> dict[str, Any]:
         "absolute": one.absolute,
         "low": one.low,
         "high": one.high,
+        "scale": one.scale,
     }
 
 
@@ -210,4 +225,5 @@ def modulation_from_json(content: Mapping[str, Any]) -> Modulation:
         absolute=bool(content["absolute"]),
         low=float(content["low"]),
         high=float(content["high"]),
+        scale=float(content.get("scale", 0.0)),
     )
