@@ -14,6 +14,7 @@ from cellapp.calibration.calibrate import rms_length_mm
 from cellapp.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.calibration.network_training import training_steps
 from cellapp.calibration.pair_calibration import calibrate_pair
+from cellapp.discovery.all_readings import fit_to_all
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.describe import describe
 from cellapp.discovery.detectability import detectability
@@ -25,7 +26,7 @@ from cellapp.discovery.pictures.term_pictures import pictures
 from cellapp.discovery.posterior import Posteriors, posteriors_of, remaining_scan
 from cellapp.discovery.remaining_network import needs_network, with_network
 from cellapp.discovery.search.comparison import scatter
-from cellapp.discovery.search.state import SearchResult
+from cellapp.discovery.search.state import SCORE_MARGIN, SearchResult
 from cellapp.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
 from cellapp.discovery.structure import structure_left
 from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, smoothness_of, without_term
@@ -37,7 +38,7 @@ from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProg
 from cellapp.results import Noise
 from cellapp.run import Readings
 
-_MOST_SEARCHED = 600
+_MOST_SEARCHED = 400
 """Largest number of readings to search: the cost grows with it, and some hundred readings show effects of the size of
 the noise. The accepted terms are then fitted to all readings."""
 _SUBSET_SEED = 0x5EA
@@ -138,16 +139,15 @@ def discover_arm(
     cancel = cancel or CancelToken()
     conditions = conditions or measurement_conditions(readings)
     held_out = HeldOut.of(readings, conditions)
-    searched, found, fitted = _search_and_refit(profile, model, readings, conditions, cancel, report)
-    before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(found.fit.model)
+    searched, found, fitted_model, fitted = _search_and_refit(profile, model, readings, conditions, cancel, report)
+    before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
     floor_mm = held_out.noise_floor_mm()
     scan = remaining_scan(searched)
     probable = posteriors_of(searched, scan)
-    accepted = _accepted_effects(found, held_out, after.rms, probable)
+    accepted = _accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
     # with the descriptions of data-driven terms; where nothing was found the model stays as it was calibrated
-    fitted_model = with_posterior(found.data, found.fit)
     final = replace(fitted_model, effects=tuple(effect.term for effect in accepted))
     if not accepted:
         final = replace(model, posterior=fitted_model.posterior)
@@ -191,8 +191,12 @@ def _search_and_refit(
     conditions: MeasurementConditions,
     cancel: CancelToken,
     report: Report,
-) -> tuple[SearchResult, SearchResult, int | None]:
-    """Search at most ``_MOST_SEARCHED`` readings, then fit to all; the number of all readings if it is larger."""
+) -> tuple[SearchResult, SearchResult, ArmModel, int | None]:
+    """Search at most ``_MOST_SEARCHED`` readings, then fit to all.
+
+    Returns the outcome of the search, that with the terms that all readings need, the model fitted to all, and the
+    number of all readings if not all were searched.
+    """
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
     some = rows
     if len(rows) > _MOST_SEARCHED:
@@ -201,9 +205,13 @@ def _search_and_refit(
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
     found = search(ArmData.of(profile, model, readings.take(some), conditions.take(some)), slugs, cancel, report)
     if len(some) == len(rows) or not found.fit.terms:
-        return found, found, None
-    to_all = refit_to_all(found, ArmData.of(profile, model, readings.take(rows), conditions.take(rows)))
-    return found, to_all, len(rows)
+        return found, found, with_posterior(found.data, found.fit), None
+    everything = ArmData.of(profile, model, readings.take(rows), conditions.take(rows))
+    if smoothness_of(found.fit.terms) is None:
+        to_all = refit_to_all(found, everything)
+        return found, to_all, with_posterior(to_all.data, to_all.fit), len(rows)
+    to_all, fitted_model = fit_to_all(found, everything, max(found.threshold, SCORE_MARGIN))
+    return to_all, to_all, fitted_model, len(rows)
 
 
 def _gap_steps(
@@ -223,13 +231,13 @@ def _gap_steps(
 
 
 def _accepted_effects(
-    found: SearchResult, held_out: HeldOut, after_mm: float, probable: Posteriors
+    found: SearchResult, model: ArmModel, held_out: HeldOut, after_mm: float, probable: Posteriors
 ) -> tuple[AcceptedEffect, ...]:
     """The reviewed terms of the final model, in order, with the held-out error without each."""
     fit = found.fit
     accepted = []
     for number, review in enumerate(found.reviews):
-        term, columns = fit.model.effects[number], fit.term_columns(number)
+        term, columns = model.effects[number], fit.term_columns(number)
         description = describe(found.data, fit, number) if term.slug == UNKNOWN else None
         if description is not None:
             term = replace(term, note=description.sentence)

@@ -148,16 +148,22 @@ def test_the_league_in_tables_and_json(ur5: Entrant) -> None:
 
 
 def test_stated_intervals_hold_new_readings_where_the_model_is_right(ur5: Entrant) -> None:
-    """Readings made by a geometry with noise of 40 um: the intervals of discovery hold 95 % of new ones."""
+    """Readings made by a geometry with noise of 40 um: the intervals of discovery hold 95 % of new ones.
+
+    The errors of all new readings come from the same 34 parameters: one draw of the noise holds 95 % with a standard
+    deviation of 2 %, four draws with 1 %.
+    """
     split = tuple("identify" if row < 150 else "validate" for row in range(1020))
     readings = replace(ur5.readings, split=split)
-    arm, _ = calibrate_arm(ur5.profile, ur5.arm, readings)
-    noise = np.random.default_rng(0).normal(0.0, 40e-6, (1020, 3))
-    made = replace(readings, p_M=arm.model.predict(ur5.readings.q) + noise)
-    arm, _ = calibrate_arm(ur5.profile, ur5.arm, made)
-    found = discover_arm(ur5.profile, ur5.arm, arm.model, made)
-    left = made.p_M - found.model.predict(made.q)
-    within = np.abs(left[150:]) <= 1.96 * found.model.measured_uncertainty(made.q)[150:, None]
+    true, _ = calibrate_arm(ur5.profile, ur5.arm, readings)
+    within = []
+    for seed in range(4):
+        noise = np.random.default_rng(seed).normal(0.0, 40e-6, (1020, 3))
+        made = replace(readings, p_M=true.model.predict(ur5.readings.q) + noise)
+        arm, _ = calibrate_arm(ur5.profile, ur5.arm, made)
+        found = discover_arm(ur5.profile, ur5.arm, arm.model, made)
+        left = made.p_M - found.model.predict(made.q)
+        within.append(np.abs(left[150:]) <= 1.96 * found.model.measured_uncertainty(made.q)[150:, None])
     assert np.mean(within) == pytest.approx(0.95, abs=0.02)
 
 

@@ -32,8 +32,9 @@ CURVE_CYCLES = 80
 """Highest cycle count of a joint's curve: at the shortest length scale, 3 degrees, 1 % of its variance is beyond."""
 MOTION_CYCLES = 10
 """Highest cycle count of the other error motions of an axis, which bearings and raceways make."""
-_USUAL_WIDTH = 0.3
-"""Step [rad] beyond which lost motion is taken as complete, where no law says otherwise."""
+_USUAL_WIDTH = 0.03
+"""Step [rad] beyond which lost motion is taken as complete, where no law says otherwise: below the steps of nearly all
+runs, so that stops after larger steps than the run had are not given more of it than was measured."""
 _LEAST_LEVER = 0.05
 """Joints whose rms lever is below this share of the longest get no curve: their errors do not show at the SMR."""
 
@@ -119,14 +120,26 @@ class Component:
         places = np.flatnonzero(np.isin(self.groups, list(kept)))
         keys = [self.amplitude_keys[k] for k in kept]
         lengths = [key for key in self.length_keys if len(self.length_keys) == 1 or _same_joint(key, keys)]
+        some = self._take(places)
+        groups = np.searchsorted(np.asarray(sorted(kept)), some.groups)
+        return replace(some, groups=groups, amplitude_keys=tuple(keys), length_keys=tuple(lengths))
+
+    def coarse(self) -> Component:
+        """The component with the slower half of its waves, where it has a length scale."""
+        if self.lengths is None:
+            return self
+        cycles = [0 if column.cycles is None else column.cycles for column in self.columns]
+        fast = np.array(cycles, dtype=np.float64) if self.frequencies is None else self.frequencies
+        return self._take(np.flatnonzero(fast <= 0.5 * fast.max()))
+
+    def _take(self, places: NDArray[np.intp]) -> Component:
         return replace(
             self,
             columns=tuple(self.columns[k] for k in places),
             rows=self.rows[places],
-            groups=np.searchsorted(np.asarray(sorted(kept)), self.groups[places]),
-            amplitude_keys=tuple(keys),
+            groups=self.groups[places],
             weights=self.weights[places],
-            length_keys=tuple(lengths),
+            frequencies=None if self.frequencies is None else self.frequencies[places],
         )
 
 

@@ -143,11 +143,6 @@ def evidence(data: ProcessData, variance: Array, noise: float) -> Evidence:
     return Evidence(value, by_variance, by_noise)
 
 
-def evidence_without(data: ProcessData) -> float:
-    """Log evidence of a model of noise alone, at its best."""
-    return -0.5 * data.coordinates * (math.log(data.square / data.coordinates) + 1.0)
-
-
 @dataclass(frozen=True, eq=False)
 class _Packing:
     """Hyperparameters as one vector of logarithms: amplitudes, length scales of those that have one, noise."""

@@ -1,7 +1,8 @@
 """Fit of the structured process to what a model leaves: hyperparameters by evidence, components that it needs, terms.
 
-1. All components that the data allow start together; amplitudes, length scales and the noise maximise the evidence.
-2. The readings are weighed by the stated uncertainty and the scatter that this finds, and the fit is repeated.
+1. All components that the data allow start together, with their slower waves; amplitudes, length scales and the noise
+   maximise the evidence, and amplitudes that do nothing are dropped.
+2. The readings are weighed by the stated uncertainty and the scatter that this finds; the rest is fitted, all waves.
 3. Components that the evidence does not need are removed, the least needed first, and the others fitted again.
 4. The rest become smooth terms of the model, which is then fitted jointly with the geometry.
 """
@@ -20,7 +21,6 @@ from cellapp.discovery.process.components import Component, components
 from cellapp.discovery.process.evidence import (
     Hyperparameters,
     ProcessData,
-    evidence_without,
     first_guess,
     log_evidence,
     most_evident,
@@ -65,9 +65,9 @@ class StructuredProcess:
         gram = gathered(fit, chosen)
         begin = first_guess(chosen, gram) if start is None else start
         values, log_evidence = most_evident(chosen, gram, begin, evaluations)
-        return cls(tuple(chosen), values, gram, log_evidence)._without_idle()
+        return cls(tuple(chosen), values, gram, log_evidence).without_idle()
 
-    def _without_idle(self) -> StructuredProcess:
+    def without_idle(self) -> StructuredProcess:
         """The process without amplitudes whose signal is negligible beside the noise."""
         kept_components, amplitudes, lengths, places, first = [], [], [], [], 0
         power = np.diag(self.gram.gram) * self.values.variances(self.components) / self.gram.coordinates
@@ -135,31 +135,49 @@ def fit_process(data: ArmData, fit: JointFit, needed: float) -> tuple[Structured
     candidates = components(data, fit)
     if not candidates:
         return None
-    process = StructuredProcess.fitted(fit, candidates, None, _FIRST_EVALUATIONS)
-    if not process.components:
+    screened = StructuredProcess.fitted(fit, [one.coarse() for one in candidates], None, _FIRST_EVALUATIONS)
+    if not screened.components:
         return None
-    scatter_m = _scatter(data, process.values.noise)
+    scatter_m = _scatter(data, screened.values.noise)
     weighed = replace(data, sigma=uncertainty_with_scatter(data, scatter_m))
     fit = fit_terms(weighed, fit.terms)
-    chosen = [replace(one, rows=fit.displacements(one.columns)) for one in process.components]
-    process = StructuredProcess.fitted(fit, chosen, replace(process.values, noise=1.0), _NEXT_EVALUATIONS)
+    chosen = [replace(one, rows=fit.displacements(one.columns)) for one in _whole(candidates, screened.components)]
+    process = StructuredProcess.fitted(fit, chosen, replace(screened.values, noise=1.0), _NEXT_EVALUATIONS)
     scatter_m = _scatter(weighed, process.values.noise)
-    process = _needed_components(process, needed)
+    process = needed_components(process, needed)
     return (process, scatter_m) if process.components else None
 
 
-def _needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
-    """The process without the components that the evidence does not need, the least needed removed first."""
+def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> list[Component]:
+    """The candidates with the amplitudes that a screening left, and all their waves."""
+    found = []
+    for one in screened:
+        whole = next(other for other in candidates if (other.slug, other.form) == (one.slug, one.form))
+        found.append(whole.of_amplitudes([whole.amplitude_keys.index(key) for key in one.amplitude_keys]))
+    return found
+
+
+def needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
+    """The process without the components that the evidence does not need, the least needed removed first.
+
+    The evidence without a component only grows when the others are fitted again: that is done where it may decide.
+    """
+    settled = True
     while process.components:
         gains = process.gains()
         weakest = int(np.argmin(gains))
-        if gains[weakest] > 2.0 * needed and len(process.components) > 1:
+        if gains[weakest] <= needed:
+            process, settled = process.without(weakest), False
+            continue
+        if not settled:
+            process, settled = process.refitted(_NEXT_EVALUATIONS), True
+            continue
+        if gains[weakest] > 2.0 * needed or len(process.components) == 1:
             break
-        rest = process.without(weakest).refitted(_NEXT_EVALUATIONS) if len(process.components) > 1 else None
-        without = evidence_without(process.gram) if rest is None else rest.log_evidence
-        if 2.0 * (process.log_evidence - without) - process.price(weakest) > needed:
+        rest = process.without(weakest).refitted(_NEXT_EVALUATIONS)
+        if 2.0 * (process.log_evidence - rest.log_evidence) - process.price(weakest) > needed:
             break
-        process = rest if rest is not None else replace(process, components=())
+        process = rest
     return process
 
 

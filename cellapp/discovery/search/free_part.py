@@ -200,6 +200,8 @@ def _best_shares(
     if not parts:
         return []
     evidence = _evidence_of(fit, nuisance, precision, np.concatenate([part.rows for part in parts]))
+    if evidence.freedom < 1.0 or evidence.square <= 0.0:  # the parameters already take all that the readings hold
+        return []
     chosen: dict[int, float] = {}
     best = 0.0
     while len(chosen) < len(parts):
