@@ -128,7 +128,7 @@ def _weight(one: Modulation) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Evidence:
+class FreePartEvidence:
     """Twice the log evidence of scaled columns in the complement of a model's parameters.
 
     ``gram`` (m, m) is Z M Z^T, ``moments`` (m,) Z M y, both for prior standard deviations of one; ``square`` y^T M y.
@@ -224,10 +224,10 @@ def _scaled(parts: Sequence[FreePart], shares: dict[int, float]) -> Array:
     return np.concatenate([shares.get(place, 0.0) * part.sd for place, part in enumerate(parts)])
 
 
-def _evidence_of(fit: JointFit, nuisance: Array, precision: Array, rows: Array) -> _Evidence:
+def _evidence_of(fit: JointFit, nuisance: Array, precision: Array, rows: Array) -> FreePartEvidence:
     projector = NuisanceProjector.of(nuisance, precision)
     residual = projector.project(fit.target)
-    return _Evidence(
+    return FreePartEvidence(
         gram=rows @ projector.project(rows).T,
         moments=rows @ residual,
         square=float(fit.target @ residual),
