@@ -50,7 +50,8 @@ class PedestalCompliance(Effect):
         The tilt is about points h_x, h_y below the base: its origin moves by ``w x (h z)`` as well, ``c h`` in m/Nm.
     general
         The tilt, and as refinements all that a frame does that is not symmetric: turns across the moment and about the
-        vertical [rad/Nm], shifts in any direction [m/Nm].
+        vertical [rad/Nm], shifts in any direction [m/Nm], and what the weight alone does about a pivot that is not
+        below the base [rad/N, m/N].
 
     Size: 2e6 Nm/rad under 127 Nm is 60 urad, 70 to 140 um on a UR10 (stiffness is an estimate, moment computed). 36 %
     visible. Look-alikes: joint compliance (0.7 to 0.8), a bending link (0.6); an SMR on the pedestal shows it directly.
@@ -90,7 +91,7 @@ class PedestalCompliance(Effect):
         return "" if np.abs(context.loads.beyond(0)[1]).max(initial=0.0) > _WEIGHTLESS else "no masses"
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """One, two or four columns in one block; in the general law ten more that refine."""
+        """One, two or four columns in one block; in the general law thirteen more that refine."""
         axes = horizontal_axes(context)
         moments = _in_base(context, context.loads.beyond(0)[1]) @ axes.T
         tilted = [moments[:, k, None] * context.twist_shift(0, None, axis) for k, axis in enumerate(axes)]
@@ -115,18 +116,20 @@ def _unsymmetric(context: EffectContext, moments: Array, axes: Array) -> list[Ef
     moved += [
         (f"shift_{letter}_{by}", "m/Nm", by, context.base_twists[k]) for k, letter in enumerate("xyz") for by in "xy"
     ]
+    weight = np.linalg.norm(context.loads.beyond(0)[0], axis=1)
+    by_weight = [("x", "rad/N", context.twist_shift(0, None, x)), ("y", "rad/N", context.twist_shift(0, None, y))]
+    by_weight.append(("z", "m/N", context.base_twists[2]))
+
+    def column(name: str, unit: str, load: Array, shift_M: Array, block: str) -> EffectColumn:
+        along = load[:, None] * shift_M
+        return shift_column(f"pedestal_{name}", unit, Channel.BASE, along, -_LARGEST, _LARGEST, block, refines=True)
+
     return [
-        shift_column(
-            f"pedestal_{name}",
-            unit,
-            Channel.BASE,
-            moments[:, "xy".index(by), None] * shift_M,
-            -_LARGEST,
-            _LARGEST,
-            f"base {name.split('_')[0]}s",
-            refines=True,
-        )
-        for name, unit, by, shift_M in moved
+        *(
+            column(name, unit, moments[:, "xy".index(by)], shift_M, f"base {name.split('_')[0]}s")
+            for name, unit, by, shift_M in moved
+        ),
+        *(column(f"weight_{letter}", unit, weight, shift_M, "base weight") for letter, unit, shift_M in by_weight),
     ]
 
 

@@ -338,10 +338,10 @@ def test_a_pedestal_tilts_each_way_with_its_own_moment():
 
 def test_a_frame_also_turns_across_the_moment_and_shifts():
     found = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("general"))
-    assert len(found) == 12
+    assert len(found) == 15
     main = [name for name, column in found.items() if not column.refines]
     assert main == ["pedestal_tilt_x", "pedestal_tilt_y"]
-    assert {found[name].block for name in set(found) - set(main)} == {"base turns", "base shifts"}
+    assert {found[name].block for name in set(found) - set(main)} == {"base turns", "base shifts", "base weight"}
     base = CONTEXT.geometry.T_M_B()[:3, :3]
     lever = CONTEXT.p_M - CONTEXT.geometry.T_M_B()[:3, 3]
     up = base.T @ CONTEXT.up_M
@@ -354,6 +354,8 @@ def test_a_frame_also_turns_across_the_moment_and_shifts():
     np.testing.assert_allclose(
         shifts(found["pedestal_turn_x_y"]), (moment_M @ y)[:, None] * np.cross(x, lever), atol=1e-9
     )
+    weight = CONTEXT.loads.masses.sum(axis=0) * GRAVITY
+    np.testing.assert_allclose(shifts(found["pedestal_weight_x"]), weight[:, None] * np.cross(x, lever), atol=1e-9)
     np.testing.assert_allclose(shifts(found["pedestal_shift_y_x"]), (moment_M @ x)[:, None] * base[:, 1], atol=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Free parts of laws: found where a law is off, absent where it is right, and no cover for another effect."""
+"""Laws that may be off: their free parts, further joints, other effects beside them, and wobbles that are none."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.design.information import NuisanceProjector
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import refit
+from cellapp.discovery.search.addition import addition
 from cellapp.discovery.search.comparison import scatter
 from cellapp.discovery.search.free_part import (
     SHARES,
@@ -40,27 +41,32 @@ THRESHOLD = 12.0
 STIFF = EFFECTS["joint_compliance"].law()
 
 
-def searched(bend, slug, names):
-    """A search that stands at one effect, for readings with joint offsets ``bend(q, torques, approach)``."""
+def searched(bend, slug="", names=(), shift=None):
+    """A search that stands at one effect, or none.
+
+    The readings have joint offsets ``bend(q, torques, approach)`` and are moved by ``shift(context)``.
+    """
     profile = load_profile(PROFILES / "twin.yaml")
     geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
     up_M = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
     model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=up_M)
     rng = np.random.default_rng(7)
     q, approach = rng.uniform(-2.0, 2.0, (N, 6)), rng.choice([-1.0, 1.0], (N, 6))
-    bent = bend(q, model.context(q).torques, approach)
+    context = model.context(q)
+    bent = bend(q, context.torques, approach)
+    moved = np.zeros((N, 3)) if shift is None else shift(context)
     readings = Readings(
         configuration=np.arange(N, dtype=np.int64),
         time_s=np.full(N, np.nan),
         q=q,
         approach=approach.astype(np.int8),
-        p_M=smr_positions(geometry, q + bent) + rng.normal(0.0, SIGMA_M, (N, 3)),
+        p_M=smr_positions(geometry, q + bent) + moved + rng.normal(0.0, SIGMA_M, (N, 3)),
         sigma_m=np.full(N, SIGMA_M),
     )
     data = ArmData.of(profile, model, readings, measurement_conditions(readings))
-    term = ModelTerm(slug, EFFECTS[slug].law(), names)
+    terms = (ModelTerm(slug, EFFECTS[slug].law(), names),) if slug else ()
     problem = SearchProblem(data, tuple(EFFECTS)[:-1], np.zeros(20), THRESHOLD, CancelToken(), lambda words: None)
-    return problem, SearchState(*refit(data, (term,)))
+    return problem, SearchState(*refit(data, terms))
 
 
 def ratio(state):
@@ -140,6 +146,26 @@ def test_a_further_joint_joins_before_another_name():
     assert step is not None
     (term,) = step.terms
     assert set(term.names) == {"half_play1", "half_play2"}
+
+
+def test_a_tilt_both_ways_is_a_wobble():
+    def tilted(context):
+        wave = 2e-4 * np.sin(3.0 * context.q[:, 4] + 0.3)
+        return wave[:, None] * context.twist_shift(4, None, np.array([0.6, 0.8, 0.0]))
+
+    problem, state = searched(lambda q, torques, approach: np.zeros((N, 6)), shift=tilted)
+    score = best_new_score(problem, state, "joint_axis_wobble")
+    step = addition(problem, state, score)
+    assert step is not None
+    assert {name[:9] for name in step.terms[0].names} == {"wobble_x5", "wobble_y5"}
+
+
+def test_a_joint_that_follows_its_neighbours_angle_is_no_wobble():
+    """Joint 4 that follows three cycles of joint 5 tilts the axis of joint 5 in one direction only."""
+    problem, state = searched(lambda q, torques, approach: at_joint(3, 3e-4 * np.sin(3.0 * q[:, 4])))
+    score = best_new_score(problem, state, "joint_axis_wobble")
+    assert score.value > THRESHOLD, "it looks like one"
+    assert addition(problem, state, score) is None
 
 
 def test_the_prior_of_a_modulation_has_the_rms_of_its_share():
