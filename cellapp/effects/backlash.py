@@ -89,6 +89,7 @@ class Backlash(Effect):
         FreeDriver(Quantity.STEP, absolute=True),
         FreeDriver(Quantity.TORQUE, absolute=True),
         FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.TIME),
     )
 
     def missing_data(self, context: EffectContext) -> str:
@@ -173,6 +174,7 @@ class FrictionWindup(Effect):
         FreeDriver(Quantity.TORQUE, absolute=True),
         FreeDriver(Quantity.STEP, absolute=True),
         FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.TIME),
     )
 
     def missing_data(self, context: EffectContext) -> str:

@@ -12,7 +12,7 @@ from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect, ImpossibleValues
 from cellapp.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
-from cellapp.effects.modulation import FreeDriver
+from cellapp.effects.modulation import OWN_SIZE, FreeDriver
 from cellapp.effects.smooth import AMPLITUDE, with_prior
 from cellapp.kinematics.transforms import Array
 
@@ -26,6 +26,8 @@ _MOST_COMPLIANCE = 1e-3
 """Bound [rad/Nm]: K = 1e3 Nm/rad is a tenth of the softest catalogue drive."""
 _MOST_CORRECTION = 1e-4
 """Bound of what the load or one body adds to the compliance [rad/Nm], either sign."""
+_MOST_AWAY = 0.3
+"""Distance [m] by which the load's centre of mass may differ from the stated one."""
 _LOADED = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
 
 KNEE = Constant("knee", "Nm", SCALED, "knee at {}", "{} Nm for joint {}", per_joint=True)
@@ -95,7 +97,7 @@ class JointCompliance(Effect):
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE, FREE_MASSES)
     free_drivers = (
-        FreeDriver(Quantity.TORQUE),
+        OWN_SIZE,
         FreeDriver(Quantity.JOINT_ANGLE),
         FreeDriver(Quantity.PAYLOAD),
     )
@@ -143,6 +145,9 @@ class JointCompliance(Effect):
 class PayloadCompliance(Effect):
     """Each joint deflects under the torque of the payload alone: ``dq_j = c_j tau_j(q, payload)`` [rad/Nm].
 
+    The torque of a load whose centre of mass is d off the stated one along the flange's axes, ``c_j d`` in rad/N, may
+    refine it at each joint.
+
     The deflection that comes and goes with the load in the gripper, of an arm whose own weight was calibrated away or
     is compensated by its controller. Size: 10 kg on a UR10 add 135 Nm at joint 2, 1.4 to 3.4 mm at the flange; 5 kg on
     a UR5 0.5 to 1.2 mm (computed from makers' tables and catalogue stiffness). Visible only where the payload varies;
@@ -184,7 +189,7 @@ class PayloadCompliance(Effect):
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
     free_drivers = (
-        FreeDriver(Quantity.TORQUE),
+        OWN_SIZE,
         FreeDriver(Quantity.JOINT_ANGLE),
         FreeDriver(Quantity.PAYLOAD),
     )
@@ -197,8 +202,34 @@ class PayloadCompliance(Effect):
         return "" if varies(payload_kg) else "payload does not vary"
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """One column per joint."""
-        return _compliances("payload_compliance", context.loads.torques_of(-1))
+        """One column per joint, and those that refine it: the load's centre of mass is not where it was stated."""
+        return [
+            *_compliances("payload_compliance", context.loads.torques_of(-1)),
+            *_by_center_of_load(context),
+        ]
+
+
+def _by_center_of_load(context: EffectContext) -> list[EffectColumn]:
+    """``center_{x,y,z}{j}``: torque about joint j per metre that the load's centre is off along the flange's axes."""
+    loads, rotations = context.loads, context.frames[0]
+    weight = loads.masses[-1][:, None, None] * loads.gravity
+    moments = np.cross(rotations[-1].swapaxes(1, 2), weight)  # (n, 3 axes of the flange, 3)
+    torques = np.einsum("jna,nka->jkn", rotations[:-1, :, :, 2], moments)
+    largest = _MOST_COMPLIANCE * _MOST_AWAY
+    return [
+        joint_column(
+            f"center_{letter}{j + 1}",
+            "rad/N",
+            j,
+            _without_rounding(torques[j, k]),
+            -largest,
+            largest,
+            f"center of load {j + 1}",
+            refines=True,
+        )
+        for j in range(context.joints)
+        for k, letter in enumerate("xyz")
+    ]
 
 
 def _compliances(name: str, torques: Array) -> list[EffectColumn]:

@@ -26,6 +26,7 @@ _STEEP = 0.9
 OWN_ISOTROPIC = LawForm("isotropic", "equally stiff both ways")
 OWN_TILT = LawForm("tilt", "a stiffness for each way")
 OWN_PIVOT = LawForm("pivot", "a stiffness for each way, about a point below the base")
+OWN_GENERAL = LawForm("general", "tilt and shift in proportion to the arm's moment, each way")
 
 MEAN_MOMENT = tuple(Constant(f"mean_{axis}", "Nm", FIXED) for axis in "xyz")
 """Mean moment of the other arm in the run, in this base: it is part of the identified base pose."""
@@ -47,6 +48,10 @@ class PedestalCompliance(Effect):
         ``w_x = c_x M_x``, ``w_y = c_y M_y``.
     pivot
         The tilt is about points h_x, h_y below the base: its origin moves by ``w x (h z)`` as well, ``c h`` in m/Nm.
+    general
+        The tilt, and as refinements all that a frame does that is not symmetric: turns across the moment and about the
+        vertical [rad/Nm], shifts in any direction [m/Nm], and what the weight alone does about a pivot that is not
+        below the base [rad/N, m/N].
 
     Size: 2e6 Nm/rad under 127 Nm is 60 urad, 70 to 140 um on a UR10 (stiffness is an estimate, moment computed). 36 %
     visible. Look-alikes: joint compliance (0.7 to 0.8), a bending link (0.6); an SMR on the pedestal shows it directly.
@@ -75,7 +80,7 @@ class PedestalCompliance(Effect):
         size_check="check masses, direction of gravity and mounting",
     )
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
-    forms = (OWN_ISOTROPIC, OWN_TILT, OWN_PIVOT)
+    forms = (OWN_ISOTROPIC, OWN_TILT, OWN_PIVOT, OWN_GENERAL)
     free_drivers = (
         FreeDriver(Quantity.TORQUE),
         FreeDriver(Quantity.JOINT_ANGLE),
@@ -86,7 +91,7 @@ class PedestalCompliance(Effect):
         return "" if np.abs(context.loads.beyond(0)[1]).max(initial=0.0) > _WEIGHTLESS else "no masses"
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """One, two or four columns in one block."""
+        """One, two or four columns in one block; in the general law thirteen more that refine."""
         axes = horizontal_axes(context)
         moments = _in_base(context, context.loads.beyond(0)[1]) @ axes.T
         tilted = [moments[:, k, None] * context.twist_shift(0, None, axis) for k, axis in enumerate(axes)]
@@ -98,7 +103,34 @@ class PedestalCompliance(Effect):
             for k, by in enumerate("xy"):
                 swayed = moments[:, k, None] * context.twist_shift(0, np.cross(axes[k], up), None)
                 columns.append(_own_column(f"pedestal_sway_{by}", "m/Nm", swayed))
+        if law.form == OWN_GENERAL:
+            columns += _unsymmetric(context, moments, axes)
         return columns
+
+
+def _unsymmetric(context: EffectContext, moments: Array, axes: Array) -> list[EffectColumn]:
+    """Turns across the own moment (n, 2) and about the vertical, and shifts, in a block of turns and one of shifts."""
+    x, y = axes
+    turns = [("x", "y", x), ("y", "x", y), ("z", "x", np.cross(x, y)), ("z", "y", np.cross(x, y))]
+    moved = [(f"turn_{letter}_{by}", "rad/Nm", by, context.twist_shift(0, None, axis)) for letter, by, axis in turns]
+    moved += [
+        (f"shift_{letter}_{by}", "m/Nm", by, context.base_twists[k]) for k, letter in enumerate("xyz") for by in "xy"
+    ]
+    weight = np.linalg.norm(context.loads.beyond(0)[0], axis=1)
+    by_weight = [("x", "rad/N", context.twist_shift(0, None, x)), ("y", "rad/N", context.twist_shift(0, None, y))]
+    by_weight.append(("z", "m/N", context.base_twists[2]))
+
+    def column(name: str, unit: str, load: Array, shift_M: Array, block: str) -> EffectColumn:
+        along = load[:, None] * shift_M
+        return shift_column(f"pedestal_{name}", unit, Channel.BASE, along, -_LARGEST, _LARGEST, block, refines=True)
+
+    return [
+        *(
+            column(name, unit, moments[:, "xy".index(by)], shift_M, f"base {name.split('_')[0]}s")
+            for name, unit, by, shift_M in moved
+        ),
+        *(column(f"weight_{letter}", unit, weight, shift_M, "base weight") for letter, unit, shift_M in by_weight),
+    ]
 
 
 class PedestalCoupling(Effect):

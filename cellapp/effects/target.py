@@ -17,8 +17,8 @@ from cellapp.effects.time_functions import ONSET_FORM, after_onset, missing_for_
 
 _MOST_SLIP = 1e-2
 """Bound [m]: a target that slipped by a centimetre has fallen off."""
-_MOST_INCIDENCE = 1e-3
-"""Bound [m]: fifty times the error of a glass prism."""
+_MOST_INCIDENCE = 5e-3
+"""Bound [m]: ``1 - cos th`` is 0.13 at 30 degrees, so that this is 0.7 mm, some thirty times the error of a prism."""
 RADIAL = LawForm("radial", "along the beam")
 LATERAL = LawForm("lateral", "along and across the beam")
 

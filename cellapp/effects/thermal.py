@@ -162,7 +162,7 @@ class ThermalGrowth(Effect):
             return _conduction(context, law, names)
         unit, lower, upper = "1/K", 0.0, _MOST_GROWTH
         if law.form in (AIR, AIR_LINKS):
-            warmer = np.tile(_above_mean_air(context, law)[:, None], context.joints)
+            warmer = np.tile(above_mean_air(context, law)[:, None], context.joints)
         elif law.form in (JOINTS, JOINTS_LINKS):
             warmer = _at_links(_above_mean_joints(context, law))
         else:
@@ -177,7 +177,7 @@ class ThermalGrowth(Effect):
 def _conduction(context: EffectContext, law: Law, names: Collection[str] | None) -> list[EffectColumn]:
     """Columns of the lagged laws, each a block of its own; steady state where record or time is unknown."""
     joints = _above_mean_joints(context, law)
-    ends, air = _lagged_temperatures(context, law, joints, _above_mean_air(context, law))
+    ends, air = _lagged_temperatures(context, law, joints, above_mean_air(context, law))
     by_joints = context.link_growth * ends.T[:, :, None]
     by_air = context.link_growth.sum(axis=0) * air[:, None]
     housing = np.einsum("inc,ni->nc", context.frames[0][:-1, :, :, 2], joints)
@@ -303,7 +303,7 @@ def _means(context: EffectContext, law: Law) -> Array:
     return np.array([law.constants[MEAN_JOINT.key(j)] for j in range(context.joints)])
 
 
-def _above_mean_air(context: EffectContext, law: Law) -> Array:
+def above_mean_air(context: EffectContext, law: Law) -> Array:
     """Air temperature relative to the run's mean (n,) [K], 0 where unknown."""
     mean = law.constants[MEAN_AIR.name]
     return with_default(context.conditions.air_c, mean, len(context)) - mean

@@ -7,25 +7,40 @@ from collections.abc import Collection
 import numpy as np
 
 from cellapp.effects.column import Channel, EffectColumn, shift_column
-from cellapp.effects.context import EffectContext
+from cellapp.effects.context import EffectContext, varies
 from cellapp.effects.data_driven import Quantity
 from cellapp.effects.effect import Effect
 from cellapp.effects.law import DriverVariable, Law, LawForm
 from cellapp.effects.meaning import Meaning
 from cellapp.effects.modulation import FreeDriver
+from cellapp.effects.thermal import MEAN_AIR, above_mean_air
 
 _ORDERS = (1, 2)
 """Harmonics of the tracker's angles: eccentricity and ovality of its circles."""
 _MOST_SCALE = 1e-4
 """Bound [m/m]: ten times the largest error of an uncorrected refractive index."""
+_MOST_SCALE_PER_KELVIN = 1e-5
+"""Bound [1/K]: ten times the change of the refractive index of air."""
 _MOST_OFFSET = 1e-3
 """Bound [m]: a hundred times the permissible error."""
 _MOST_ANGLE = 5e-4
 """Bound of each amplitude [rad]: ten times the permissible error at 3 m."""
 
 
+PLAIN_SCALE = LawForm("", "in proportion to the distance", variables=frozenset({DriverVariable.BEAM}))
+AIR_SCALE = LawForm("air", "in proportion to the distance and to the air temperature", (MEAN_AIR,))
+
+
 class TrackerScale(Effect):
     """All distances read too long or too short: ``dP = k u``, k in m/m, u from the tracker to the SMR.
+
+    Laws
+    ----
+    (no name)
+        The same scale throughout the run.
+    air
+        ``dP = k (T - T_mean) u`` with the air temperature, k in 1/K: the index is not corrected for the air in the
+        beam. Unlike the first it is visible.
 
     Refractive index: 1 ppm/K and 0.27 ppm/hPa of opposite signs (published); 1 to 10 ppm of 3 m are 3 to 30 um. It is
     equivalent to a common scale error of all lengths of the arm, so that one arm alone cannot show it; a scale bar can.
@@ -49,15 +64,26 @@ class TrackerScale(Effect):
         settle=("Measure a calibrated scale bar or two nests of known distance: the arm alone cannot show a scale.",),
     )
     look_alikes = ("thermal_growth", "tracker_distance_offset")
-    variables = frozenset({DriverVariable.BEAM})
-    forms = (LawForm("", "in proportion to the distance"),)
+    variables = frozenset({DriverVariable.BEAM, DriverVariable.AIR_TEMPERATURE})
+    forms = (PLAIN_SCALE, AIR_SCALE)
     free_drivers = (
         FreeDriver(Quantity.RANGE),
         FreeDriver(Quantity.TEMPERATURE),
     )
 
+    def laws(self, context: EffectContext) -> list[Law]:
+        """The same throughout; with the air temperature where it is known."""
+        air_c = context.conditions.air_c
+        if air_c is None or not varies(air_c):
+            return [PLAIN_SCALE.law()]
+        return [PLAIN_SCALE.law(), AIR_SCALE.law({MEAN_AIR.name: float(air_c.mean())})]
+
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """One column."""
+        """One column; zero, as at the run's mean, where the law needs a temperature that is unknown."""
+        if law.form == AIR_SCALE:
+            shift_M = above_mean_air(context, law)[:, None] * context.p_M
+            largest = _MOST_SCALE_PER_KELVIN
+            return [shift_column("scale_air", "1/K", Channel.TRACKER, shift_M, -largest, largest)]
         return [shift_column("scale", "m/m", Channel.TRACKER, context.p_M, -_MOST_SCALE, _MOST_SCALE)]
 
 

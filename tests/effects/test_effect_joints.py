@@ -70,6 +70,20 @@ def test_payload_compliance_follows_the_torque_of_the_payload_alone():
         np.testing.assert_allclose(offsets(found[f"payload_compliance{j + 1}"]), expected[:, j], atol=1e-5)
 
 
+def test_a_load_off_its_center_adds_a_torque():
+    """A shift of the load's centre along the flange's axes adds the difference of two loads' torques."""
+    moved = 0.05
+    found = columns("payload_compliance", EFFECTS["payload_compliance"].law())
+    for k, letter in enumerate("xyz"):
+        bodies = replace(CONTEXT.bodies, payload_center=CONTEXT.bodies.payload_center + moved * np.eye(3)[k])
+        other = replace(CONTEXT, bodies=bodies)
+        more = other.loads.torques_of(-1) - CONTEXT.loads.torques_of(-1)
+        for j in range(6):
+            column = found[f"center_{letter}{j + 1}"]
+            assert (column.block, column.refines, column.unit) == (f"center of load {j + 1}", True, "rad/N")
+            np.testing.assert_allclose(moved * offsets(column), more[:, j], atol=1e-5)
+
+
 def test_moments_are_the_torque_body_by_body_and_sum_to_all():
     found = columns("joint_compliance", EFFECTS["joint_compliance"].law("linear"))
     assert [name for name in found if name.startswith("moment5")] == ["moment5_5", "moment5_6"]

@@ -126,12 +126,13 @@ def test_columns_are_well_formed(slug, law):
         if column.joint is None:
             assert column.offset is None
             assert values.shape == (len(CONTEXT), 3)
-            assert column.unit in ("m", "rad", "m/m", "1/K", "m/K", "rad/Nm", "m/Nm", "1/(N m^2)")
+            of_loads = ("rad/Nm", "m/Nm", "1/(N m^2)", "1/N", "rad/N", "m/N")
+            assert column.unit in ("m", "rad", "m/m", "1/K", "m/K", *of_loads)
         else:
             assert column.shift_M is None
             assert values.shape == (len(CONTEXT),)
             assert column.where == f"joint {column.joint + 1}"
-            assert column.unit in ("rad", "rad/Nm", "rad/rad", "rad/K")
+            assert column.unit in ("rad", "rad/Nm", "rad/N", "rad/rad", "rad/K")
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)

@@ -42,6 +42,15 @@ def test_a_scale_stretches_all_distances():
     np.testing.assert_allclose(shifts(column), misread(stretched=lambda az, el: 1.0), atol=1e-9)
 
 
+def test_a_scale_may_follow_the_air():
+    law = next(law for law in EFFECTS["tracker_scale"].laws(CONTEXT) if law.name == "air")
+    column = columns("tracker_scale", law)["scale_air"]
+    air_c = CONTEXT.conditions.air_c
+    assert air_c is not None
+    assert column.unit == "1/K"
+    np.testing.assert_allclose(shifts(column), (air_c - air_c.mean())[:, None] * CONTEXT.p_M, atol=1e-12)
+
+
 def test_a_distance_offset_lengthens_all_distances():
     column = columns("tracker_distance_offset", EFFECTS["tracker_distance_offset"].law())["distance_offset"]
     assert column.unit == "m"

@@ -336,6 +336,29 @@ def test_a_pedestal_tilts_each_way_with_its_own_moment():
         np.testing.assert_allclose(shifts(found), expected, atol=1e-5)
 
 
+def test_a_frame_also_turns_across_the_moment_and_shifts():
+    found = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("general"))
+    assert len(found) == 15
+    main = [name for name, column in found.items() if not column.refines]
+    assert main == ["pedestal_tilt_x", "pedestal_tilt_y"]
+    assert {found[name].block for name in set(found) - set(main)} == {"base turns", "base shifts", "base weight"}
+    base = CONTEXT.geometry.T_M_B()[:3, :3]
+    lever = CONTEXT.p_M - CONTEXT.geometry.T_M_B()[:3, 3]
+    up = base.T @ CONTEXT.up_M
+    x = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    x = base @ (x / np.linalg.norm(x))
+    moment_M = CONTEXT.loads.beyond(0)[1]
+    expected = (moment_M @ x)[:, None] * np.cross(CONTEXT.up_M, lever)
+    np.testing.assert_allclose(shifts(found["pedestal_turn_z_x"]), expected, atol=1e-9)
+    y = np.cross(CONTEXT.up_M, x)
+    np.testing.assert_allclose(
+        shifts(found["pedestal_turn_x_y"]), (moment_M @ y)[:, None] * np.cross(x, lever), atol=1e-9
+    )
+    weight = CONTEXT.loads.masses.sum(axis=0) * GRAVITY
+    np.testing.assert_allclose(shifts(found["pedestal_weight_x"]), weight[:, None] * np.cross(x, lever), atol=1e-9)
+    np.testing.assert_allclose(shifts(found["pedestal_shift_y_x"]), (moment_M @ x)[:, None] * base[:, 1], atol=1e-9)
+
+
 def test_a_pedestal_tilts_about_a_pivot_below():
     height = 0.7
     base = CONTEXT.geometry.T_M_B()
@@ -473,10 +496,12 @@ def test_the_long_links_bend():
         context = context_of(5, arm=arm)
         assert list(columns("link_bending", EFFECTS["link_bending"].law("bending"), context)) == [
             "flexibility2",
+            "shear2",
             "flexibility3",
+            "shear3",
         ]
         torsion = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion"), context)
-        assert list(torsion) == ["flexibility2", "torsion2", "flexibility3", "torsion3"]
+        assert list(torsion) == [f"{name}{link}" for link in (2, 3) for name in ("flexibility", "shear", "torsion")]
 
 
 def test_a_horizontal_cantilever_hangs_down():
@@ -494,3 +519,6 @@ def test_a_horizontal_cantilever_hangs_down():
     )
     column = columns("link_bending", EFFECTS["link_bending"].law("bending"), context)["flexibility1"]
     np.testing.assert_allclose(shifts(column), [[0.0, 0.0, -10.0 * GRAVITY * 0.8**3 / 3.0]], atol=1e-12)
+    sheared = columns("link_bending", EFFECTS["link_bending"].law("bending"), context)["shear1"]
+    assert (sheared.block, sheared.refines, sheared.unit) == ("link 1 shear", True, "1/N")
+    np.testing.assert_allclose(shifts(sheared), [[0.0, 0.0, -10.0 * GRAVITY * 0.8]], atol=1e-12)

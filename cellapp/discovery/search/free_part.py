@@ -32,7 +32,7 @@ from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.discovery.terms import ModelTerm, with_term
 from cellapp.effects import EffectColumn
-from cellapp.effects.modulation import HALF_CYCLES, HARMONICS, Modulation, closes, modulations
+from cellapp.effects.modulation import HALF_CYCLES, HARMONICS, OWN_HALF_CYCLES, Modulation, closes, modulations
 from cellapp.kinematics.transforms import Array
 
 SHARES = (0.03, 0.1, 0.3)
@@ -118,7 +118,8 @@ def _free_part(
 def _weight(one: Modulation) -> float:
     """Standard deviation of a coefficient for g of unit rms: k^-2, as a cosine over its range has a square of 1/2."""
     harmonics = closes(one.driver)
-    orders = np.arange(1, (HARMONICS if harmonics else HALF_CYCLES) + 1)
+    most = HARMONICS if harmonics else (OWN_HALF_CYCLES if one.driver is None else HALF_CYCLES)
+    orders = np.arange(1, most + 1)
     square = float(np.sum(orders.astype(np.float64) ** -4)) * (1.0 if harmonics else 0.5)
     return float(one.order**-2 / math.sqrt(square))
 
@@ -127,7 +128,7 @@ def _weight(one: Modulation) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Evidence:
+class FreePartEvidence:
     """Twice the log evidence of scaled columns in the complement of a model's parameters.
 
     ``gram`` (m, m) is Z M Z^T, ``moments`` (m,) Z M y, both for prior standard deviations of one; ``square`` y^T M y.
@@ -223,10 +224,10 @@ def _scaled(parts: Sequence[FreePart], shares: dict[int, float]) -> Array:
     return np.concatenate([shares.get(place, 0.0) * part.sd for place, part in enumerate(parts)])
 
 
-def _evidence_of(fit: JointFit, nuisance: Array, precision: Array, rows: Array) -> _Evidence:
+def _evidence_of(fit: JointFit, nuisance: Array, precision: Array, rows: Array) -> FreePartEvidence:
     projector = NuisanceProjector.of(nuisance, precision)
     residual = projector.project(fit.target)
-    return _Evidence(
+    return FreePartEvidence(
         gram=rows @ projector.project(rows).T,
         moments=rows @ residual,
         square=float(fit.target @ residual),

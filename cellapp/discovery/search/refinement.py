@@ -6,10 +6,12 @@ another effect.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from cellapp.discovery.candidates import CandidateLaw, LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
+from cellapp.discovery.joint_fit import fit_terms
 from cellapp.discovery.search.addition import within_bounds
 from cellapp.discovery.search.review import term_score
 from cellapp.discovery.search.scan import LawScan
@@ -35,6 +37,7 @@ def refinement(problem: SearchProblem, state: SearchState, needed: float) -> Sea
             best = _lines_beside_curves(problem, state, number, least) or best
         elif term.is_library_effect:
             best = _better_law(problem, state, number, least) or best
+            best = _further_block(problem, state, number, least if best is None else best.score) or best
     return best
 
 
@@ -55,6 +58,28 @@ def _better_law(problem: SearchProblem, state: SearchState, number: int, needed:
             continue
         best = _refined(problem, state, number, possible, possible.value - own)
     return best
+
+
+def _further_block(problem: SearchProblem, state: SearchState, number: int, needed: float) -> SearchStep | None:
+    """One more joint, or one more refining column, beside all that a term has, its free part included.
+
+    A selection of the whole law anew leaves the free part out, whose remainder hides small blocks.
+    """
+    fit, term = state.fit, state.fit.terms[number]
+    if term.law.form == LINES:  # each further line has a price of its own
+        return None
+    candidate = fit.candidate(state.data, term.slug, term.law)
+    unused = candidate.keep([place for place, one in enumerate(candidate.columns) if one.name not in term.names])
+    gains = [(fit.projected_residual.bic_gain(unused.rows[list(block)]), block) for block in unused.blocks]
+    score, block = max(gains, default=(-math.inf, ()))
+    if score <= needed:
+        return None
+    names = (*term.names, *(unused.columns[place].name for place in block))
+    terms = with_term(fit.terms, number, replace(term, names=names))
+    where = unused.columns[block[0]].block
+    if where in fit_terms(state.data, terms).blocks_beyond_bounds(number):
+        return None
+    return problem.step(term.slug, f"{EFFECTS[term.slug].title}: {where} as well", score, terms)
 
 
 def _refined(problem: SearchProblem, state: SearchState, number: int, score: LawScore, gain: float) -> SearchStep:
