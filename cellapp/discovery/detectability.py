@@ -66,11 +66,16 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
 
 
 def _detectable(scan: LawScan, slug: str, threshold: float) -> _Detectable:
-    """Visible share and smallest sizes of one effect, over all its laws."""
+    """Visible share and smallest sizes of one effect, over the laws of its simplest form that the data allow.
+
+    A refined form may show where the effect itself does not: a scale error that bends with the range of the beam.
+    """
+    own = [candidate.law.form for candidate in scan.candidates if candidate.slug == slug]
+    simplest = next((form for form in EFFECTS[slug].forms if form in own), None)
     sizes: dict[str, SmallestSize] = {}
     share, least_rms = 0.0, math.inf
     for number, candidate in enumerate(scan.candidates):
-        if candidate.slug != slug:
+        if candidate.slug != slug or candidate.law.form != simplest:
             continue
         place = scan.place(number)
         share = max(share, float(scan.visible_share[place].max(initial=0.0)))

@@ -48,5 +48,7 @@ def gross_errors_of_geometry(model: ArmModel, q: Array, p_M: Array) -> NDArray[n
     q : array, shape (n, N) [rad]
     p_M : array, shape (n, 3) [m]
     """
+    if len(q) < _LEAST_READINGS:
+        return np.zeros(len(q), dtype=np.bool_)
     found = identify(model.geometry, q, p_M, prior_mean=model.nominal, robust="tukey", tolerance=1e-6)
     return gross_errors(p_M - smr_positions(found.geometry, q))

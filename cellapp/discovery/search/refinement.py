@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from cellapp.calibration.identification import TooFewReadings
 from cellapp.discovery.candidates import CandidateLaw, LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.joint_fit import fit_terms
@@ -77,7 +78,11 @@ def _further_block(problem: SearchProblem, state: SearchState, number: int, need
     names = (*term.names, *(unused.columns[place].name for place in block))
     terms = with_term(fit.terms, number, replace(term, names=names))
     where = unused.columns[block[0]].block
-    if where in fit_terms(state.data, terms).blocks_beyond_bounds(number):
+    try:
+        trial = fit_terms(state.data, terms)
+    except TooFewReadings:  # the readings do not determine all its columns
+        return None
+    if where in trial.blocks_beyond_bounds(number):
         return None
     return problem.step(term.slug, f"{EFFECTS[term.slug].title}: {where} as well", score, terms)
 

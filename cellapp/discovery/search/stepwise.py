@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from cellapp.calibration.identification import TooFewReadings
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.joint_fit import fit_terms, refit, reweighted
@@ -159,7 +160,10 @@ def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawS
             # what the laws leave over is out of the way: look once more
             state, scan, freed = free, None, True
             continue
-        after = apply_step(problem, state, step)
+        try:
+            after = apply_step(problem, state, step)
+        except TooFewReadings:  # for all that the step brings
+            break
         if step.slug in state.slugs and best_state([after, state]) is state:
             refining = False  # the refinement was better in the linear scan only
             continue
