@@ -234,13 +234,13 @@ def test_collecting_the_proposed_stops_distinguishes_the_effects(plan: dict[str,
     with measured_run(tmp_path / "run", {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
         found = calibrated_and_searched(run)
         assert all(len(discovery.accepted[0].answer_set) == 2 for discovery in found.arms.values())
-        proposal = proposed(run, found, 2 * PROPOSED, EFFORT)
+        proposal = proposed(run, found, 3 * PROPOSED, EFFORT)
         append_proposed_stops(run, proposal.stops)
         held_out = {name: run.readings(name).in_split("validate") for name in plan}
         assert collect_run(run, resume=True).notes[:-1] == ()
         for name in plan:
             readings = run.readings(name)
-            assert len(readings) == STOPS + 2 * PROPOSED
+            assert len(readings) == STOPS + 3 * PROPOSED
             np.testing.assert_array_equal(readings.in_split("validate"), held_out[name])
             assert readings.step is not None
             assert readings.dwell_s is not None

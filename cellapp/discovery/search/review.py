@@ -17,14 +17,10 @@ from cellapp.discovery.search.state import SCORE_MARGIN, Review, Rival, SearchPr
 from cellapp.discovery.terms import UNKNOWN, without_term
 from cellapp.effects import EFFECTS, DriverVariable
 from cellapp.effects.periodic import LINES
-from cellapp.kinematics.transforms import Array
 
 _SAME_CAUSE = 0.05
 """A term that depends on the variables of another one and removes less than this share of that one's sum of squares is
 taken as the rest of an imperfect law (22 % in rms) and not as a second cause."""
-
-_SAME_ROWS = 1e-6
-"""Share of a law's rows that another law may leave over and still contain it: rounding."""
 
 
 def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
@@ -87,8 +83,7 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
     residual = fit.residual_without(number)
     others = [slug for slug in problem.slugs if slug not in state.slugs]
     scan = LawScan.of(fit.candidates(state.data, others), residual.projector)
-    own = fit.law_rows(number)
-    best = best_law_of_each_effect([law for law in scan.ranked(residual) if not _contains(law.rows, own)])
+    best = best_law_of_each_effect(scan.ranked(residual))
     rivals = [
         Rival(rival.slug, rival.value, _explains_beside(problem, fit, number, rival))
         for rival in best
@@ -99,13 +94,6 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
         rival.slug: possible_score(residual, rival) for rival in best if rival.value > score - 2.0 * SCORE_MARGIN
     }
     return Review(term, score, problem.p_value(score), tuple(rivals), alternatives)
-
-
-def _contains(rival: Array, own: Array) -> bool:
-    """Whether the rows (k, d) of a rival's law span those (m, d) of an effect: it is then the effect and more."""
-    basis = np.linalg.qr(rival.T)[0]
-    rest = own - (own @ basis) @ basis.T
-    return bool(np.linalg.norm(rest) <= _SAME_ROWS * np.linalg.norm(own))
 
 
 def _explains_beside(problem: SearchProblem, fit: JointFit, number: int, rival: LawScore) -> bool:
