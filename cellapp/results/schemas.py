@@ -12,6 +12,7 @@ from cellapp.results.collection import (
     ExportResult,
     ImportResult,
     PlanResult,
+    ReplayResult,
     RequestResult,
 )
 from cellapp.results.commissioning import DoctorResult, EmulateResult, TrackerBridgeResult
@@ -31,6 +32,7 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     PlanResult,
     CollectResult,
     CollectionResult,
+    ReplayResult,
     RequestResult,
     ImportResult,
     ExportResult,
