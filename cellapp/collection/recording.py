@@ -303,7 +303,7 @@ def _timed_lines(run: RunFile, first_s: float, last_s: float) -> list[tuple[floa
 def _spans(sessions: Sequence[Session], events: Sequence[Event]) -> list[tuple[datetime, datetime]]:
     """Begin and end of each session; one in which the program died ends with its last line."""
     began = [_utc(session.began) for session in sessions]
-    next_began = [*began[1:], None]
+    next_began = [*began, None][1:]
     spans = []
     for session, begin, following in zip(sessions, began, next_began, strict=True):
         written = [_utc(event.written) for event in events]
@@ -318,4 +318,8 @@ def _worked_s(spans: Sequence[tuple[datetime, datetime]], when: datetime) -> flo
 
 
 def _utc(text: str) -> datetime:
-    return datetime.fromisoformat(text)
+    """Return a stored time. Raises ``InputError`` if the text is none."""
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(f"the run's log is damaged ('{text}' is not a time); restore the run from a copy") from None

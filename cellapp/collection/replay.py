@@ -20,6 +20,9 @@ JOB = "replay"
 SLOWEST, FASTEST = 1.0, 100.0
 """Times the recorded pace. Beyond a hundred, a stop passes in less than a tenth of a second."""
 
+_DUE_S = 1e-3
+"""An event is due when less than this is left: no wait is more exact."""
+
 Clock = Callable[[], float]
 """Returns the time since an arbitrary origin [s]; never decreases."""
 
@@ -146,14 +149,14 @@ class _Pacer:
     def emit(self, event: Progress, due_s: float) -> None:
         """Pass an event on, ``due_s`` after the beginning [s]. Raises ``Stopped`` or ``Aborted`` on request."""
         while True:
-            left_s = max(self._began_s + due_s - self._clock(), 0.0)
-            request = self._control.wait_while("none", timeout_s=left_s)
+            left_s = self._began_s + due_s - self._clock()
+            request = self._control.wait_while("none", timeout_s=max(left_s, 0.0))
             self._control.check()
             if request == "stop":
                 raise Stopped("stopped on request")
             if request == "pause":
                 self._pause(event)
-            elif self._clock() - self._began_s >= due_s:
+            elif self._began_s + due_s - self._clock() < _DUE_S:
                 self._listener(event)
                 return
 
