@@ -142,19 +142,20 @@ def test_a_replay_emits_what_the_session_emitted(collected: Collected) -> None:
 
 
 def test_motions_lead_to_the_same_stops(collected: Collected) -> None:
-    begun, ended = (
-        [
-            {one.detail.stop: one.detail for one in events if isinstance(one.detail, kind)}
-            for events in (collected.heard, [one.event for one in collected.events()])
-        ]
-        for kind in (MotionBegun, MotionEnded)
-    )
-    assert set(begun[0]) == set(begun[1]) == set(ended[1]) == {None, *range(STOPS + 1)}
+    def by_stop(events: list[Progress]) -> tuple[dict[int | None, MotionBegun], dict[int | None, MotionEnded]]:
+        details = [event.detail for event in events]
+        begun = {one.stop: one for one in details if isinstance(one, MotionBegun)}
+        return begun, {one.stop: one for one in details if isinstance(one, MotionEnded)}
+
+    begun, ended = by_stop(collected.heard)
+    begun_again, ended_again = by_stop([one.event for one in collected.events()])
+    assert set(begun) == set(begun_again) == set(ended_again) == {None, *range(STOPS + 1)}
     for stop in range(STOPS + 1):
-        assert (begun[1][stop].q_start, begun[1][stop].q_target) == (begun[0][stop].q_start, begun[0][stop].q_target)
-        assert begun[1][stop].expected_s == pytest.approx(begun[0][stop].expected_s)
-        assert ended[1][stop].q == ended[0][stop].q
-        assert ended[1][stop].joint_temperature_c.items() <= ended[0][stop].joint_temperature_c.items()
+        one, again = begun[stop], begun_again[stop]
+        assert (again.q_start, again.q_target) == (one.q_start, one.q_target)
+        assert again.expected_s == pytest.approx(one.expected_s)
+        assert ended_again[stop].q == ended[stop].q
+        assert ended_again[stop].joint_temperature_c.items() <= ended[stop].joint_temperature_c.items()
 
 
 def test_lines_are_those_of_the_log(collected: Collected) -> None:
