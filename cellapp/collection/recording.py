@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import groupby
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,12 +56,20 @@ class ReferenceGroup:
     drift_mm: Mapping[str, float]
 
 
+Step = Visit | ReferenceGroup
+What = Detail | Step | str
+
+
 @dataclass(frozen=True)
 class Moment:
-    """What happened at a time of the run's clock [s]; a visit or a group is complete then, a text is a note."""
+    """What happened at a time of the run's clock [s]; a step is complete then, a text is a note.
+
+    ``rank`` is the order at one time: SMRs that were missed, the steps to which they belong, other lines of the log.
+    """
 
     time_s: float
-    what: Detail | Visit | ReferenceGroup | str
+    what: What
+    rank: Literal[0, 1, 2] = 1
 
 
 @dataclass(frozen=True)
@@ -105,24 +114,20 @@ def read_recording(run: RunFile) -> Recording:
     times_s = [one.time_s for visit in visits for one in visit.readings.values()]
     times_s += [row.time_s for group in groups for row in group.rows]
     lines = _timed_lines(run, min(times_s), max(times_s))
-    outcomes = {missed_sentence(one): one for one in run.outcomes() if one.kind == "not measured"}
-    missed_s: dict[int, float] = {}
-    for time_s, line in lines:
-        if line.text in outcomes:
-            missed_s[outcomes[line.text].stop] = time_s
-    seen = {visit.stop for visit in visits}
-    visits += [Visit(stop, {}) for stop in missed_s if stop not in seen]
+    missed = {missed_sentence(one): one for one in run.outcomes() if one.kind == "not measured"}
+    missed_s = {missed[line.text].stop: time_s for time_s, line in lines if line.text in missed}
+    visits += [Visit(stop, {}) for stop in missed_s.keys() - {visit.stop for visit in visits}]
     plan = run.read_plan()
     timeline = _Timeline(run, plan, missed_s)
-    steps: list[Visit | ReferenceGroup] = [*visits, *groups]
+    steps: list[Step] = [*visits, *groups]
     for step in sorted(steps, key=timeline.begins_s):
         timeline.add(step)
     kinds = {record_sentence(kind, reason): kind for one in run.sessions() for _, kind, reason in one.requests}
-    ranked = [(moment.time_s, 1, moment.what) for moment in timeline.moments]
+    moments = timeline.moments
     for time_s, line in lines:
-        ranked += _line_moments(time_s, line, outcomes.get(line.text), kinds.get(line.text))
+        moments += _line_moments(time_s, line, missed.get(line.text), kinds.get(line.text))
     return Recording(
-        moments=tuple(Moment(time_s, what) for time_s, _, what in sorted(ranked, key=lambda one: one[:2])),
+        moments=tuple(sorted(moments, key=lambda moment: (moment.time_s, moment.rank))),
         visits=len(visits),
         readings={name: len(arm) for name, arm in readings.items()},
         planned=plan or {name: arm.q for name, arm in readings.items()},
@@ -207,13 +212,13 @@ class _Timeline:
         first = next((stop for stop in stops if stop not in left_out), 0)
         self._reference_q = {name: q[first] for name, q in plan.items() if len(q)}
 
-    def begins_s(self, step: Visit | ReferenceGroup) -> float:
+    def begins_s(self, step: Step) -> float:
         """Return the time of the first measurement [s]."""
         if isinstance(step, ReferenceGroup):
             return step.rows[0].time_s
         return min((one.time_s for one in step.readings.values()), default=self._missed_s.get(step.stop, 0.0))
 
-    def add(self, step: Visit | ReferenceGroup) -> None:
+    def add(self, step: Step) -> None:
         """Append the moments of a step; steps come in the order of ``begins_s``."""
         if isinstance(step, ReferenceGroup):
             self._move("reference measurements", None, self._reference_q, {}, step.rows[0].time_s - self._half_s)
@@ -229,7 +234,7 @@ class _Timeline:
             self._at(one.time_s + self._half_s, point_measured(step.stop, name, one))
         self._at(self._missed_s.get(step.stop, -math.inf), step)
 
-    def _at(self, time_s: float, what: Detail | Visit | ReferenceGroup | str) -> None:
+    def _at(self, time_s: float, what: What) -> None:
         before_s = self.moments[-1].time_s if self.moments else -math.inf
         self.moments.append(Moment(max(time_s, before_s), what))
 
@@ -264,19 +269,16 @@ class _Timeline:
 # -- the log ----------------------------------------------------------------------------------------------------------
 
 
-def _line_moments(
-    time_s: float, line: Event, missed: Outcome | None, kind: str | None
-) -> list[tuple[float, int, Detail | Visit | ReferenceGroup | str]]:
-    """Time, rank among what happened at the same time, and the detail, of all that a line of the log tells."""
+def _line_moments(time_s: float, line: Event, missed: Outcome | None, kind: str | None) -> list[Moment]:
+    """What a line of the log tells: a request that was recorded under ``kind``, an SMR that was missed, or itself."""
     state = None if kind is None else state_of(kind)
     if kind is not None and state is not None:
-        return [(time_s, 2, StateChange(state, line.text.removeprefix(f"{kind}: ")))]
+        return [Moment(time_s, StateChange(state, line.text.removeprefix(f"{kind}: ")), 2)]
     entry = LogEntry(line.level, line.text)
     if missed is None:
-        return [(time_s, 2, entry)]
-    # before the visit, which ends at the same time
+        return [Moment(time_s, entry, 2)]
     begun, not_measured = MeasurementBegun(missed.stop, missed.arm), PointMissed(missed.stop, missed.arm, missed.reason)
-    return [(time_s, 0, begun), (time_s, 0, not_measured), (time_s, 0, entry)]
+    return [Moment(time_s, what, 0) for what in (begun, not_measured, entry)]
 
 
 def _timed_lines(run: RunFile, first_s: float, last_s: float) -> list[tuple[float, Event]]:

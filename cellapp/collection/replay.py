@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from cellapp.collection.practice import LiveModel
-from cellapp.collection.recording import Recording, ReferenceGroup, Visit, read_recording
+from cellapp.collection.recording import Recording, ReferenceGroup, Visit, What, read_recording
 from cellapp.collection.reference_watch import ReferenceWatch
 from cellapp.control import JobControl, Stopped
 from cellapp.errors import InputError
@@ -105,7 +105,7 @@ class _Player:
         self._watch: tuple[int, ReferenceWatch] | None = None
         self._state: JobState = "running"
 
-    def play(self, what: Detail | Visit | ReferenceGroup | str) -> Iterator[tuple[str, Detail | None]]:
+    def play(self, what: What) -> Iterator[tuple[str, Detail | None]]:
         """Yield the notes and details of one moment."""
         match what:
             case str():
