@@ -59,6 +59,9 @@ from cellapp.run.sqlite_file import (
     sync_folder,
 )
 
+REPORT_FILE = "report.html"
+"""The page of the report in a run's folder."""
+
 
 @dataclass(frozen=True)
 class Event:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -11,14 +12,15 @@ from cellapp.results import (
     HistoryResult,
     LogLine,
     LogResult,
+    NextVerb,
     OverviewResult,
     PlannedStop,
     StageState,
     StopsResult,
 )
-from cellapp.run.file import RunFile
+from cellapp.run.file import REPORT_FILE, RunFile
 from cellapp.run.in_order import read_in_order
-from cellapp.run.stages import RunStages, StoredStage, read_history, read_stages
+from cellapp.run.stages import RunStages, StoredStage, next_command, read_history, read_stages
 
 
 def run_overview(run: RunFile) -> OverviewResult:
@@ -31,6 +33,8 @@ def run_overview(run: RunFile) -> OverviewResult:
         total = len(plan.get(name, ()))
         planned = total - len(run.profile.plan.reserves(total))
         arms[name] = ArmState(type=arm.type.model, planned=planned, measured=len(readings), splits=dict(counts))
+    verb = _next_verb(run, stages, arms)
+    begun = verb == "collect" and any(arm.measured for arm in arms.values())
     return OverviewResult(
         run=str(run.folder),
         profile=run.profile.name,
@@ -38,7 +42,8 @@ def run_overview(run: RunFile) -> OverviewResult:
         in_order=read_in_order(run),
         stages=tuple(_state(stage, stages) for stage in stages.current.values()),
         in_force=None if stages.in_force is None else stages.in_force.name,
-        next_step=_next_step(run, stages, arms),
+        next_verb=verb,
+        next_step=next_command(verb, run.folder) + (" --resume" if begun else ""),
     )
 
 
@@ -103,12 +108,11 @@ def _rests_on(stage: StoredStage) -> tuple[str, ...]:
     )
 
 
-def _next_step(run: RunFile, stages: RunStages, arms: dict[str, ArmState]) -> str:
-    measured = [arm.measured for arm in arms.values()]
-    if not any(measured):
-        return f"cellapp collect {run.folder}"
+def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> NextVerb:
+    if not any(arm.measured for arm in arms.values()):
+        return "collect"
     sessions = run.sessions()
     done = bool(sessions) and sessions[-1].outcome in ("complete", "accurate enough")
     if not done and not stages.current and any(arm.measured < arm.planned for arm in arms.values()):
-        return f"cellapp collect {run.folder} --resume"
-    return stages.next_step(run.folder)
+        return "collect"
+    return stages.next_verb() or ("" if (run.folder / REPORT_FILE).exists() else "report")

@@ -31,6 +31,7 @@ from cellapp.results import (
     CalibrateResult,
     CompensateResult,
     DiscoverResult,
+    NextVerb,
     Record,
     Result,
     RunResults,
@@ -133,14 +134,28 @@ class RunStages:
         ]
         return "; ".join(reasons)
 
+    def next_verb(self) -> NextVerb:
+        """The verb that makes or repeats the first missing or outdated step; empty if there is none."""
+        if CALIBRATE not in self.current or CALIBRATE in self.out_of_date:
+            return "calibrate"
+        if DISCOVER not in self.current or DISCOVER in self.out_of_date:
+            return "discover"
+        return "push" if VERIFY not in self.current or VERIFY in self.out_of_date else ""
+
     def next_step(self, folder: Path) -> str:
-        """The command that makes or repeats the first missing or outdated step; empty if there is none."""
-        for name in (CALIBRATE, DISCOVER):
-            if name not in self.current or name in self.out_of_date:
-                return f"cellapp {name} {folder}"
-        if VERIFY not in self.current or VERIFY in self.out_of_date:
+        """The command of ``next_verb``; empty if there is none."""
+        return next_command(self.next_verb(), folder)
+
+
+def next_command(verb: NextVerb, folder: Path) -> str:
+    """The command of the verb that comes next; empty if there is none."""
+    match verb:
+        case "":
+            return ""
+        case "push":
             return f"cellapp push {folder} TARGETS --verify"
-        return ""
+        case _:
+            return f"cellapp {verb} {folder}"
 
 
 def append_stage(
