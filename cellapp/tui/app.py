@@ -34,7 +34,7 @@ from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.themes import HIGH_CONTRAST
 from cellapp.tui.widgets.header import DayHeader, StepLine, StepTab
-from cellapp.tui.workspace import Step, Workspace, load_workspace, new_folder
+from cellapp.tui.workspace import RUN_FILE, Step, Workspace, load_workspace, new_folder
 
 _REQUESTS = ("stop", "pause", "resume", "abort")
 _ALWAYS = ("stop", "abort")
@@ -367,7 +367,7 @@ class CellApp(App[None]):
         if not isinstance(message.ending, BaseException | None):
             self.day_screen.show_result(message.ending)
         folder = message.job.folder or self.workspace.folder
-        has_run = folder is not None and folder.is_dir()
+        has_run = folder is not None and (folder / RUN_FILE).is_file()
         self._load(self.workspace.profile_path, folder if has_run else self.workspace.folder)
         self.refresh_bindings()
 
