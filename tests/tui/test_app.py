@@ -20,7 +20,19 @@ from cellapp.tui.endings import ERROR_LOG
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.widgets.header import StepTab
 from cellapp.tui.widgets.stop import StopButton
-from tests.tui.pilot import PROFILES, SIZES, SMALL, WAIT_S, HeldJob, ended, exit_code, log_text, opened, shown_text, until
+from tests.tui.pilot import (
+    PROFILES,
+    SIZES,
+    SMALL,
+    WAIT_S,
+    HeldJob,
+    ended,
+    exit_code,
+    log_text,
+    opened,
+    shown_text,
+    until,
+)
 
 pytestmark = pytest.mark.fast
 
@@ -32,7 +44,7 @@ async def test_every_screen_is_one_key_away_and_shows_where_one_is() -> None:
         for entry in (*SCREENS, SCREENS[0]):
             await pilot.press(entry.key)
             await pilot.pause()
-            assert app.day_screen.STEP == entry.step
+            assert entry.step == app.day_screen.STEP
             (present,) = app.screen.query(".step.present").results(StepTab)
             assert present.step == entry.step
             assert " SIMULATED " in shown_text(app).splitlines()[0]
@@ -61,7 +73,7 @@ async def test_stop_is_in_the_same_corner_of_every_screen_and_dialog(size: tuple
             assert shown_text(app).splitlines()[0].endswith(" STOP  Esc")
         for key in ("ctrl+p", "question_mark", "f5"):
             await pilot.press(key)
-            await until(pilot, lambda: isinstance(app.screen, Question | Palette), f"the dialog of {key}")  # noqa: B023
+            await until(pilot, lambda: isinstance(app.screen, Question | Palette), f"the dialog of {key}")
             await pilot.pause()
             assert app.screen.query_one(StopButton).region == corner
             assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
