@@ -48,7 +48,7 @@ CALIBRATION_FILE = "calibration.json"
 
 NOT_RECORDED = "an older version stored it and did not record the data it rests on"
 
-_UNREADABLE = "another version of cellapp stored it and this one cannot read it"
+UNREADABLE = "another version of cellapp stored it and this one cannot read it"
 
 
 class ReadingsBasis(Record):
@@ -211,7 +211,7 @@ def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:
         try:
             found[name] = _RESULTS[name].from_json(stage.text, f"{run.path}: {name}")
         except InputError:
-            out_of_date[name] = _UNREADABLE
+            out_of_date[name] = UNREADABLE
     calibrate, discover = found.get(CALIBRATE), found.get(DISCOVER)
     if isinstance(calibrate, CalibrateResult):
         if isinstance(discover, DiscoverResult) and DISCOVER not in stages.out_of_date:
