@@ -13,7 +13,7 @@ import yaml
 from pydantic import ValidationError
 
 from cellapp.errors import InputError
-from cellapp.profile.messages import Document, KeyPath, Place, described, plain, short, validation_message
+from cellapp.profile.messages import Document, KeyPath, Place, PlacedError, described, plain, short, validation_message
 from cellapp.profile.schema import VERSION, Profile
 
 _MOST_LEVELS = 50
@@ -112,9 +112,10 @@ def _read_arm_type(folders: Sequence[Path], name: str, place: Place) -> Document
         with contextlib.suppress(OSError):  # such as a name that is longer than the file system allows
             if path.is_file():
                 return _parse_yaml(_read_text(path), path)
-    raise InputError(
-        f"{place}: file not found: {short(str(folders[0] / name), 200)}; give a path relative to the profile's file, or"
-        " the keys here"
+    raise PlacedError(
+        place,
+        f"file not found: {short(str(folders[0] / name), 200)}; give a path relative to the profile's file, or the keys"
+        " here",
     )
 
 

@@ -13,6 +13,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from cellapp.errors import InputError
 from cellapp.profile.schema import Profile
 from drivers.settings import OneOf, Section
 
@@ -59,6 +60,14 @@ class Place:
         """Return "file:line: key"; without a key at the top of a file."""
         key = dotted(self.inside)
         return f"{self.file}:{self.line}: {key}" if key else f"{self.file}:{self.line}"
+
+
+class PlacedError(InputError):
+    """Bad input at one place of a profile."""
+
+    def __init__(self, place: Place, words: str) -> None:
+        super().__init__(f"{place}: {words}")
+        self.place, self.words = place, words
 
 
 @dataclass
