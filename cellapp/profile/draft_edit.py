@@ -140,11 +140,12 @@ def _node(form: FormField, text: str) -> Any:
 
 def _load(text: str, path: Path) -> CommentedMap:
     try:
-        return _yaml().load(_with_newline(text))
+        document: CommentedMap = _yaml().load(_with_newline(text))
     except YAMLError as error:
         raise InputError(
             f"{path}: not YAML that can be edited: {str(error).splitlines()[0]}; edit it by hand"
         ) from None
+    return document
 
 
 def _dump(document: CommentedMap) -> str:
