@@ -23,7 +23,7 @@ from cellapp.errors import InputError
 from cellapp.progress import (
     AirReport,
     Detail,
-    LogEntry,
+    LogReport,
     MeasurementBegun,
     MotionBegun,
     MotionEnded,
@@ -274,7 +274,7 @@ def _line_moments(time_s: float, line: Event, missed: Outcome | None, kind: str 
     state = None if kind is None else state_of(kind)
     if kind is not None and state is not None:
         return [Moment(time_s, StateChange(state, line.text.removeprefix(f"{kind}: ")), 2)]
-    entry = LogEntry(line.level, line.text)
+    entry = LogReport(line.level, line.text)
     if missed is None:
         return [Moment(time_s, entry, 2)]
     begun, not_measured = MeasurementBegun(missed.stop, missed.arm), PointMissed(missed.stop, missed.arm, missed.reason)

@@ -12,7 +12,7 @@ from cellapp.collection.reference_watch import ReferenceWatch
 from cellapp.control import JobControl, Stopped
 from cellapp.errors import InputError
 from cellapp.profile import Profile
-from cellapp.progress import Detail, JobState, Listener, LogEntry, Progress, ReferenceReport, StateChange, ignore
+from cellapp.progress import Detail, JobState, Listener, LogReport, Progress, ReferenceReport, StateChange, ignore
 from cellapp.results import ReplayResult
 from cellapp.run import RunFile
 
@@ -97,8 +97,8 @@ class _Player:
     def __init__(self, profile: Profile, recording: Recording) -> None:
         self.done = 0
         """Stops that were visited."""
-        self._stored = {moment.what.text for moment in recording.moments if isinstance(moment.what, LogEntry)}
-        self._notes: list[LogEntry] = []
+        self._stored = {moment.what.text for moment in recording.moments if isinstance(moment.what, LogReport)}
+        self._notes: list[LogReport] = []
         self._model = LiveModel(profile, recording.planned, {}, self._note)
         self._limit_m = profile.collection.reference.drift
         self._arms = [f"arm {name}" for name in profile.arms]
@@ -137,7 +137,7 @@ class _Player:
     def _note(self, level: str, text: str) -> None:
         """Pass on what the model notes, unless the run's log tells it in its own place."""
         if text not in self._stored:
-            self._notes.append(LogEntry(level, text))
+            self._notes.append(LogReport(level, text))
 
 
 class _Pacer:

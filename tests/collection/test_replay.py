@@ -18,7 +18,7 @@ from cellapp.errors import InputError
 from cellapp.planning.plan import plan_stops
 from cellapp.profile.collection import Collection, Reference, Suspend, Suspension
 from cellapp.progress import (
-    LogEntry,
+    LogReport,
     MotionBegun,
     MotionEnded,
     PointMeasured,
@@ -133,7 +133,7 @@ def test_a_replay_emits_what_the_session_emitted(collected: Collected) -> None:
     def of(events: Iterator[Progress], *left_out: type) -> list[tuple[int, object]]:
         return [(one.done, one.detail) for one in events if one.detail and not isinstance(one.detail, left_out)]
 
-    ways = (MotionBegun, MotionEnded, LogEntry)
+    ways = (MotionBegun, MotionEnded, LogReport)
     live = of(iter(collected.heard), *ways)
     assert of((one.event for one in collected.events()), *ways) == live
     kinds = {type(detail) for _, detail in live}
@@ -161,7 +161,7 @@ def test_motions_lead_to_the_same_stops(collected: Collected) -> None:
 def test_lines_are_those_of_the_log(collected: Collected) -> None:
     replayed = [one.event for one in collected.events()]
     live, again = (
-        [one.detail for one in events if isinstance(one.detail, LogEntry)] for events in (collected.heard, replayed)
+        [one.detail for one in events if isinstance(one.detail, LogReport)] for events in (collected.heard, replayed)
     )
     assert live == again
     assert any("not measured" in line.text for line in live)
@@ -192,9 +192,9 @@ def test_a_log_without_run_times_keeps_its_order(collected: Collected, tmp_path:
     connection.close()
     with RunFile.open(folder) as run:
         events = [one.event for one in replay_events(run.profile, read_recording(run))]
-    told = [event.detail for event in events if isinstance(event.detail, LogEntry | StateChange | PointMissed)]
+    told = [event.detail for event in events if isinstance(event.detail, LogReport | StateChange | PointMissed)]
     assert told == [
-        event.detail for event in collected.heard if isinstance(event.detail, LogEntry | StateChange | PointMissed)
+        event.detail for event in collected.heard if isinstance(event.detail, LogReport | StateChange | PointMissed)
     ]
     assert [event.detail for event in events if isinstance(event.detail, StopReport)] == [
         event.detail for event in collected.heard if isinstance(event.detail, StopReport)
@@ -222,7 +222,7 @@ def test_a_stop_at_which_nothing_was_measured_counts(tmp_path: Path) -> None:
 
 def test_steps_of_a_stop_leave_the_log_alone(collected: Collected) -> None:
     worded = {type(one.detail) for one in collected.heard if one.detail and detail_words(one.detail)}
-    assert worded == {StateChange, StopReport, ReferenceReport, LogEntry}
+    assert worded == {StateChange, StopReport, ReferenceReport, LogReport}
 
 
 # -- the pace ---------------------------------------------------------------------------------------------------------
