@@ -25,7 +25,6 @@ class Handbook(Question[None]):
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("q,h", "dismiss(None)", "Close")]
     DEFAULT_CSS = """
-    Handbook .dialog { width: 96%; height: 90%; }
     Handbook #topics { width: 26; height: 1fr; }
     Handbook VerticalScroll { width: 1fr; height: 1fr; }
     Handbook Horizontal { height: 1fr; }
