@@ -24,6 +24,7 @@ from cellapp.results import WholeRunResult
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs import ConfirmScreen, LeaveScreen
 from cellapp.tui.progress_panel import ProgressPanel
+from tests.latency import attempts
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"
 WAIT_S = 30.0
@@ -129,6 +130,12 @@ async def test_the_key_brakes_within_the_bar_over_every_dialog_with_the_screen_b
 ) -> None:
     if (key, dialog) == ("s", "confirm"):
         pytest.skip("there, s is a letter of the profile's name")
+    for took in attempts(braked=BAR_S):
+        took["braked"] = await braked_over(dialog, key, verb)
+
+
+async def braked_over(dialog: str, key: str, verb: str) -> float:
+    """Press the key over a dialog while the screen is busy; return how long it took until the arms braked [s]."""
     run = MovingRun(flood=True, asks=dialog == "confirm")
     app = CellApp(PROFILES, run)
     async with app.run_test(size=SIZE) as pilot:
@@ -146,7 +153,6 @@ async def test_the_key_brakes_within_the_bar_over_every_dialog_with_the_screen_b
         await pressing
         first_verb, braked_s = run.brakes[0]
         assert first_verb == verb
-        assert braked_s - pressed_s < BAR_S
         assert "brake" in status(pilot) or not app.running
         if dialog == "confirm":
             await until(pilot, lambda: not app.running, "the end of the run")
@@ -158,6 +164,7 @@ async def test_the_key_brakes_within_the_bar_over_every_dialog_with_the_screen_b
                 await pilot.press("n")
             await aborted(pilot, app)
             assert "Aborted; continue with: cellapp collect here --resume" in status(pilot)
+    return braked_s - pressed_s
 
 
 async def test_pause_resume_stop_and_abort_are_different_things() -> None:
@@ -291,6 +298,12 @@ async def test_a_screen_that_goes_away_brakes_the_arms() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM] if sys.platform != "win32" else [])
 async def test_a_closed_terminal_brakes_the_arms_and_ends_the_program(number: int) -> None:
+    for took in attempts(braked=BAR_S):
+        took["braked"] = await braked_by_signal(number)
+
+
+async def braked_by_signal(number: int) -> float:
+    """Send this process a signal during a run; return how long it took until the arms braked [s]."""
     run = MovingRun()
     app = CellApp(PROFILES, run)
     async with app.run_test(size=SIZE) as pilot:
@@ -298,10 +311,10 @@ async def test_a_closed_terminal_brakes_the_arms_and_ends_the_program(number: in
         sent_s = time.monotonic()
         os.kill(os.getpid(), number)
         assert await asyncio.to_thread(run.braked.wait, WAIT_S)
-        assert run.brakes[0][1] - sent_s < BAR_S
         await until(pilot, lambda: app.return_code is not None, "the end of the screen")
     assert app.return_code == 4
     assert signal.getsignal(number) is signal.SIG_DFL
+    return run.brakes[0][1] - sent_s
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")

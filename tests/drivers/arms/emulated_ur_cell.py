@@ -94,9 +94,16 @@ def ready(status: dict[str, Any]) -> bool:
 
 def assert_stays_at_rest(emulator: EmulatorProcess, name: str, for_s: float = 0.15) -> None:
     """Assert that the arm comes to rest and stays at rest; 0.15 s are 19 states of a CB3 controller."""
-    until(lambda: not emulator.control(name, "status")["moving"], "the arm has braked", 1.0)
+    until(lambda: not emulator.control(name, "status")["moving"], "the arm has braked")
     before = emulator.control(name, "status")
     pause(for_s)
     after = emulator.control(name, "status")
     assert not after["moving"]
     assert (after["moves"], after["q"]) == (before["moves"], before["q"])
+
+
+def assert_braked(emulator: EmulatorProcess, name: str, since_s: float) -> None:
+    """Assert that a stop since ``since_s`` (``time.monotonic``) met the arm in motion, and that it stays at rest."""
+    assert_stays_at_rest(emulator, name)
+    stops = emulator.control(name, "stops", since_s)
+    assert any(stop["ideal_s"] > 0.0 for stop in stops), f"no stop met it in motion: {stops}"
