@@ -511,13 +511,17 @@ class DelayedClient:
     def moveJ(self, *_: object) -> bool:
         return True
 
+    def isJointsWithinSafetyLimits(self, *_: object) -> bool:
+        return True
+
     def end_program(self, *_: object) -> bool:
-        """A motion that is not taken, because the program ended."""
+        """A command that is not served, because the program ended."""
         self.playing = False
         return False
 
 
 MOVE = {"do": "move", "q": list(HOME), "speed": [1.0] * 6, "acceleration": [1.0] * 6}
+COMMANDS = [("moveJ", MOVE), ("isJointsWithinSafetyLimits", {"do": "allowed", "q": [list(HOME)]})]
 
 
 @pytest.fixture
@@ -625,10 +629,11 @@ def test_an_application_that_falls_silent_at_rest_is_no_fault(delayed: Any) -> N
     assert monitor(0.1, {"do": "state"})[-1]["ok"]["fault"] is None
 
 
-def test_a_motion_that_is_not_taken_because_of_a_brake_that_is_read_later_was_stopped(
-    delayed: Any, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("command", "asked"), COMMANDS)
+def test_a_command_that_is_not_served_because_of_a_brake_that_is_read_later_was_stopped(
+    delayed: Any, monkeypatch: pytest.MonkeyPatch, command: str, asked: dict[str, Any]
 ) -> None:
-    """The client holds the interpreter's lock while it sends a motion: the brake's message waits."""
+    """The client holds the interpreter's lock while it sends a command: the brake's message waits."""
     client, monitor = delayed
     client.q = list(AWAY)
     monitor(0.3)
@@ -639,13 +644,14 @@ def test_a_motion_that_is_not_taken_because_of_a_brake_that_is_read_later_was_st
             monitor(0.0, {"brake": True})
 
     monkeypatch.setattr(vars(ur_supervisor)["time"], "sleep", sleep)
-    monkeypatch.setattr(client, "moveJ", client.end_program)
-    assert monitor(0.02, MOVE)[-1]["error"] == "stopped"
+    monkeypatch.setattr(client, command, client.end_program)
+    assert monitor(0.02, asked)[-1]["error"] == "stopped"
     assert monitor(0.1, {"do": "state"})[-1]["ok"]["fault"] is None
 
 
-def test_a_motion_that_is_not_taken_because_this_computer_stalled_says_so(
-    delayed: Any, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("command", "asked"), COMMANDS)
+def test_a_command_that_is_not_served_because_this_computer_stalled_says_so(
+    delayed: Any, monkeypatch: pytest.MonkeyPatch, command: str, asked: dict[str, Any]
 ) -> None:
     client, monitor = delayed
     client.q = list(AWAY)
@@ -657,8 +663,8 @@ def test_a_motion_that_is_not_taken_because_this_computer_stalled_says_so(
         monkeypatch.setattr(clock, "monotonic", lambda: now() + 0.3)
         return bool(client.end_program())
 
-    monkeypatch.setattr(client, "moveJ", stalled)
-    doubt, answer = monitor(0.01, MOVE)[-2:]
+    monkeypatch.setattr(client, command, stalled)
+    doubt, answer = monitor(0.01, asked)[-2:]
     assert (doubt["doubt"], answer["error"]) == ("stalled", "stalled")
     assert "this computer was silent for 0.3" in answer["text"]
 
