@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cellapp.trials.link_bench import travel_s
@@ -59,6 +59,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     expectation,
     repair,
     until,
+    warnings_about,
 )
 from tests.latency import attempts
 
@@ -125,7 +126,7 @@ def test_identity_state_and_tool_are_those_of_the_controller(connected: dict[str
     np.testing.assert_array_equal(tool.tcp, np.zeros(6))
     limits = arm.limits()
     np.testing.assert_array_equal(limits.speed, np.full(6, 3.0))
-    assert arm.warnings() == ()
+    assert warnings_about(arm) == []
     assert arm.state().time_s > state.time_s
 
 
@@ -171,6 +172,7 @@ positive = st.lists(st.floats(0.01, 10.0), min_size=6, max_size=6)
 angles = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)
 
 
+@example(here=[0.0] * 6, goal=[0.0] * 5 + [5e-324], speed=[1.0] * 5 + [0.5], acceleration=[1.0] * 6)
 @given(here=angles, goal=angles, speed=positive, acceleration=positive)
 def test_leading_rates_keep_every_joint_within_its_limits(
     here: list[float], goal: list[float], speed: list[float], acceleration: list[float]
@@ -263,7 +265,7 @@ def test_an_arm_without_power_is_refused(unconnected: EmulatorProcess) -> None:
 def test_a_changed_calibration_only_warns(unconnected: EmulatorProcess) -> None:
     with driven("right", checksum="0000000a-0000000b") as arm:
         arm.connect()
-        (note,) = arm.warnings()
+        (note,) = warnings_about(arm)
         assert note.startswith("arm right: ")
         assert arm.state().ready
 

@@ -56,7 +56,7 @@ TOLD_WITHIN_S = 0.2
 FROZEN_S = 0.2
 """A stall that is longer than the watchdog's period of 0.1 s, and shorter than what makes the state unknown."""
 MOST_LOST = 3
-"""Of 24 starts that are braked, on a computer too busy to exchange heartbeats."""
+"""Of 24 starts that are braked, on a computer too busy to exchange heartbeats or to feed the watchdog."""
 
 
 @pytest.fixture(scope="module")
@@ -186,11 +186,11 @@ def test_no_motion_survives_a_brake_at_any_moment_of_its_start(
         thread.join()
     for failure in failures:
         raise failure
-    assert ends.count(LinkLost) <= MOST_LOST, ends
+    assert len(ends) - ends.count(MotionStopped) <= MOST_LOST, ends
 
 
 def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float) -> type[ArmError]:
-    """Return how the motion ended: ``MotionStopped``, or ``LinkLost``."""
+    """Return how the motion ended: ``MotionStopped``, or what a busy computer may add."""
     arm.stop()  # the next motion uploads the program first, which takes a tenth of a second
     here = arm.state().q
     goal = FAR if np.abs(here - FAR).max() > np.abs(here - HOME).max() else HOME
@@ -205,12 +205,12 @@ def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float)
 
     stopper = threading.Timer(after_s, brake)
     stopper.start()
-    with pytest.raises((MotionStopped, LinkLost)) as ended:
+    with pytest.raises((MotionStopped, LinkLost, HostStalled)) as ended:
         move()
     stopper.join()
     assert_stays_at_rest(emulator, arm.name, for_s=0.3)
     assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - goal).max() > 0.3, "it went all the way"
-    with pytest.raises((MotionStopped, LinkLost)):
+    with pytest.raises((MotionStopped, LinkLost, HostStalled)):
         arm.start_move(goal, SPEED, ACCELERATION)
     arm.connect()
     assert at_rest(emulator, arm.name), "connecting moved the arm"
