@@ -15,6 +15,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
+from textual.app import App
 from textual.pilot import Pilot
 from textual.widgets import Input, Static
 
@@ -77,11 +78,15 @@ def emulated(profile: Path) -> Iterator[Control]:
         process.communicate(timeout=WAIT_S)
 
 
-async def until(condition: Callable[[], bool], what: str) -> None:
+async def until(pilot: Pilot[None], condition: Callable[[], bool], what: str) -> None:
     end_s = time.monotonic() + WAIT_S
     while not condition():
-        assert time.monotonic() < end_s, what
+        assert time.monotonic() < end_s, f"{what}; the screen says: {status(pilot.app)}"
         await asyncio.sleep(0.005)
+
+
+def status(app: App[None]) -> str:
+    return str(app.query_one("#status", Static).content)
 
 
 def moving(control: Control) -> list[bool]:
@@ -94,10 +99,10 @@ async def stopped_by(pilot: Pilot[None], control: Control, key: str) -> dict[str
     Returns the later controller's times [s]: ``stop``, from the key to the stop command, and ``rest``, from there to
     rest, without the arm's own braking time.
     """
-    await until(lambda: all(moving(control)), "both arms move")
+    await until(pilot, lambda: all(moving(control)), "both arms move")
     pressed_s = time.monotonic()
     await pilot.press(key)
-    await until(lambda: not any(moving(control)), f"the arms rest after {key}")
+    await until(pilot, lambda: not any(moving(control)), f"the arms rest after {key}")
     stops = [control(name, "status")["stop"] for name in ("left", "right")]
     assert all(stop["received_s"] > pressed_s for stop in stops)
     return {
@@ -124,23 +129,23 @@ async def one_session(profile: Path, folder: Path, control: Control) -> dict[str
     async with app.run_test(size=(140, 45)) as pilot:
 
         def says(words: str) -> Callable[[], bool]:
-            return lambda: words in str(app.query_one("#status", Static).content)
+            return lambda: words in status(app)
 
         app.query_one("#profile", Input).value = str(profile)
         app.query_one("#folder", Input).value = str(folder)
         app.query_one("#run").focus()
         await pilot.press("f5")
         stopped = await stopped_by(pilot, control, "escape")
-        await until(says("STOPPED"), "the stop is shown")
+        await until(pilot, says("STOPPED"), "the stop is shown")
         moves = [control(name, "status")["moves"] for name in ("left", "right")]
         await asyncio.sleep(0.5)
         assert [control(name, "status")["moves"] for name in ("left", "right")] == moves, "nothing moves by itself"
         await pilot.press("c")
-        await until(lambda: all(moving(control)), "the job goes on")
+        await until(pilot, lambda: all(moving(control)), "the job goes on")
         await pilot.press("p")
-        await until(says("PAUSED"), "it rests after the stop")
+        await until(pilot, says("PAUSED"), "it rests after the stop")
         assert moving(control) == [False, False]
         await pilot.press("p")
         aborted = await stopped_by(pilot, control, "x")
-        await until(lambda: not app.running, "the end of the run")
+        await until(pilot, lambda: not app.running, "the end of the run")
     return {**stopped, "abort": aborted["stop"], "rest_after_abort": aborted["rest"]}

@@ -353,7 +353,7 @@ def test_a_stall_of_this_computer_is_named(emulator: EmulatorProcess, drivers: d
         assert_braked(emulator, "right", began_s)
         gaps = arm.heartbeat_gaps()
         assert gaps.late >= 1
-        assert gaps.longest_s > 0.1
+        assert gaps.longest_s > 0.08  # the worker may see two states of 8 ms less of it than the controller
         assert any("heartbeats: this computer was late" in note for note in arm.warnings())
         arm.connect()
         go(arm, AWAY)
