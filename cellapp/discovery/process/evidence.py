@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 from cellapp.discovery.process.components import Component
 from cellapp.kinematics.transforms import Array
 
-_NEGLIGIBLE = 1e-3
+NEGLIGIBLE_COLUMN = 1e-3
 """Prior variance of a column's signal over that of the noise below which the column is left out: it would change the
 evidence by half of that."""
 _LOG_AMPLITUDE = (-7.0, 5.0)
@@ -98,7 +98,7 @@ class _Factored:
     @classmethod
     def of(cls, data: ProcessData, variance: Array, noise: float) -> _Factored | None:
         """None where the matrix is not positive definite: the noise is nearly zero."""
-        active = np.flatnonzero(variance * np.diag(data.gram) > _NEGLIGIBLE * noise)
+        active = np.flatnonzero(variance * np.diag(data.gram) > NEGLIGIBLE_COLUMN * noise)
         root = np.sqrt(variance[active])
         gram = data.gram[np.ix_(active, active)]
         A = gram * (root[:, None] * root / noise)
