@@ -24,6 +24,7 @@ from cellapp.discovery.process.evidence import (
     ProcessData,
     first_guess,
     log_evidence,
+    losses,
     most_evident,
 )
 from cellapp.discovery.terms import ModelTerm, ModelTerms, Smoothness
@@ -104,10 +105,9 @@ class StructuredProcess:
 
     def gains(self) -> list[float]:
         """Gain of the score by each component: twice the log evidence less its price, at the same hyperparameters."""
-        return [
-            2.0 * (self.log_evidence - self.without(number).log_evidence) - self.price(number)
-            for number in range(len(self.components))
-        ]
+        ends = np.cumsum([len(one.columns) for one in self.components])
+        lost = losses(self.gram, self.values.variances(self.components), self.values.noise, ends.tolist())
+        return [2.0 * loss - self.price(number) for number, loss in enumerate(lost.tolist())]
 
 
 def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
