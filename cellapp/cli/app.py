@@ -128,6 +128,24 @@ def collect(
         _check(result.complaints(), "collect")
 
 
+@app.command()
+def replay(
+    folder: RunFolder,
+    speed: Annotated[
+        float, typer.Option("--speed", metavar="X", help="Times the recorded pace, from 1 to 100.")
+    ] = 10.0,
+    json_file: JsonOption = None,
+) -> None:
+    """Play the collecting of a run back: the same events, the same running model; nothing moves, nothing is written."""
+    from cellapp.collection.replay import replay_run
+    from cellapp.reporting.collection_text import replay_lines
+
+    with Job(json_file) as job, open_run(folder) as opened:
+        result = replay_run(opened, job.listen, job.control, speed=speed)
+        job.say(*replay_lines(result))
+        job.result(result)
+
+
 @app.command("import")
 def import_(
     profile: ProfilePath,
