@@ -11,6 +11,8 @@ DOT_ROWS, DOT_COLUMNS = 4, 2
 Dots = NDArray[np.bool_]
 Characters = NDArray[np.str_]
 
+_KEPT = 4
+"""Points that are kept of those in one column of dots."""
 _FIRST_BRAILLE = 0x2800
 _WEIGHTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 """Bit of each dot of a braille character (Unicode, block U+2800)."""
@@ -52,16 +54,15 @@ def set_line(dots: Dots, column: Array, row: Array) -> None:
 
 
 def thinned(column: Array, row: Array) -> tuple[Array, Array]:
-    """The lowest and the highest of neighbouring positions in one column of dots: the same line from fewer points."""
-    if len(column) == 0:
-        return column, row
+    """The first, lowest, highest and last of neighbouring positions in one column of dots: they draw the same line."""
     place = np.where(np.isfinite(column) & np.isfinite(row), np.rint(column), np.nan)
-    new = np.append(True, ~((np.diff(place) == 0.0) | (np.isnan(place[1:]) & np.isnan(place[:-1]))))
-    begin = np.flatnonzero(new)
-    if 2 * len(begin) >= len(column):
+    new = ~((np.diff(place) == 0.0) | (np.isnan(place[1:]) & np.isnan(place[:-1])))
+    begin = np.flatnonzero(np.append(True, new)) if len(column) else np.zeros(0, dtype=np.intp)
+    if _KEPT * len(begin) >= len(column):
         return column, row
+    end = np.append(begin[1:], len(column)) - 1
     low, high = np.minimum.reduceat(row, begin), np.maximum.reduceat(row, begin)
-    return np.repeat(place[begin], 2), np.column_stack([low, high]).ravel()
+    return np.repeat(place[begin], _KEPT), np.column_stack([row[begin], low, high, row[end]]).ravel()
 
 
 def set_bars(dots: Dots, column: Array, row: Array, zero: float) -> None:
