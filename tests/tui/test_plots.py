@@ -20,7 +20,7 @@ from cellapp.reporting.charts_collection import live_residual_chart
 from cellapp.reporting.charts_discovery import candidates_chart, gap_chart, picture_chart
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.plots.drawing import MARKS, draw
-from cellapp.tui.plots.raster import braille, no_dots, set_bars, set_line, set_points, thinned
+from cellapp.tui.plots.raster import braille, no_dots, occupied_cells, set_bars, set_line, set_points, thinned
 from cellapp.tui.plots.scale import equal_scales, scale_of, tick_texts
 from cellapp.tui.plots.widget import ON_DARK, ON_LIGHT
 from tests.reporting.cases import picture, unknown_effect
@@ -285,7 +285,8 @@ def test_whatever_the_numbers_nothing_leaves_the_room(x, seed, kind, size, logar
 def test_braille_dots() -> None:
     dots = no_dots(1, 3)
     set_points(dots, np.array([0.0, 1.0, 2.0, np.nan, 9.0]), np.array([0.0, 3.0, 1.0, 0.0, 0.0]))
-    assert "".join(braille(dots)[0]) == "⢁⠂ "
+    assert "".join(braille(dots)[0]) == "⢁⠂⠀"
+    assert occupied_cells(dots).tolist() == [[True, True, False]]
 
 
 def test_lines_have_no_holes_and_bars_reach_zero() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,10 @@ from cellapp.reporting.charts import Chart, Series
 from cellapp.tui.plots.raster import (
     DOT_COLUMNS,
     DOT_ROWS,
-    Dots,
     as_steps,
     braille,
     no_dots,
+    occupied_cells,
     set_bars,
     set_line,
     set_points,
@@ -78,9 +78,10 @@ class Cells:
 
     def lines(self) -> Iterator[Line]:
         """The rows as runs of one ink."""
-        for characters, inks in zip(self.characters.tolist(), self.inks.tolist(), strict=True):
-            pairs = groupby(zip(characters, inks, strict=True), key=lambda pair: pair[1])
-            yield [("".join(character for character, _ in run), ink) for ink, run in pairs]
+        for characters, inks in zip(self.characters, self.inks, strict=True):
+            begin = [0, *(np.flatnonzero(np.diff(inks)) + 1).tolist()]
+            text = "".join(characters.tolist())
+            yield [(text[a:b], int(inks[a])) for a, b in pairwise([*begin, len(text)])]
 
 
 def draw(chart: Chart, width: int, height: int) -> list[Line]:
@@ -117,53 +118,46 @@ def _plot(chart: Chart, width: int, height: int) -> Cells | None:
     rows = height - 2  # the axis and its labels
     if rows < _LEAST_ROWS:
         return None
-    x, y = _scales(chart, DOT_COLUMNS * width, DOT_ROWS * rows)
-    labels = _row_labels(chart, y, rows)
-    margin = max((len(text) for text in labels.values()), default=0) + 1
+    margin = max((len(text) for text in _row_labels(_scales(chart, width, rows)[1], rows).values()), default=0) + 1
     columns = width - margin
     if columns < _LEAST_COLUMNS:
         return None
-    x, y = _scales(chart, DOT_COLUMNS * columns, DOT_ROWS * rows)
-    if chart.equal:
-        x, y = equal_scales(x, y)
-        labels = {row: text.rjust(margin - 1) for row, text in _row_labels(chart, y, rows).items()}
-        if any(len(text) >= margin for text in labels.values()):
-            margin += 1
-            columns -= 1
-            x, y = equal_scales(*_scales(chart, DOT_COLUMNS * columns, DOT_ROWS * rows))
-            labels = _row_labels(chart, y, rows)
+    x, y = _scales(chart, columns, rows)
+    # the range of a map depends on its width: a label that became longer has no room
+    labels = {row: text for row, text in _row_labels(y, rows).items() if len(text) < margin}
     cells = Cells.blank(height, width)
     for row in range(rows):
         text = labels.get(row)
         cells.write(row, 0, f"{text or '':>{margin - 1}}{'│' if text is None else '┤'}")
     cells.write(rows, margin - 1, "└" + "─" * columns)
-    _write_column_labels(chart, cells, x, margin)
+    _write_column_labels(cells, x, margin)
     _draw_data(chart, Cells(cells.characters[:rows, margin:], cells.inks[:rows, margin:]), x, y)
     return cells
 
 
-def _scales(chart: Chart, across: int, up: int) -> tuple[Scale, Scale]:
+def _scales(chart: Chart, columns: int, rows: int) -> tuple[Scale, Scale]:
+    """Scales of both axes that show all series and limits, for a plot of some cells."""
     at_x = [limit.value for limit in chart.limits if limit.axis == "x"]
     at_y = [limit.value for limit in chart.limits if limit.axis == "y"]
     ys = [edge for one in chart.series for edge in _edges(one)] if chart.y_range is None else [np.array(chart.y_range)]
     fill = any(one.kind == "bars" for one in chart.series)
-    x = scale_of(chart.x, np.concatenate([*(one.x for one in chart.series), at_x]), across)
-    y = scale_of(chart.y, np.concatenate([*ys, at_y]), up, zero=fill)
-    return x, y
+    x = scale_of(chart.x, np.concatenate([*(one.x for one in chart.series), at_x]), DOT_COLUMNS * columns)
+    y = scale_of(chart.y, np.concatenate([*ys, at_y]), DOT_ROWS * rows, zero=fill)
+    return equal_scales(x, y) if chart.equal else (x, y)
 
 
 def _edges(one: Series) -> list[Array]:
     return [one.y] if one.band is None else [one.y - one.band, one.y + one.band]
 
 
-def _row_labels(chart: Chart, y: Scale, rows: int) -> dict[int, str]:
+def _row_labels(y: Scale, rows: int) -> dict[int, str]:
     """Row -> text of its tick."""
     ticks = y.ticks(min(max(rows // _TICK_ROWS, 2), _MOST_TICKS))
     at = (DOT_ROWS * rows - 1 - np.rint(y.place(np.array(ticks)))) // DOT_ROWS
     return dict(zip(at.astype(int).tolist(), tick_texts(ticks, logarithmic=y.axis.logarithmic), strict=True))
 
 
-def _write_column_labels(chart: Chart, cells: Cells, x: Scale, margin: int) -> None:
+def _write_column_labels(cells: Cells, x: Scale, margin: int) -> None:
     """Ticks of the x axis on the last two rows; a label that would touch the one before is left out."""
     columns = cells.characters.shape[1] - margin
     ticks = x.ticks(min(max(columns // _TICK_COLUMNS, 2), _MOST_TICKS))
@@ -225,7 +219,7 @@ def _draw_series(one: Series, cells: Cells, x: Scale, y: Scale, *, several: bool
         set_bars(dots, column, row, y.dots - 1 - float(y.place(np.zeros(1))[0]))
     else:
         set_points(dots, column, row)
-    occupied = _occupied(dots)
+    occupied = occupied_cells(dots)
     cells.put(occupied, braille(dots), one.style)
     cells.put(_marked(one, occupied, column, row, several=several), mark_of(one), one.style)
 
@@ -242,7 +236,7 @@ def _marked(one: Series, occupied: NDArray[np.bool_], column: Array, row: Array,
     if one.mark or (few and one.kind in ("points", "line")):
         at_points = no_dots(*occupied.shape)
         set_points(at_points, column, row)
-        return _occupied(at_points)
+        return occupied_cells(at_points)
     if not several:
         return np.zeros_like(occupied)
     if one.kind == "points":
@@ -251,11 +245,6 @@ def _marked(one: Series, occupied: NDArray[np.bool_], column: Array, row: Array,
     topmost: NDArray[np.bool_] = np.cumsum(occupied, axis=0) == 1
     turns: NDArray[np.bool_] = columns % _MARK_EVERY == (2 + 3 * one.style) % _MARK_EVERY
     return occupied & topmost & turns
-
-
-def _occupied(dots: Dots) -> NDArray[np.bool_]:
-    """The cells (rows, columns) that have dots."""
-    return np.asarray(braille(dots) != " ")
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
