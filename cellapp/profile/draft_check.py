@@ -10,10 +10,10 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from cellapp.errors import InputError
-from cellapp.profile.draft import Filled, ProfileDraft, draft_to_yaml, fields_of
+from cellapp.profile.draft import Filled, ProfileDraft, draft_to_yaml, fields_of, with_text
 from cellapp.profile.loader import read_arm_types, read_document
-from cellapp.profile.messages import KeyPath, PlacedError, dotted, problems
-from cellapp.profile.schema import Profile
+from cellapp.profile.messages import KeyPath, PlacedError, dotted, problems, value_message
+from cellapp.profile.schema import Arm, Pose, Profile
 from cellapp.profile.starters import starters_folder
 
 
@@ -72,6 +72,31 @@ def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
     except ValidationError as error:
         found = problems(error, document)
         return Checked(tuple(_at_field(at, words, draft, fields) for at, words in found))
+
+
+def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[Arm, Pose]:
+    """Return one arm without its base, and the tracker's pose, of a draft that need not hold elsewhere.
+
+    Raises
+    ------
+    InputError
+        If the arm or the tracker's pose do not hold.
+    """
+    unplaced = with_text(with_text(draft, f"arms.{index}.position", ""), f"arms.{index}.rpy", "")
+    document = read_document(draft_to_yaml(unplaced), path)
+    read_arm_types(document, (path.parent, starters_folder()))
+    data = document.data
+    if "pose" not in data["tracker"]:
+        raise InputError("tracker.pose: missing; points in the tracker frame give a base only with the tracker's pose")
+    name = draft.arms[index].name
+    at: KeyPath = ("arms", name)
+    try:
+        arm = Arm.model_validate({**data["arms"][name], "driver": {"kind": "none"}})  # the pose needs no driver
+        at = ("tracker", "pose")
+        return arm, Pose.model_validate(data["tracker"]["pose"])
+    except ValidationError as error:
+        details = error.errors(include_url=False)[0]
+        raise InputError(f"{dotted((*at, *details['loc']))}: {value_message(details)}; correct it first") from None
 
 
 def _wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
@@ -42,6 +42,9 @@ def edited_text(text: str, path: Path, draft: ProfileDraft) -> EditedText:
     old = draft_of(text, path)
     if old == draft:
         return EditedText(text, ())
+    if "\r\n" in text:  # written by an editor on Windows: edited with plain line ends, kept as it was
+        edited = edited_text(text.replace("\r\n", "\n"), path, draft)
+        return EditedText(edited.text.replace("\n", "\r\n"), edited.lost_comments)
     document = _load(text, path)
     if _dump(document) != _with_newline(text):
         raise InputError(
@@ -140,7 +143,7 @@ def _node(form: FormField, text: str) -> Any:
 
 def _load(text: str, path: Path) -> CommentedMap:
     try:
-        return _yaml().load(_with_newline(text))
+        return cast(CommentedMap, _yaml().load(_with_newline(text)))  # keys with values: ``draft_of`` has read it
     except YAMLError as error:
         raise InputError(
             f"{path}: not YAML that can be edited: {str(error).splitlines()[0]}; edit it by hand"

@@ -58,6 +58,7 @@ from cellapp.results.commissioning import (
     EmulatedTracker,
     EmulateResult,
     Finding,
+    InitResult,
     TrackerBridgeResult,
 )
 from cellapp.results.discovery import (
@@ -163,6 +164,7 @@ __all__ = [
     "HeldOutPosition",
     "HistoryResult",
     "ImportResult",
+    "InitResult",
     "LawRecord",
     "LogLine",
     "LogResult",
