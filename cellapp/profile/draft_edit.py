@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
@@ -143,11 +143,12 @@ def _node(form: FormField, text: str) -> Any:
 
 def _load(text: str, path: Path) -> CommentedMap:
     try:
-        return cast(CommentedMap, _yaml().load(_with_newline(text)))  # keys with values: ``draft_of`` has read it
+        document: CommentedMap = _yaml().load(_with_newline(text))
     except YAMLError as error:
         raise InputError(
             f"{path}: not YAML that can be edited: {str(error).splitlines()[0]}; edit it by hand"
         ) from None
+    return document
 
 
 def _dump(document: CommentedMap) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
 
@@ -28,10 +29,20 @@ class Starter:
 
 
 def starters_folder() -> Path:
-    """Folder of the starter profiles: inside an installed package; beside the package where its source is used."""
-    package = Path(str(files("cellapp")))
-    installed = package / "starters"
-    return installed if installed.is_dir() else package.parent / "profiles"
+    """Folder of the starter profiles: beside the package where its source is used, else where they were installed.
+
+    Raises
+    ------
+    InputError
+        If this installation lacks them.
+    """
+    beside = Path(str(files("cellapp"))).parent / "profiles"
+    if (beside / f"{TWIN}.yaml").is_file():
+        return beside
+    for file in distribution("cellapp").files or ():
+        if file.match(f"share/cellapp/profiles/{TWIN}.yaml"):
+            return Path(str(file.locate())).resolve().parent
+    raise InputError("this installation of cellapp lacks its starter profiles; install it again with pip")
 
 
 def starter_profiles() -> tuple[Starter, ...]:

@@ -25,6 +25,7 @@ from cellapp.results.run import (
     StopsResult,
     WholeRunResult,
 )
+from cellapp.results.runs import RunComparison, RunsResult
 from cellapp.results.targets import CompensateResult, VerifyResult
 
 VERB_RESULTS: tuple[type[Result], ...] = (
@@ -48,6 +49,8 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     HistoryResult,
     LogResult,
     StopsResult,
+    RunsResult,
+    RunComparison,
     DocsResult,
 )
 """Every result of a verb, for the exported JSON schemas."""

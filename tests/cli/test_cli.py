@@ -232,7 +232,7 @@ def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
 
 
 SHOWN = {
-    "overview": ("next: nothing is left to do", "cellapp-overview"),
+    "overview": ("next: cellapp report done", "cellapp-overview"),
     "calibration": ("Arm left: held-out errors [mm]", "cellapp-calibrate"),
     "parameters": ("Arm right: identified parameters", "cellapp-calibrate"),
     "discovery": ("verdict", "cellapp-discover"),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from importlib.metadata import PackagePath
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -24,11 +26,31 @@ def test_the_twin_is_first_and_each_has_a_sentence() -> None:
     assert {starter.name for starter in starters if not starter.has_device} == {"ur10-real", "ur10-real-d", "ur5-real"}
 
 
+class Installed:
+    """What pip recorded of an installation: starter profiles, and another package's file of the same name."""
+
+    def __init__(self, folder: Path) -> None:
+        self.files = [PackagePath(name) for name in ("other/twin.yaml", "../share/cellapp/profiles/twin.yaml")]
+        for file in self.files:
+            file.dist = self
+        self.folder = folder
+
+    def locate_file(self, path: PackagePath) -> Path:
+        return self.folder / path
+
+
 def test_an_installed_package_brings_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A wheel holds the folder ``starters`` inside the package; there is no folder ``profiles`` beside it then."""
-    (tmp_path / "cellapp" / "starters").mkdir(parents=True)
+    """There is no folder ``profiles`` beside an installed package; pip put its files elsewhere and recorded where."""
+    monkeypatch.setattr("cellapp.profile.starters.files", lambda package: tmp_path / "site" / package)
+    monkeypatch.setattr("cellapp.profile.starters.distribution", lambda package: Installed(tmp_path / "site"))
+    assert starters_folder() == tmp_path / "share" / "cellapp" / "profiles"
+
+
+def test_an_installation_without_them_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.profile.starters.files", lambda package: tmp_path / package)
-    assert starters_folder() == tmp_path / "cellapp" / "starters"
+    monkeypatch.setattr("cellapp.profile.starters.distribution", lambda package: SimpleNamespace(files=None))
+    with pytest.raises(InputError, match="lacks its starter profiles; install it again"):
+        starters_folder()
 
 
 @pytest.mark.parametrize("name", NAMES)
