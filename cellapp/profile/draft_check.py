@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -42,10 +43,19 @@ class FieldProblem:
 
 @dataclass(frozen=True)
 class Checked:
-    """A judged draft: its problems, and the profile if there are none."""
+    """A judged draft: its problems, the profile if there are none, and those poses that hold even so.
+
+    Attributes
+    ----------
+    bases : mapping
+        Arm -> pose of its base, where that holds.
+    tracker : Pose or None
+    """
 
     problems: tuple[FieldProblem, ...]
     profile: Profile | None = None
+    bases: Mapping[str, Pose] = field(default_factory=dict)
+    tracker: Pose | None = None
 
 
 def check_draft(draft: ProfileDraft, path: Path) -> Checked:
@@ -67,11 +77,15 @@ def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
         return Checked((_at_field(error.place.inside, error.words, draft, fields),))
     except InputError as error:
         return Checked((FieldProblem("", "", str(error)),))
+    poses = {path: _pose(document.data, path) for path in [("tracker", "pose"), *_base_paths(draft)]}
+    tracker = poses.pop(("tracker", "pose"))
+    bases = {path[1]: pose for path, pose in poses.items() if pose is not None}
     try:
-        return Checked((), Profile.model_validate(document.data))
+        return Checked((), Profile.model_validate(document.data), bases, tracker)
     except ValidationError as error:
         found = problems(error, document)
-        return Checked(tuple(_at_field(at, words, draft, fields) for at, words in found))
+        told = tuple(_at_field(at, words, draft, fields) for at, words in found)
+        return Checked(told, None, bases, tracker)
 
 
 def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[Arm, Pose]:
@@ -108,6 +122,20 @@ def _wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
         for index, arm in enumerate(draft.arms)
         if not arm.name.strip() or counts[arm.name] > 1
     )
+
+
+def _base_paths(draft: ProfileDraft) -> list[tuple[str, ...]]:
+    return [("arms", arm.name, "base") for arm in draft.arms]
+
+
+def _pose(data: Any, path: Sequence[str]) -> Pose | None:
+    """A pose of a profile's data; None if it is missing or does not hold."""
+    for key in path:
+        data = data.get(key) if isinstance(data, dict) else None
+    try:
+        return Pose.model_validate(data)
+    except ValidationError:
+        return None
 
 
 def _at_field(at: KeyPath, words: str, draft: ProfileDraft, fields: Sequence[Filled]) -> FieldProblem:
