@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from cellapp.reporting.table import Cell, Column, Table, number_column
+from cellapp.reporting.table import Column, Table, number_column
 from cellapp.results import BeforeAfter, CellKind, RunsResult, RunSummary
 
 CELL_WORDS: dict[CellKind, str] = {
@@ -16,43 +16,43 @@ CELL_WORDS: dict[CellKind, str] = {
 }
 _MM = ".3f"
 _KIB = 1024.0
+_DATE = len("2026-01-02")
 
 
 def runs_tables(result: RunsResult) -> list[Table]:
-    """State of every run that can be read, and the accuracy of every arm that is calibrated."""
-    readable = [run for run in result.runs if not run.problem]
-    if not readable:
-        return []
+    """State of every run that can be read, errors of every calibrated arm, what discovery named in it."""
+    named = [(short_name(run, result.folder), run) for run in result.runs if not run.problem]
     state = Table(
         f"Runs below {result.folder}, newest first",
-        tuple(map(Column, ("run", "cell", "began (UTC)", "stops", "collecting", "next", "size"))),
+        tuple(map(Column, ("run", "cell", "began", "stops", "next"))),
         tuple(
-            (
-                short_name(run, result.folder),
-                f"{run.profile}, {CELL_WORDS[run.cell]}",
-                time_words(run.began),
-                stops_words(run),
-                session_words(run),
-                next_words(run),
-                size_words(run.size_bytes),
-            )
-            for run in readable
+            (name, CELL_WORDS[run.cell], run.began[:_DATE], stops_words(run), next_words(run)) for name, run in named
         ),
     )
-    rows = tuple(row for run in readable for row in _accuracy_rows(run, short_name(run, result.folder)))
-    if not rows:
-        return [state]
-    columns = (
-        Column("run"),
-        Column("arm"),
-        number_column("geometry", _MM),
-        number_column("best model", _MM),
-        Column("effects"),
-        number_column("targets", _MM),
-        number_column("compensated", _MM),
+    errors = Table(
+        "Mean errors [mm]: held-out positions, targets without and with compensation",
+        (
+            Column("run"),
+            Column("arm"),
+            *(number_column(title, _MM) for title in ("geometry", "best", "targets", "compensated")),
+        ),
+        tuple(
+            (name, arm, *_pair(figures.heldout_mm), *_pair(figures.verified_mm))
+            for name, run in named
+            for arm, figures in run.figures.items()
+        ),
     )
-    title = "Mean errors [mm]: held-out positions, targets without and with compensation"
-    return [state, Table(title, columns, rows)]
+    effects = Table(
+        "Missing effects",
+        tuple(map(Column, ("run", "arm", "verdict", "effects"))),
+        tuple(
+            (name, arm, figures.verdict, effects_words(figures.effects))
+            for name, run in named
+            for arm, figures in run.figures.items()
+            if figures.verdict
+        ),
+    )
+    return [table for table in (state, errors, effects) if table.rows]
 
 
 def runs_sentences(result: RunsResult) -> list[str]:
@@ -88,8 +88,11 @@ def time_words(written: str) -> str:
 
 
 def stops_words(run: RunSummary) -> str:
-    """``120/400``; the number alone for imported readings."""
-    return f"{run.stops_measured}/{run.stops_planned}" if run.stops_planned else str(run.stops_measured)
+    """``120/400 stopped``; the number alone for imported readings."""
+    if not run.stops_planned:
+        return str(run.stops_measured)
+    words = session_words(run)
+    return f"{run.stops_measured}/{run.stops_planned} {'' if words == 'complete' else words}".rstrip()
 
 
 def session_words(run: RunSummary) -> str:
@@ -123,17 +126,6 @@ def size_words(size_bytes: int) -> str:
             break
         size /= _KIB
     return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
-
-
-def _accuracy_rows(run: RunSummary, name: str) -> Iterator[tuple[Cell, ...]]:
-    for arm, figures in run.figures.items():
-        yield (
-            name,
-            arm,
-            *_pair(figures.heldout_mm),
-            effects_words(figures.effects) or figures.verdict or "",
-            *_pair(figures.verified_mm),
-        )
 
 
 def _pair(values: BeforeAfter | None) -> tuple[float | None, float | None]:
