@@ -9,10 +9,12 @@ from typing import Annotated
 import typer
 
 from cellapp.cli.docs import docs
+from cellapp.cli.init import init
 from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.motion import asking
 from cellapp.cli.options import AllowMotion, JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
 from cellapp.cli.requests import abort, pause, resume, stop
+from cellapp.cli.runs import compare, runs
 from cellapp.cli.show import schema, show
 from cellapp.cli.trials import trials_app
 from cellapp.errors import CheckFailed, InputError
@@ -306,7 +308,7 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-for command in (pause, resume, stop, abort, show, schema, docs):
+for command in (init, pause, resume, stop, abort, runs, compare, show, schema, docs):
     app.command()(command)
 
 

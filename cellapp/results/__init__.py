@@ -59,6 +59,7 @@ from cellapp.results.commissioning import (
     EmulatedTracker,
     EmulateResult,
     Finding,
+    InitResult,
     TrackerBridgeResult,
 )
 from cellapp.results.discovery import (
@@ -187,6 +188,7 @@ __all__ = [
     "HeldOutPosition",
     "HistoryResult",
     "ImportResult",
+    "InitResult",
     "LastSession",
     "LawRecord",
     "LogLine",

@@ -15,7 +15,7 @@ from cellapp.results.collection import (
     ReplayResult,
     RequestResult,
 )
-from cellapp.results.commissioning import DoctorResult, EmulateResult, TrackerBridgeResult
+from cellapp.results.commissioning import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
 from cellapp.results.discovery import DiscoverResult
 from cellapp.results.run import (
     DocsResult,
@@ -37,6 +37,7 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     RequestResult,
     ImportResult,
     ExportResult,
+    InitResult,
     DoctorResult,
     CalibrateResult,
     DiscoverResult,

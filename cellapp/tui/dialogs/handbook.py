@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from rich.markdown import Markdown
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, VerticalScroll
-from textual.widgets import Markdown, OptionList, Static
+from textual.widgets import OptionList, Static
 
 from cellapp.tui.dialogs.question import Question
 
@@ -24,7 +25,6 @@ class Handbook(Question[None]):
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("q,h", "dismiss(None)", "Close")]
     DEFAULT_CSS = """
-    Handbook .dialog { width: 96%; height: 90%; }
     Handbook #topics { width: 26; height: 1fr; }
     Handbook VerticalScroll { width: 1fr; height: 1fr; }
     Handbook Horizontal { height: 1fr; }
@@ -38,7 +38,7 @@ class Handbook(Question[None]):
         with Horizontal():
             yield OptionList(id="topics", markup=False, compact=True)
             with VerticalScroll():
-                yield Markdown("")
+                yield Static("", id="topic")
         yield Static("Up and down choose a topic, Tab goes to its text, q closes.", markup=False)
 
     def on_mount(self) -> None:
@@ -52,13 +52,10 @@ class Handbook(Question[None]):
         listed.focus()
 
     @on(OptionList.OptionHighlighted)
-    async def read(self, event: OptionList.OptionHighlighted) -> None:
+    def read(self, event: OptionList.OptionHighlighted) -> None:
         """Show the text of a topic."""
-        from cellapp.docs.handbook import effect_sections, topic_text
+        from cellapp.docs.handbook import topic_text
 
         event.stop()
-        text = topic_text(str(event.option.prompt))
-        for section in effect_sections().values():  # a topic each: the whole chapter takes seconds to lay out
-            text = text.replace(section, "") if len(section) < len(text) else text
-        await self.query_one(Markdown).update(text)
+        self.query_one("#topic", Static).update(Markdown(topic_text(str(event.option.prompt))))
         self.query_one(VerticalScroll).scroll_home(animate=False)
