@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import pytest
 
-from drivers.arms.protocol import HostStalled
+from drivers.arms.protocol import ArmError, HostStalled
 from drivers.arms.ur import UrArm
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.emulated_ur_cell import repair
@@ -17,23 +17,30 @@ from tests.latency import ATTEMPTS
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool:
     """Call a test again, with its arms repaired and connected, while it ends with a stall of this computer."""
     given = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}
+    arms = connected_arms(pyfuncitem.funcargs)
     for left in reversed(range(ATTEMPTS)):
         try:
             pyfuncitem.obj(**given)
             break
-        except HostStalled:
-            if not left:
+        except ArmError as error:
+            if not (left and is_stall(error)):
                 raise
-            connect_again(pyfuncitem.funcargs.values())
+        for arm in arms:
+            repair(pyfuncitem.funcargs["emulator"], arm.name)
+            arm.connect()
     return True
 
 
-def connect_again(fixtures: Iterable[object]) -> None:
-    """Repair and connect the arms among the values of fixtures that were connected."""
-    values = list(fixtures)
+def is_stall(error: ArmError) -> bool:
+    """Return whether this computer kept a worker from its arm or from its heartbeats; no test ends with these."""
+    return isinstance(error, HostStalled) or "its driver process was silent for" in str(error)
+
+
+def connected_arms(fixtures: Mapping[str, object]) -> list[UrArm]:
+    """Return the arms among the values of fixtures that are connected to emulated controllers."""
+    if not isinstance(fixtures.get("emulator"), EmulatorProcess):
+        return []
+    values = list(fixtures.values())
     values += [one for group in values if isinstance(group, Mapping) for one in group.values()]
-    emulators = [one for one in values if isinstance(one, EmulatorProcess)]
-    for arm in {one.name: one for one in values if isinstance(one, UrArm)}.values():
-        if arm.worker_pid is not None:
-            repair(emulators[0], arm.name)
-            arm.connect()
+    arms = {one.name: one for one in values if isinstance(one, UrArm)}
+    return [arm for arm in arms.values() if arm.worker_pid is not None]
