@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import cast
 
 import pytest
 
@@ -26,7 +27,7 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool:
             if not (left and is_stall(error)):
                 raise
         for arm in arms:
-            repair(pyfuncitem.funcargs["emulator"], arm.name)
+            repair(cast(EmulatorProcess, pyfuncitem.funcargs["emulator"]), arm.name)
             arm.connect()
     return True
 
