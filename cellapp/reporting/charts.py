@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,8 @@ from cellapp.kinematics.transforms import Array
 from cellapp.results import STAGES
 
 Kind = Literal["line", "points", "steps", "bars"]
+Key = TypeVar("Key", bound=str)
+"""Name of a stage or a method."""
 
 STAGE_STYLES: Mapping[str, int] = {stage: number for number, stage in enumerate(STAGES)}
 """Style of each stage: the same in all charts."""
@@ -145,8 +147,8 @@ def drawable_mm(errors_mm: ArrayLike) -> Array:
 
 
 def error_counts(
-    errors_mm: Mapping[str, Array], low: float, high: float, bins: int = _BINS
-) -> tuple[Array, dict[str, NDArray[np.intp]]]:
+    errors_mm: Mapping[Key, Array], low: float, high: float, bins: int = _BINS
+) -> tuple[Array, dict[Key, NDArray[np.intp]]]:
     """Edges (bins + 1,) [mm] from ``low`` to ``high`` on a logarithmic axis, and the number of errors in each bin."""
     edges = np.geomspace(low, high, bins + 1)
     return edges, {what: np.histogram(drawable_mm(errors), edges)[0] for what, errors in errors_mm.items()}

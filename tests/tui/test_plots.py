@@ -189,6 +189,14 @@ def test_a_narrow_plot_still_has_axes_with_numbers_and_its_message(chart: Chart)
         assert bottom.count("┬") >= 2
 
 
+@pytest.mark.parametrize("chart", [chart for chart in CHARTS if not chart.categories], ids=lambda chart: chart.title)
+def test_a_quarter_of_a_small_terminal_still_shows_data_and_the_first_sentence(chart: Chart) -> None:
+    lines = texts(chart, 38, 10)
+    assert len(lines) <= 10
+    assert has_data(lines)
+    assert chart.message.partition(". ")[0] in one_line(lines)
+
+
 def test_series_differ_without_colour() -> None:
     x = np.linspace(0.0, 1.0, 200)
     several = [series(f"s{style}", x, x + style, style=style) for style in range(len(MARKS))]
@@ -238,7 +246,7 @@ def test_bars_have_names_and_values() -> None:
 
 
 def test_where_there_is_no_room_the_message_stays() -> None:
-    assert texts(CHARTS[0], 38, 5)[-1] == texts(CHARTS[0], 38, 18)[-1]
+    assert texts(CHARTS[0], 38, 5)[1:] == texts(CHARTS[0], 38, 18)[-4:]
     assert one_line(texts(simple(series("left", [0.0], [1.0])), 20, 2)) == "Title The message."
     assert texts(simple(series("left", [0.0], [1.0])), 20, 1) == ["The message."]
     assert texts(CHARTS[0], 0, 0) == []

@@ -31,7 +31,7 @@ MARKS = "●▲■◆+×"
 """One mark for each style; further styles repeat them."""
 LIMIT = {"y": "╌", "x": "╎"}
 _BAND = "░"
-_LEAST_ROWS, _LEAST_COLUMNS = 4, 16
+_LEAST_ROWS, _LEAST_COLUMNS = 3, 16
 """Cells of data below which a plot says less than its message."""
 _TICK_ROWS = 2
 """Rows for one tick of the y axis."""
@@ -87,23 +87,32 @@ class Cells:
 def draw(chart: Chart, width: int, height: int) -> list[Line]:
     """Title, plot, key and message in at most ``height`` lines of ``width`` cells.
 
-    Where the room is too small for all, the plot goes first and the message stays.
+    Where the room is too small, the words of the axes go first, then sentences after the first and the key, last the
+    plot: its message says as much.
     """
     if width < 1:
         return []
     title, message = _wrapped(chart.title, width, HEADING), _wrapped(chart.message, width)
-    if chart.is_empty:
-        return (title + message)[:height]
-    if chart.categories:
-        rows = height - len(title) - len(message)
-        bars = _category_lines(chart, width, rows) if rows > 0 and width >= _LEAST_COLUMNS else []
-        return (title + bars + message)[:height]
+    room = height - len(title)
+    if chart.categories and room > len(message) and width >= _LEAST_COLUMNS:
+        return [*title, *_category_lines(chart, width, room - len(message)), *message]
+    if not chart.is_empty and not chart.categories:
+        for above, below in _words(chart, width, message):
+            plot = _plot(chart, width, room - len(above) - len(below))
+            if plot is not None:
+                return [*title, *above, *plot.lines(), *below]
+    return title + message if len(message) <= room else message[:height]
+
+
+def _words(chart: Chart, width: int, message: list[Line]) -> Iterator[tuple[list[Line], list[Line]]]:
+    """Lines above and below a plot: first all of them, then fewer and fewer."""
     axes, key = _wrapped(f"↑ {chart.y.words}   → {chart.x.words}", width), _key_lines(chart, width)
-    rows = height - len(title) - len(axes) - len(key) - len(message)
-    plot = _plot(chart, width, rows)
-    if plot is None:
-        return (title + message)[:height] if len(title) + len(message) <= height else message[:height]
-    return [*title, *axes, *plot.lines(), *key, *message]
+    sentence = _wrapped(chart.message.partition(". ")[0], width)
+    yield axes, key + message
+    yield [], key + message
+    yield [], key + sentence
+    yield [], message
+    yield [], sentence
 
 
 def _wrapped(text: str, width: int, ink: int = TEXT) -> list[Line]:
