@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from cellapp.collection.practice import LiveModel
-from cellapp.collection.work import remaining_work
 from cellapp.reporting.captioned import CaptionedFigure
 from cellapp.reporting.charts_collection import drift_by_reference
 from cellapp.results import CollectionResult, SessionRecord, SessionRequest
@@ -19,8 +18,9 @@ def collection_state(run: RunFile) -> CollectionResult | None:
     missing = missing_readings(run)
     settings = run.profile.collection
     errors_mm: dict[str, float] = {}
-    if run.read_plan():
-        errors_mm = LiveModel(run, remaining_work(run, resume=True), lambda level, text: None).standard_error_mm
+    if plan := run.read_plan():
+        stored = {name: run.readings(name) for name in plan}
+        errors_mm = LiveModel(run.profile, plan, stored, lambda level, text: None).standard_error_mm
     return CollectionResult(
         run=str(run.folder),
         sessions=tuple(

@@ -36,11 +36,12 @@ from cellapp.reporting.tables import (
 from cellapp.reporting.words import METHOD_WORDS
 from cellapp.results import CalibrateResult
 from cellapp.run import RunFile
+from cellapp.run.sqlite_file import REPORT_FILE
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
-PAGE_FILE = "report.html"
+PAGE_FILE = REPORT_FILE
 _MOST_EVENTS = 100
 """Newest events of the run's log on the page; the run file has all of them."""
 

@@ -85,8 +85,12 @@ class StageState(Record):
     out_of_date: str | None = None
 
 
+NextVerb = Literal["collect", "calibrate", "discover", "push", "report", ""]
+"""The verb that comes next in a run; ``push`` stands for compensated targets that are verified, empty for none."""
+
+
 class OverviewResult(Result):
-    """``show``: the state of a run and the command that comes next (empty if none).
+    """``show``: the state of a run, and the verb and command that come next (both empty if none).
 
     ``in_order`` maps arms to what an import derived from their order of measurement.
     """
@@ -99,6 +103,7 @@ class OverviewResult(Result):
     in_order: Mapping[str, ArmOrder] = {}
     stages: tuple[StageState, ...]
     in_force: StageName | None
+    next_verb: NextVerb
     next_step: str
 
 

@@ -1,500 +1,455 @@
-"""The screen of one run: choose a profile, start, watch, pause, stop, read the tables. ``run_whole`` does all work.
+"""The application: what is open, one job at a time, STOP on every screen, the screens of the day.
 
-The key that stops calls the brakes in the thread of the screen. Events of the run wait in a queue of their own and are
+The key that stops calls the brakes in the thread of the screens. Events of the job wait in a queue of their own and are
 drawn a few at a time: however many there are, a key is handled at once.
 """
 
 from __future__ import annotations
 
 import contextlib
-import queue
+import importlib
 import threading
-from collections import deque
-from collections.abc import Callable
-from datetime import datetime
+from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import ClassVar
 
 from rich.text import Text
-from textual import on
-from textual.app import App, ComposeResult
+from textual import on, work
+from textual.app import App, SystemCommand
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal, ItemGrid, Vertical, VerticalScroll
 from textual.css.query import NoMatches
-from textual.events import DescendantFocus
 from textual.message import Message
-from textual.widget import Widget
-from textual.widgets import (
-    Button,
-    Footer,
-    Input,
-    Label,
-    OptionList,
-    RichLog,
-    Static,
-    TabbedContent,
-    TabPane,
-)
+from textual.screen import Screen
+from textual.widgets import Static
 
-from cellapp.control import Aborted, JobControl
-from cellapp.errors import CellappError, HardwareError
-from cellapp.pipeline import default_folder, run_whole
-from cellapp.progress import Cancelled, JobState, Progress, StateChange, StopReport
-from cellapp.reporting.discovery_text import explanation_text
-from cellapp.reporting.page import PAGE_FILE
-from cellapp.reporting.progress_words import detail_words
-from cellapp.reporting.tables import all_tables, out_of_date_sentences
-from cellapp.results import DISCOVER, WholeRunResult
 from cellapp.signals import available, watch_signals
-from cellapp.tui.dialogs import ConfirmScreen, LeaveScreen
-from cellapp.tui.endings import how_to_resume, write_error_log
-from cellapp.tui.progress_panel import ProgressPanel
-from cellapp.tui.widgets import HELP, draw_table, helped
+from cellapp.tui import work as jobs_of_verbs
+from cellapp.tui.dialogs.handbook import Handbook
+from cellapp.tui.dialogs.jump import Jump
+from cellapp.tui.dialogs.motion import MotionQuestion
+from cellapp.tui.dialogs.palette import Palette
+from cellapp.tui.dialogs.question import Answer, Choice, Reading
+from cellapp.tui.endings import UNEXPECTED, ending_of
+from cellapp.tui.job_record import JobRecord
+from cellapp.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
+from cellapp.tui.screens import SCREENS
+from cellapp.tui.screens.base import DayScreen
+from cellapp.tui.themes import HIGH_CONTRAST
+from cellapp.tui.widgets.header import DayHeader, StepLine, StepTab
+from cellapp.tui.workspace import RUN_FILE, Step, Workspace, load_workspace, new_folder
 
-Run = Callable[..., WholeRunResult]
-"""``run_whole``, or what stands in for it."""
-
-STOPPED = 4
-UNEXPECTED = 3
-"""Exit codes: stopped and resumable; an unexpected error, after which somebody must look at the cell."""
-
-_TABLE_WIDTH = 66
-"""Narrowest column of tables [characters]: an accuracy table fits, and a wide screen shows two side by side."""
 _REQUESTS = ("stop", "pause", "resume", "abort")
-_BEHIND_QUESTIONS = ("run", "pause", "resume", "show", "toggle_full", "quit")
-"""Actions that an open question hides."""
+_OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
+_ALWAYS = ("stop", "abort")
+"""Actions that an open dialog does not hide."""
 _ENDING = available("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 _PAUSING = available("SIGTSTP")
-_DRAWING_S = 0.05
-_MOST_DRAWN = 30
-"""Events that are drawn at a time: each takes less than a millisecond."""
-_MOST_WAITING = 1000
-"""Events that wait to be drawn; a faster run loses the oldest ones here, its log in the run file has all."""
-_ANSWER_S = 0.1
-"""How often a run that waits for an answer looks whether it is to end."""
-_NO_TABLES = "Tables appear here when a run has ended."
-
-
-class MotionAsked(Message):
-    """The run asks before its first motion; ``answer`` takes what the person decides."""
-
-    def __init__(self, words: str, answer: Callable[[bool], None]) -> None:
-        super().__init__()
-        self.words, self.answer = words, answer
+_DRAWING_S = 0.1
+"""Time between two drawings of a running job: people read no faster, and keys are answered between them."""
+_PRELOAD_AFTER_S = 0.3
+"""The first screen is drawn before."""
+_LATER = (
+    "cellapp.run",
+    "cellapp.reporting.report_data",
+    *(f"cellapp.tui.screens.{entry.step}" for entry in SCREENS),
+    "cellapp.pipeline",
+    "cellapp.docs.handbook",
+)
+_MOST_TAKEN = 300
+"""Events that are taken in at a time: each takes some microseconds."""
 
 
 class LeaveAsked(Message):
     """The terminal was closed, or the system ends this program."""
 
 
-class RunEnded(Message):
-    """The thread of the run ended, with a result or an exception."""
+class WorkspaceLoaded(Message):
+    """Profile and run were read."""
 
-    def __init__(self, ending: WholeRunResult | BaseException) -> None:
+    def __init__(self, workspace: Workspace) -> None:
         super().__init__()
-        self.ending = ending
+        self.workspace = workspace
 
 
 class CellApp(App[None]):
-    """The application with its one screen.
+    """The application.
 
     Parameters
     ----------
     profiles : Path
-        Folder whose ``*.yaml`` are listed.
-    run : callable
-        Runs everything, in a thread of its own; same signature as ``run_whole``.
+        Folder whose ``*.yaml`` are offered.
+    logs : Path
+        Folder of the runs.
     patience_s : float
-        How long quitting waits for a run to stop before the program ends without it.
+        How long quitting waits for a job to stop before the program ends without it.
     """
 
     TITLE = "cellapp"
     CSS_PATH = "app.tcss"
-    ENABLE_COMMAND_PALETTE = False
+    COMMAND_PALETTE_BINDING = "ctrl+p"
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("f5,r", "run", "Run"),
-        Binding("escape,s", "stop", "STOP", priority=True),
+        Binding("escape", "stop", "STOP", priority=True),
+        Binding("f5", "whole_day", "Day", tooltip="plan, collect, calibrate, discover, push and verify; asks first"),
         Binding("p", "pause", "Pause"),
         Binding("c", "resume", "Resume"),
         Binding("x", "abort", "Abort"),
         Binding("ctrl+x", "abort", show=False, priority=True),
-        Binding("l", "show('log-pane')", "Log"),
-        Binding("t", "show('tables-pane')", "Tables"),
-        Binding("f", "toggle_full", "Full"),
+        *(Binding(entry.key, f"show('{entry.step}')", entry.title, show=False) for entry in SCREENS),
+        Binding("n", "next_step", "Next", tooltip="show the step that comes next"),
+        Binding("question_mark", "explain", "Help", key_display="?", tooltip="explain this screen"),
+        Binding("h", "handbook", "Handbook", show=False),
+        Binding("ctrl+o", "jump", "Jump", show=False),
         Binding("q", "quit", "Quit"),
         Binding("ctrl+q", "quit", show=False, priority=True),
     ]
 
-    def __init__(self, profiles: Path, run: Run = run_whole, patience_s: float = 60.0) -> None:
+    def __init__(self, profiles: Path, logs: Path = Path("logs"), patience_s: float = 60.0) -> None:
         super().__init__()
-        self._found = sorted(profiles.glob("*.yaml"), key=lambda path: path.stem)
-        self._profiles = profiles
-        self._run = run
+        self.profiles, self.logs = profiles, logs
+        self.workspace = Workspace()
+        self.record = JobRecord()
+        self.jobs = JobRunner(self.post_message)
+        self.message, self._severity = "", "information"
+        self._screens: dict[Step, DayScreen] = {}
+        self._commands: list[SystemCommand] = []
+        self._drawn = -1
+        self._loads = 0
         self._patience_s = patience_s
-        self._control = JobControl(holds=True)
-        self._events: deque[Progress] = deque(maxlen=_MOST_WAITING)
         self._signals = contextlib.ExitStack()
-        self._worker: threading.Thread | None = None
-        self._folder = Path()
-        self._last: Progress | None = None
         self._leaving = False
         self._code = 0
 
-    @property
-    def _panel(self) -> ProgressPanel:
-        return self.query_one(ProgressPanel)
-
-    @property
-    def running(self) -> bool:
-        """Whether a run was started and has not reported its end yet."""
-        return self._worker is not None
-
-    # -- the screen ------------------------------------------------------------------------------------------------
-
-    def compose(self) -> ComposeResult:
-        with Horizontal(id="top"):
-            with Vertical(id="setup") as setup:
-                setup.border_title = "cellapp: profile"
-                names = [path.stem for path in self._found]
-                yield helped(OptionList(*names, id="profiles", markup=False, compact=True))
-                with Horizontal(classes="field"):
-                    yield Label("File")
-                    yield helped(Input(id="profile", placeholder="path of a profile", compact=True))
-                with Horizontal(classes="field"):
-                    yield Label("Folder")
-                    yield helped(Input(id="folder", placeholder="empty: a new one in logs", compact=True))
-                with Horizontal(id="buttons"):
-                    yield helped(Button("Run (F5)", id="run", variant="success", compact=True))
-                    yield helped(Button("STOP (Esc)", id="stop", variant="error", compact=True, disabled=True))
-                with Horizontal(id="requests"):
-                    for verb, key in (("pause", "p"), ("resume", "c"), ("abort", "x")):
-                        label = f"{verb.capitalize()} ({key})"
-                        yield helped(Button(label, id=verb, compact=True, disabled=True))
-            yield helped(ProgressPanel(id="progress"))
-        yield helped(Static("", id="status", markup=False))
-        with helped(TabbedContent(id="results")):
-            with TabPane("Log", id="log-pane"):
-                yield helped(RichLog(id="log", wrap=True, min_width=20, max_lines=5000))
-            with TabPane("Tables", id="tables-pane"), helped(VerticalScroll(id="tables")):
-                yield Static(_NO_TABLES, markup=False)
-        yield Static("", id="hint", markup=False)
-        yield Footer()
+    # -- begin and end -------------------------------------------------------------------------------------------------
 
     def on_mount(self) -> None:
-        """Focus the list of profiles, or the path field if the list is empty."""
+        """Show the first screen of the day, and begin to listen."""
+        self.register_theme(HIGH_CONTRAST)
+        self.push_screen(self._screen_of("cell"))
         self.set_interval(_DRAWING_S, self._draw_events)
+        self.set_timer(_PRELOAD_AFTER_S, self._preload)
         if threading.current_thread() is threading.main_thread():
             # after Textual has set its own: that of Ctrl-Z would freeze the program while arms move
             self._signals.enter_context(watch_signals((*_ENDING, *_PAUSING), self._on_signal, lambda *_: None))
-        if self._found:
-            self._say("Select a profile, then Run (F5). Tab moves from field to field.")
-            self.query_one("#profiles").focus()
-        else:
-            self._say(f"No *.yaml found in {self._profiles}; type the path of a profile.")
-            self.query_one("#profile").focus()
+        self.say("Choose a profile on this screen; n goes to the next step, ? explains.")
+
+    @work(thread=True)
+    def _preload(self) -> None:
+        """Load what screens and jobs will need, so that no key waits for it: scipy alone takes half a second."""
+        for module in _LATER:
+            importlib.import_module(module)
 
     def on_unmount(self) -> None:
-        """Brake all arms and end the run however the screen closes: no run continues unseen."""
-        self._control.leave()
+        """Brake all arms and end the job however the screen closes: no job continues unseen."""
+        self.jobs.control.leave()
         self._signals.close()
 
-    def wait_for_run(self) -> None:
-        """Wait, for a bounded time, until a run that was left has brought its arms to rest."""
-        if self._worker is not None:
-            self._worker.join(self._patience_s)
+    def wait_for_job(self) -> None:
+        """Wait, for a bounded time, until a job that was left has brought its arms to rest."""
+        if self.jobs.running:
+            self.jobs.wait(self._patience_s)
 
     def _on_signal(self, number: int) -> None:
         """In the thread that watches the signals."""
+        control = self.jobs.control
         if number in _ENDING:
-            self._control.leave()
+            control.leave()
             self.post_message(LeaveAsked())
-        elif self._control.request == "pause":
-            self._control.resume()
+        elif control.request == "pause":
+            control.resume()
         else:
-            self._control.pause()
+            control.pause()
+
+    async def action_quit(self) -> None:
+        """Quit; with a job in progress, ask first, stop it and wait for its end."""
+        if not self.jobs.running:
+            self.exit(return_code=self._code)
+        elif not self._leaving:
+            text = f"'{self.record.name}' is in progress. Brake all arms, end it and quit?"
+            answers = (Answer("stay", "Continue", "n"), Answer("leave", "Stop and quit", "y", "error"))
+            self.push_screen(Choice("Quit?", text, answers), lambda answer: self._leave(answer == "leave"))
 
     @on(LeaveAsked)
     def leave_at_once(self) -> None:
         """Quit as if the question had been answered."""
         self._leave(True)
 
-    def on_descendant_focus(self, event: DescendantFocus) -> None:
-        """Show the help of the focused widget; tooltips need a mouse."""
-        ids = [node.id or "" for node in event.widget.ancestors_with_self]
-        texts = [HELP[name] for name in ids if name in HELP]
-        with contextlib.suppress(NoMatches):  # the screen goes away
-            self.query_one("#hint", Static).update(texts[0] if texts else "")
-
-    @on(OptionList.OptionHighlighted, "#profiles")
-    def choose(self, event: OptionList.OptionHighlighted) -> None:
-        """Put the path of the selected profile into the field."""
-        self.query_one("#profile", Input).value = str(self._found[event.option_index])
-
-    @on(OptionList.OptionSelected, "#profiles")
-    @on(Input.Submitted)
-    def focus_run_button(self) -> None:
-        """Enter focuses the Run button; the arms move only when that is pressed."""
-        self.query_one("#run").focus()
-
-    # -- keys and buttons ------------------------------------------------------------------------------------------
-
-    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Disable actions that are not possible now; over an open question only stop and abort remain."""
-        if action in _BEHIND_QUESTIONS and len(self.screen_stack) > 1:
-            return False
-        if action in ("run", *_REQUESTS) and not self._possible(action):
-            return None
-        return True
-
-    def _possible(self, action: str) -> bool:
-        """Whether a run can be started, or a request be made of the present one."""
-        request = self._control.request
-        return {
-            "run": not self.running,
-            "stop": self.running,  # again and again: braking twice does no harm
-            "pause": self.running and request != "abort",
-            "resume": self.running and request in ("pause", "stop"),
-            "abort": self.running and request != "abort",
-        }[action]
-
-    @on(Button.Pressed, "#run")
-    def action_run(self) -> None:
-        """Start a run in a thread of its own."""
-        text = self.query_one("#profile", Input).value.strip()
-        if self.running:
-            return
-        if not text:
-            self._say("No profile selected: select one in the list or type its path.", "failed")
-            self.query_one("#profile").focus()
-            return
-        profile = Path(text).expanduser()
-        folder = self.query_one("#folder", Input).value.strip()
-        self._folder = Path(folder).expanduser() if folder else default_folder(profile.stem)
-        self._control = JobControl(holds=True)
-        self._last = None
-        self._panel.begin()
-        self._show_tables(Static(_NO_TABLES, markup=False))
-        self.action_show("log-pane")
-        self._say(f"Running {profile} into {self._folder}.", "running")
-        self._panel.show_state("running")
-        # A daemon thread: a device that never answers cannot keep the program from ending.
-        self._worker = threading.Thread(
-            target=self._work, args=(profile, self._folder, self._control), name="run", daemon=True
-        )
-        self._switch_buttons()
-        self.query_one("#stop").focus()
-        self._worker.start()
-
-    @on(Button.Pressed, "#stop")
-    def action_stop(self) -> None:
-        """Brake all arms now."""
-        if not self._possible("stop"):
-            return
-        arms = self._control.has_brakes
-        self._control.stop()  # before anything is drawn
-        self._refuse_motion()
-        if self._control.cancelled:
-            self._requested("Stopping: the arms brake, the run ends." if arms else "Stopping at the next step.")
-        else:
-            self._requested("STOP: all arms brake. c: resume when the cell is clear; x: abort.", "stopped")
-
-    @on(Button.Pressed, "#pause")
-    def action_pause(self) -> None:
-        """Let the run rest after the present stop; the second time, resume. It does not resume a stopped run."""
-        if self._control.request == "pause":
-            self.action_resume()
-        elif self._control.request == "stop":
-            self._say("Stopped, not paused. c: resume when the cell is clear; x: abort.", "running")
-        elif self._possible("pause"):
-            self._control.pause()
-            self._requested("Pausing: the arms rest after the present stop. p or c: resume; Escape: stop.", "pausing")
-
-    @on(Button.Pressed, "#resume")
-    def action_resume(self) -> None:
-        """Let a paused or stopped run continue."""
-        if self._possible("resume"):
-            self._control.resume()
-            self._requested("Resuming.", "running")
-
-    @on(Button.Pressed, "#abort")
-    def action_abort(self) -> None:
-        """Brake all arms now and end the run."""
-        if self._possible("abort"):
-            self._control.abort()
-            self._refuse_motion()
-            self._requested("Aborting: all arms brake, the run ends.", "aborted")
-
-    def _requested(self, text: str, state: JobState | None = None) -> None:
-        self._say(text, "running")
-        if state is not None:
-            self._panel.show_state(state)
-        self._switch_buttons()
-
-    def action_show(self, pane: str) -> None:
-        """Show the log or the tables."""
-        self.query_one("#results", TabbedContent).active = pane
-        self.query_one("#log" if pane == "log-pane" else "#tables").focus()
-
-    def action_toggle_full(self) -> None:
-        """Toggle full screen for log and tables."""
-        self.query_one("#top").toggle_class("hidden")
-        self.action_show(self.query_one("#results", TabbedContent).active)
-
-    async def action_quit(self) -> None:
-        """Quit; with a run in progress, ask first, stop it and wait for its end."""
-        if not self.running:
-            self.exit(return_code=self._code)
-        elif not self._leaving:
-            self.push_screen(LeaveScreen(), self._leave)
-
-    def _leave(self, leave: bool | None) -> None:
+    def _leave(self, leave: bool) -> None:
         self.refresh_bindings()
         if not leave:
             return
-        if not self.running:
+        if not self.jobs.running:
             self.exit(return_code=self._code)
             return
         self._leaving = True
-        self._control.leave()
+        self.jobs.control.leave()
         self._refuse_motion()
-        self._switch_buttons()
-        self._say(f"Stopping, then quitting (waiting at most {self._patience_s:.0f} s).", "running")
-        self.set_timer(self._patience_s, self._quit_without_run)
+        self.say(f"Stopping, then quitting (waiting at most {self._patience_s:.0f} s).", "warning")
+        self.set_timer(self._patience_s, self._quit_without_job)
 
-    def _quit_without_run(self) -> None:
-        if self.running:
-            self.exit(
-                return_code=UNEXPECTED,
-                message=Text(
-                    f"The run did not stop within {self._patience_s:.0f} s; cellapp ended without it. Check the cell"
-                    f" before you start again; {self._folder} keeps the measured data."
-                ),
+    def _quit_without_job(self) -> None:
+        if self.jobs.running:
+            words = (
+                f"'{self.record.name}' did not stop within {self._patience_s:.0f} s; cellapp ended without it. Check"
+                " the cell before you start again; the run keeps the measured data."
             )
+            self.exit(return_code=UNEXPECTED, message=Text(words))
 
-    # -- the run, in its thread --------------------------------------------------------------------------------------
+    # -- screens -------------------------------------------------------------------------------------------------------
 
-    def _work(self, profile: Path, folder: Path, control: JobControl) -> None:
-        def ask(words: str) -> bool:
-            answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
-            self.post_message(MotionAsked(words, answers.put))
-            while control.request in ("none", "pause"):
-                with contextlib.suppress(queue.Empty):
-                    return answers.get(timeout=_ANSWER_S)
+    @property
+    def day_screen(self) -> DayScreen:
+        """The screen of the day that is shown, below any dialog."""
+        return next(screen for screen in reversed(self.screen_stack) if isinstance(screen, DayScreen))
+
+    def _screen_of(self, step: Step) -> DayScreen:
+        if step not in self._screens:
+            entry = next(entry for entry in SCREENS if entry.step == step)
+            self._screens[step] = entry.make()
+            self.install_screen(self._screens[step], step)
+        return self._screens[step]
+
+    def action_show(self, step: Step) -> None:
+        """Show the screen of a step."""
+        if step != self.day_screen.STEP:
+            self._drawn = -1
+            self.switch_screen(self._screen_of(step))
+
+    @on(StepTab.Chosen)
+    def show_chosen(self, event: StepTab.Chosen) -> None:
+        """Show the screen of a step that was clicked."""
+        self.action_show(event.step)
+
+    def action_next_step(self) -> None:
+        """Show the screen of the step that comes next."""
+        self.action_show(self.workspace.next_step)
+
+    def action_explain(self) -> None:
+        """Explain the present screen."""
+        screen = self.day_screen
+        self.push_screen(Reading(screen.HELP or f"# {screen.STEP.capitalize()}"))
+
+    def action_handbook(self) -> None:
+        """Open the handbook."""
+        self.push_screen(Handbook())
+
+    def action_jump(self) -> None:
+        """Label everything that can have the focus with a letter that jumps there."""
+        self.push_screen(Jump(self.screen))
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Disable actions that are not possible now; over a dialog only stop and abort remain."""
+        if action in _REQUESTS and not self.jobs.possible(action):
             return False
+        if action in _OWN and action not in _ALWAYS and not isinstance(self.screen, DayScreen):
+            return False
+        return None if action == "whole_day" and self.jobs.running else True
 
-        with contextlib.ExitStack() as stack:
-            stack.push(self._report_failure)  # whatever ends the run is reported to the screen
-            self.post_message(RunEnded(self._run(profile, folder, self._events.append, control, ask=ask)))
+    def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
+        """Every action for the command palette: those of the application and of the screen below it."""
+        yield from self._commands
+        yield SystemCommand("Theme", "light, dark, high contrast and others", self.action_change_theme)
 
-    def _report_failure(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool:
-        if error is not None:
-            self.post_message(RunEnded(error))
+    def action_command_palette(self) -> None:
+        """Open the command palette with all that is possible now."""
+        if isinstance(self.screen, DayScreen):
+            self._commands = list(self._possible_commands(self.screen))
+            self.push_screen(Palette(id="--command-palette"))
+
+    def _possible_commands(self, screen: DayScreen) -> Iterator[SystemCommand]:
+        for entry in SCREENS:
+            show = partial(self.action_show, entry.step)
+            yield SystemCommand(f"Show {entry.title}", f"{entry.purpose} (key {entry.key})", show)
+        for key, active in screen.active_bindings.items():
+            binding = active.binding
+            own = isinstance(active.node, CellApp | DayScreen) and not binding.system
+            hidden = binding.action == "command_palette" or binding.action.startswith("show(")
+            if own and active.enabled and not hidden:
+                run = partial(self.run_action, binding.action, active.node)
+                yield SystemCommand(binding.description, binding.tooltip or f"key {key}", run)
+
+    # -- profile and run -----------------------------------------------------------------------------------------------
+
+    def open_profile(self, path: Path) -> None:
+        """Open a profile without a run."""
+        self._load(path, None)
+
+    def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
+        """Open a run; its own profile is used."""
+        self._load(profile_path, folder)
+
+    def reload(self) -> None:
+        """Read profile and run again."""
+        self._load(self.workspace.profile_path, self.workspace.folder)
+
+    def _load(self, profile_path: Path | None, folder: Path | None) -> None:
+        self._loads += 1
+        self._read(profile_path, folder, self._loads)
+
+    @work(thread=True)
+    def _read(self, profile_path: Path | None, folder: Path | None, number: int) -> None:
+        loaded = load_workspace(profile_path, folder)
+        if number == self._loads:  # else something else was opened meanwhile
+            self.post_message(WorkspaceLoaded(loaded))
+
+    @on(WorkspaceLoaded)
+    def show_loaded(self, event: WorkspaceLoaded) -> None:
+        """Draw what was read."""
+        self.workspace = event.workspace
+        if event.workspace.problem:
+            self.say(event.workspace.problem, "error")
+        elif event.workspace.edited:
+            self.say("The profile was edited after this run was planned; the run keeps its own copy.", "warning")
+        self.draw_all()
+
+    # -- the job -------------------------------------------------------------------------------------------------------
+
+    def start_job(self, job: Job) -> bool:
+        """Start a job; whether it was started."""
+        if self.jobs.running:
+            self.say(f"'{self.record.name}' is still running; stop it or wait for its end.", "warning")
+            return False
+        self.record.begin(job.name)
+        self.say(f"{job.name}: started" + ("" if job.folder is None else f" in {job.folder}"))
+        self.jobs.start(job)
+        self.draw_all()
         return True
 
-    # -- messages of the run, in the thread of the screen ------------------------------------------------------------
+    def action_whole_day(self) -> None:
+        """Ask, then plan, collect, calibrate, discover, push and verify in a new run."""
+        profile, path = self.workspace.profile, self.workspace.profile_path
+        if profile is None or path is None:
+            self.say("No profile is open: choose one on the screen Cell (key 1).", "warning")
+            return
+        folder = new_folder(profile)
+        arms = "REAL ARMS WILL MOVE" if self.workspace.kind == "real" else f"the arms are {self.workspace.kind}"
+        text = f"Plan, collect, calibrate, discover, push and verify with '{profile.name}' into {folder}; {arms}."
+
+        def begin(answer: str | None) -> None:
+            if answer == "begin" and self.start_job(jobs_of_verbs.whole_day(path, folder)):
+                self.action_show("collect")
+
+        answers = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
+        self.push_screen(Choice("Everything, unattended?", text, answers), begin)
+
+    def action_stop(self) -> None:
+        """Brake all arms now."""
+        if not self.jobs.possible("stop"):
+            return
+        control = self.jobs.control
+        arms = control.has_brakes
+        control.stop()  # before anything is drawn
+        self._refuse_motion()
+        if control.cancelled:
+            self.say("Stopping: the arms brake, the job ends." if arms else "Stopping at the next step.", "warning")
+        else:
+            self.say("STOP: all arms brake. c: resume when the cell is clear; x: abort.", "error")
+
+    def action_pause(self) -> None:
+        """Let the job rest after the present stop; the second time, resume. It does not resume a stopped job."""
+        control = self.jobs.control
+        if control.request == "pause":
+            self.action_resume()
+        elif control.request == "stop":
+            self.say("Stopped, not paused. c: resume when the cell is clear; x: abort.", "warning")
+        elif self.jobs.possible("pause"):
+            control.pause()
+            self.say("Pausing: the arms rest after the present stop. p or c: resume; Escape: stop.", "warning")
+
+    def action_resume(self) -> None:
+        """Let a paused or stopped job continue."""
+        if self.jobs.possible("resume"):
+            self.jobs.control.resume()
+            self.say("Resuming.")
+
+    def action_abort(self) -> None:
+        """Brake all arms now and end the job."""
+        if self.jobs.possible("abort"):
+            self.jobs.control.abort()
+            self._refuse_motion()
+            self.say("Aborting: all arms brake, the job ends.", "error")
 
     @on(MotionAsked)
     def ask_before_motion(self, message: MotionAsked) -> None:
         """Show the first motion and ask for the profile's name."""
-        name = Path(self.query_one("#profile", Input).value).stem
-        self.push_screen(ConfirmScreen(message.words, name), lambda allowed: message.answer(bool(allowed)))
+        profile = self.workspace.profile
+        name = "move" if profile is None else profile.name
+        self.push_screen(MotionQuestion(message.words, name), lambda allowed: message.answer(bool(allowed)))
 
     def _refuse_motion(self) -> None:
         """Close the question before the first motion: a stop is an answer."""
-        if isinstance(self.screen, ConfirmScreen):
+        if isinstance(self.screen, MotionQuestion):
             self.screen.dismiss(False)
 
-    def _draw_events(self, most: int = _MOST_DRAWN) -> None:
-        """Draw the oldest events of the run that are not drawn yet."""
-        with contextlib.suppress(NoMatches):  # the screen is going away
-            for _ in range(min(len(self._events), most)):
-                self._show_progress(self._events.popleft())
-
-    def _show_progress(self, event: Progress) -> None:
-        self._last = event
-        self._panel.show(event)
-        match event.detail:
-            case None:
-                self._note(f"{event.job} {event.done}/{event.total} {event.note}".rstrip())
-            case StopReport():
-                pass  # the panel shows the newest; the log would have a line for each stop and arm
-            case StateChange(state):
-                self._say(f"{event.job}: {detail_words(event.detail)}", "running" if state == "running" else "stopped")
-                self._panel.show_state(state)
-                self._switch_buttons()
-            case _:
-                self._note(f"{event.job}: {detail_words(event.detail)}")
-
-    @on(RunEnded)
-    def show_end(self, message: RunEnded) -> None:
-        """Draw the results, or state in words why there are none."""
-        self._draw_events(len(self._events))
-        self._worker = None
-        if not self.query("#status"):  # the screen is going away
-            return
-        self._panel.show_state(None)
-        ending = message.ending
-        if isinstance(ending, WholeRunResult):
-            self._code = 0
-            self._show_results(ending)
-        elif isinstance(ending, Cancelled):
-            self._code = STOPPED
-            word = "Aborted" if isinstance(ending, Aborted) else "Stopped"
-            resume = how_to_resume(self._last, self._folder)
-            self._say(f"{word}; {resume}." if resume else f"{word} before the plan was made; start again.", "stopped")
-        elif isinstance(ending, CellappError):
-            self._code = ending.exit_code
-            resume = how_to_resume(self._last, self._folder) if isinstance(ending, HardwareError) else ""
-            self._say(f"{ending}; then {resume}." if resume else str(ending), "failed")
-        else:
-            self._code = UNEXPECTED
-            self._say(write_error_log(ending, self._folder), "failed")
-        self._switch_buttons()
+    @on(JobEnded)
+    def show_end(self, message: JobEnded) -> None:
+        """State in words how the job ended, and read the run again."""
+        for event in self.jobs.events():
+            self.record.add(event)
+        self.jobs.ended()
+        self.record.end()
+        ending = ending_of(message, self.record.latest)
+        self._code = ending.code
+        self.say(ending.text, ending.severity)
         if self._leaving:  # the shell keeps what the screen can no longer show
-            self.exit(return_code=self._code, message=Text(str(self.query_one("#status", Static).content)))
-        elif not isinstance(ending, WholeRunResult) and not isinstance(self.screen, LeaveScreen):
-            self.query_one("#run").focus()
+            self.exit(return_code=self._code, message=Text(ending.text))
+            return
+        if not isinstance(message.ending, BaseException | None):
+            self.day_screen.show_result(message.ending)
+        folder = message.job.folder or self.workspace.folder
+        has_run = folder is not None and (folder / RUN_FILE).is_file()
+        self._load(self.workspace.profile_path, folder if has_run else self.workspace.folder)
+        self.refresh_bindings()
 
-    def _show_results(self, results: WholeRunResult) -> None:
-        found = None if DISCOVER in results.out_of_date else results.discover
-        sentences = [] if found is None else [arm.sentence for arm in found.arms.values()]
-        outdated = out_of_date_sentences(results)
-        for line in (*sentences, *outdated, *results.notes):
-            self._note(line)
-        page = Path(results.run) / PAGE_FILE
-        self._say(f"Done; the run is in {page.parent}" + (f", its report in {page}." if page.exists() else "."), "done")
-        marks = [Static(sentence, markup=False, classes="outdated") for sentence in outdated]
-        verdicts = [Static(sentence, markup=False, classes="verdict") for sentence in sentences]
-        notes = [Static(f"Note: {note}", markup=False, classes="note") for note in results.notes]
-        meanings = [] if found is None else [Static(explanation_text(found), markup=False, classes="meaning")]
-        grid = ItemGrid(*map(draw_table, all_tables(results)), min_column_width=_TABLE_WIDTH)
-        self._show_tables(*marks, *verdicts, grid, *meanings, *notes)
-        self.query_one("#results", TabbedContent).active = "tables-pane"
-        if not isinstance(self.screen, LeaveScreen):
-            self.query_one("#tables").focus()
+    # -- drawing -------------------------------------------------------------------------------------------------------
 
-    def _show_tables(self, *widgets: Widget) -> None:
-        tables = self.query_one("#tables", VerticalScroll)
-        tables.remove_children()
-        tables.mount(*widgets)
-        tables.scroll_home(animate=False)
+    def say(self, text: str, severity: str = "information") -> None:
+        """Show a sentence in the message line of every screen and keep it in the log."""
+        self.message, self._severity = text, severity
+        level = {"information": "info", "warning": "warning", "error": "error"}[severity]
+        self.record.note(text, level)  # type: ignore[arg-type]
+        self._draw_message()
+        self.refresh_bindings()
 
-    def _say(self, text: str, state: str = "ready") -> None:
-        status = self.query_one("#status", Static)
-        status.update(text)
-        status.set_classes(state)
-        if state != "ready":
-            self._note(text)
+    def draw_all(self) -> None:
+        """Draw the present screen whole."""
+        with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or they go away
+            screen = self.day_screen
+            self._draw_header(screen)
+            self._draw_message()
+            screen.show_workspace(self.workspace)
+            screen.show_job(self.record)
+        self.refresh_bindings()
 
-    def _note(self, text: str) -> None:
-        line = Text(f"{datetime.now():%H:%M:%S} ", style="dim").append(text, style="not dim")
-        self.query_one("#log", RichLog).write(line)
+    def _draw_header(self, screen: DayScreen) -> None:
+        screen.query_one(DayHeader).show(self.workspace, self.record)
+        screen.query_one(StepLine).show(self.workspace, screen.STEP)
 
-    def _switch_buttons(self) -> None:
-        self.query_one("#run", Button).disabled = not self._possible("run")
-        for action in _REQUESTS:
-            self.query_one(f"#{action}", Button).disabled = not self._possible(action)
+    def _draw_message(self) -> None:
+        with contextlib.suppress(NoMatches, StopIteration):
+            line = self.day_screen.query_one(".message", Static)
+            line.update(self.message)
+            line.set_classes(f"message {self._severity}")
+
+    def _draw_events(self) -> None:
+        """Take in the oldest events of the job, and draw if anything changed."""
+        state = self.record.state
+        for event in self.jobs.events(_MOST_TAKEN):
+            self.record.add(event)
+        if self.record.changes == self._drawn:
+            return
+        self._drawn = self.record.changes
+        with contextlib.suppress(NoMatches, StopIteration):
+            screen = self.day_screen
+            screen.query_one(DayHeader).show(self.workspace, self.record)
+            screen.show_job(self.record)
+        if self.record.state != state:
+            self._say_state()
+
+    def _say_state(self) -> None:
+        """A new state of the job in the message line, in the words of its log."""
+        if self.record.log:
+            entry = self.record.log[-1]
+            self.message, self._severity = entry.text, "information" if entry.level == "info" else "warning"
+            self._draw_message()
         self.refresh_bindings()

@@ -64,6 +64,7 @@ def test_every_stage_states_what_it_rests_on(finished_run: Path) -> None:
         assert stages.out_of_date == {}
         assert stages.stale_model() == ""
         assert stages.next_step(finished_run) == ""
+        assert run_overview(run).next_verb == "report"
         calibrate, discover = stages.current[CALIBRATE], stages.current[DISCOVER]
         assert stages.in_force == discover
         assert calibrate.basis is not None
@@ -131,7 +132,8 @@ def test_calibrating_again_with_another_outcome_outdates_what_rested_on_it(
         states = {stage.name: stage.out_of_date for stage in run_overview(run).stages}
         assert states["calibrate"] is None
         assert states["verify"] == reasons[VERIFY]
-        assert run_overview(run).next_step == f"cellapp discover {finished_copy}"
+        overview = run_overview(run)
+        assert (overview.next_verb, overview.next_step) == ("discover", f"cellapp discover {finished_copy}")
         assert report_run(run).out_of_date == reasons
         assert "out of date" in page_text(run, NOON)
         # refused before any device is opened

@@ -1,0 +1,103 @@
+"""The base of all dialogs, and the two simplest: a choice, and a text to read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, TypeVar
+
+from rich.markdown import Markdown
+from textual import on
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.screen import ModalScreen
+from textual.widgets import Button, Static
+
+from cellapp.tui.widgets.stop import StopCorner
+
+A = TypeVar("A")
+
+
+class Question(ModalScreen[A]):
+    """A dialog with STOP in the upper right corner. Escape closes it without an answer while no job runs."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", "Close", show=False)]
+
+    def compose(self) -> ComposeResult:
+        yield StopCorner()
+        with Vertical(classes="dialog"):
+            yield from self.body()
+
+    def body(self) -> ComposeResult:
+        """The widgets of the dialog."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One answer of a choice: what is returned, the button's label, its key, how it looks."""
+
+    value: str
+    label: str
+    key: str
+    variant: str = "default"
+
+
+class Choice(Question[str]):
+    """Ask for one of a few answers; the first has the focus, so Enter gives it. Returns its value.
+
+    Parameters
+    ----------
+    title, text : str
+        What is asked, and what a person must know to answer it.
+    answers : sequence of Answer
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("left,up", "app.focus_previous", show=False),
+        Binding("right,down", "app.focus_next", show=False),
+    ]
+
+    def __init__(self, title: str, text: str, answers: Sequence[Answer]) -> None:
+        super().__init__()
+        self._title, self._text, self._answers = title, text, tuple(answers)
+
+    def body(self) -> ComposeResult:
+        yield Static(self._title, classes="title", markup=False)
+        yield Static(self._text, classes="text", markup=False)
+        with Horizontal(classes="answers"):
+            for answer in self._answers:
+                label = f"{answer.label} ({answer.key})"
+                yield Button(label, id=answer.value, variant=answer.variant, compact=True)  # type: ignore[arg-type]
+
+    def on_mount(self) -> None:
+        """Let each answer be given by its key."""
+        for answer in self._answers:
+            self._bindings.bind(answer.key, f"answer('{answer.value}')", answer.label)
+        self.query(Button).first().focus()
+
+    def action_answer(self, value: str) -> None:
+        """Close with an answer."""
+        self.dismiss(value)
+
+    @on(Button.Pressed)
+    def press(self, event: Button.Pressed) -> None:
+        """Close with the answer of the button."""
+        event.stop()
+        self.dismiss(event.button.id)
+
+
+class Reading(Question[None]):
+    """A Markdown text to read and to scroll through."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("q,question_mark,enter", "dismiss(None)", "Close")]
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self._text = text
+
+    def body(self) -> ComposeResult:
+        with VerticalScroll(classes="reading"):
+            yield Static(Markdown(self._text))  # Textual's own makes a widget of each line, which takes seconds
+        yield Static("Up, down, Page Up, Page Down scroll; Escape closes.", classes="text", markup=False)

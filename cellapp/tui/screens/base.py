@@ -1,0 +1,75 @@
+"""What all screens of the day share: the header with STOP in its corner, the steps, the message, the footer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, cast
+
+from textual.app import ComposeResult
+from textual.containers import Vertical
+from textual.screen import Screen
+from textual.widgets import Footer, Static
+
+from cellapp.tui.job_record import JobRecord
+from cellapp.tui.widgets.header import DayHeader, StepLine
+from cellapp.tui.workspace import Step, Workspace
+
+if TYPE_CHECKING:
+    from cellapp.results import Result
+    from cellapp.tui.app import CellApp
+    from cellapp.tui.jobs import Job
+
+
+class DayScreen(Screen[None]):
+    """One step of the day. Subclasses compose ``body`` and draw in ``show_workspace`` and ``show_job``.
+
+    Both are called when the screen is shown and whenever what they draw has changed meanwhile; never while the screen
+    is hidden.
+    """
+
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (100, "-medium"), (160, "-wide")]  # noqa: RUF012 - as Textual declares it
+    STEP: ClassVar[Step]
+    HELP: ClassVar[str] = ""
+    """Markdown for the key ``?``: what the screen shows and what one does here."""
+
+    @property
+    def cell_app(self) -> CellApp:
+        """The application with its workspace and its job."""
+        return cast("CellApp", self.app)
+
+    @property
+    def workspace(self) -> Workspace:
+        """What is open."""
+        return self.cell_app.workspace
+
+    def compose(self) -> ComposeResult:
+        yield DayHeader()
+        yield StepLine()
+        with Vertical(classes="body"):
+            yield from self.body()
+        yield Static("", classes="message", markup=False)
+        yield Footer()
+
+    def body(self) -> ComposeResult:
+        """The widgets between header and message."""
+        raise NotImplementedError
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw the profile and the run that are open."""
+
+    def show_job(self, record: JobRecord) -> None:
+        """Draw the present or the last job."""
+
+    def show_result(self, result: Result) -> None:
+        """Draw the result of a job that has just ended while this screen is shown, where the run does not keep it."""
+
+    def start(self, job: Job) -> None:
+        """Start a job; a sentence says why where that is not possible."""
+        self.cell_app.start_job(job)
+
+    def say(self, text: str, severity: str = "information") -> None:
+        """Show a sentence in the message line of every screen."""
+        self.cell_app.say(text, severity)
+
+    def on_screen_resume(self) -> None:
+        """Draw what changed while another screen was shown."""
+        self.call_after_refresh(self.cell_app.draw_all)

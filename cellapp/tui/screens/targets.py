@@ -1,0 +1,20 @@
+"""The screen Targets."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from textual.app import ComposeResult
+from textual.widgets import Static
+
+from cellapp.tui.screens.base import DayScreen
+from cellapp.tui.workspace import Step
+
+
+class TargetsScreen(DayScreen):
+    """Placeholder."""
+
+    STEP: ClassVar[Step] = "targets"
+
+    def body(self) -> ComposeResult:
+        yield Static("Targets", markup=False)

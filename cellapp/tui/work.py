@@ -1,0 +1,157 @@
+"""The verbs as jobs of the terminal application. Packages that a verb needs are loaded in the job's own thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellapp.control import JobControl
+from cellapp.progress import Listener
+from cellapp.tui.jobs import Ask, Job
+
+if TYPE_CHECKING:
+    from cellapp.reporting.report_data import ReportData
+    from cellapp.results import Result
+    from cellapp.run import RunFile
+
+
+def whole_day(profile: Path, folder: Path) -> Job:
+    """Plan, collect, calibrate, discover, compensate, verify, report."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.pipeline import run_whole
+
+        return run_whole(profile, folder, listener, control, ask=ask)
+
+    return Job("run", work, folder, moves=True)
+
+
+def plan(profile: Path, folder: Path) -> Job:
+    """Make a new run with its plan."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.pipeline import plan_new_run
+        from cellapp.profile import load_profile
+
+        return plan_new_run(load_profile(profile), folder, listener, control)
+
+    return Job("plan", work, folder)
+
+
+def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
+    """Measure the planned stops that are not stored yet."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.pipeline import collect_stops
+
+        return collect_stops(run, listener, control, resume=resume, accept_drift=accept_drift, ask=ask)
+
+    return _on_run("collect", folder, work, moves=True)
+
+
+def calibrate(folder: Path) -> Job:
+    """Identify arms and pair and evaluate them on held-out stops."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.pipeline import calibrate_run
+
+        return calibrate_run(run, listener, control)
+
+    return _on_run("calibrate", folder, work)
+
+
+def discover(folder: Path, propose: int | None = None) -> Job:
+    """Search for missing effects; with ``propose`` also write that many further stops into the plan."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.pipeline import discover_run, propose_run
+
+        if propose is None:
+            return discover_run(run, listener, control)
+        return propose_run(run, propose, listener, control)
+
+    return _on_run("discover" if propose is None else "propose", folder, work)
+
+
+def compensate(folder: Path, targets: Path) -> Job:
+    """Compute commands for the targets of a file."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.compensation.targets import load_targets
+        from cellapp.pipeline import compensate_run
+
+        return compensate_run(run, load_targets(targets, run.profile))
+
+    return _on_run("compensate", folder, work)
+
+
+def push(folder: Path, targets: Path, *, verify: bool, out_of_date: bool = False) -> Job:
+    """Move the arms to compensated targets; with ``verify`` measure them before and after compensation."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.compensation.targets import load_targets
+        from cellapp.pipeline import push_run
+
+        listed = load_targets(targets, run.profile)
+        return push_run(run, listed, listener, control, verify=verify, out_of_date=out_of_date, ask=ask)
+
+    return _on_run("push", folder, work, moves=True)
+
+
+def report(folder: Path) -> Job:
+    """Write the page of the run."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.pipeline import report_run
+
+        return report_run(run)
+
+    return _on_run("report", folder, work)
+
+
+def doctor(profile: Path) -> Job:
+    """Check what is reachable, what is missing, what would be refused; nothing moves."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commissioning.doctor import examine
+        from cellapp.profile import load_profile
+        from cellapp.results import DoctorResult, Finding
+
+        found = examine(load_profile(profile))
+        findings = tuple(Finding(subject=one.subject, status=one.status, text=one.text) for one in found)
+        return DoctorResult(findings=findings)
+
+    return Job("doctor", work)
+
+
+def _on_run(
+    name: str, folder: Path, work: Callable[[RunFile, Listener, JobControl, Ask], Result], *, moves: bool = False
+) -> Job:
+    """A job that opens a run to add to it."""
+
+    def opened(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.run import RunFile
+
+        with RunFile.open(folder, write=True) as run:
+            return work(run, listener, control, ask)
+
+    return Job(name, opened, folder, moves=moves)
+
+
+def report_data(folder: Path | None) -> ReportData | None:
+    """What plots of a calibrated run need; None where there is no calibration. For a thread of its own."""
+    from cellapp.errors import CellappError
+    from cellapp.reporting.report_data import read_report_data
+    from cellapp.run import RunFile
+
+    if folder is None:
+        return None
+    try:
+        with RunFile.open(folder) as run:
+            data = read_report_data(run)
+    except CellappError:
+        return None  # the screen says what is missing
+    for arm in data.held_out.values():
+        _ = arm.errors_mm  # computed here, not while drawing
+    return data

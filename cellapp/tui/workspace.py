@@ -1,0 +1,143 @@
+"""What the screens show: the profile, the run that is open, and how far each step of the day is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from cellapp.errors import CellappError, InputError
+
+if TYPE_CHECKING:
+    from cellapp.profile import Profile
+    from cellapp.results import CollectionResult, OverviewResult, RunResults, StopsResult
+
+RUN_FILE = "run.sqlite"
+"""As ``cellapp.run`` names it; that package is loaded when a run is opened."""
+
+CellKind = Literal["no cell", "simulated", "emulated", "real"]
+Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "runs"]
+STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "runs")
+StepState = Literal["open", "next", "done", "out of date"]
+
+_STEP_OF_VERB: Mapping[str, Step] = {
+    "collect": "collect",
+    "calibrate": "calibrate",
+    "discover": "discover",
+    "compensate": "targets",
+    "push": "targets",
+    "verify": "targets",
+}
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A profile and a run of it, read once; screens draw it.
+
+    Attributes
+    ----------
+    profile : Profile or None
+        That of the run where one is open, else that of ``profile_path``.
+    folder : Path or None
+        The run; None where none is open.
+    overview, results, collection, stops
+        What the run holds; None without a run.
+    problem : str
+        Why profile or run cannot be used, in a sentence; empty if they can.
+    edited : bool
+        The file of the profile was changed since the run was planned from it.
+    """
+
+    profile_path: Path | None = None
+    profile: Profile | None = None
+    folder: Path | None = None
+    overview: OverviewResult | None = None
+    results: RunResults | None = None
+    collection: CollectionResult | None = None
+    stops: StopsResult | None = None
+    problem: str = ""
+    edited: bool = False
+
+    @property
+    def kind(self) -> CellKind:
+        """Whether this cell's arms are real, emulated or simulated; ``no cell`` where none can move."""
+        if self.profile is None:
+            return "no cell"
+        if self.profile.moves_hardware:
+            return "real"
+        drivers = [arm.driver for arm in self.profile.arms.values()]
+        if not any(driver.has_device for driver in drivers):
+            return "no cell"
+        return "simulated" if all(driver.kind == "simulated" for driver in drivers) else "emulated"
+
+    @property
+    def next_step(self) -> Step:
+        """The step that comes next."""
+        if self.profile is None:
+            return "cell"
+        if self.overview is None:
+            return "plan"
+        return _STEP_OF_VERB.get(self.overview.next_verb, "runs")
+
+    def states(self) -> dict[Step, StepState]:
+        """State of every step."""
+        states: dict[Step, StepState] = dict.fromkeys(STEPS, "open")
+        if self.profile is not None:
+            states["cell"] = "done"
+        if self.overview is not None:
+            states["plan"] = "done"
+            if any(arm.measured for arm in self.overview.arms.values()):
+                states["collect"] = "done"
+            for stage in self.overview.stages:
+                step = _STEP_OF_VERB[stage.name]
+                states[step] = "out of date" if stage.out_of_date else "done"
+        if states[self.next_step] in ("open", "done"):
+            states[self.next_step] = "next"
+        return states
+
+
+def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
+    """Read a profile and a run. A problem is part of what is returned; nothing is raised for bad files."""
+    from cellapp.profile import load_profile
+
+    profile, problem = None, ""
+    if profile_path is not None:
+        try:
+            profile = load_profile(profile_path)
+        except CellappError as error:
+            problem = str(error)
+    if folder is None:
+        return Workspace(profile_path, profile, problem=problem)
+    try:
+        return _with_run(profile_path, profile, folder)
+    except CellappError as error:
+        return Workspace(profile_path, profile, problem=f"{problem}; {error}" if problem else str(error))
+
+
+def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) -> Workspace:
+    from cellapp.reporting.collection_section import collection_state
+    from cellapp.run import RunFile
+    from cellapp.run.overview import planned_stops, run_overview
+    from cellapp.run.stages import read_results
+
+    with RunFile.open(folder) as run:
+        return Workspace(
+            profile_path,
+            run.profile,
+            folder,
+            run_overview(run),
+            read_results(run),
+            collection_state(run),
+            planned_stops(run),
+            edited=profile is not None and profile.name == run.profile.name and profile != run.profile,
+        )
+
+
+def new_folder(profile: Profile | None) -> Path:
+    """A new folder for a run. Raises ``InputError`` without a profile."""
+    from cellapp.pipeline import default_folder
+
+    if profile is None:
+        raise InputError("no profile is open: choose one on the screen Cell")
+    return default_folder(profile.name)
