@@ -102,7 +102,8 @@ def _histogram(
     bins = math.ceil(_BINS_A_ROOT * math.sqrt(max(len(values) for values in errors.values())))
     edges, counts = error_counts(errors, float(every.min()) / 1.25, float(every.max()) * 1.25, bins)
     drawn = tuple(_outline(key, edges, count, style[key]) for key, count in counts.items())
-    medians = [f"{mm(float(np.median(values)))} {words[key]}" for key, values in errors.items()]
+    ends = [next(iter(errors)), list(errors)[-1]][: len(errors)]
+    medians = [f"{mm(float(np.median(errors[key])))} {words[key]}" for key in ends]
     message = f"Median error: {enumerated(medians)}." + (f" The noise floor is {mm(floor_mm)}." if floor_mm else "")
     return Chart(title, x, y, drawn, message, noise_limit(floor_mm, "x"))
 
