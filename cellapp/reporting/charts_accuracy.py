@@ -22,7 +22,6 @@ from cellapp.reporting.charts import (
     Series,
     bar_chart,
     drawable_mm,
-    enumerated,
     error_counts,
     mm,
     noise_limit,
@@ -57,8 +56,8 @@ def stage_chart(name: str, arm: ArmCalibrationResult) -> Chart:
         message = f"Held-out rms error: {mm(rms[first])} {STAGE_WORDS[first]}, {mm(rms[last])} {STAGE_WORDS[last]}."
         if arm.tracker_mm:
             message += f" The tracker's own noise is {mm(arm.tracker_mm)}."
-    values = {STAGE_WORDS[stage]: value for stage, value in rms.items()}
-    return bar_chart(f"Arm {name}: held-out error by stage", values, Axis("rms", "mm"), message)
+    bars = {STAGE_WORDS[stage]: (value, mm(value)) for stage, value in rms.items()}
+    return bar_chart(f"Arm {name}: held-out error by stage", bars, Axis("rms", "mm"), message)
 
 
 # -- histograms -------------------------------------------------------------------------------------------------------
@@ -103,8 +102,8 @@ def _histogram(
     edges, counts = error_counts(errors, float(every.min()) / 1.25, float(every.max()) * 1.25, bins)
     drawn = tuple(_outline(key, edges, count, style[key]) for key, count in counts.items())
     ends = [next(iter(errors)), list(errors)[-1]][: len(errors)]
-    medians = [f"{mm(float(np.median(errors[key])))} {words[key]}" for key in ends]
-    message = f"Median error: {enumerated(medians)}." + (f" The noise floor is {mm(floor_mm)}." if floor_mm else "")
+    medians = [f"{mm(float(np.median(errors[key])))} ({words[key]})" for key in ends]
+    message = f"Median error: {', '.join(medians)}." + (f" The noise floor is {mm(floor_mm)}." if floor_mm else "")
     return Chart(title, x, y, drawn, message, noise_limit(floor_mm, "x"))
 
 

@@ -232,14 +232,15 @@ def test_circles_of_a_map_are_round() -> None:
 
 
 def test_bars_have_names_and_values() -> None:
-    chart = bar_chart("Probability", {"backlash": 97.0, "a very long name of an effect": 0.4}, Axis("p", "%"), "Words.")
+    bars = {"backlash": (97.0, "97 %"), "a very long name of an effect": (0.4, "< 1 %")}
+    chart = bar_chart("Probability", bars, Axis("p", "%"), "Words.")
     assert texts(chart, 40, 10) == [
         "Probability",
         "                   backlash ██████  97 %",
         "a very long name of an eff…        < 1 %",
         "Words.",
     ]
-    many = bar_chart("Many", {f"effect {k}": float(k) for k in range(20)}, Axis("p", "%"), "Words.")
+    many = bar_chart("Many", {f"effect {k}": (float(k), str(k)) for k in range(20)}, Axis("p", "%"), "Words.")
     lines = texts(many, 40, 8)
     assert len(lines) == 8
     assert lines[-2] == "and 15 more"

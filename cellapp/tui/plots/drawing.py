@@ -10,8 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.kinematics.transforms import Array
-from cellapp.reporting.charts import Chart, Series
+from cellapp.reporting.charts import Array, Chart, Series
 from cellapp.tui.plots.raster import (
     DOT_COLUMNS,
     DOT_ROWS,
@@ -281,26 +280,18 @@ def _key_lines(chart: Chart, width: int) -> list[Line]:
 def _category_lines(chart: Chart, width: int, rows: int) -> list[Line]:
     """One bar a line: name, bar, value."""
     values = np.nan_to_num(chart.series[0].y)
-    texts = [_value_text(value, chart.y.unit) for value in values.tolist()]
-    number = max(map(len, texts))
+    number = max(map(len, chart.bar_texts))
     names = [_cut(name, width - number - 2 - _LEAST_BAR) for name in chart.categories]
     label = max(map(len, names))
     room = max(width - label - number - 2, 1)
     lines: list[Line] = []
-    for name, value, text in zip(names, values, texts, strict=True):
+    for name, value, text in zip(names, values, chart.bar_texts, strict=True):
         eighths = round(8 * room * max(float(value), 0.0) / (float(values.max()) or 1.0))
         bar = "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
         lines.append([(f"{name:>{label}} ", TEXT), (f"{bar:<{room}}", 0), (f" {text:>{number}}", TEXT)])
     if len(lines) > rows:
         lines = [*lines[: rows - 1], [(f"and {len(lines) - rows + 1} more", SOFT)]]
     return lines
-
-
-def _value_text(value: float, unit: str) -> str:
-    """The value of a bar with three digits; whole percents."""
-    if unit == "%":
-        return "< 1 %" if 0.0 < value < 1.0 else f"{value:.0f} %"
-    return f"{value:.3g} {unit}".rstrip()
 
 
 def _cut(text: str, width: int) -> str:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.kinematics.transforms import Array
-from cellapp.reporting.charts import Axis
+from cellapp.reporting.charts import Array, Axis
 
 _ROOM = 0.05
 """Room at either end of an axis, as a share of its range."""
