@@ -216,7 +216,7 @@ def test_limits_are_drawn_and_named() -> None:
 
 
 def test_a_band_is_shaded_around_its_line() -> None:
-    banded = series("curve", [0.0, 1.0, 2.0], [1.0, 1.0, 1.0], band=[0.0, 1.0, 1.0])
+    banded = series("curve", [2.0, 0.0, 1.0], [1.0, 1.0, 1.0], band=[1.0, 0.0, 1.0])
     lines = texts(simple(banded), 60, 20)
     shaded = [line for line in lines if line.count("░") > 3]
     assert len(shaded) > 5

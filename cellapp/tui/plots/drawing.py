@@ -207,8 +207,9 @@ def _draw_band(one: Series, cells: Cells, x: Scale, y: Scale) -> None:
         return
     at = x.place(one.x) / DOT_COLUMNS
     low, high = ((y.dots - 1 - y.place(edge)) / DOT_ROWS for edge in _edges(one))
-    seen = np.isfinite(at) & np.isfinite(low) & np.isfinite(high)
-    if not seen.any():
+    seen = np.argsort(at)
+    seen = seen[np.isfinite(at + low + high)[seen]]
+    if len(seen) == 0:
         return
     rows, columns = _places(*cells.characters.shape)
     middle = columns + 0.5
