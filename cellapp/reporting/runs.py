@@ -15,7 +15,6 @@ CELL_WORDS: dict[CellKind, str] = {
     "none": "imported",
 }
 _MM = ".3f"
-_KIB = 1024.0
 _DATE = len("2026-01-02")
 
 
@@ -116,16 +115,6 @@ def next_words(run: RunSummary) -> str:
 def effects_words(effects: Sequence[str]) -> str:
     """Names of effects as words."""
     return ", ".join(slug.replace("_", " ") for slug in effects)
-
-
-def size_words(size_bytes: int) -> str:
-    """A size with its unit, as ``1.2 MiB``."""
-    size, unit = float(size_bytes), "B"
-    for unit in ("B", "KiB", "MiB", "GiB"):  # noqa: B007 - the last unit is used below
-        if size < _KIB:
-            break
-        size /= _KIB
-    return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
 
 
 def _pair(values: BeforeAfter | None) -> tuple[float | None, float | None]:
