@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich import filesize
+
 from cellapp.reporting.table import Column, Table, number_column
-from cellapp.results import BeforeAfter, CellKind, RunsResult, RunSummary
+from cellapp.results import ArmFigures, BeforeAfter, CellKind, RunsResult, RunSummary
 
 CELL_WORDS: dict[CellKind, str] = {
     "simulated": "simulated",
@@ -65,6 +67,37 @@ def runs_sentences(result: RunsResult) -> list[str]:
     if newest is not None and newest.next_step and not newest.resumable:
         sentences.append(f"next in the newest run: {newest.next_step}")
     return sentences
+
+
+def run_lines(run: RunSummary) -> list[str]:
+    """One run in a few lines: where it stands, its results, the figures of each arm, what comes next."""
+    used = [f"in use by {run.in_use}"] if run.in_use else []
+    if run.problem:
+        return [run.problem, *used]
+    size = filesize.decimal(run.size_bytes)
+    lines = [
+        f"profile {run.profile}, {CELL_WORDS[run.cell]}; began {time_words(run.began)},"
+        f" changed {time_words(run.changed)} (UTC); {size}",
+        f"stops {stops_words(run)} in {run.sessions} sessions; results: {stages_words(run) or 'none'}",
+        *used,
+        *(f"{name}: {figures_words(figures)}" for name, figures in run.figures.items()),
+    ]
+    if run.resumable:
+        return [*lines, f"interrupted, {run.stops_left} stops left: {run.next_step}"]
+    return [*lines, f"next: {run.next_step or 'nothing is left to do'}"]
+
+
+def figures_words(figures: ArmFigures) -> str:
+    """Errors, effects and verification of one arm in one line."""
+    parts = []
+    if figures.heldout_mm is not None:
+        best = f"{figures.heldout_mm.after:{_MM}} mm with {figures.best_stage}"
+        parts.append(f"held-out mean {figures.heldout_mm.before:{_MM}} mm with geometry, {best}")
+    if figures.verdict is not None:
+        parts.append(effects_words(figures.effects) or figures.verdict)
+    if figures.verified_mm is not None:
+        parts.append(f"targets {figures.verified_mm.before:{_MM}} -> {figures.verified_mm.after:{_MM}} mm")
+    return "; ".join(parts)
 
 
 def resume_sentence(run: RunSummary) -> str:
