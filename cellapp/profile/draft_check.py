@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
 from cellapp.errors import InputError
-from cellapp.profile.draft import Filled, ProfileDraft, draft_to_yaml, fields_of
+from cellapp.profile.draft import Filled, ProfileDraft, draft_to_yaml, fields_of, with_text
 from cellapp.profile.loader import read_arm_types, read_document
-from cellapp.profile.messages import KeyPath, PlacedError, dotted, problems
-from cellapp.profile.schema import Profile
+from cellapp.profile.messages import KeyPath, PlacedError, dotted, problems, value_message
+from cellapp.profile.schema import Arm, Pose, Profile
 from cellapp.profile.starters import starters_folder
 
 
@@ -42,10 +43,19 @@ class FieldProblem:
 
 @dataclass(frozen=True)
 class Checked:
-    """A judged draft: its problems, and the profile if there are none."""
+    """A judged draft: its problems, the profile if there are none, and those poses that hold even so.
+
+    Attributes
+    ----------
+    bases : mapping
+        Arm -> pose of its base, where that holds.
+    tracker : Pose or None
+    """
 
     problems: tuple[FieldProblem, ...]
     profile: Profile | None = None
+    bases: Mapping[str, Pose] = field(default_factory=dict)
+    tracker: Pose | None = None
 
 
 def check_draft(draft: ProfileDraft, path: Path) -> Checked:
@@ -67,11 +77,40 @@ def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
         return Checked((_at_field(error.place.inside, error.words, draft, fields),))
     except InputError as error:
         return Checked((FieldProblem("", "", str(error)),))
+    poses = {path: _pose(document.data, path) for path in [("tracker", "pose"), *_base_paths(draft)]}
+    tracker = poses.pop(("tracker", "pose"))
+    bases = {path[1]: pose for path, pose in poses.items() if pose is not None}
     try:
-        return Checked((), Profile.model_validate(document.data))
+        return Checked((), Profile.model_validate(document.data), bases, tracker)
     except ValidationError as error:
         found = problems(error, document)
-        return Checked(tuple(_at_field(at, words, draft, fields) for at, words in found))
+        told = tuple(_at_field(at, words, draft, fields) for at, words in found)
+        return Checked(told, None, bases, tracker)
+
+
+def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[Arm, Pose]:
+    """Return one arm without its base, and the tracker's pose, of a draft that need not hold elsewhere.
+
+    Raises
+    ------
+    InputError
+        If the arm or the tracker's pose do not hold.
+    """
+    unplaced = with_text(with_text(draft, f"arms.{index}.position", ""), f"arms.{index}.rpy", "")
+    document = read_document(draft_to_yaml(unplaced), path)
+    read_arm_types(document, (path.parent, starters_folder()))
+    data = document.data
+    if "pose" not in data["tracker"]:
+        raise InputError("tracker.pose: missing; points in the tracker frame give a base only with the tracker's pose")
+    name = draft.arms[index].name
+    at: KeyPath = ("arms", name)
+    try:
+        arm = Arm.model_validate({**data["arms"][name], "driver": {"kind": "none"}})  # the pose needs no driver
+        at = ("tracker", "pose")
+        return arm, Pose.model_validate(data["tracker"]["pose"])
+    except ValidationError as error:
+        details = error.errors(include_url=False)[0]
+        raise InputError(f"{dotted((*at, *details['loc']))}: {value_message(details)}; correct it first") from None
 
 
 def _wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
@@ -83,6 +122,20 @@ def _wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
         for index, arm in enumerate(draft.arms)
         if not arm.name.strip() or counts[arm.name] > 1
     )
+
+
+def _base_paths(draft: ProfileDraft) -> list[tuple[str, ...]]:
+    return [("arms", arm.name, "base") for arm in draft.arms]
+
+
+def _pose(data: Any, path: Sequence[str]) -> Pose | None:
+    """A pose of a profile's data; None if it is missing or does not hold."""
+    for key in path:
+        data = data.get(key) if isinstance(data, dict) else None
+    try:
+        return Pose.model_validate(data)
+    except ValidationError:
+        return None
 
 
 def _at_field(at: KeyPath, words: str, draft: ProfileDraft, fields: Sequence[Filled]) -> FieldProblem:

@@ -42,6 +42,9 @@ def edited_text(text: str, path: Path, draft: ProfileDraft) -> EditedText:
     old = draft_of(text, path)
     if old == draft:
         return EditedText(text, ())
+    if "\r\n" in text:  # written by an editor on Windows: edited with plain line ends, kept as it was
+        edited = edited_text(text.replace("\r\n", "\n"), path, draft)
+        return EditedText(edited.text.replace("\n", "\r\n"), edited.lost_comments)
     document = _load(text, path)
     if _dump(document) != _with_newline(text):
         raise InputError(

@@ -32,7 +32,7 @@ class _Loader(yaml.SafeLoader):
 
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+"),
+    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
     list("-+.0123456789"),
 )
 
@@ -48,12 +48,17 @@ def load_profile(path: Path) -> Profile:
         One sentence for each of the first few errors, with file, line and key.
     """
     path = Path(path)
-    document = read_document(_read_text(path), path)
+    document = load_text(path)
     read_arm_types(document, (path.parent,))
     try:
         return Profile.model_validate(document.data)
     except ValidationError as error:
         raise InputError(validation_message(error, document)) from None
+
+
+def load_text(path: Path) -> Document:
+    """Return the plain data of a profile's file, as ``read_document``. Raises ``InputError``."""
+    return read_document(_read_text(path), path)
 
 
 def read_document(text: str, path: Path) -> Document:

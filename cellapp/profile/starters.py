@@ -57,7 +57,12 @@ def arm_type_files() -> tuple[Path, ...]:
 
 
 def write_starter(name: str, folder: Path) -> Path:
-    """Copy a starter profile, the arm types and the targets that it names into ``folder/profiles``; return its path.
+    """Copy a starter profile into ``folder/profiles``; as ``copy_starter``."""
+    return copy_starter(name, folder / FOLDER)
+
+
+def copy_starter(name: str, profiles: Path) -> Path:
+    """Copy a starter profile, the arm types and the targets that it names into a folder; return its path.
 
     Raises
     ------
@@ -67,11 +72,11 @@ def write_starter(name: str, folder: Path) -> Path:
     known = [starter.name for starter in starter_profiles()]
     if name not in known:
         raise InputError(f"'{name}' is no profile that comes with cellapp; there are {', '.join(known)}")
-    source, target = starters_folder() / f"{name}.yaml", folder / FOLDER / f"{name}.yaml"
+    source, target = starters_folder() / f"{name}.yaml", profiles / f"{name}.yaml"
     if path_exists(target):
         raise InputError(f"{target} exists already; nothing was written. Give another folder, or move it away")
     text = source.read_text("utf-8")
-    write_new({**copies(_named_files(text, source), target.parent), target: text})
+    write_new({**copies(_named_files(text, source), profiles), target: text})
     return target
 
 

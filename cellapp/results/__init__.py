@@ -47,6 +47,7 @@ from cellapp.results.collection import (
     MissingReading,
     PlanResult,
     ReferenceDrift,
+    ReplayResult,
     RequestResult,
     SessionRecord,
     SessionRequest,
@@ -58,6 +59,7 @@ from cellapp.results.commissioning import (
     EmulatedTracker,
     EmulateResult,
     Finding,
+    InitResult,
     TrackerBridgeResult,
 )
 from cellapp.results.discovery import (
@@ -186,6 +188,7 @@ __all__ = [
     "HeldOutPosition",
     "HistoryResult",
     "ImportResult",
+    "InitResult",
     "LastSession",
     "LawRecord",
     "LogLine",
@@ -216,6 +219,7 @@ __all__ = [
     "ReferenceDrift",
     "RemainingStructure",
     "Repeatability",
+    "ReplayResult",
     "ReportResult",
     "RequestResult",
     "Result",

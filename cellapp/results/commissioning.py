@@ -1,10 +1,19 @@
-"""Results of doctor, emulate and tracker-bridge."""
+"""Results of init, doctor, emulate and tracker-bridge."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 from cellapp.results.base import Record, Result
+
+
+class InitResult(Result):
+    """``init``: the profile that was written, and what is to be known about it."""
+
+    schema_: Literal["cellapp-init"] = "cellapp-init"
+    version: Literal[1] = 1
+    profile: str
+    notes: tuple[str, ...] = ()
 
 
 class Finding(Record):

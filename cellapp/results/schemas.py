@@ -12,9 +12,10 @@ from cellapp.results.collection import (
     ExportResult,
     ImportResult,
     PlanResult,
+    ReplayResult,
     RequestResult,
 )
-from cellapp.results.commissioning import DoctorResult, EmulateResult, TrackerBridgeResult
+from cellapp.results.commissioning import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
 from cellapp.results.discovery import DiscoverResult
 from cellapp.results.run import (
     DocsResult,
@@ -32,9 +33,11 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     PlanResult,
     CollectResult,
     CollectionResult,
+    ReplayResult,
     RequestResult,
     ImportResult,
     ExportResult,
+    InitResult,
     DoctorResult,
     CalibrateResult,
     DiscoverResult,

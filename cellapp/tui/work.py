@@ -11,6 +11,7 @@ from cellapp.progress import Listener
 from cellapp.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
+    from cellapp.reporting.report_data import ReportData
     from cellapp.results import Result
     from cellapp.run import RunFile
 
@@ -136,3 +137,21 @@ def _on_run(
             return work(run, listener, control, ask)
 
     return Job(name, opened, folder, moves=moves)
+
+
+def report_data(folder: Path | None) -> ReportData | None:
+    """What plots of a calibrated run need; None where there is no calibration. For a thread of its own."""
+    from cellapp.errors import CellappError
+    from cellapp.reporting.report_data import read_report_data
+    from cellapp.run import RunFile
+
+    if folder is None:
+        return None
+    try:
+        with RunFile.open(folder) as run:
+            data = read_report_data(run)
+    except CellappError:
+        return None  # the screen says what is missing
+    for arm in data.held_out.values():
+        _ = arm.errors_mm  # computed here, not while drawing
+    return data
