@@ -12,7 +12,7 @@ from cellapp.progress import (
     AirReport,
     Detail,
     JobState,
-    LogEntry,
+    LogReport,
     MeasurementBegun,
     MotionBegun,
     MotionEnded,
@@ -267,7 +267,7 @@ class JobRecord:
     def _log_detail(self, job: str, detail: Detail) -> None:
         """Write a line, where the job writes none of its own for this detail."""
         match detail:
-            case LogEntry(level, text):
+            case LogReport(level, text):
                 self.note(text, level_of(level))
             case StopReport():
                 self.note(f"{job}: {detail_words(detail)}", "debug")

@@ -28,7 +28,7 @@ class ArmPanel(Widget):
     """Name, activity, joint positions, joint temperatures, error of the newest stop, standard error so far."""
 
     DEFAULT_CSS = """
-    ArmPanel { height: 4; width: 1fr; padding-right: 1; }
+    ArmPanel { height: 4; width: 1fr; padding-right: 1; text-wrap: nowrap; text-overflow: ellipsis; }
     """
 
     arm: reactive[ArmRecord] = reactive(ArmRecord)

@@ -52,7 +52,7 @@ class LogView(ScrollView, can_focus=True):
         Binding("shift+down", "move(1, True)", "Mark down", show=False),
         Binding("home", "first", "First", show=False),
         Binding("end", "last", "Last", show=False),
-        Binding("y", "copy", "Copy", tooltip="copy selected text, or the marked lines"),
+        Binding("y", "copy", "Copy lines", show=False),
     ]
 
     class Changed(Message):

@@ -34,14 +34,6 @@ class LogPane(Vertical):
     LogPane LogField { display: none; }
     LogPane.asking LogField { display: block; }
     """
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("m", "next_match(1)", "Next match", show=False),
-        Binding("M", "next_match(-1)", "Match before", show=False),
-        Binding("D", "least('debug')", "All levels", show=False),
-        Binding("I", "least('info')", "Info and above", show=False),
-        Binding("W", "least('warning')", "Warnings and errors", show=False),
-        Binding("E", "least('error')", "Errors", show=False),
-    ]
 
     def __init__(self, *, id: str | None = None) -> None:
         super().__init__(id=id)
@@ -114,7 +106,7 @@ class LogPane(Vertical):
         self.remove_class("asking")
         self.view.focus()
 
-    def action_next_match(self, step: int) -> None:
+    def next_match(self, step: int) -> None:
         """Go to the next row that holds the text, or to the one before."""
         if self.view.wanted:
             self.view.next_match(step)

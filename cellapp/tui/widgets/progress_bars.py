@@ -45,7 +45,7 @@ def ending_words(eta_s: float | None, now: datetime) -> str:
 
 
 class ProgressBars(Widget):
-    """One line for each part; where ``compact``, one line for the present part with the names of the others."""
+    """One line for each part; where ``compact``, one line for the present part."""
 
     DEFAULT_CSS = """
     ProgressBars { height: auto; }
@@ -67,23 +67,17 @@ class ProgressBars(Widget):
         if not self.compact or not begun:
             return Content("\n").join([_line(part, width, now) for part in self.parts])
         present = next((part for part in reversed(begun) if not _done(part)), begun[-1])
-        others = " ".join(f"{part.name}{_mark(part)}" for part in self.parts if part is not present)
-        line = _line(present, width - len(others) - (2 if others else 0), now)
-        return Content.assemble(line, f"  {others}" if others else "")
+        which = f"  part {self.parts.index(present) + 1} of {len(self.parts)}" if len(self.parts) > 1 else ""
+        return Content.assemble(_line(present, width - len(which), now), (which, "$text-muted"))
 
     def get_content_height(self, container: object, viewport: object, width: int) -> int:
         """One line, or one for each part."""
-        return (
-            min(len(self.parts), 1) if self.compact and any(part.progress for part in self.parts) else len(self.parts)
-        )
+        is_one_line = self.compact and any(part.progress is not None for part in self.parts)
+        return 1 if is_one_line else len(self.parts)
 
 
 def _done(part: Part) -> bool:
     return part.progress is not None and part.progress.done >= part.progress.total
-
-
-def _mark(part: Part) -> str:
-    return "✓" if _done(part) else "·"
 
 
 def _line(part: Part, width: int, now: datetime) -> Content:
