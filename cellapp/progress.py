@@ -60,7 +60,121 @@ class ReferenceReport:
     limit_mm: float
 
 
-Detail = StateChange | StopReport | Suspicion | ReferenceReport
+@dataclass(frozen=True)
+class MotionBegun:
+    """Arms begin to move; the gate has accepted the motion.
+
+    Attributes
+    ----------
+    stop : int or None
+        Number of the stop to which they move; None on other ways: home, to the reference stop, while warming up.
+    q_start, q_target : mapping
+        Arm -> joint positions (N) [rad]; only of the arms that move.
+    expected_s : float
+        Duration if no controller slows the motion down [s].
+    """
+
+    stop: int | None
+    q_start: Mapping[str, tuple[float, ...]]
+    q_target: Mapping[str, tuple[float, ...]]
+    expected_s: float
+
+
+@dataclass(frozen=True)
+class MotionEnded:
+    """The arms of a motion are at rest.
+
+    Attributes
+    ----------
+    stop : int or None
+        As in ``MotionBegun``.
+    q : mapping
+        Arm -> joint positions (N) from its controller [rad].
+    joint_temperature_c : mapping
+        Arm -> joint temperatures (N) [degC]; without the arms that do not report them.
+    """
+
+    stop: int | None
+    q: Mapping[str, tuple[float, ...]]
+    joint_temperature_c: Mapping[str, tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class MeasurementBegun:
+    """The tracker points at the SMR of an arm at a stop and begins to measure it."""
+
+    stop: int
+    arm: str
+
+
+@dataclass(frozen=True)
+class PointMeasured:
+    """The SMR of an arm was measured at a stop.
+
+    Attributes
+    ----------
+    stop : int
+    arm : str
+    q : tuple
+        Joint positions (N) from the controller [rad].
+    p_M : tuple
+        Centre of the SMR (3) in the tracker frame [m].
+    sigma_mm : float or None
+        Standard uncertainty of the point: root of the trace of its covariance [mm]; None if not stated.
+    temperature_c : float or None
+        Air temperature [degC].
+    joint_temperature_c : tuple or None
+        Joint temperatures (N) [degC].
+    """
+
+    stop: int
+    arm: str
+    q: tuple[float, ...]
+    p_M: tuple[float, float, float]
+    sigma_mm: float | None = None
+    temperature_c: float | None = None
+    joint_temperature_c: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class PointMissed:
+    """The SMR of an arm could not be measured at a stop; ``reason`` says why, in a sentence."""
+
+    stop: int
+    arm: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class AirReport:
+    """The weather station was read: temperature [degC], pressure [hPa], relative humidity [%]."""
+
+    temperature_c: float
+    pressure_hpa: float | None = None
+    humidity_percent: float | None = None
+
+
+@dataclass(frozen=True)
+class LogReport:
+    """A line of the run's log; ``level`` is info, warning, error or note."""
+
+    level: str
+    text: str
+
+
+Detail = (
+    StateChange
+    | StopReport
+    | Suspicion
+    | ReferenceReport
+    | MotionBegun
+    | MotionEnded
+    | MeasurementBegun
+    | PointMeasured
+    | PointMissed
+    | AirReport
+    | LogReport
+)
 
 
 @dataclass(frozen=True)

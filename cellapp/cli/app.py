@@ -9,10 +9,12 @@ from typing import Annotated
 import typer
 
 from cellapp.cli.docs import docs
+from cellapp.cli.init import init
 from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.motion import asking
 from cellapp.cli.options import AllowMotion, JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
 from cellapp.cli.requests import abort, pause, resume, stop
+from cellapp.cli.runs import compare, runs
 from cellapp.cli.show import schema, show
 from cellapp.cli.trials import trials_app
 from cellapp.errors import CheckFailed, InputError
@@ -78,19 +80,25 @@ def run(
 
 
 @app.command()
-def doctor(profile: ProfilePath, json_file: JsonOption = None) -> None:
+def doctor(
+    profile: ProfilePath,
+    cell: Annotated[bool, typer.Option("--cell", help="First print what the profile says of the cell.")] = False,
+    json_file: JsonOption = None,
+) -> None:
     """What is reachable, what is missing, what would be refused; nothing moves."""
-    from cellapp.commissioning.doctor import examine
+    from cellapp.commissioning.doctor import examine_run
     from cellapp.profile import load_profile
-    from cellapp.results import DoctorResult, Finding
+    from cellapp.reporting.profile_words import profile_tables
 
     with Job(json_file) as job:
-        findings = [Finding(subject=f.subject, status=f.status, text=f.text) for f in examine(load_profile(profile))]
-        job.say(*(f"{finding.status:8} {finding.subject}: {finding.text}" for finding in findings))
-        job.result(DoctorResult(findings=tuple(findings)))
-        failed = sum(finding.status == "failed" for finding in findings)
-        if failed:
-            raise CheckFailed(f"{failed} of {len(findings)} checks failed")
+        described = load_profile(profile)
+        if cell:
+            job.show(profile_tables(described))
+        result = examine_run(described)
+        job.say(*(f"{finding.status:8} {finding.subject}: {finding.text}" for finding in result.findings))
+        job.result(result)
+        if result.failed:
+            raise CheckFailed(f"{len(result.failed)} of {len(result.findings)} checks failed")
 
 
 @app.command()
@@ -126,6 +134,24 @@ def collect(
         job.say(*collect_lines(result), *other_notes(result, result.notes))
         job.result(result)
         _check(result.complaints(), "collect")
+
+
+@app.command()
+def replay(
+    folder: RunFolder,
+    speed: Annotated[
+        float, typer.Option("--speed", metavar="X", help="Times the recorded pace, from 1 to 100.")
+    ] = 10.0,
+    json_file: JsonOption = None,
+) -> None:
+    """Play the collecting of a run back: the same events, the same running model; nothing moves, nothing is written."""
+    from cellapp.collection.replay import replay_run
+    from cellapp.reporting.collection_text import replay_lines
+
+    with Job(json_file) as job, open_run(folder) as opened:
+        result = replay_run(opened, job.listen, job.control, speed=speed)
+        job.say(*replay_lines(result))
+        job.result(result)
 
 
 @app.command("import")
@@ -288,7 +314,7 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-for command in (pause, resume, stop, abort, show, schema, docs):
+for command in (init, pause, resume, stop, abort, runs, compare, show, schema, docs):
     app.command()(command)
 
 

@@ -119,13 +119,10 @@ class Job:
             self._start_bars()
         if event.job not in self._tasks:
             self._tasks[event.job] = self._bars.add_task(event.job, total=event.total, note="", eta="")
-        self._bars.update(
-            self._tasks[event.job],
-            completed=event.done,
-            total=event.total,
-            note=event.note,
-            eta=eta_words(event.eta_s),
-        )
+        task, eta = self._tasks[event.job], eta_words(event.eta_s)
+        self._bars.update(task, completed=event.done, total=event.total, eta=eta)
+        if event.note or event.detail is None:  # the note of a step stands until the next step
+            self._bars.update(task, note=event.note)
 
     def say(self, *lines: str) -> None:
         """Print lines on standard output, or on standard error where standard output carries the JSON."""

@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.collection.cell import Cell
+from cellapp.collection.details import motion_ended, vectors
 from cellapp.collection.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.errors import CellappError, InputError
+from cellapp.profile import Arm as ArmProfile
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken
+from cellapp.progress import CancelToken, Detail, MotionBegun
 from cellapp.run.in_order import MOVED_RAD
 from cellapp.safety.cell_bodies import home_positions
 from cellapp.safety.gate import CellBodies, predicted_smr
@@ -40,6 +42,22 @@ Confirm = Callable[[Mapping[str, Vector], Mapping[str, Vector]], bool]
 """Shows a person where the arms are and where the first motion leads, name -> (N,) [rad]; whether it is allowed."""
 
 
+def no_one(detail: Detail) -> None:
+    """Takes details of motions that nobody watches."""
+
+
+def rates(arm: ArmProfile, share: float = 1.0) -> tuple[Vector, Vector]:
+    """Return speeds (N,) [rad/s] and accelerations (N,) [rad/s^2] of motions at a share of the profile's speed."""
+    joints = arm.type.joints
+    speeds = np.array([joint.speed for joint in joints]) * arm.speed_scale * share
+    return speeds, np.array([joint.acceleration for joint in joints]) * arm.speed_scale
+
+
+def motion_s(way: Vector, speeds: Vector, accelerations: Vector) -> float:
+    """Return how long a motion by ``way`` (N,) [rad] takes at most [s]: speed is reached, held and taken away."""
+    return float((np.abs(way) / speeds + speeds / accelerations).max())
+
+
 class MotionRefused(CellappError):
     """The gate refused a motion; nothing has moved."""
 
@@ -50,11 +68,19 @@ class Mover:
     """Moves the arms of one open cell, records the last motion of each joint, and measures.
 
     Every motion starts from the joint positions that the controllers report. Any doubt triggers ``reaction``, and
-    nothing moves while that is latched.
+    nothing moves while that is latched. ``emit`` takes the beginning and the end of every motion.
     """
 
-    def __init__(self, profile: Profile, cell: Cell, bodies: CellBodies, reaction: StopReaction) -> None:
+    def __init__(
+        self,
+        profile: Profile,
+        cell: Cell,
+        bodies: CellBodies,
+        reaction: StopReaction,
+        emit: Callable[[Detail], None] = no_one,
+    ) -> None:
         self._profile, self._cell, self._bodies, self._reaction = profile, cell, bodies, reaction
+        self._emit = emit
         self._approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
         self._step: dict[str, Vector] = {}
         self._rest_since_s: dict[str, float] = {}
@@ -62,6 +88,8 @@ class Mover:
         self._departure: dict[str, Vector] | None = None
         self.speed = 1.0
         """Share of the profile's speed for the next motions."""
+        self.stop: int | None = None
+        """Stop to which the next motions lead; None on other ways."""
 
     def positions(self) -> dict[str, Vector]:
         """Return the joint positions (N,) of all arms [rad]. Raises ``CellStopped`` if one is not ready or moves."""
@@ -132,22 +160,23 @@ class Mover:
             states = self._drive(start, targets)
         for name, q in targets.items():
             self._record_step(name, start[name], q, states[name].q)
+        self._emit(motion_ended(self.stop, states))
         return states
 
     def _drive(self, start: Mapping[str, Vector], targets: Mapping[str, Vector]) -> dict[str, ArmState]:
         """Start all arms and wait until they have settled. The gate has accepted the motion."""
-        timeout_s = 0.0
+        allowed = {name: rates(self._profile.arms[name], self.speed) for name in targets}
+        expected_s = max(motion_s(q - start[name], *allowed[name]) for name, q in targets.items())
+        self._emit(
+            MotionBegun(self.stop, vectors({name: start[name] for name in targets}), vectors(targets), expected_s)
+        )
         for name, q in targets.items():
-            speeds, accelerations = self._rates(name)
-            way = np.abs(q - start[name])
-            ideal_s = float((way / speeds + speeds / accelerations).max())
-            timeout_s = max(timeout_s, 2.0 * ideal_s + _MOVE_ALLOWANCE_S)
             self._reaction.check()
             try:
-                self._cell.arms[name].start_move(q, speeds, accelerations)
+                self._cell.arms[name].start_move(q, *allowed[name])
             except ArmError as error:
                 raise self.stop_cell(cause_of(name, error)) from error
-        return self._settled(list(targets), timeout_s)
+        return self._settled(list(targets), 2.0 * expected_s + _MOVE_ALLOWANCE_S)
 
     def _tracker_died(self, reason: str) -> None:
         self._reaction.trigger(StopCause("tracker", reason))
@@ -300,8 +329,3 @@ class Mover:
             return self._cell.arms[name].state()
         except ArmError as error:
             raise self.stop_cell(cause_of(name, error)) from error
-
-    def _rates(self, name: str) -> tuple[Vector, Vector]:
-        arm = self._profile.arms[name]
-        speed = np.array([joint.speed for joint in arm.type.joints]) * arm.speed_scale * self.speed
-        return speed, np.array([joint.acceleration for joint in arm.type.joints]) * arm.speed_scale

@@ -11,10 +11,11 @@ import numpy as np
 
 from cellapp.calibration.online import OnlineFit, online_fit
 from cellapp.collection.suspicions import Suspicions
-from cellapp.collection.work import Work
 from cellapp.errors import InputError
-from cellapp.progress import StopReport, Suspicion
-from cellapp.run import Reading, RunFile
+from cellapp.kinematics.transforms import Array
+from cellapp.profile import Profile
+from cellapp.progress import AirReport, StopReport, Suspicion
+from cellapp.run import Reading, Readings
 from drivers.sensors.protocol import AirReading, AirSensor, SensorError
 
 Note = Callable[[str, str], None]
@@ -25,11 +26,13 @@ Note = Callable[[str, str], None]
 class AirTemperature:
     """Air temperature from the weather station; None while it fails, which is noted once.
 
-    The tracker's own sensor is no substitute: a change of sensor would look like a change of the air.
+    The tracker's own sensor is no substitute: a change of sensor would look like a change of the air. ``heard`` takes
+    every reading.
     """
 
     sensor: AirSensor
     note: Note
+    heard: Callable[[AirReport], None]
     state: Literal["new", "working", "failed"] = "new"
 
     def at_stop(self, stop: int) -> float | None:
@@ -48,30 +51,32 @@ class AirTemperature:
         if self.state != "working":
             self.note("info", f"stop {stop + 1}: {reading}")
         self.state = "working"
+        self.heard(AirReport(reading.temperature_c, reading.pressure_hpa, reading.humidity_percent))
         return reading
 
 
 class LiveModel:
     """The models of all arms, refitted after each stop. An arm whose model cannot be fitted is measured without one."""
 
-    def __init__(self, run: RunFile, work: Work, note: Note) -> None:
-        """Start with the readings that the run has."""
-        profile = run.profile
+    def __init__(
+        self, profile: Profile, planned: Mapping[str, Array], stored: Mapping[str, Readings], note: Note
+    ) -> None:
+        """Start with the ``stored`` readings; ``planned`` has the joint positions (n, N) [rad] of all stops by arm."""
         self._finish = profile.collection.finish
         self._note = note
         self._fits: dict[str, OnlineFit] = {}
         self._latest: dict[str, StopReport] = {}
-        for name, planned in work.plan.items():
+        for name, q in planned.items():
             try:
-                self._fits[name] = online_fit(profile, name, planned)
-                self._add_stored(run, name)
+                self._fits[name] = online_fit(profile, name, q)
+                if name in stored:
+                    self._add_stored(name, stored[name])
             except (InputError, np.linalg.LinAlgError) as error:
                 self._drop(name, error)
         normals = {name: np.array(arm.smr.normal) / math.hypot(*arm.smr.normal) for name, arm in profile.arms.items()}
         self._suspicions = Suspicions(normals)
 
-    def _add_stored(self, run: RunFile, name: str) -> None:
-        stored = run.readings(name)
+    def _add_stored(self, name: str, stored: Readings) -> None:
         report = self._fits[name].add_all(stored.configuration.tolist(), stored.q, stored.p_M, stored.covariance_M)
         if report is not None:
             self._latest[name] = report

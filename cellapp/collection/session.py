@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
 from cellapp.collection.cell import Cell, start_tracker
+from cellapp.collection.details import missed_sentence, point_measured, record_sentence, state_of
 from cellapp.collection.forbidden import forbidden_stops
 from cellapp.collection.measuring import SmrMeasurement
 from cellapp.collection.motion import Confirm, MotionRefused, Mover
@@ -19,7 +20,7 @@ from cellapp.collection.travel import Travel
 from cellapp.collection.work import StopQueue, Work
 from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
-from cellapp.progress import Detail, Listener, Progress, Suspicion
+from cellapp.progress import Detail, Listener, LogReport, MeasurementBegun, PointMissed, Progress, Suspicion
 from cellapp.run import Outcome, Reading, RunFile
 from cellapp.run.collection_rows import OutcomeKind
 from cellapp.safety.cell_bodies import home_positions
@@ -63,7 +64,7 @@ class CollectSession:
         profile = self.run.profile
         self._settings = profile.collection
         self._queue = StopQueue(self.work)
-        self._mover = Mover(profile, self.cell, self.bodies, self.reaction)
+        self._mover = Mover(profile, self.cell, self.bodies, self.reaction, self._emit)
         self._supervisor = Supervisor(
             self.cell,
             self.control,
@@ -78,8 +79,9 @@ class CollectSession:
         self._references = References(
             self.run, self.number, self._measurement, self._supervisor, self._suspect, self.accept_drift
         )
-        self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log)
-        self._model = LiveModel(self.run, self.work, self._log)
+        self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
+        stored = {name: self.run.readings(name) for name in self.work.plan}
+        self._model = LiveModel(profile, self.work.plan, stored, self._log)
         self._travel = Travel(profile, self._mover, self.work)
         self._forbidden: set[int] = set()
         self._warm_until_s: float | None = None
@@ -141,12 +143,15 @@ class CollectSession:
         stop = self._queue.next()
         assert stop is not None
         self._wait_for_air(stop)
+        self._mover.stop = stop
         try:
             states = self._travel.to_stop(stop)
         except MotionRefused as error:
             if stop in self.work.proposed or not self._queue.defer():
                 self._leave_out({stop}, str(error))
             return False
+        finally:
+            self._mover.stop = None
         rows, outcomes = self._measure(stop, states)
         self._store(stop, rows, outcomes)
         self._queue.done()
@@ -299,14 +304,17 @@ class CollectSession:
         for name in sorted(states, key=lambda name: dwell_s[name]):
             if dwell_s[name] > 0.0:
                 self._mover.rest(name, dwell_s[name], self.control)
+            self._emit(MeasurementBegun(stop, name))
             try:
                 point = self._measurement.at_arm(name, states[name].q)
             except (TargetLost, WrongTarget, Unstable) as error:
                 outcomes.append(Outcome(stop, name, "not measured", str(error)))
-                self._note(f"stop {stop + 1}, arm {name}: not measured: {error}")
+                self._emit(PointMissed(stop, name, str(error)))
+                self._note(missed_sentence(outcomes[-1]))
                 continue
             air_c = point.temperature_c if self._air is None else temperature_c
             rows[name] = self._reading(stop, name, states[name], point, air_c)
+            self._emit(point_measured(stop, name, rows[name]))
         return rows, outcomes
 
     def _reading(self, stop: int, name: str, state: ArmState, point: Point, temperature_c: float | None) -> Reading:
@@ -356,19 +364,28 @@ class CollectSession:
 
     def _record(self, kind: str, reason: str) -> None:
         """Record a request or a suspension in the run; a full disk must not keep the arms from being attended to."""
+        text = record_sentence(kind, reason)
+        level = "info" if kind in _HARMLESS else "warning"
+        if state_of(kind) is None:
+            self._emit(LogReport(level, text))
         try:
             self.run.record_request(self.number, kind, reason)
-            self.run.log("info" if kind in _HARMLESS else "warning", f"{kind}: {reason}")
+            self.run.log(level, text, self._run_time_s())
         except InputError as error:
-            self.notes.append(f"{kind}: {reason} (not logged: {error})")
+            self.notes.append(f"{text} (not logged: {error})")
 
     def _note(self, text: str) -> None:
         self._log("warning", text)
 
     def _log(self, level: str, text: str) -> None:
-        self.run.log(level, text)
+        self.run.log(level, text, self._run_time_s())
+        self._emit(LogReport(level, text))
         if level == "warning":
             self.notes.append(text)
+
+    def _run_time_s(self) -> float | None:
+        """Return the time since the run began [s], on the clock of the readings; None before the first measurement."""
+        return None if self.began_s is None else self.cell.clock.now_s() - self.began_s
 
     def _tracker_ready(self) -> bool:
         """Connect and prepare the tracker again; whether it is ready to measure."""

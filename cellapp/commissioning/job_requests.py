@@ -27,6 +27,8 @@ _RUN_FILE = "run.sqlite"
 """As ``cellapp.run`` names it; importing that would make a stop wait for packages that it does not need."""
 _PATIENCE_S = 2.0
 """A job answers in milliseconds: its brakes are commanded without waiting for rest."""
+_GLANCE_S = 0.2
+"""Patience of a list of runs, which only shows whether a job is there."""
 _LONGEST_LINE = 500
 """Bytes; far more than a token and a verb have."""
 _POLL_S = 0.05
@@ -92,6 +94,19 @@ def ask_running_job(folder: Path, verb: Verb) -> str:
     if word != "done":
         raise InputError(f"{folder}: {text or 'the request was refused'}")
     return text
+
+
+def who_uses(folder: Path) -> str:
+    """Which job uses a run's folder, as a phrase; empty if none does. The job itself is not asked for anything."""
+    address = _published(folder)
+    if address is None:
+        return ""
+    if address.computer != platform.node():
+        return f"a job on computer '{address.computer}', if it still runs"
+    try:
+        return "" if _exchange(folder, address, _LOOK, _GLANCE_S) is None else "a job that runs now"
+    except HardwareError:
+        return "a job that does not answer"
 
 
 # -- the job's side ---------------------------------------------------------------------------------------------------
@@ -196,19 +211,19 @@ def _is_running(folder: Path) -> bool:
     return _exchange(folder, address, _LOOK) is not None
 
 
-def _exchange(folder: Path, address: _JobAddress, request: str) -> str | None:
+def _exchange(folder: Path, address: _JobAddress, request: str, patience_s: float = _PATIENCE_S) -> str | None:
     """Send one request and return the answer; None if nobody listens or it is not that job.
 
     Raises ``HardwareError`` if somebody listens and is silent.
     """
     try:
-        with socket.create_connection(("127.0.0.1", address.port), _PATIENCE_S) as connection:
+        with socket.create_connection(("127.0.0.1", address.port), patience_s) as connection:
             connection.sendall(f"{address.token} {request}\n".encode())
             with connection.makefile("rb") as reader:
                 answer = reader.readline(_LONGEST_LINE)
     except TimeoutError:
         raise HardwareError(
-            f"the job in {folder} did not answer within {_PATIENCE_S:.0f} s; if an arm moves, press its emergency"
+            f"the job in {folder} did not answer within {patience_s:g} s; if an arm moves, press its emergency"
             f" stop. If no job runs there, delete {folder / JOB_FILE}"
         ) from None
     except (OSError, OverflowError):

@@ -40,7 +40,8 @@ from cellapp.kinematics.chain import JointAngles, jacobian, smr_positions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.model.nominal import bodies_of, nominal_arm, pose_matrix, prior_sigmas, up_in_tracker
-from cellapp.profile import Profile, Tracker
+from cellapp.profile import Profile
+from cellapp.profile.schema import Tracker
 from cellapp.results import AbsentEffect, Estimate, PlannedAccuracy, PlannedEffect
 from cellapp.run import Readings
 
@@ -61,7 +62,9 @@ class PlannedReadings:
 def expected_readings(
     profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings
 ) -> tuple[dict[str, ArmModel], dict[str, Readings]]:
-    """Nominal models of all arms, and the readings that a plan (arm -> q (n, N) [rad]) expects of them, without noise.
+    """Nominal models of all arms, and the readings that a plan (arm -> q (n, N) [rad]) expects of them.
+
+    Their noise is drawn, so that fits weigh residuals as they will; no result depends on the draw beyond rounding.
 
     Raises
     ------
@@ -69,20 +72,23 @@ def expected_readings(
         If the profile lacks the pose of an arm's base, of the tracker, or a home position.
     """
     models = {name: _nominal_model(profile, name) for name in plan}
+    rng = np.random.default_rng([profile.seed, _SEED])
     readings = {}
     for name, q in plan.items():
         arm, p_M = profile.arms[name], smr_positions(models[name].geometry, q)
+        covariance = tracker_covariance(profile.tracker, p_M)
+        noise = np.einsum("nab,nb->na", np.linalg.cholesky(covariance), rng.standard_normal(p_M.shape))
         step = np.diff(q, axis=0, prepend=np.array(arm.home)[None])
         readings[name] = Readings(
             configuration=np.arange(len(q)),
             time_s=expected.time_s,
             q=q,
             approach=np.sign(step).astype(np.int8),
-            p_M=p_M,
+            p_M=p_M + noise,
             payload_kg=np.full(len(q), arm.payload.mass),
             step=step,
             dwell_s=expected.dwell_s,
-            covariance_M=tracker_covariance(profile.tracker, p_M),
+            covariance_M=covariance,
         )
     return models, readings
 
@@ -91,13 +97,13 @@ def _nominal_model(profile: Profile, name: str) -> ArmModel:
     """The published arm, with its base where the profile says, in the tracker frame."""
     arm, tracker = profile.arms[name], profile.tracker
     if arm.base is None or tracker.pose is None or arm.home is None:
-        raise InputError(f"profile {profile.name}: arms.{name}.base, .home and tracker.pose are needed to foresee a plan")
+        raise InputError(
+            f"profile {profile.name}: arms.{name}.base, .home and tracker.pose are needed to foresee a plan"
+        )
     nominal = nominal_arm(arm).with_T_M_B(np.linalg.inv(pose_matrix(tracker.pose)) @ pose_matrix(arm.base))
     if arm.smr.offset == "unknown":
         nominal = replace(nominal, tool=_OFF_AXIS)
-    return ArmModel(
-        nominal, nominal, bodies_of(arm), up_in_tracker(profile), smr_normal=np.array(arm.smr.normal)
-    )
+    return ArmModel(nominal, nominal, bodies_of(arm), up_in_tracker(profile), smr_normal=np.array(arm.smr.normal))
 
 
 def tracker_covariance(tracker: Tracker, p_M: Array) -> Array:
@@ -156,7 +162,7 @@ def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:
     data = design.with_scatter(scatter_m).data
     parameters, priors = data.parameter_set, prior_sds(data.parameter_set, data.prior_sigma)
     _, J = jacobian(data.model.geometry, JointAngles.of(data.readings.q), parameters.columns)
-    white = whitening(data.sigma, len(data))
+    white = whitening(data.sigma)
     information = gram_matrix(np.einsum("acn,ckn->akn", white, J))
     unit = np.where(np.isfinite(priors), priors, 1.0)  # numbers of comparable size
     precision = (information + np.diag(priors**-2.0)) * unit * unit[:, None]

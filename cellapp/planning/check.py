@@ -47,9 +47,7 @@ def check_plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToke
     reason = refuse_motion(cell, stops[-1], homes)
     if reason:
         via_home = bool(_one_by_one(cell, stops[-1], homes))
-        refused.append(
-            PlanRefusal(configuration=None, before=count - 1, what="way", reason=reason, via_home=via_home)
-        )
+        refused.append(PlanRefusal(configuration=None, before=count - 1, what="way", reason=reason, via_home=via_home))
     listener(Progress("check", count, count, "done"))
     return PlanCheckResult(run=str(run.folder), stops=count, ways=count + 1, refused=tuple(refused))
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import yaml
 from pydantic import ValidationError
 
 from cellapp.errors import InputError
-from cellapp.profile.messages import Document, KeyPath, Place, described, plain, short, validation_message
+from cellapp.profile.messages import Document, KeyPath, Place, PlacedError, described, plain, short, validation_message
 from cellapp.profile.schema import VERSION, Profile
 
 _MOST_LEVELS = 50
@@ -30,7 +32,7 @@ class _Loader(yaml.SafeLoader):
 
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+"),
+    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
     list("-+.0123456789"),
 )
 
@@ -46,19 +48,44 @@ def load_profile(path: Path) -> Profile:
         One sentence for each of the first few errors, with file, line and key.
     """
     path = Path(path)
-    document = _read_yaml(path)
-    _check_version(document)
-    arms = document.data.get("arms")
-    for name, arm in (arms if isinstance(arms, dict) else {}).items():
-        if isinstance(arm, dict) and isinstance(arm.get("type"), str):
-            at: KeyPath = ("arms", name, "type")
-            arm_type = _read_arm_type(path, arm["type"], document.places[at])
-            arm["type"] = arm_type.data
-            document.places |= {at + inside: place for inside, place in arm_type.places.items()}
+    document = load_text(path)
+    read_arm_types(document, (path.parent,))
     try:
         return Profile.model_validate(document.data)
     except ValidationError as error:
         raise InputError(validation_message(error, document)) from None
+
+
+def load_text(path: Path) -> Document:
+    """Return the plain data of a profile's file, as ``read_document``. Raises ``InputError``."""
+    return read_document(_read_text(path), path)
+
+
+def read_document(text: str, path: Path) -> Document:
+    """Return the plain data of a profile's text, whose file is, or will be, ``path``. Raises ``InputError``.
+
+    Types of arms are still the paths of their files.
+    """
+    document = _parse_yaml(text, path)
+    _check_version(document)
+    return document
+
+
+def read_arm_types(document: Document, folders: Sequence[Path]) -> None:
+    """Replace the paths of arm types by what those files hold, from the first of ``folders`` that has the file.
+
+    Raises
+    ------
+    InputError
+        If none has it, or it cannot be read.
+    """
+    arms = document.data.get("arms")
+    for name, arm in (arms if isinstance(arms, dict) else {}).items():
+        if isinstance(arm, dict) and isinstance(arm.get("type"), str):
+            at: KeyPath = ("arms", name, "type")
+            arm_type = _read_arm_type(folders, arm["type"], document.places[at])
+            arm["type"] = arm_type.data
+            document.places |= {at + inside: place for inside, place in arm_type.places.items()}
 
 
 def profile_to_json(profile: Profile) -> str:
@@ -85,25 +112,37 @@ def _check_version(document: Document) -> None:
         )
 
 
-def _read_arm_type(profile: Path, name: str, place: Place) -> Document:
-    path = profile.parent / name
-    try:
-        exists = path.is_file()
-    except OSError:  # such as a name that is longer than the file system allows
-        exists = False
-    if not exists:
-        raise InputError(
-            f"{place}: file not found: {short(str(path), 200)}; give a path relative to the profile's file, or the keys"
-            " here"
-        )
-    return _read_yaml(path)
+def _read_arm_type(folders: Sequence[Path], name: str, place: Place) -> Document:
+    for path in (folder / name for folder in folders):
+        with contextlib.suppress(OSError):  # such as a name that is longer than the file system allows
+            if path.is_file():
+                return _parse_yaml(_read_text(path), path)
+    raise PlacedError(
+        place,
+        f"file not found: {short(str(folders[0] / name), 200)}; give a path relative to the profile's file, or the keys"
+        " here",
+    )
 
 
 # -- YAML with its lines ----------------------------------------------------------------------------------------------
 
 
-def _read_yaml(path: Path) -> Document:
-    text = _read_text(path)
+def is_number(text: str) -> bool:
+    """Whether YAML reads a text without quotes as a number."""
+    return _tag(text) in ("int", "float")
+
+
+def is_word(text: str) -> bool:
+    """Whether YAML reads a text without quotes as that text."""
+    return re.fullmatch(r"[\w./+-]+", text, re.ASCII) is not None and _tag(text) == "str"
+
+
+def _tag(text: str) -> str:
+    tag = _Loader("").resolve(yaml.ScalarNode, text, (True, False))  # type: ignore[no-untyped-call]
+    return str(tag).removeprefix("tag:yaml.org,2002:")
+
+
+def _parse_yaml(text: str, path: Path) -> Document:
     try:
         loader = _Loader(text)
         node = loader.get_single_node()

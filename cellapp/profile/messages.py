@@ -13,6 +13,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from cellapp.errors import InputError
 from cellapp.profile.schema import Profile
 from drivers.settings import OneOf, Section
 
@@ -61,6 +62,14 @@ class Place:
         return f"{self.file}:{self.line}: {key}" if key else f"{self.file}:{self.line}"
 
 
+class PlacedError(InputError):
+    """Bad input at one place of a profile."""
+
+    def __init__(self, place: Place, words: str) -> None:
+        super().__init__(f"{place}: {words}")
+        self.place, self.words = place, words
+
+
 @dataclass
 class Document:
     """A profile as plain data, with the place of each of its values."""
@@ -104,18 +113,23 @@ def described(value: object) -> str:
 
 def validation_message(error: ValidationError, document: Document) -> str:
     """Return one line for each error, in the order of the file; after the first few, their number."""
-    found: dict[tuple[KeyPath, str], list[str]] = {}
-    for details in _without_literal_branches(error.errors(include_url=False), document.places):
-        at, message = _located_message(details, document)
-        missing = message.partition(": ")[0] if message.endswith(_MISSING) else ""
-        texts = found.setdefault((at, missing), [])
-        if message not in texts:
-            texts.append(message)
-    located = [(document.places[at], texts) for (at, _), texts in found.items()]
+    located = [(document.places[at], texts) for at, texts in _found(error, document)]
     ordered = sorted(located, key=lambda entry: (entry[0].file, entry[0].line))
     lines = [_sentence(place, texts) for place, texts in ordered]
     more = [f"and {len(lines) - _MOST_SHOWN} more"] if len(lines) > _MOST_SHOWN else []
     return "\n".join(lines[:_MOST_SHOWN] + more)
+
+
+def problems(error: ValidationError, document: Document) -> list[tuple[KeyPath, str]]:
+    """Return the key of each error and what is wrong there; a key that is missing ends the path where it belongs."""
+    listed: list[tuple[KeyPath, str]] = []
+    for at, texts in _found(error, document):
+        words = _joined(texts)
+        match = re.match(r"\.([\w.\[\]]+): ", words)
+        keys = re.findall(r"\w+", match.group(1)) if match else []
+        rest = words[match.end() :] if match else words
+        listed.append(((*at, *(int(key) if key.isdigit() else key for key in keys)), rest))
+    return listed
 
 
 def value_message(details: ErrorDetails) -> str:
@@ -136,6 +150,18 @@ def plain(message: str) -> str:
     return message.removeprefix("Value error, ").replace("got NoneType", "got nothing")
 
 
+def _found(error: ValidationError, document: Document) -> list[tuple[KeyPath, list[str]]]:
+    """Return the written path of each error with its messages: several for the alternatives of one value."""
+    found: dict[tuple[KeyPath, str], list[str]] = {}
+    for details in _without_literal_branches(error.errors(include_url=False), document.places):
+        at, message = _located_message(details, document)
+        missing = message.partition(": ")[0] if message.endswith(_MISSING) else ""
+        texts = found.setdefault((at, missing), [])
+        if message not in texts:
+            texts.append(message)
+    return [(at, texts) for (at, _), texts in found.items()]
+
+
 def _without_literal_branches(errors: Sequence[ErrorDetails], places: dict[KeyPath, Place]) -> Iterator[ErrorDetails]:
     """Drop "expected the word 'unknown', got a list" where another error concerns the same list."""
     paths = [_walk(details["loc"], places)[0] for details in errors]
@@ -147,12 +173,17 @@ def _without_literal_branches(errors: Sequence[ErrorDetails], places: dict[KeyPa
 
 
 def _sentence(place: Place, texts: Sequence[str]) -> str:
+    words = _joined(texts)
+    return f"{place}{words}" if words.startswith(".") else f"{place}: {words}"
+
+
+def _joined(texts: Sequence[str]) -> str:
+    """Return the messages of one value as one: alternatives "expected A, got x" and "expected B, got x"."""
     first, rest = texts[0], texts[1:]
-    if rest:  # alternatives of one value: "expected A, got x" and "expected B, got x"
+    if rest:
         expected = [text.removeprefix("expected ").partition(", got ")[0] for text in texts]
         first = f"expected {' or '.join(expected)}, got {texts[0].partition(', got ')[2]}"
-    first = short(first, 300)
-    return f"{place}{first}" if first.startswith(".") else f"{place}: {first}"
+    return short(first, 300)
 
 
 def _located_message(details: ErrorDetails, document: Document) -> tuple[KeyPath, str]:

@@ -22,7 +22,7 @@ def cell_views(model: CellModel, readings: Mapping[str, Readings]) -> list[Capti
     from cellapp.reporting import cell_figures
     from cellapp.reporting.svg import ARM_COLOURS
 
-    level = _levelling_rotation(next(iter(model.arms.values())).up_M)
+    level = levelling_rotation(next(iter(model.arms.values())).up_M)
     stops = typical_stops(readings)
     arms = []
     for name, arm in model.arms.items():
@@ -69,7 +69,7 @@ def typical_stops(readings: Mapping[str, Readings]) -> dict[str, int]:
     return {name: row_of_stop[name][best] for name in readings}
 
 
-def _levelling_rotation(up_M: Array) -> Array:
+def levelling_rotation(up_M: Array) -> Array:
     """The smallest rotation (3, 3) that takes ``up_M`` to z (Rodrigues' formula with axis up_M x z)."""
     x, y, z = up_M
     if z < -1.0 + 1e-9:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cellapp.collection.practice import LiveModel
-from cellapp.collection.work import remaining_work
 from cellapp.reporting.captioned import CaptionedFigure
+from cellapp.reporting.charts_collection import drift_by_reference
 from cellapp.results import CollectionResult, SessionRecord, SessionRequest
 from cellapp.run import RunFile
 from cellapp.run.collected import missing_readings, missing_share, reference_drifts
@@ -18,8 +18,9 @@ def collection_state(run: RunFile) -> CollectionResult | None:
     missing = missing_readings(run)
     settings = run.profile.collection
     errors_mm: dict[str, float] = {}
-    if run.read_plan():
-        errors_mm = LiveModel(run, remaining_work(run, resume=True), lambda level, text: None).standard_error_mm
+    if plan := run.read_plan():
+        stored = {name: run.readings(name) for name in plan}
+        errors_mm = LiveModel(run.profile, plan, stored, lambda level, text: None).standard_error_mm
     return CollectionResult(
         run=str(run.folder),
         sessions=tuple(
@@ -50,9 +51,7 @@ def drift_figures(state: CollectionResult | None) -> list[CaptionedFigure]:
     from cellapp.reporting import figures
     from cellapp.reporting.svg import ARM_COLOURS
 
-    drift_mm: dict[str, list[tuple[int, float]]] = {}
-    for row in () if state is None else state.references:
-        drift_mm.setdefault(row.name, []).append((row.stops_done, row.drift_mm))
+    drift_mm = drift_by_reference(() if state is None else state.references)
     if state is None or all(len(rows) < 2 for rows in drift_mm.values()):
         return []
     svg = figures.drift_figure("drift", list(drift_mm.values()), state.drift_limit_mm)

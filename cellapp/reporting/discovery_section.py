@@ -9,6 +9,7 @@ import numpy as np
 
 from cellapp.kinematics.transforms import Array
 from cellapp.reporting.captioned import CaptionedFigure
+from cellapp.reporting.charts_discovery import is_line, picture_title
 from cellapp.reporting.discovery_tables import (
     accepted_table,
     candidates_table,
@@ -141,7 +142,7 @@ def _effect_figures(number: int, name: str, pictures: Sequence[Picture]) -> list
     drawn = []
     for place, picture in enumerate(pictures, start=1):
         legend = [("measured", "measured, without all other parts of the model")]
-        if figures.is_line(picture):
+        if is_line(picture):
             legend.append(("computed", "computed"))
             if picture.curve is not None or picture.band:
                 legend.append(("band", "two standard deviations to either side"))
@@ -150,21 +151,12 @@ def _effect_figures(number: int, name: str, pictures: Sequence[Picture]) -> list
         drawn.append(
             CaptionedFigure(
                 figures.effect_figure(f"effect{number}-{place}", picture),
-                f"Arm {name}: {_picture_title(picture)}",
+                f"Arm {name}: {picture_title(picture)}",
                 tuple(legend),
                 note=picture_words(picture),
             )
         )
     return drawn
-
-
-def _picture_title(picture: Picture) -> str:
-    """Title with the variable on the x axis, unless the title names it already."""
-    variable = picture.x_label.partition(" [")[0]
-    if picture.title.endswith(variable) or picture.curve is not None:
-        return picture.title
-    names = ("joint ", "time", "azimuth", "elevation", "incidence")
-    return f"{picture.title}, against {variable if variable.startswith(names) else f'the {variable}'}"
 
 
 def _certainty_figure(number: int, name: str, predicted_mm: Array, errors_mm: Array) -> CaptionedFigure:

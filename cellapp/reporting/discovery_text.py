@@ -9,7 +9,15 @@ from itertools import pairwise
 
 from cellapp.reporting.discovery_tables import gap_steps, noise_floor, noise_floor_words
 from cellapp.reporting.words import place_words, probability_words, ranges, short_reason
-from cellapp.results import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult, EffectMeaning, Picture
+from cellapp.results import (
+    AcceptedEffect,
+    ArmDiscoveryResult,
+    CurveRecord,
+    CycleBand,
+    DiscoverResult,
+    EffectMeaning,
+    Picture,
+)
 
 WIDTH = 80
 """Columns of a terminal."""
@@ -291,26 +299,50 @@ def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
 
 def picture_words(picture: Picture) -> str:
     """Size, scatter, and for a curve over a whole turn its uncertainty and gaps in the data."""
-    unit = "µrad" if picture.y_label.endswith("[urad]") else "µm"
+    return " ".join([size_sentence(picture), *_certainty_sentences(picture), *gap_sentences(picture)])
+
+
+def size_sentence(picture: Picture) -> str:
+    """Size of an effect and scatter about it."""
     remaining = _rms([m - c for m, c in zip(picture.measured, picture.computed, strict=True)])
-    words = (
+    unit = _unit(picture)
+    return (
         f"The effect is {_rms(picture.computed):.0f} {unit} rms at these readings, which scatter"
         f" {remaining:.0f} {unit} rms about it."
     )
-    curve = picture.curve
-    if curve is None or curve.x[-1] - curve.x[0] != _TURN:
-        return words
+
+
+def _certainty_sentences(picture: Picture) -> list[str]:
+    """Where a curve over a whole turn is most and least certain, if that differs."""
+    curve, unit = picture.curve, _unit(picture)
+    if curve is None or not _is_whole_turn(curve):
+        return []
     points = list(zip(curve.band, curve.x, strict=True))
     (low, best), (high, worst) = (pick(points, key=lambda point: point[0]) for pick in (min, max))
-    if high >= _UNEVEN * low:
-        words += (
-            f" The curve is most certain at {best:.0f}° (standard deviation {low:.0f} {unit}) and least certain at"
-            f" {worst:.0f}° ({high:.0f} {unit})."
-        )
+    if high < _UNEVEN * low:
+        return []
+    return [
+        f"The curve is most certain at {best:.0f}° (standard deviation {low:.0f} {unit}) and least certain at"
+        f" {worst:.0f}° ({high:.0f} {unit})."
+    ]
+
+
+def gap_sentences(picture: Picture) -> list[str]:
+    """The widest range without a reading of a curve over a whole turn."""
+    if picture.curve is None or not _is_whole_turn(picture.curve):
+        return []
     begin, end = _largest_gap(picture.x)
-    if end - begin >= _GAP_DEG:
-        words += f" No reading was taken from {begin:.0f}° to {(end + 180.0) % 360.0 - 180.0:.0f}°."
-    return words
+    if end - begin < _GAP_DEG:
+        return []
+    return [f"No reading was taken from {begin:.0f}° to {(end + 180.0) % 360.0 - 180.0:.0f}°."]
+
+
+def _unit(picture: Picture) -> str:
+    return "µrad" if picture.y_label.endswith("[urad]") else "µm"
+
+
+def _is_whole_turn(curve: CurveRecord) -> bool:
+    return curve.x[-1] - curve.x[0] == _TURN
 
 
 def _largest_gap(angles: Sequence[float]) -> tuple[float, float]:

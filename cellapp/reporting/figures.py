@@ -10,13 +10,14 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from cellapp.kinematics.transforms import Array
+from cellapp.reporting.charts import SMALLEST_MM, drawable_mm, error_counts
+from cellapp.reporting.charts_discovery import is_line, typical_range, with_micro_sign
 from cellapp.reporting.svg import (
     ARM_COLOUR,
     ARM_COLOURS,
     GRID,
     INK,
     SIZE,
-    SMALLEST_MM,
     STAGE_COLOURS,
     draw_arrows,
     draw_marks,
@@ -37,8 +38,6 @@ _CAPS = {
 }
 """Shape of the marks of each stage: dash, dot or square, so that they differ without colour too."""
 _DASHES = ("nominal", "tracker-network")
-_SMOOTH = 0.02
-"""Points farther off the line between their neighbours, as a share of the range, are a cloud and not a line."""
 _TURN = 360.0
 _ARROW = 0.18
 """Length of the scale arrow as a share of the drawn range: shorter ones hide differences, longer ones overlap."""
@@ -60,13 +59,13 @@ def error_figure(
             draw_marks(
                 axes,
                 configurations,
-                np.maximum(errors, SMALLEST_MM),
+                drawable_mm(errors),
                 STAGE_COLOURS[stage],
                 _CAPS[stage],
                 width=width,
                 half=half,
             )
-        shown = np.maximum(np.concatenate(list(errors_mm.values())), SMALLEST_MM)
+        shown = drawable_mm(np.concatenate(list(errors_mm.values())))
         axes.set_xlim(*padded_limits(configurations))
         set_log_axis(axes.yaxis, shown, floor_mm)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -83,12 +82,11 @@ def error_histogram(
     """Histogram of the errors [mm] of some stages on a logarithmic axis, with the noise floor."""
     with drawing_settings(key):
         figure, axes = new_axes()
-        shown = np.maximum(np.concatenate(list(errors_mm.values())), SMALLEST_MM)
+        shown = drawable_mm(np.concatenate(list(errors_mm.values())))
         set_log_axis(axes.xaxis, shown, floor_mm)
         low, high = axes.get_xlim()
-        edges = np.geomspace(low, high, 41)
-        for stage, errors in errors_mm.items():
-            counts, _ = np.histogram(np.maximum(errors, SMALLEST_MM), edges)
+        edges, histograms = error_counts(errors_mm, low, high)
+        for stage, counts in histograms.items():
             axes.stairs(counts, edges, fill=True, color=STAGE_COLOURS[stage], alpha=0.3)
             axes.stairs(counts, edges, color=STAGE_COLOURS[stage], linewidth=1.3)
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -104,7 +102,7 @@ def steps_figure(key: str, gaps_mm: Array, floor_mm: float | None) -> str:
     with drawing_settings(key):
         figure, axes = new_axes()
         number = np.arange(len(gaps_mm))
-        shown = np.maximum(gaps_mm, SMALLEST_MM)
+        shown = drawable_mm(gaps_mm)
         axes.plot(number, shown, color=STAGE_COLOURS["geometry"], linewidth=1.3)
         axes.plot(number, shown, "o", color=STAGE_COLOURS["geometry"], markersize=5.0)
         set_log_axis(axes.yaxis, shown, floor_mm)
@@ -132,16 +130,6 @@ def drift_figure(key: str, drift_mm: Sequence[Sequence[tuple[int, float]]], limi
         return to_svg(figure, key)
 
 
-def is_line(picture: Picture) -> bool:
-    """Whether the computed values are a function of x that a line can show, and not a cloud."""
-    if picture.curve is not None or len(picture.x) < 3:
-        return picture.curve is not None
-    x, y = np.array(picture.x), np.array(picture.computed)
-    share = np.diff(x)[:-1] / np.maximum(x[2:] - x[:-2], 1e-12)
-    between = y[:-2] + share * (y[2:] - y[:-2])
-    return float(np.median(np.abs(y[1:-1] - between))) <= _SMOOTH * float(np.ptp(y)) + 1e-12
-
-
 def effect_figure(key: str, picture: Picture) -> str:
     """Measured points of one effect, and the computed curve with two standard deviations to either side, or points."""
     measured, computed, at = np.array(picture.measured), np.array(picture.computed), np.array(picture.x)
@@ -159,25 +147,13 @@ def effect_figure(key: str, picture: Picture) -> str:
             axes.plot(x, value, color=colour, linewidth=1.3)
         else:
             draw_marks(axes, x, value, colour, "projecting", width=width)
-        axes.set_ylim(*_typical_range(np.concatenate([measured, value]), computed))
+        axes.set_ylim(*typical_range(np.concatenate([measured, value]), computed))
         axes.set_xlim(*padded_limits(at) if picture.curve is None else (float(x[0]), float(x[-1])))
         if picture.curve is not None and x[-1] - x[0] == _TURN:
             axes.xaxis.set_major_locator(MultipleLocator(60.0))
-        axes.set_xlabel(_with_micro_sign(picture.x_label))
-        axes.set_ylabel(_with_micro_sign(picture.y_label))
+        axes.set_xlabel(with_micro_sign(picture.x_label))
+        axes.set_ylabel(with_micro_sign(picture.y_label))
         return to_svg(figure, key)
-
-
-def _with_micro_sign(label: str) -> str:
-    return label.replace("[urad]", "[µrad]").replace("[um]", "[µm]")
-
-
-def _typical_range(values: Array, always: Array) -> tuple[float, float]:
-    """Limits that leave out the few farthest of ``values``, but none of ``always``."""
-    low, high = np.quantile(values, (0.01, 0.99))
-    low, high = min(float(low), float(always.min())), max(float(high), float(always.max()))
-    room = 0.08 * (high - low) or 1.0
-    return low - room, high + room
 
 
 def certainty_figure(key: str, predicted_mm: Array, errors_mm: Array) -> str:
@@ -187,7 +163,7 @@ def certainty_figure(key: str, predicted_mm: Array, errors_mm: Array) -> str:
     """
     with drawing_settings(key):
         figure, axes = new_axes()
-        predicted, errors = np.maximum(predicted_mm, SMALLEST_MM), np.maximum(errors_mm, SMALLEST_MM)
+        predicted, errors = drawable_mm(predicted_mm), drawable_mm(errors_mm)
         set_log_axis(axes.xaxis, predicted, None)
         set_log_axis(axes.yaxis, errors, None)
         draw_marks(axes, predicted, errors, STAGE_COLOURS["effects"], "round", width=2.6 if len(errors) < 500 else 1.5)
@@ -203,7 +179,7 @@ def target_figure(key: str, before_mm: Array, after_mm: Array, floor_mm: float |
     with drawing_settings(key):
         figure, axes = new_axes()
         number = np.arange(1, len(before_mm) + 1)
-        before, after = np.maximum(before_mm, SMALLEST_MM), np.maximum(after_mm, SMALLEST_MM)
+        before, after = drawable_mm(before_mm), drawable_mm(after_mm)
         axes.vlines(number, before, after, color=GRID, linewidth=1.5)
         axes.plot(number, before, "o", color=STAGE_COLOURS["nominal"], markersize=4.5)
         axes.plot(number, after, "s", color=STAGE_COLOURS["effects"], markersize=4.5)

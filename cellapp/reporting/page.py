@@ -36,7 +36,7 @@ from cellapp.reporting.tables import (
 from cellapp.reporting.words import METHOD_WORDS
 from cellapp.results import CalibrateResult
 from cellapp.run import RunFile
-from cellapp.run.file import REPORT_FILE
+from cellapp.run.sqlite_file import REPORT_FILE
 
 if TYPE_CHECKING:
     from jinja2 import Template

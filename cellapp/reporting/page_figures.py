@@ -13,6 +13,7 @@ from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import apply, invert
 from cellapp.reporting.captioned import CaptionedFigure
 from cellapp.reporting.cell_views import evenly_spread
+from cellapp.reporting.charts_accuracy import pair_held_out
 from cellapp.reporting.page_tables import measured_targets
 from cellapp.reporting.report_data import HeldOutArm, ReportData
 from cellapp.reporting.tables import cooperative_noise_mm
@@ -60,8 +61,7 @@ def pair_figures(calibrate: CalibrateResult) -> list[CaptionedFigure]:
     """Cooperative errors by method, by stop and as a histogram; empty if they were not stored for each stop."""
     from cellapp.reporting import figures
 
-    held_out = {method: calibrate.pair[method].held_out for method in _METHOD_COLOURS if method in calibrate.pair}
-    stored = {method: stops for method, stops in held_out.items() if stops is not None}
+    stored = pair_held_out(calibrate)
     if not stored:
         return []
     errors = {_METHOD_COLOURS[method]: np.array(stops.cooperative_mm) for method, stops in stored.items()}

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from cellapp.progress import Detail, ReferenceReport, StateChange, StopReport, Suspicion
+from cellapp.progress import Detail, LogReport, ReferenceReport, StateChange, StopReport, Suspicion
 
 
 def detail_words(detail: Detail) -> str:
-    """What happened, in one line."""
+    """What happened, in one line; empty for the steps of a stop, which a screen draws and a log leaves out."""
     match detail:
         case StateChange(state, reason):
             return f"{state.upper()}: {reason}"
@@ -17,6 +17,10 @@ def detail_words(detail: Detail) -> str:
         case ReferenceReport(drift_mm, limit_mm):
             drifts = ", ".join(f"{name} {drift:.3f}" for name, drift in drift_mm.items())
             return f"reference: {drifts} mm from the first measurement, limit {limit_mm:.3f} mm"
+        case LogReport(text=text):
+            return text
+        case _:
+            return ""
 
 
 def stop_words(report: StopReport) -> str:

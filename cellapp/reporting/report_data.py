@@ -27,8 +27,8 @@ from cellapp.results import (
     VerifyResult,
 )
 from cellapp.run import Readings, RunFile
-from cellapp.run.file import Event
 from cellapp.run.in_order import read_in_order
+from cellapp.run.rows import Event
 from cellapp.run.stages import RunStages, read_results, read_stages
 
 

@@ -75,8 +75,6 @@ _FAMILIES = frozenset(
 SIZE = (5.2, 3.3)
 WIDE = (8.0, 6.0)
 """Width and height of a figure [inch]; the page scales them."""
-SMALLEST_MM = 1e-6
-"""What a logarithmic axis shows for an error of zero [mm]."""
 
 
 def drawing_settings(key: str) -> Any:

@@ -12,9 +12,10 @@ from cellapp.results.collection import (
     ExportResult,
     ImportResult,
     PlanResult,
+    ReplayResult,
     RequestResult,
 )
-from cellapp.results.commissioning import DoctorResult, EmulateResult, TrackerBridgeResult
+from cellapp.results.commissioning import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
 from cellapp.results.discovery import DiscoverResult
 from cellapp.results.planning import PlanCheckResult, PlanForecastResult
 from cellapp.results.run import (
@@ -26,6 +27,7 @@ from cellapp.results.run import (
     StopsResult,
     WholeRunResult,
 )
+from cellapp.results.runs import RunComparison, RunsResult
 from cellapp.results.targets import CompensateResult, VerifyResult
 
 VERB_RESULTS: tuple[type[Result], ...] = (
@@ -34,9 +36,11 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     PlanForecastResult,
     CollectResult,
     CollectionResult,
+    ReplayResult,
     RequestResult,
     ImportResult,
     ExportResult,
+    InitResult,
     DoctorResult,
     CalibrateResult,
     DiscoverResult,
@@ -50,6 +54,8 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     HistoryResult,
     LogResult,
     StopsResult,
+    RunsResult,
+    RunComparison,
     DocsResult,
 )
 """Every result of a verb, for the exported JSON schemas."""

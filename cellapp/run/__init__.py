@@ -4,8 +4,9 @@ from cellapp.run.collection_rows import Outcome, ReferenceRow, Session, SessionE
 from cellapp.run.columns import SPLITS
 from cellapp.run.csv_export import write_readings_csv
 from cellapp.run.csv_import import import_csv, read_readings_csv
-from cellapp.run.file import Event, RunFile
+from cellapp.run.file import RunFile
 from cellapp.run.readings import Reading, Readings, stated_uncertainty
+from cellapp.run.rows import Event
 
 __all__ = [
     "SPLITS",

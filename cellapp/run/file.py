@@ -12,8 +12,6 @@ import os
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
@@ -41,11 +39,13 @@ from cellapp.run.readings import Reading, Readings
 from cellapp.run.readings_table import (
     check_readings,
     check_splits,
+    count_splits,
     insert_readings,
     select_readings,
     vectors_from_json,
 )
-from cellapp.run.schema import SCHEMA_VERSION, create_tables, schema_version, upgrade
+from cellapp.run.rows import Document, Event, StageRow, utc_now
+from cellapp.run.schema import SCHEMA_VERSION, create_tables, read_meta, schema_version, upgrade
 from cellapp.run.sqlite_file import (
     APPLICATION_ID,
     FILE_NAME,
@@ -58,41 +58,6 @@ from cellapp.run.sqlite_file import (
     sentences,
     sync_folder,
 )
-
-REPORT_FILE = "report.html"
-"""The page of the report in a run's folder."""
-
-
-@dataclass(frozen=True)
-class Event:
-    """One line of the run's log; ``written`` is UTC, ``time_s`` seconds since the run began, if given."""
-
-    number: int
-    written: str
-    time_s: float | None
-    level: str
-    text: str
-
-
-@dataclass(frozen=True)
-class StageRow:
-    """One row of the table ``stage`` as text; ``cellapp.run.stages`` gives it its meaning."""
-
-    number: int
-    name: str
-    written: str
-    program: str
-    basis: str | None
-    text: str
-    model: str | None
-
-
-@dataclass(frozen=True)
-class Document:
-    """One entry of the table ``result``: when it was written (UTC), and what."""
-
-    written: str
-    text: str
 
 
 class RunFile:
@@ -180,6 +145,28 @@ class RunFile:
             journal = str(connection.execute("PRAGMA journal_mode").fetchone()[0])
         return cls(folder, connection, profile, write, journal)
 
+    @classmethod
+    def peek(cls, folder: Path) -> Self:
+        """Open an existing run for a look at single values: its pages are not checked, a locked file is not waited for.
+
+        Raises
+        ------
+        InputError
+            As ``open``; for a damaged page only once something is read from it.
+        """
+        folder = Path(folder)
+        path = folder / FILE_NAME
+        with sentences(folder):
+            check_header(folder, path)
+            connection = connect(path, "ro", wait_s=0.0)
+            try:
+                with damage_as_sentence(path):
+                    profile = _read_profile(path, connection)
+            except BaseException:
+                connection.close()
+                raise
+        return cls(folder, connection, profile, False, "unknown")
+
     def close(self) -> None:
         """Merge the log into the one file and close it; closing twice does no harm."""
         with self._lock:
@@ -232,6 +219,12 @@ class RunFile:
         """The plan, arm -> q (n, N) [rad]; empty without a plan."""
         with self._reading() as connection:
             return self._read_plan(connection)
+
+    def planned_counts(self) -> dict[str, int]:
+        """Number of planned stops of each arm, reserves included; empty without a plan."""
+        with self._reading() as connection:
+            counts = dict(connection.execute("SELECT arm, COUNT(*) FROM plan GROUP BY arm").fetchall())
+        return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
 
     def _read_plan(self, connection: sqlite3.Connection) -> dict[str, NDArray[np.float64]]:
         rows = connection.execute("SELECT arm, q FROM plan ORDER BY arm, stop").fetchall()
@@ -294,6 +287,18 @@ class RunFile:
         with self._reading() as connection:
             return select_readings(connection, arm, self._joints(arm))
 
+    def split_counts(self) -> dict[str, dict[str | None, int]]:
+        """Number of readings of each arm that has some, by split; None is no split."""
+        with self._reading() as connection:
+            counts = count_splits(connection)
+        return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
+
+    @property
+    def created(self) -> str:
+        """When the run was made (ISO 8601, UTC); empty if that is not recorded."""
+        with self._reading() as connection:
+            return read_meta(connection, "created") or ""
+
     def arms(self) -> list[str]:
         """Names of the arms that have readings, in the profile's order."""
         with self._reading() as connection:
@@ -327,7 +332,7 @@ class RunFile:
     def columns(self) -> tuple[str, ...]:
         """Columns of the imported CSV file in its order; empty for a run that was collected."""
         with self._reading() as connection:
-            return tuple(json.loads(_meta(connection, "columns") or "[]"))
+            return tuple(json.loads(read_meta(connection, "columns") or "[]"))
 
     def keep_columns(self, names: Sequence[str]) -> None:
         """Store the columns of an imported file, so that the export has the same ones."""
@@ -340,7 +345,7 @@ class RunFile:
         """Add a line to the run's log; ``level`` is info, warning, error or note."""
         with self._transaction() as connection:
             connection.execute(
-                "INSERT INTO event (written, time_s, level, text) VALUES (?, ?, ?, ?)", (_now(), time_s, level, text)
+                "INSERT INTO event (written, time_s, level, text) VALUES (?, ?, ?, ?)", (utc_now(), time_s, level, text)
             )
 
     def events(self) -> list[Event]:
@@ -352,7 +357,7 @@ class RunFile:
     def write_result(self, name: str, json_text: str) -> None:
         """Store a document that is not a verb's result under a name; it replaces an earlier one of that name."""
         with self._transaction() as connection:
-            connection.execute("INSERT OR REPLACE INTO result VALUES (?, ?, ?)", (name, _now(), json_text))
+            connection.execute("INSERT OR REPLACE INTO result VALUES (?, ?, ?)", (name, utc_now(), json_text))
 
     def read_result(self, name: str) -> str | None:
         """The text of a stored document, or None."""
@@ -372,7 +377,7 @@ class RunFile:
         with self._transaction() as connection:
             connection.execute(
                 "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)",
-                (name, _now(), f"cellapp {__version__}", basis, text, model),
+                (name, utc_now(), f"cellapp {__version__}", basis, text, model),
             )
 
     def stage_rows(self) -> list[StageRow]:
@@ -390,17 +395,17 @@ class RunFile:
     def begin_session(self) -> int:
         """Record that collecting begins; return the session's number."""
         with self._transaction() as connection:
-            return insert_session(connection, _now())
+            return insert_session(connection, utc_now())
 
     def record_request(self, session: int, kind: str, reason: str) -> None:
         """Record a request of a person, or what suspended or resumed a session."""
         with self._transaction() as connection:
-            insert_request(connection, session, _now(), kind, reason)
+            insert_request(connection, session, utc_now(), kind, reason)
 
     def end_session(self, session: int, outcome: SessionEnd, reason: str) -> None:
         """Record how a session ended."""
         with self._transaction() as connection:
-            end_session(connection, session, _now(), outcome, reason)
+            end_session(connection, session, utc_now(), outcome, reason)
 
     def add_reference(self, row: ReferenceRow) -> None:
         """Store a reference measurement; on return it is on disk."""
@@ -469,7 +474,7 @@ def _build(folder: Path, path: Path, profile: Profile, fill: Callable[[RunFile],
             {
                 "schema": "cellapp-run",
                 "version": str(SCHEMA_VERSION),
-                "created": _now(),
+                "created": utc_now(),
                 "program": f"cellapp {__version__}",
                 "profile": profile_to_json(profile),
             }.items(),
@@ -483,19 +488,10 @@ def _build(folder: Path, path: Path, profile: Profile, fill: Callable[[RunFile],
 
 
 def _read_profile(path: Path, connection: sqlite3.Connection) -> Profile:
-    text = _meta(connection, "profile")
+    text = read_meta(connection, "profile")
     if text is None:
         raise InputError(f"{path} is damaged (its profile is missing); restore it from a copy")
     try:
         return profile_from_json(text)
     except InputError as error:
         raise InputError(f"{path} holds a profile that this cellapp cannot read: {error}") from None
-
-
-def _meta(connection: sqlite3.Connection, key: str) -> str | None:
-    row = connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
-    return None if row is None else str(row[0])
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="milliseconds")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
@@ -18,23 +17,16 @@ from cellapp.results import (
     StageState,
     StopsResult,
 )
-from cellapp.run.file import REPORT_FILE, RunFile
+from cellapp.run.file import RunFile
 from cellapp.run.in_order import read_in_order
+from cellapp.run.sqlite_file import REPORT_FILE
 from cellapp.run.stages import RunStages, StoredStage, next_command, read_history, read_stages
 
 
 def run_overview(run: RunFile) -> OverviewResult:
     """Profile, arms, current stages, and the command that comes next."""
-    stages, plan = read_stages(run), run.read_plan()
-    arms = {}
-    for name, arm in run.profile.arms.items():
-        readings = run.readings(name)
-        counts = Counter(word or "none" for word in readings.split or [None] * len(readings))
-        total = len(plan.get(name, ()))
-        planned = total - len(run.profile.plan.reserves(total))
-        arms[name] = ArmState(type=arm.type.model, planned=planned, measured=len(readings), splits=dict(counts))
-    verb = _next_verb(run, stages, arms)
-    begun = verb == "collect" and any(arm.measured for arm in arms.values())
+    stages, arms = read_stages(run), arm_states(run)
+    verb, command = next_step(run, stages, arms)
     return OverviewResult(
         run=str(run.folder),
         profile=run.profile.name,
@@ -43,8 +35,30 @@ def run_overview(run: RunFile) -> OverviewResult:
         stages=tuple(_state(stage, stages) for stage in stages.current.values()),
         in_force=None if stages.in_force is None else stages.in_force.name,
         next_verb=verb,
-        next_step=next_command(verb, run.folder) + (" --resume" if begun else ""),
+        next_step=command,
     )
+
+
+def arm_states(run: RunFile) -> dict[str, ArmState]:
+    """How much of each arm's plan is measured; readings are counted, not read."""
+    planned, measured = run.planned_counts(), run.split_counts()
+    states = {}
+    for name, arm in run.profile.arms.items():
+        splits, total = measured.get(name, {}), planned.get(name, 0)
+        states[name] = ArmState(
+            type=arm.type.model,
+            planned=total - len(run.profile.plan.reserves(total)),
+            measured=sum(splits.values()),
+            splits={split or "none": n for split, n in splits.items()},
+        )
+    return states
+
+
+def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> tuple[NextVerb, str]:
+    """The verb that comes next and its command; both empty if nothing is left to do."""
+    verb = _next_verb(run, stages, arms)
+    begun = verb == "collect" and any(arm.measured for arm in arms.values())
+    return verb, next_command(verb, run.folder) + (" --resume" if begun else "")
 
 
 def run_history(run: RunFile) -> HistoryResult:

@@ -25,6 +25,14 @@ def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings
     )
 
 
+def count_splits(connection: sqlite3.Connection) -> dict[str, dict[str | None, int]]:
+    """Number of readings of each arm, by split; None is no split."""
+    counts: dict[str, dict[str | None, int]] = {}
+    for arm, split, n in connection.execute("SELECT arm, split, COUNT(*) FROM reading GROUP BY arm, split"):
+        counts.setdefault(arm, {})[split] = n
+    return counts
+
+
 def select_readings(connection: sqlite3.Connection, arm: str, joints: int) -> Readings:
     """All readings of one arm, ordered by configuration; columns that an older schema lacks have no values."""
     version = schema_version(connection)

@@ -54,6 +54,12 @@ def schema_version(connection: sqlite3.Connection) -> int:
     return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
+def read_meta(connection: sqlite3.Connection, key: str) -> str | None:
+    """A value of the table ``meta``, or None."""
+    row = connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
+    return None if row is None else str(row[0])
+
+
 def upgrade(connection: sqlite3.Connection) -> None:
     """Add what a file of an older schema lacks, inside the caller's transaction; nothing stored is changed."""
     version = schema_version(connection)

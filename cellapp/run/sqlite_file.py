@@ -15,21 +15,26 @@ from cellapp.run.schema import SCHEMA_VERSION
 FILE_NAME = "run.sqlite"
 UNFINISHED = FILE_NAME + ".new"
 """A run that is being created; it gets its final name when it is complete."""
+REPORT_FILE = "report.html"
+"""The page of the report in a run's folder."""
 APPLICATION_ID = 0x43656C6C
 """Marks an SQLite file as a run: "Cell" in ASCII."""
 
 _MAGIC = b"SQLite format 3\x00"
 _HEADER_BYTES = 100
 _BUSY_S = 10.0
-"""How long a write waits for another program's transaction, which takes milliseconds."""
+"""How long a statement waits for another program's transaction, which takes milliseconds."""
 
 
-def connect(path: Path, mode: str) -> sqlite3.Connection:
-    """Connect with ``mode`` ``ro`` or ``rw``, without implicit transactions, for use in any thread."""
+def connect(path: Path, mode: str, wait_s: float = _BUSY_S) -> sqlite3.Connection:
+    """Connect with ``mode`` ``ro`` or ``rw``, without implicit transactions, for use in any thread.
+
+    ``wait_s`` is how long a statement waits for another program's lock.
+    """
     return sqlite3.connect(
         f"{path.absolute().as_uri()}?mode={mode}",
         uri=True,
-        timeout=_BUSY_S,
+        timeout=wait_s,
         isolation_level=None,
         check_same_thread=False,
     )

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import cast
@@ -38,22 +39,28 @@ from cellapp.results import (
     StageName,
     VerifyResult,
 )
-from cellapp.run.file import RunFile, StageRow
+from cellapp.run.file import RunFile
 from cellapp.run.readings import Readings
+from cellapp.run.rows import StageRow
 
 CALIBRATION_FILE = "calibration.json"
 """The exported model in force, for other programs; cellapp itself reads the stored stages."""
 
 NOT_RECORDED = "an older version stored it and did not record the data it rests on"
 
-_UNREADABLE = "another version of cellapp stored it and this one cannot read it"
+UNREADABLE = "another version of cellapp stored it and this one cannot read it"
 
 
 class ReadingsBasis(Record):
-    """Number of readings of one arm, and the hash of their measured arrays and splits."""
+    """Number of readings of one arm, and the hash of their measured arrays and splits; empty if only counted."""
 
     n: int
     sha256: str
+
+    def is_same(self, other: ReadingsBasis) -> bool:
+        """Whether both are of the same readings, as far as both know them."""
+        hashes = {self.sha256, other.sha256} - {""}
+        return self.n == other.n and len(hashes) < 2
 
 
 class Basis(Record):
@@ -82,6 +89,8 @@ class StoredStage:
         The result as JSON.
     model : str or None
         The model that it made as JSON.
+    sole : bool
+        Whether the run has no other stage of this name.
     """
 
     number: int
@@ -91,6 +100,11 @@ class StoredStage:
     basis: Basis | None
     text: str
     model: str | None
+    sole: bool = False
+
+    def has_outcome(self, name: StageName, digest: str) -> bool:
+        """Whether a later stage that used stage ``name`` with ``digest`` used this one, or one of the same outcome."""
+        return (self.sole and self.name == name) or self.digest == digest
 
     @cached_property
     def digest(self) -> str:
@@ -169,15 +183,21 @@ def append_stage(
 def read_history(run: RunFile) -> list[StoredStage]:
     """Every stage that was ever stored, oldest first; results of older versions without a basis stand in front."""
     rows = run.stage_rows()
-    return [*_stored_without_basis(run, with_model=not rows), *(_stage(run, row) for row in rows)]
+    stages = [*_stored_without_basis(run, with_model=not rows), *(_stage(run, row) for row in rows)]
+    times = Counter(stage.name for stage in stages)
+    return [replace(stage, sole=times[stage.name] == 1) for stage in stages]
 
 
-def read_stages(run: RunFile) -> RunStages:
-    """The newest stage of each name, and whether it still holds."""
+def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = None) -> RunStages:
+    """The newest stage of each name, and whether it still holds.
+
+    ``basis_now`` computes what a stage that is made now would rest on; ``basis_of`` if not given.
+    """
     newest = {stage.name: stage for stage in read_history(run)}
     current = {name: newest[name] for name in STAGE_NAMES if name in newest}
     in_force = _in_force(current)
-    now = basis_of(run) if any(stage.basis is not None for stage in current.values()) else None
+    recorded = any(stage.basis is not None for stage in current.values())
+    now = (basis_now or basis_of)(run) if recorded else None
     reasons = {name: _why_outdated(stage, now, current, in_force) for name, stage in current.items()}
     return RunStages(current, {name: reason for name, reason in reasons.items() if reason}, in_force)
 
@@ -191,7 +211,7 @@ def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:
         try:
             found[name] = _RESULTS[name].from_json(stage.text, f"{run.path}: {name}")
         except InputError:
-            out_of_date[name] = _UNREADABLE
+            out_of_date[name] = UNREADABLE
     calibrate, discover = found.get(CALIBRATE), found.get(DISCOVER)
     if isinstance(calibrate, CalibrateResult):
         if isinstance(discover, DiscoverResult) and DISCOVER not in stages.out_of_date:
@@ -208,6 +228,19 @@ def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Bas
         profile=_sha256(profile_to_json(run.profile)),
         readings={name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm)) for name, arm in readings.items()},
         stages=stages or {},
+    )
+
+
+def counted_basis(run: RunFile) -> Basis:
+    """As ``basis_of``, but readings are only counted, which is quick.
+
+    No verb changes readings in place: ``collect`` adds them, and splits are drawn for readings that have none yet,
+    before a calibration uses them.
+    """
+    counts = {name: sum(splits.values()) for name, splits in run.split_counts().items()}
+    return Basis(
+        profile=_sha256(profile_to_json(run.profile)),
+        readings={name: ReadingsBasis(n=n, sha256="") for name, n in counts.items()},
     )
 
 
@@ -298,7 +331,8 @@ def _in_force(current: Mapping[StageName, StoredStage]) -> StoredStage | None:
         return calibrate
     if discover.basis is None:
         return discover if calibrate.basis is None else calibrate
-    return discover if discover.basis.stages.get(CALIBRATE) == calibrate.digest else calibrate
+    used = discover.basis.stages.get(CALIBRATE)
+    return discover if used is not None and calibrate.has_outcome(CALIBRATE, used) else calibrate
 
 
 def _why_outdated(
@@ -316,7 +350,7 @@ def _why_outdated(
     reasons += _changed_readings(stage.basis.readings, now.readings)
     for name, digest in stage.basis.stages.items():
         used = current[name] if stage.name == DISCOVER else in_force
-        if used is not None and used.digest != digest:
+        if used is not None and not used.has_outcome(name, digest):
             verb = "calibrated" if used.name == CALIBRATE else "searched for missing effects"
             again = "again since, with another outcome" if used.name == name else "since, and another model is in force"
             reasons.append(f"the run was {verb} {again}")
@@ -327,7 +361,8 @@ def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, Readi
     before, after = (sum(arm.n for arm in arms.values()) for arms in (then, now))
     if after > before:
         return [f"{after - before} readings were added since"]
-    return [] if dict(then) == dict(now) else ["the readings or their splits were changed since"]
+    same = then.keys() == now.keys() and all(now[name].is_same(arm) for name, arm in then.items())
+    return [] if same else ["the readings or their splits were changed since"]
 
 
 def _sha256(text: str) -> str:

@@ -11,6 +11,7 @@ from cellapp.progress import Listener
 from cellapp.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
+    from cellapp.reporting.report_data import ReportData
     from cellapp.results import Result
     from cellapp.run import RunFile
 
@@ -113,13 +114,10 @@ def doctor(profile: Path) -> Job:
     """Check what is reachable, what is missing, what would be refused; nothing moves."""
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commissioning.doctor import examine
+        from cellapp.commissioning.doctor import examine_run
         from cellapp.profile import load_profile
-        from cellapp.results import DoctorResult, Finding
 
-        found = examine(load_profile(profile))
-        findings = tuple(Finding(subject=one.subject, status=one.status, text=one.text) for one in found)
-        return DoctorResult(findings=findings)
+        return examine_run(load_profile(profile))
 
     return Job("doctor", work)
 
@@ -136,3 +134,21 @@ def _on_run(
             return work(run, listener, control, ask)
 
     return Job(name, opened, folder, moves=moves)
+
+
+def report_data(folder: Path | None) -> ReportData | None:
+    """What plots of a calibrated run need; None where there is no calibration. For a thread of its own."""
+    from cellapp.errors import CellappError
+    from cellapp.reporting.report_data import read_report_data
+    from cellapp.run import RunFile
+
+    if folder is None:
+        return None
+    try:
+        with RunFile.open(folder) as run:
+            data = read_report_data(run)
+    except CellappError:
+        return None  # the screen says what is missing
+    for arm in data.held_out.values():
+        _ = arm.errors_mm  # computed here, not while drawing
+    return data

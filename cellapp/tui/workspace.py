@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from cellapp.profile import Profile
     from cellapp.results import CollectionResult, OverviewResult, RunResults, StopsResult
 
+RUN_FILE = "run.sqlite"
+"""As ``cellapp.run`` names it; that package is loaded when a run is opened."""
+
 CellKind = Literal["no cell", "simulated", "emulated", "real"]
 Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "runs"]
 STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "runs")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.reporting import cell_figures, figures
+from cellapp.reporting.charts_discovery import is_line
 from cellapp.results import Picture
 from tests.reporting.cases import picture
 
@@ -23,10 +24,10 @@ def test_a_line_is_drawn_through_a_function_and_none_through_a_cloud() -> None:
     x = np.linspace(0.0, 5.0, 200)
     rng = np.random.default_rng(0)
     for function in (np.sin(12.0 * x), np.sign(x - 2.0), x**2, np.ones(200)):
-        assert figures.is_line(cloud_or_line(x, function))
+        assert is_line(cloud_or_line(x, function))
     for cloud in (rng.uniform(0.0, 1.0, 200), x * rng.uniform(0.5, 1.0, 200)):
-        assert not figures.is_line(cloud_or_line(x, cloud))
-    assert figures.is_line(picture("transmission_error", 1, curve=True))
+        assert not is_line(cloud_or_line(x, cloud))
+    assert is_line(picture("transmission_error", 1, curve=True))
 
 
 def test_steps_are_drawn_against_the_floor() -> None:

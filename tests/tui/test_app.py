@@ -1,501 +1,315 @@
-"""The screen, driven by keys: with a run that the test controls, and once with the real one."""
+"""The application around its screens: jobs and their ends, keys, dialogs, quitting."""
 
 from __future__ import annotations
 
-import asyncio
-import re
-import shutil
 import subprocess
 import sys
-import threading
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from textual.pilot import Pilot
-from textual.widgets import Button, DataTable, Input, Label, OptionList, ProgressBar, RichLog, Static, TabbedContent
+from textual.geometry import Region
+from textual.widgets import Input
 
-from cellapp.commissioning.confirm import Ask
-from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
-from cellapp.progress import Listener, Progress
-from cellapp.reporting.discovery_tables import discovery_tables
-from cellapp.results import DiscoverResult, WholeRunResult
+from cellapp.progress import Progress
 from cellapp.tui.app import CellApp
-from cellapp.tui.dialogs import LeaveScreen
+from cellapp.tui.dialogs.file_picker import FilePicker, completions
+from cellapp.tui.dialogs.palette import Palette
+from cellapp.tui.dialogs.question import Choice, Question, Reading
 from cellapp.tui.endings import ERROR_LOG
-from tests.reporting.cases import calibration, unknown_effect
-
-PROFILES = Path(__file__).resolve().parents[2] / "profiles"
-WAIT_S = 30.0
-WHOLE_RUN_S = 150.0
-SMALL = (80, 24)
-CONTROLS = "#profiles, #profile, #folder, #run, #stop, #pause, #resume, #abort"
-
-SENTENCE = "arm left: backlash [joint 2] explains it"
-RESULTS = WholeRunResult(
-    run="",
-    calibrate=calibration("left"),
-    discover=DiscoverResult(arms={"left": unknown_effect("left").model_copy(update={"sentence": SENTENCE})}),
-    notes=("target left-17: not [reached]",),
+from cellapp.tui.screens import SCREENS
+from cellapp.tui.widgets.header import StepTab
+from cellapp.tui.widgets.stop import StopButton
+from tests.tui.pilot import (
+    PROFILES,
+    SIZES,
+    SMALL,
+    WAIT_S,
+    HeldJob,
+    ended,
+    exit_code,
+    log_text,
+    opened,
+    shown_text,
+    until,
 )
 
-
-@dataclass
-class HeldRun:
-    """Stands in for ``run_whole``: emits events, waits for the test, then returns ``results`` or raises ``error``."""
-
-    events: tuple[Progress, ...] = (Progress("plan", 30, 30, "done"), Progress("collect", 7, 30, "stop 8"))
-    error: BaseException | None = None
-    results: WholeRunResult = RESULTS
-    reached: threading.Event = field(default_factory=threading.Event)
-    go_on: threading.Event = field(default_factory=threading.Event)
-    calls: list[tuple[Path, Path | None]] = field(default_factory=list)
-    thread: threading.Thread | None = None
-
-    def hold_again(self) -> None:
-        self.reached.clear()
-        self.go_on.clear()
-
-    def __call__(
-        self, profile: Path, folder: Path | None, listener: Listener, control: JobControl, *, ask: Ask
-    ) -> WholeRunResult:
-        assert folder is not None
-        self.calls.append((profile, folder))
-        self.thread = threading.current_thread()
-        for event in self.events:
-            listener(event)
-        self.reached.set()
-        assert self.go_on.wait(WAIT_S)
-        control.check()
-        if self.error is not None:
-            raise self.error
-        return self.results.model_copy(update={"run": str(folder)})
+pytestmark = pytest.mark.fast
 
 
-@pytest.fixture(autouse=True)
-def _surroundings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("textual.constants.TEXTUAL_ANIMATIONS", "none")  # nothing to wait for
-    monkeypatch.chdir(tmp_path)  # runs without a name go to logs in the working directory
-
-
-async def until(pilot: Pilot[None], holds: Callable[[], bool], what: str, wait_s: float = WAIT_S) -> None:
-    try:
-        async with asyncio.timeout(wait_s):
-            while not holds():
-                await pilot.pause()
-    except TimeoutError:
-        pytest.fail(f"never came: {what}; the status is: {status(pilot)}")
-
-
-async def started(pilot: Pilot[None], run: HeldRun, key: str = "f5") -> None:
-    await pilot.pause()
-    await pilot.press(key)
-    assert await asyncio.to_thread(run.reached.wait, WAIT_S)
-    await pilot.pause()
-
-
-async def ended(pilot: Pilot[None], app: CellApp, wait_s: float = WAIT_S) -> None:
-    await until(pilot, lambda: not app.running, "the end of the run", wait_s)
-    await pilot.pause()
-
-
-def status(pilot: Pilot[None]) -> str:
-    return str(pilot.app.query_one("#status", Static).render())
-
-
-def log(app: CellApp) -> str:
-    return "\n".join(line.text for line in app.query_one("#log", RichLog).lines)
-
-
-def texts(app: CellApp) -> list[str]:
-    return [str(static.render()) for static in app.query_one("#tables").query(Static)]
-
-
-@pytest.mark.fast
-async def test_events_move_the_bar_of_their_job() -> None:
-    run = HeldRun()
-    app = CellApp(PROFILES, run)
+async def test_every_screen_is_one_key_away_and_shows_where_one_is() -> None:
+    app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, run)
-        await until(pilot, lambda: "collect 7/30 stop 8" in log(app), "the last event in the log")
-        assert app.query_one("#plan-bar", ProgressBar).percentage == 1.0
-        assert app.query_one("#collect-bar", ProgressBar).percentage == pytest.approx(7 / 30)
-        assert app.query_one("#discover-bar", ProgressBar).percentage == 0.0
-        assert str(app.query_one("#collect-count", Label).render()) == "7/30"
-        assert str(app.query_one("#collect-note", Label).render()) == "stop 8"
-        assert str(app.query_one("#discover-count", Label).render()) == ""
-        run.go_on.set()
-        await ended(pilot, app)
+        await opened(pilot, app)
+        for entry in (*SCREENS, SCREENS[0]):
+            await pilot.press(entry.key)
+            await pilot.pause()
+            assert entry.step == app.day_screen.STEP
+            (present,) = app.screen.query(".step.present").results(StepTab)
+            assert present.step == entry.step
+            assert " SIMULATED " in shown_text(app).splitlines()[0]
 
 
-async def test_tables_verdict_and_notes_appear_when_the_run_is_done() -> None:
-    run = HeldRun()
-    app = CellApp(PROFILES, run)
+async def test_a_click_on_a_step_and_the_next_step_show_their_screens() -> None:
+    app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, run)
-        assert not app.query(DataTable)
-        run.go_on.set()
-        await ended(pilot, app)
-        assert app.query_one("#results", TabbedContent).active == "tables-pane"
-        first = app.query(DataTable).first()
-        assert [str(cell) for cell in first.get_row_at(0)] == [
-            "nominal, position", "0.1234", "0.2000", "0.0500", "0.4000", "17",
-        ]  # fmt: skip
-        shown = texts(app)
-        assert SENTENCE in shown
-        assert "Arm left: held-out errors [mm] (27 parameters, 4 iterations)" in shown
-        assert "Note: target left-17: not [reached]" in shown
-        assert "target left-17" in log(app)
-        (meaning,) = [text for text in shown if "settle   - Repeat 20 stops with a second payload." in text]
-        assert meaning.startswith("Arm left: Something behaves like backlash, but of the opposite sign")
-        assert "Arm left: What is left still depends on time (p below 0.001)." in meaning
-        steps, accepted = list(app.query(DataTable))[2:]
-        assert RESULTS.discover is not None
-        expected = discovery_tables(RESULTS.discover)
-        assert [table.title for table in expected] == [
-            text for text in shown if text.startswith("Arm left: ") and "\n" not in text
-        ][-2:]
-        for drawn, table in zip((steps, accepted), expected, strict=True):
-            assert tuple(str(column.label) for column in drawn.columns.values()) == table.headings
-            rows = [tuple(str(cell) for cell in drawn.get_row_at(place)) for place in range(drawn.row_count)]
-            assert tuple(rows) == table.text_rows()
-        assert status(pilot).startswith("Done")
+        await opened(pilot, app)
+        await pilot.click(list(app.screen.query(StepTab))[4])
+        await until(pilot, lambda: app.day_screen.STEP == "discover", "the screen")
+        await pilot.press("n")
+        await until(pilot, lambda: app.day_screen.STEP == "plan", "the step that comes next without a run")
 
-        run.hold_again()
-        run.events = (Progress("plan", 1, 30),)
-        await started(pilot, run)
-        await until(pilot, lambda: "plan 1/30" in log(app), "the event of a second run")
-        assert not app.query(DataTable)
-        assert app.query_one("#collect-bar", ProgressBar).percentage == 0.0
-        run.go_on.set()
-        await until(pilot, lambda: len(app.query(DataTable)) == 4, "the new tables")
+
+@pytest.mark.parametrize("size", SIZES)
+async def test_stop_is_in_the_same_corner_of_every_screen_and_dialog(size: tuple[int, int]) -> None:
+    app = CellApp(PROFILES)
+    corner = Region(size[0] - 11, 0, 11, 1)
+    async with app.run_test(size=size) as pilot:
+        await opened(pilot, app)
+        for entry in SCREENS:
+            await pilot.press(entry.key)
+            await pilot.pause()
+            assert app.screen.query_one(StopButton).region == corner
+            assert shown_text(app).splitlines()[0].endswith(" STOP  Esc")
+        for key in ("ctrl+p", "question_mark", "f5"):
+            await pilot.press(key)
+            await until(pilot, lambda: isinstance(app.screen, Question | Palette), f"the dialog of {key}")
+            await pilot.pause()
+            assert app.screen.query_one(StopButton).region == corner
+            assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
+            await pilot.press("escape")
+            await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
+
+
+async def test_events_and_the_end_of_a_job_are_shown_on_every_screen() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, lambda: "collect 7/30" in shown_text(app), "the job in the header")
+        await pilot.press("4")
+        await until(pilot, lambda: "collect 7/30" in shown_text(app), "the job in the header of another screen")
+        assert not app.start_job(held.job())
+        assert "still running" in app.message
+        held.go_on.set()
+        await ended(pilot, app)
+        assert app.message == "collect: done."
+        await until(pilot, lambda: "collect: done." in shown_text(app), "the end")
+        assert "collect 7/30 stop 8" in log_text(app)
         assert await exit_code(pilot, app) == 0
 
 
-@pytest.mark.fast
-async def test_results_that_do_not_hold_are_marked_and_not_shown() -> None:
-    out_of_date = {"discover": "20 readings were added since"}
-    run = HeldRun(results=RESULTS.model_copy(update={"out_of_date": out_of_date}))
-    app = CellApp(PROFILES, run)
+async def test_a_stopped_job_says_how_to_go_on_from_the_step_it_was_in() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
-        run.go_on.set()
-        await started(pilot, run)
-        await ended(pilot, app)
-        assert len(app.query(DataTable)) == 2
-        assert SENTENCE not in texts(app)
-        (mark,) = app.query(".outdated").results(Static)
-        assert "discover" in str(mark.render())
-        assert "20 readings were added since" in log(app)
-
-
-async def test_stop_ends_the_run_at_its_next_step_and_says_how_to_go_on() -> None:
-    run = HeldRun()
-    app = CellApp(PROFILES, run)
-    async with app.run_test(size=SMALL) as pilot:
-        app.query_one("#folder", Input).value = "my run"
-        for key in ("escape", "s"):
-            await started(pilot, run)
-            assert app.query_one("#run", Button).disabled
-            await pilot.press(key)
-            assert status(pilot) == "Stopping at the next step."
-            assert app.running
-            run.go_on.set()
+        await opened(pilot, app)
+        for last, way in (
+            (Progress("plan", 3, 30), "nothing is left to resume"),
+            (Progress("plan", 30, 30), "cellapp collect 'my run' --resume"),
+            (Progress("collect", 3, 30), "cellapp collect 'my run' --resume"),
+            (Progress("calibrate", 1, 3), "cellapp calibrate 'my run'"),
+            (Progress("discover", 0, 2), "cellapp discover 'my run'"),
+            (Progress("push", 0, 2), "cellapp push 'my run' TARGETS --verify"),
+        ):
+            held.events = (last,)
+            app.start_job(held.job(folder=Path("my run")))
+            await until(pilot, held.reached.is_set, "the job")
+            await pilot.press("escape")
+            assert app.message == "Stopping at the next step."
+            held.go_on.set()
             await ended(pilot, app)
-            assert status(pilot) == "Stopped; continue with: cellapp collect 'my run' --resume."
-            assert app.query_one("#stop", Button).disabled
-            assert not app.query_one("#run", Button).disabled
-            run.hold_again()
+            assert app.message.startswith("Stopped; ")
+            assert way in app.message
         assert await exit_code(pilot, app) == 4
 
 
-async def test_a_stopped_run_goes_on_from_the_step_it_was_in() -> None:
-    run = HeldRun()
-    app = CellApp(PROFILES, run)
+async def test_errors_are_sentences() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
-        app.query_one("#folder", Input).value = "here"
-        for last, way in (
-            (Progress("plan", 3, 30), "start again"),
-            (Progress("plan", 30, 30), "cellapp collect here --resume"),
-            (Progress("calibrate", 1, 3), "cellapp calibrate here"),
-            (Progress("discover", 0, 2), "cellapp discover here"),
-            (Progress("push", 0, 2), "cellapp push here TARGETS --verify"),
-        ):
-            run.events = (last,)
-            await started(pilot, run)
-            app.action_stop()
-            run.go_on.set()
-            await ended(pilot, app)
-            assert status(pilot).startswith("Stopped")
-            assert way in status(pilot)
-            run.hold_again()
-
-
-@pytest.mark.fast
-async def test_errors_are_shown_in_words() -> None:
-    run = HeldRun()
-    app = CellApp(PROFILES, run)
-    async with app.run_test(size=SMALL) as pilot:
-        app.query_one("#folder", Input).value = "here"
+        await opened(pilot, app)
         for error, text in (
             (InputError("a.yaml: seed: expected [int]"), "a.yaml: seed: expected [int]"),
-            (HardwareError("left: no answer"), "left: no answer; then continue with: cellapp collect here --resume."),
+            (HardwareError("left: no answer"), "left: no answer; then go on here"),
         ):
-            run.error = error
-            run.go_on.set()
-            await started(pilot, run)
+            held.error = error
+            app.start_job(held.job(folder=Path("here")))
+            held.go_on.set()
             await ended(pilot, app)
-            assert status(pilot) == text
-            run.hold_again()
-        assert "Traceback" not in log(app)
+            assert app.message.startswith(text)
+        assert "Traceback" not in log_text(app)
         assert not Path("here").exists()
         assert await exit_code(pilot, app) == HardwareError.exit_code
 
 
 async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> None:
-    run = HeldRun(error=ZeroDivisionError("by the test"))
-    app = CellApp(PROFILES, run)
+    held = HeldJob(error=ZeroDivisionError("by the test"))
+    app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
-        app.query_one("#folder", Input).value = "here"
-        await started(pilot, run)
-        run.go_on.set()
+        await opened(pilot, app)
+        app.start_job(held.job(folder=Path("here")))
+        held.go_on.set()
         await ended(pilot, app)
         kept = Path("here") / ERROR_LOG
-        assert str(kept) in status(pilot)
-        assert "Traceback" not in log(app)
+        assert str(kept) in app.message
         assert "ZeroDivisionError: by the test" in kept.read_text(encoding="utf-8")
-
         Path("file").write_text("not a folder")
-        app.query_one("#folder", Input).value = "file"
-        await started(pilot, run)
+        app.start_job(held.job(folder=Path("file")))
+        held.go_on.set()
         await ended(pilot, app)
-        assert "by the test" in status(pilot)
-        assert "could not be written" in status(pilot)
+        assert "by the test" in app.message
+        assert "could not be written" in app.message
         assert await exit_code(pilot, app) == 3
 
 
-@pytest.mark.fast
-async def test_a_bad_profile_gives_a_message(tmp_path: Path) -> None:
+async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) -> None:
     (tmp_path / "bad.yaml").write_text("schema: cellapp-profile\nversion: 1\nname: bad\nsede: 1\n")
     app = CellApp(tmp_path)
     async with app.run_test(size=SMALL) as pilot:
-        await pilot.pause()
-        await pilot.press("r")
-        await ended(pilot, app)
-        assert "bad.yaml" in status(pilot)
-        assert "sede" in status(pilot)
-        assert not Path("logs").exists()
-        assert await exit_code(pilot, app) == 2
-
-
-async def test_a_profile_that_is_not_there_and_none_at_all(tmp_path: Path) -> None:
-    app = CellApp(tmp_path / "nowhere")
-    async with app.run_test(size=SMALL) as pilot:
-        await pilot.pause()
-        assert "No *.yaml found" in status(pilot)
+        await until(pilot, lambda: "sede" in app.message, "the sentence")
+        assert "bad.yaml" in app.message
         await pilot.press("f5")
-        assert status(pilot).startswith("No profile selected")
-        assert not app.running
-        await pilot.press(*"gone", "f5")
-        await ended(pilot, app)
-        assert "gone" in status(pilot)
+        assert app.message.startswith("No profile is open")
+        assert not app.jobs.running
+        assert not Path("logs").exists()
 
 
-@pytest.mark.fast
-@pytest.mark.parametrize("size", [SMALL, (140, 45)])
-async def test_everything_is_on_the_screen_and_has_a_help_text(size: tuple[int, int]) -> None:
+async def test_the_whole_day_asks_before_it_begins() -> None:
     app = CellApp(PROFILES)
-    async with app.run_test(size=size) as pilot:
-        await pilot.pause()
-        for widget in app.query(f"{CONTROLS}, .job, #status, #log, #hint, Footer"):
-            assert widget.region.height > 0
-            assert app.screen.region.contains_region(widget.region), widget
-        for widget in app.query(f"{CONTROLS}, #progress, #status, #log, #tables"):
-            assert isinstance(widget.tooltip, str)
-            assert 0 < len(widget.tooltip) <= 78
-
-
-async def test_everything_is_reached_by_keyboard_and_explained() -> None:
-    run = HeldRun()
-    app = CellApp(PROFILES, run)
     async with app.run_test(size=SMALL) as pilot:
-        await pilot.pause()
-        hint = app.query_one("#hint", Static)
-        hints: dict[str, str] = {}
-        for _ in range(7):
-            assert app.focused is not None
-            hints.setdefault(app.focused.id or type(app.focused).__name__, str(hint.render()))
-            await pilot.press("tab")
-        assert {"profiles", "profile", "folder", "run", "log"} <= set(hints)
-        assert not {name: text for name, text in hints.items() if not 0 < len(text) <= 78}
-
-        app.query_one("#profiles").focus()
-        await pilot.press("home", "down")
-        names = sorted(path.stem for path in PROFILES.glob("*.yaml"))
-        assert app.query_one("#profiles", OptionList).option_count == len(names)
-        assert app.query_one("#profile", Input).value == str(PROFILES / f"{names[1]}.yaml")
-        await pilot.press("enter")
-        assert app.focused is app.query_one("#run")
-        assert not app.running
-        await started(pilot, run, key="enter")
-        assert run.calls[0][0] == PROFILES / f"{names[1]}.yaml"
-        folder = run.calls[0][1]
-        assert folder is not None
-        assert re.fullmatch(rf"logs/{names[1]}-\d{{8}}-\d{{6}}", folder.as_posix())
-        run.go_on.set()
-        await ended(pilot, app)
-        assert app.focused is app.query_one("#tables")
-        await pilot.press("f")
-        assert app.query_one("#results").region.height > SMALL[1] - 5
-        await pilot.press("l")
-        assert app.focused is app.query_one("#log")
-        await pilot.press("f", "t")
-        assert app.focused is app.query_one("#tables")
-        assert app.query_one("#profiles").region.height > 0
-
-
-@pytest.mark.fast
-async def test_letters_typed_into_a_field_are_text() -> None:
-    run = HeldRun()
-    app = CellApp(PROFILES, run)
-    async with app.run_test(size=SMALL) as pilot:
-        await pilot.press("tab", "tab", *"rsqlt")
-        assert app.query_one("#folder", Input).value == "rsqlt"
-        assert not run.calls
-        assert app.is_running
-
-
-async def test_quitting_while_running_asks_stops_and_waits_for_the_end() -> None:
-    run = HeldRun()
-    app = CellApp(PROFILES, run)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, run)
-        await pilot.press("q")
-        assert isinstance(app.screen, LeaveScreen)
+        await opened(pilot, app)
+        await pilot.press("f5")
+        assert isinstance(app.screen, Choice)
+        assert "simulated" in shown_text(app)
         await pilot.press("n")
-        assert not isinstance(app.screen, LeaveScreen)
+        await pilot.pause()
+        assert not app.jobs.running
+        assert app.day_screen.STEP == "cell"
+
+
+async def test_quitting_with_a_job_asks_stops_and_waits_for_its_end() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, held.reached.is_set, "the job")
+        await pilot.press("q")
+        assert isinstance(app.screen, Choice)
+        await pilot.press("n")
+        await until(pilot, lambda: not isinstance(app.screen, Choice), "the end of the question")
         await pilot.press("ctrl+q")
-        assert isinstance(app.screen, LeaveScreen)
+        await pilot.pause()
+        assert isinstance(app.screen, Choice)
         assert app.focused is app.screen.query_one("#stay")
         await pilot.press("y")
-        assert app.running
-        assert app.is_running
-        assert "then quitting" in status(pilot)
-        run.go_on.set()
-        await until(pilot, lambda: app.return_code is not None, "the end of the screen")
+        assert app.jobs.running
+        assert "then quitting" in app.message
+        held.go_on.set()
+        await until(pilot, lambda: app.return_code is not None, "the end of the application")
     assert app.return_code == 4
-    assert run.thread is not None
-    run.thread.join(WAIT_S)
-    assert not run.thread.is_alive()
+    assert held.thread is not None
+    held.thread.join(WAIT_S)
+    assert not held.thread.is_alive()
 
 
-async def test_a_run_that_ends_while_the_question_is_open() -> None:
-    run = HeldRun()
-    app = CellApp(PROFILES, run)
+async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES, patience_s=0.05)
     async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, run)
-        await pilot.press("q")
-        run.go_on.set()
-        await ended(pilot, app)
-        assert status(pilot).startswith("Done")
-        await pilot.press("tab", "enter")
-        await until(pilot, lambda: app.return_code is not None, "the end of the screen")
-    assert app.return_code == 0
-
-
-async def test_a_run_that_does_not_stop_cannot_hold_the_program() -> None:
-    run = HeldRun()
-    app = CellApp(PROFILES, run, patience_s=0.05)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, run)
+        await opened(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, held.reached.is_set, "the job")
         await pilot.press("q", "y")
-        await until(pilot, lambda: app.return_code is not None, "the end of the screen")
+        await until(pilot, lambda: app.return_code is not None, "the end of the application")
     assert app.return_code == 3
-    assert run.thread is not None
-    assert run.thread.daemon
-    run.go_on.set()
-    run.thread.join(WAIT_S)
-    assert not run.thread.is_alive()
+    assert held.thread is not None
+    assert held.thread.daemon
+    held.go_on.set()
+    held.thread.join(WAIT_S)
+    assert not held.thread.is_alive()
 
 
-async def test_a_screen_that_goes_away_stops_the_run() -> None:
-    run = HeldRun()
-    tokens: list[JobControl] = []
-
-    def watched(
-        profile: Path, folder: Path | None, listener: Listener, control: JobControl, *, ask: Ask
-    ) -> WholeRunResult:
-        tokens.append(control)
-        return run(profile, folder, listener, control, ask=ask)
-
-    app = CellApp(PROFILES, watched)
+async def test_an_application_that_goes_away_ends_its_job() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, run)
-        assert not tokens[0].cancelled
-    assert tokens[0].cancelled
-    run.go_on.set()
-    assert run.thread is not None
-    run.thread.join(WAIT_S)
-    assert not run.thread.is_alive()
+        await opened(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, held.reached.is_set, "the job")
+        assert not held.control.cancelled
+    assert held.control.cancelled
+    held.go_on.set()
+    app.wait_for_job()
+    assert held.thread is not None
+    assert not held.thread.is_alive()
 
 
-def small_profiles(folder: Path) -> Path:
-    """The shipped twin with 30 stops and one target an arm."""
-    shutil.copytree(PROFILES, folder / "profiles")
-    for path in (folder / "profiles").glob("ur10*.yaml"):
-        path.unlink()
-    twin = folder / "profiles" / "twin.yaml"
-    text = twin.read_text(encoding="utf-8")
-    wanted: dict[str, object] = {
-        "stops": 30, "identify": 15, "train": 5, "validate": 10, "pair_identify": 10, "pair_validate": 10,
-        "kind": "none", "null_simulations": 20,
-    }  # fmt: skip
-    for key, value in wanted.items():
-        # of the network's `kind`; those of the drivers stand further in
-        text, count = re.subn(rf"^(  {key}:) .*$", rf"\1 {value}", text, flags=re.MULTILINE)
-        assert count == 1, key
-    twin.write_text(text, encoding="utf-8")
-    targets = folder / "profiles" / "targets" / "twin.yaml"
-    lines = targets.read_text(encoding="utf-8").splitlines()
-    kept = [line for line in lines if "{name:" not in line or "-01," in line]
-    assert len([line for line in kept if "{name:" in line]) == 2
-    targets.write_text("\n".join(kept) + "\n", encoding="utf-8")
-    return folder / "profiles"
+async def test_the_palette_finds_actions_of_the_application_and_of_the_screen() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        await pilot.press("ctrl+p")
+        await until(pilot, lambda: "Doctor" in shown_text(app), "an action of the screen")
+        await pilot.press(*"day")
+        await until(pilot, lambda: "asks first" in shown_text(app), "the action that was searched")
+        await pilot.press("enter")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "its question")
 
 
-async def test_the_real_run_of_a_small_twin(tmp_path: Path) -> None:
-    app = CellApp(small_profiles(tmp_path))
-    async with app.run_test(size=(140, 45)) as pilot:
+async def test_help_of_every_screen() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        for entry in SCREENS:
+            await pilot.press(entry.key, "question_mark")
+            await until(pilot, lambda: isinstance(app.screen, Reading), f"the help of {entry.step}")
+            await pilot.press("escape")
+            await until(pilot, lambda: app.screen is app.day_screen, "the end of the help")
+
+
+async def test_the_file_picker_completes_and_refuses_what_is_not_there(tmp_path: Path) -> None:
+    for name in ("cell-one.yaml", "cell-two.yaml", "notes.txt", ".hidden.yaml"):
+        (tmp_path / name).write_text("name: x\n")
+    (tmp_path / "cellar").mkdir()
+    chosen: list[Path | None] = []
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        picker = FilePicker("Which profile?", tmp_path, lambda path: path.suffix == ".yaml")
+        app.push_screen(picker, chosen.append)
         await pilot.pause()
-        await pilot.press("r")
-        await ended(pilot, app, WHOLE_RUN_S)
-        assert status(pilot).startswith("Done"), status(pilot)
-        # of either arm and the pair, steps of either arm and what was accepted, targets
-        await until(pilot, lambda: len(app.query(DataTable)) in (6, 7, 8), "tables of all steps")
-        titles = [text for text in texts(app) if text.startswith(("Arm left: ", "Arm right: "))]
-        verdicts = ("explained", "nothing missing", "unknown effect", "ambiguous")
-        assert sum(title.endswith(verdicts) for title in titles) == 2
-        assert sum(text.startswith("arm ") for text in texts(app)) == 2
-        for job, count in (("plan", "30/30"), ("collect", "30/30"), ("push", "2/2")):
-            assert str(app.query_one(f"#{job}-count", Label).render()) == count
-        runs = list(Path("logs").iterdir())
-        assert len(runs) == 1
-        assert (runs[0] / "run.sqlite").exists()
-        assert str(runs[0] / "report.html") in status(pilot)
+        await pilot.press(*"cell-", "tab", *"o", "tab")
+        assert picker.query_one("#path", Input).value == str(tmp_path / "cell-one.yaml")
+        await pilot.press("backspace", "enter")
+        await pilot.pause()
+        assert not chosen, "there is no such file"
+        assert "no such file" in shown_text(app)
+        await pilot.press("l", "enter")
+        await until(pilot, lambda: chosen, "the choice")
+    assert chosen == [tmp_path / "cell-one.yaml"]
 
 
-def test_importing_is_cheap_and_opening_loads_no_torch() -> None:
+def test_completions_list_folders_and_wanted_files(tmp_path: Path) -> None:
+    for name in ("b.yaml", "b.txt", ".b.yaml"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "bin").mkdir()
+
+    def wanted(path: Path) -> bool:
+        return path.suffix == ".yaml"
+
+    assert completions(f"{tmp_path}/b", wanted) == [f"{tmp_path}/b.yaml", f"{tmp_path}/bin/"]
+    assert completions(f"{tmp_path}/.b", wanted) == [f"{tmp_path}/.b.yaml"]
+    assert completions(f"{tmp_path}/nowhere/x", wanted) == []
+
+
+def test_importing_is_cheap_and_opening_loads_no_numerics() -> None:
     script = (
         "import sys, cellapp.tui\n"
         "assert not {'textual', 'torch', 'scipy'} & set(sys.modules)\n"
         "import cellapp.tui.app\n"
-        "assert 'torch' not in sys.modules\n"
+        "assert not {'torch', 'scipy', 'matplotlib'} & set(sys.modules)\n"
     )
     assert subprocess.run([sys.executable, "-c", script], cwd=PROFILES.parent, timeout=WAIT_S).returncode == 0
-
-
-async def exit_code(pilot: Pilot[None], app: CellApp) -> int | None:
-    await pilot.press("ctrl+q")
-    await until(pilot, lambda: app.return_code is not None, "the end of the screen")
-    return app.return_code

@@ -1,20 +1,178 @@
-"""The screen Calibrate."""
+"""The screen Calibrate: errors by stage as tables and bars, residuals per joint and in space, parameters."""
 
 from __future__ import annotations
 
 from typing import ClassVar
 
+from textual import work as in_thread
 from textual.app import ComposeResult
-from textual.widgets import Static
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal
+from textual.message import Message
+from textual.widgets import TabbedContent, TabPane
 
+from cellapp.reporting.charts import Chart
+from cellapp.reporting.charts_accuracy import (
+    error_histogram_chart,
+    pair_histogram_chart,
+    residual_joint_chart,
+    residual_space_chart,
+    stage_chart,
+)
+from cellapp.reporting.report_data import ReportData
+from cellapp.reporting.run_tables import merged_sentences
+from cellapp.reporting.tables import calibration_tables, parameter_tables, tracker_sentences
+from cellapp.results import CALIBRATE
+from cellapp.tui import work
+from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
-from cellapp.tui.workspace import Step
+from cellapp.tui.widgets.tables import TablesView
+from cellapp.tui.workspace import Step, Workspace
+
+_EMPTY = "Not calibrated yet. Collect first (key 3), then b calibrates."
+
+
+class DataRead(Message):
+    """The readings and models of the run were read; None where there is nothing to draw."""
+
+    def __init__(self, data: ReportData | None) -> None:
+        super().__init__()
+        self.data = data
 
 
 class CalibrateScreen(DayScreen):
-    """Placeholder."""
+    """Errors by stage, residuals, parameters; calibrate again."""
 
     STEP: ClassVar[Step] = "calibrate"
+    HELP: ClassVar[str] = """\
+# Calibrate
+
+**b** identifies the geometry of both arms, trains the residual network and evaluates every stage at stops that were
+held out. Nothing moves.
+
+- *Stages*: held-out errors of the nominal model, of the identified geometry, with the network, with named effects.
+- *Errors*: how many held-out stops have which error, by stage.
+- *Joints*: the error over the angle of one joint: a wave there is an effect without a name. **,** and **.** change the
+  joint.
+- *Space*: where in the cell the errors are large. **v** looks from above or from the side.
+- *Parameters*: what was identified, with standard errors.
+
+**a** shows the other arm. **t** goes from tab to tab. In a table, **y** copies and **w** saves.
+The step after this one is Discover (5).
+"""
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("b", "begin", "Calibrate", tooltip="identify and evaluate; nothing moves"),
+        Binding("a", "other_arm", "Other arm", tooltip="show the plots of the other arm"),
+        Binding("comma", "joint(-1)", "Joint before", key_display=",", show=False),
+        Binding("full_stop", "joint(1)", "Next joint", key_display="."),
+        Binding("v", "turn", "View", tooltip="errors in space from above or from the side"),
+        Binding("t", "next_tab", "Next tab"),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._arm, self._joint, self._from_above = 0, 0, True
+        self._data: ReportData | None = None
+        self._drawn: Workspace | None = None
 
     def body(self) -> ComposeResult:
-        yield Static("Calibrate", markup=False)
+        with TabbedContent(id="calibration"):
+            with TabPane("Stages", id="stages"):
+                yield TablesView(_EMPTY, id="stage-tables")
+                yield ChartPlot(id="stage-plot")
+            with TabPane("Errors", id="errors"), Horizontal():
+                yield ChartPlot(id="arm-errors")
+                yield ChartPlot(id="pair-errors")
+            with TabPane("Joints", id="joints"):
+                yield ChartPlot(id="joint-plot")
+            with TabPane("Space", id="space"):
+                yield ChartPlot(id="space-plot")
+            with TabPane("Parameters", id="parameters"):
+                yield TablesView(_EMPTY, id="parameter-tables")
+
+    # -- keys ----------------------------------------------------------------------------------------------------------
+
+    def action_begin(self) -> None:
+        """Calibrate the run that is open."""
+        if self.workspace.folder is None:
+            self.say("No run is open: plan one (key 2), or open one on the screen Runs (key 7).", "warning")
+        else:
+            self.start(work.calibrate(self.workspace.folder))
+
+    def action_other_arm(self) -> None:
+        """Show the next arm."""
+        self._arm, self._joint = self._arm + 1, 0
+        self._draw_plots()
+
+    def action_joint(self, step: int) -> None:
+        """Show the errors over another joint."""
+        self._joint += step
+        self.query_one("#calibration", TabbedContent).active = "joints"
+        self._draw_plots()
+
+    def action_turn(self) -> None:
+        """Look from above or from the side."""
+        self._from_above = not self._from_above
+        self.query_one("#calibration", TabbedContent).active = "space"
+        self._draw_plots()
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        tabs = self.query_one("#calibration", TabbedContent)
+        names = [pane.id or "" for pane in tabs.query(TabPane)]
+        tabs.active = names[(names.index(tabs.active) + 1) % len(names)]
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw the calibration of the run."""
+        if workspace is self._drawn:
+            return
+        self._drawn = workspace
+        result = None if workspace.results is None else workspace.results.calibrate
+        tables, parameters = (
+            self.query_one("#stage-tables", TablesView),
+            self.query_one("#parameter-tables", TablesView),
+        )
+        if result is None or workspace.results is None:
+            tables.show([])
+            parameters.show([])
+            self._data = None
+            self._draw_plots()
+            return
+        reason = workspace.results.out_of_date.get(CALIBRATE)
+        outdated = [] if reason is None else [f"! out of date: {reason}; b calibrates again"]
+        tables.show(calibration_tables(result), outdated, (*tracker_sentences(result), *result.notes))
+        parameters.show(parameter_tables(result), outdated, merged_sentences(result))
+        self._read(workspace)
+
+    @in_thread(thread=True, exclusive=True)
+    def _read(self, workspace: Workspace) -> None:
+        self.post_message(DataRead(work.report_data(workspace.folder)))
+
+    def on_data_read(self, event: DataRead) -> None:
+        """Draw the plots of what was read."""
+        self._data = event.data
+        self._draw_plots()
+
+    def _draw_plots(self) -> None:
+        if self._data is None or not self._data.held_out:
+            for plot in self.query(ChartPlot):
+                plot.chart = None
+            return
+        data = self._data
+        names = list(data.held_out)
+        name = names[self._arm % len(names)]
+        arm = data.held_out[name]
+        joint = self._joint % arm.readings.q.shape[1] + 1
+        shown = data.calibrate if data.discover is None else data.calibrate.with_effects(data.discover)
+        stage = list(arm.errors_mm)[-1]
+        charts: dict[str, Chart] = {
+            "stage-plot": stage_chart(name, shown.arms[name]),
+            "arm-errors": error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm),
+            "pair-errors": pair_histogram_chart(shown),
+            "joint-plot": residual_joint_chart(name, arm, joint),
+            "space-plot": residual_space_chart(name, arm, stage, "above" if self._from_above else "side"),
+        }
+        for place, chart in charts.items():
+            self.query_one(f"#{place}", ChartPlot).chart = chart

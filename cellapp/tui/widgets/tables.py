@@ -1,14 +1,76 @@
-"""Tables of the report in the terminal."""
+"""Tables of the report in the terminal: to read, to scroll, to copy, to save."""
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar, Literal
 
 from rich.text import Text
-from textual.containers import Vertical
+from textual.binding import Binding, BindingType
+from textual.containers import Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 
-from cellapp.reporting.table import Table
+from cellapp.reporting.table import Table, markdown
+from cellapp.tui.dialogs.save_as import SaveAs
+
+
+class TablesView(VerticalScroll):
+    """Tables below one another, with sentences before and after them.
+
+    Parameters
+    ----------
+    empty : str
+        What it says while there is nothing to show.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("y", "copy", "Copy tables", tooltip="copy the tables as Markdown"),
+        Binding("w", "save", "Save tables", tooltip="save the tables as a Markdown file"),
+    ]
+    DEFAULT_CSS = """
+    TablesView { height: 1fr; }
+    TablesView .table { height: auto; padding-top: 1; }
+    TablesView .table DataTable { height: auto; }
+    """
+
+    def __init__(self, empty: str, *, id: str | None = None) -> None:
+        super().__init__(Static(empty, classes="muted", markup=False), id=id)
+        self._empty = empty
+        self._tables: tuple[Table, ...] = ()
+        self._sentences: tuple[str, ...] = ()
+        self.tooltip = "up, down, Page Up, Page Down scroll; y copies, w saves"
+
+    def show(self, tables: Sequence[Table], before: Sequence[str] = (), after: Sequence[str] = ()) -> None:
+        """Draw tables and sentences in the place of those before."""
+        drawn = (tuple(tables), (*before, *after))
+        if drawn == (self._tables, self._sentences):
+            return
+        self._tables, self._sentences = drawn
+        self.remove_children()
+        if not tables and not self._sentences:
+            self.mount(Static(self._empty, classes="muted", markup=False))
+            return
+        self.mount(
+            *(Static(text, classes="before", markup=False) for text in before),
+            *map(draw_table, tables),
+            *(Static(text, classes="after", markup=False) for text in after),
+        )
+        self.scroll_home(animate=False)
+
+    def action_copy(self) -> None:
+        """Copy all tables to the clipboard."""
+        self.app.copy_to_clipboard(markdown(self._tables, self._sentences))
+        self.notify(f"{len(self._tables)} tables copied")
+
+    def action_save(self) -> None:
+        """Save all tables in a file."""
+        text = markdown(self._tables, self._sentences)
+        self.app.push_screen(SaveAs("tables", text, Path("tables.md")), self._say_saved)
+
+    def _say_saved(self, path: Path | None) -> None:
+        if path is not None:
+            self.notify(f"saved as {path}")
 
 
 def draw_table(table: Table) -> Vertical:

@@ -1,0 +1,146 @@
+"""Judging a draft by the profile's own rules: each problem is told at the field that it concerns."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from cellapp.errors import InputError
+from cellapp.profile.draft import Filled, ProfileDraft, draft_to_yaml, fields_of, with_text
+from cellapp.profile.loader import read_arm_types, read_document
+from cellapp.profile.messages import KeyPath, PlacedError, dotted, problems, value_message
+from cellapp.profile.schema import Arm, Pose, Profile
+from cellapp.profile.starters import starters_folder
+
+
+@dataclass(frozen=True)
+class FieldProblem:
+    """What is wrong with one field.
+
+    Attributes
+    ----------
+    field : str
+        As ``Filled.id``, or "arms.0.name"; empty if the problem concerns no field of the form.
+    key : str
+        The key in the profile, as "arms.left.driver.host".
+    words : str
+        What is wrong and what was expected.
+    """
+
+    field: str
+    key: str
+    words: str
+
+    def __str__(self) -> str:
+        """Return the sentence with its key."""
+        return f"{self.key}: {self.words}" if self.key else self.words
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A judged draft: its problems, the profile if there are none, and those poses that hold even so.
+
+    Attributes
+    ----------
+    bases : mapping
+        Arm -> pose of its base, where that holds.
+    tracker : Pose or None
+    """
+
+    problems: tuple[FieldProblem, ...]
+    profile: Profile | None = None
+    bases: Mapping[str, Pose] = field(default_factory=dict)
+    tracker: Pose | None = None
+
+
+def check_draft(draft: ProfileDraft, path: Path) -> Checked:
+    """Judge a draft that is to be written to ``path``; types of arms may also be those that come with the program."""
+    wrong = _wrong_names(draft)
+    return Checked(wrong) if wrong else check_text(draft_to_yaml(draft), path, draft)
+
+
+def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
+    """Judge the text of a profile for ``path``, as ``load_profile`` does; ``draft`` holds its fields."""
+    fields = tuple(fields_of(draft))
+    wrong = _wrong_names(draft)
+    if wrong:
+        return Checked(wrong)
+    try:
+        document = read_document(text, path)
+        read_arm_types(document, (path.parent, starters_folder()))
+    except PlacedError as error:
+        return Checked((_at_field(error.place.inside, error.words, draft, fields),))
+    except InputError as error:
+        return Checked((FieldProblem("", "", str(error)),))
+    poses = {path: _pose(document.data, path) for path in [("tracker", "pose"), *_base_paths(draft)]}
+    tracker = poses.pop(("tracker", "pose"))
+    bases = {path[1]: pose for path, pose in poses.items() if pose is not None}
+    try:
+        return Checked((), Profile.model_validate(document.data), bases, tracker)
+    except ValidationError as error:
+        found = problems(error, document)
+        told = tuple(_at_field(at, words, draft, fields) for at, words in found)
+        return Checked(told, None, bases, tracker)
+
+
+def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[Arm, Pose]:
+    """Return one arm without its base, and the tracker's pose, of a draft that need not hold elsewhere.
+
+    Raises
+    ------
+    InputError
+        If the arm or the tracker's pose do not hold.
+    """
+    unplaced = with_text(with_text(draft, f"arms.{index}.position", ""), f"arms.{index}.rpy", "")
+    document = read_document(draft_to_yaml(unplaced), path)
+    read_arm_types(document, (path.parent, starters_folder()))
+    data = document.data
+    if "pose" not in data["tracker"]:
+        raise InputError("tracker.pose: missing; points in the tracker frame give a base only with the tracker's pose")
+    name = draft.arms[index].name
+    at: KeyPath = ("arms", name)
+    try:
+        arm = Arm.model_validate({**data["arms"][name], "driver": {"kind": "none"}})  # the pose needs no driver
+        at = ("tracker", "pose")
+        return arm, Pose.model_validate(data["tracker"]["pose"])
+    except ValidationError as error:
+        details = error.errors(include_url=False)[0]
+        raise InputError(f"{dotted((*at, *details['loc']))}: {value_message(details)}; correct it first") from None
+
+
+def _wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
+    """Names of arms that are empty or given twice: as keys they could not even be written."""
+    counts = Counter(arm.name for arm in draft.arms)
+    words = {0: "missing; each arm needs a name, such as left", 2: "given twice; each arm needs a name of its own"}
+    return tuple(
+        FieldProblem(f"arms.{index}.name", f"arms[{index}]", words[0 if not arm.name.strip() else 2])
+        for index, arm in enumerate(draft.arms)
+        if not arm.name.strip() or counts[arm.name] > 1
+    )
+
+
+def _base_paths(draft: ProfileDraft) -> list[tuple[str, ...]]:
+    return [("arms", arm.name, "base") for arm in draft.arms]
+
+
+def _pose(data: Any, path: Sequence[str]) -> Pose | None:
+    """A pose of a profile's data; None if it is missing or does not hold."""
+    for key in path:
+        data = data.get(key) if isinstance(data, dict) else None
+    try:
+        return Pose.model_validate(data)
+    except ValidationError:
+        return None
+
+
+def _at_field(at: KeyPath, words: str, draft: ProfileDraft, fields: Sequence[Filled]) -> FieldProblem:
+    """The field whose key contains the key of a problem, else the first one inside it, else none."""
+    around = (item for item in fields if at[: len(item.path)] == item.path)
+    inside = (item for item in fields if item.path[: len(at)] == at and len(at) > 1)
+    found = next(around, None) or next(inside, None)
+    return FieldProblem("" if found is None else found.id, dotted(at), words)

@@ -1,0 +1,181 @@
+"""Bringing an edited draft into the text of its profile: only what was edited changes; comments and other keys stay."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.error import YAMLError
+
+from cellapp.errors import InputError
+from cellapp.profile.draft import PLANT, ArmDraft, ProfileDraft, draft_of, driver_keys, fields_of, needs_plant
+from cellapp.profile.draft_fields import FormField, yaml_value
+from cellapp.profile.messages import KeyPath
+from drivers.arms.registry import ARMS
+from drivers.trackers.registry import TRACKERS
+
+_COMMENT = re.compile(r"(?:^|\s)#(.*)$", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class EditedText:
+    """The new text of a profile, and the comments that went with keys that the form removed."""
+
+    text: str
+    lost_comments: tuple[str, ...]
+
+
+def edited_text(text: str, path: Path, draft: ProfileDraft) -> EditedText:
+    """Return the profile's text with the fields of ``draft`` in it.
+
+    Raises
+    ------
+    InputError
+        If the text is no profile, or cannot be rewritten without a loss elsewhere.
+    """
+    old = draft_of(text, path)
+    if old == draft:
+        return EditedText(text, ())
+    if "\r\n" in text:  # written by an editor on Windows: edited with plain line ends, kept as it was
+        edited = edited_text(text.replace("\r\n", "\n"), path, draft)
+        return EditedText(edited.text.replace("\n", "\r\n"), edited.lost_comments)
+    document = _load(text, path)
+    if _dump(document) != _with_newline(text):
+        raise InputError(
+            f"{path}: an edit would change the layout of this YAML elsewhere; edit it by hand, or write a new profile"
+        )
+    _edit_arms(document, draft.arms)
+    tracker = document.setdefault("tracker", CommentedMap())
+    if draft.tracker.kind != old.tracker.kind:
+        _drop_keys(tracker.get("driver"), driver_keys(draft.tracker.kind, TRACKERS))
+    before = {item.path: item.text for item in fields_of(_renamed(old, draft.arms))}
+    for item in fields_of(draft):
+        if item.text.strip() != before.get(item.path, "").strip():
+            _set(document, item.path, item.form, item.text.strip())
+    result = _dump(document)
+    if needs_plant(draft) and "plant" not in document:
+        result += PLANT
+    return EditedText(result, tuple(_missing_comments(text, result)))
+
+
+def _edit_arms(document: CommentedMap, arms: Sequence[ArmDraft]) -> None:
+    """Remove, rename and add arms; where the kind of driver changes, remove keys that the new kind does not have."""
+    listed = document.setdefault("arms", CommentedMap())
+    for name in [name for name in listed if name not in {arm.source for arm in arms}]:
+        del listed[name]
+    for index, arm in enumerate(arms):
+        if arm.source in listed and arm.source != arm.name:
+            listed.insert(index, arm.name, listed.pop(arm.source))
+            effects = document.get("plant", {}).get("effects", {})
+            if arm.source in effects:
+                effects.insert(0, arm.name, effects.pop(arm.source))
+        section = listed.setdefault(arm.name, CommentedMap())
+        if section.get("driver", {}).get("kind") != arm.kind:
+            _drop_keys(section.get("driver"), driver_keys(arm.kind, ARMS))
+
+
+def _renamed(old: ProfileDraft, arms: Sequence[ArmDraft]) -> ProfileDraft:
+    """The draft of the file as if its arms had their new names already; without arms that were removed."""
+    sources = {arm.name: arm for arm in old.arms}
+    kept = tuple(_with_name(sources[arm.source], arm.name) for arm in arms if arm.source in sources)
+    return ProfileDraft(old.name, kept, old.tracker, old.plan)
+
+
+def _with_name(arm: ArmDraft, name: str) -> ArmDraft:
+    return ArmDraft(**{**vars(arm), "name": name})
+
+
+def _drop_keys(driver: CommentedMap | None, known: frozenset[str]) -> None:
+    for key in [key for key in driver or () if key not in known]:
+        assert driver is not None
+        del driver[key]
+
+
+def _set(document: CommentedMap, path: KeyPath, form: FormField, text: str) -> None:
+    """Set a key, add it, or remove it where the text is empty."""
+    *parents, last = path
+    section = document
+    for key in parents:
+        if not isinstance(section.get(key), CommentedMap):
+            if not text:
+                return
+            _add(section, str(key), CommentedMap())
+        section = section[key]
+    if not text:
+        section.pop(last, None)
+        return
+    value = _node(form, text)
+    old = section.get(last)
+    if last not in section:
+        _add(section, str(last), value)
+    elif isinstance(old, CommentedSeq) and isinstance(value, CommentedSeq) and len(old) == len(value):
+        _set_items(old, value)
+    else:
+        section[last] = value
+
+
+def _set_items(old: CommentedSeq, new: CommentedSeq) -> None:
+    """Set the items that differ, so that the others keep how they are written."""
+    for index, value in enumerate(new):
+        inner = old[index]
+        if isinstance(inner, CommentedSeq) and isinstance(value, CommentedSeq) and len(inner) == len(value):
+            _set_items(inner, value)
+        elif inner != value:
+            old[index] = value
+
+
+def _add(section: CommentedMap, key: str, value: Any) -> None:
+    """Add a key before the last one: comments behind the last one belong to what follows the section."""
+    block = section.fa.flow_style() is not True
+    section.insert(len(section) - 1 if block and len(section) > 1 else len(section), key, value)
+
+
+def _node(form: FormField, text: str) -> Any:
+    """Return a field's text as a node: lists on one line, texts with a unit in double quotes."""
+    return _yaml().load(yaml_value(form.shape, text))
+
+
+def _load(text: str, path: Path) -> CommentedMap:
+    try:
+        document: CommentedMap = _yaml().load(_with_newline(text))
+    except YAMLError as error:
+        raise InputError(
+            f"{path}: not YAML that can be edited: {str(error).splitlines()[0]}; edit it by hand"
+        ) from None
+    return document
+
+
+def _dump(document: CommentedMap) -> str:
+    stream = io.StringIO()
+    _yaml().dump(document, stream)
+    return stream.getvalue()
+
+
+def _yaml() -> YAML:
+    """A round-trip reader and writer, with the layout of the profiles that come with the program."""
+    yaml = YAML(typ="rt")
+    yaml.preserve_quotes = True
+    yaml.width = 10**6
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    return yaml
+
+
+def _with_newline(text: str) -> str:
+    return text if text.endswith("\n") else f"{text}\n"
+
+
+def _missing_comments(old: str, new: str) -> list[str]:
+    remaining = [found.strip() for found in _COMMENT.findall(new)]
+    missing = []
+    for comment in (found.strip() for found in _COMMENT.findall(old)):
+        if comment in remaining:
+            remaining.remove(comment)
+        elif comment:
+            missing.append(comment)
+    return missing

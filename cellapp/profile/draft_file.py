@@ -1,0 +1,122 @@
+"""The file behind a form: opened with its text, saved only if nobody else changed it meanwhile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cellapp.errors import InputError
+from cellapp.profile.draft import ArmDraft, PlanDraft, ProfileDraft, TrackerDraft, draft_of, draft_to_yaml
+from cellapp.profile.draft_check import Checked, check_draft, check_text
+from cellapp.profile.files import path_exists, write_new, write_text
+from cellapp.profile.starters import copies, starters_folder
+
+
+@dataclass(frozen=True)
+class OpenProfile:
+    """A profile that is being written.
+
+    Attributes
+    ----------
+    path : Path
+    text : str or None
+        The file's text when it was opened or last saved; None for a new profile.
+    draft : ProfileDraft
+        The fields that this text has; of a new profile, those that the form starts with.
+    """
+
+    path: Path
+    text: str | None
+    draft: ProfileDraft
+
+
+@dataclass(frozen=True)
+class NewText:
+    """What saving would write, with the comments that would go, and its judgement."""
+
+    text: str
+    lost_comments: tuple[str, ...]
+    checked: Checked
+
+
+def blank_draft(arm_types: tuple[str, ...] = ("arms/ur10.yaml", "arms/ur5.yaml")) -> ProfileDraft:
+    """Return the fields of a new real cell: usual values; what only a person at the cell knows is empty."""
+    arms = tuple(
+        ArmDraft(
+            name=name,
+            type=arm_type,
+            kind="ur",
+            rpy="0, 0, 0 deg",
+            smr_normal="0, 0, 1",
+            home="0, -90 deg, 0, -90 deg, 0, 0",  # a UR arm upright
+            speed="0.25",
+        )
+        for name, arm_type in zip(("left", "right"), arm_types, strict=False)
+    )
+    tracker = TrackerDraft(kind="lmf", rpy="0, 0, 0 deg")
+    return ProfileDraft(arms=arms, tracker=tracker, plan=PlanDraft(stops="400", clearance="80 mm"))
+
+
+def open_profile(path: Path) -> OpenProfile:
+    """Open the file of a profile. Raises ``InputError`` if it cannot be read or is no profile of the form."""
+    text = _text(path)
+    if text is None:
+        raise InputError(f"{path}: file not found; give the path of a profile")
+    return OpenProfile(path, text, draft_of(text, path))
+
+
+def changed_on_disk(opened: OpenProfile) -> bool:
+    """Whether the file is not what it was when it was opened or saved: saving would overwrite another's work."""
+    return _text(opened.path) != opened.text
+
+
+def new_text(opened: OpenProfile, draft: ProfileDraft) -> NewText:
+    """Return what saving would write. Raises ``InputError`` if the opened text cannot be edited."""
+    if opened.text is None:
+        return NewText(draft_to_yaml(draft), (), check_draft(draft, opened.path))
+    from cellapp.profile.draft_edit import edited_text  # loads ruamel.yaml
+
+    edited = edited_text(opened.text, opened.path, draft)
+    return NewText(edited.text, edited.lost_comments, check_text(edited.text, opened.path, draft))
+
+
+def save(opened: OpenProfile, draft: ProfileDraft, text: str) -> OpenProfile:
+    """Write the text of a draft, and beside it the arm types that come with the program and are not there yet.
+
+    It overwrites: ``changed_on_disk`` comes before. Raises ``InputError`` if a file cannot be written.
+    """
+    folder = opened.path.parent
+    types = {arm.type for arm in draft.arms if not (folder / arm.type).exists()}
+    write_new(copies(sorted(name for name in types if (starters_folder() / name).is_file()), folder))
+    write_text(opened.path, text)
+    return OpenProfile(opened.path, text, replace(draft, arms=tuple(replace(a, source=a.name) for a in draft.arms)))
+
+
+def save_new(folder: Path, draft: ProfileDraft, name: str) -> Path:
+    """Write a new profile ``name`` into a folder; return its path.
+
+    Raises
+    ------
+    InputError
+        If a field does not hold, the file exists already, or it cannot be written; nothing was written then.
+    """
+    opened = OpenProfile(folder / name, None, draft)
+    new = new_text(opened, draft)
+    if new.checked.problems:
+        raise InputError("\n".join(map(str, new.checked.problems)))
+    if path_exists(opened.path):
+        raise InputError(f"{opened.path} exists already; nothing was written. Give another name, or move it away")
+    save(opened, draft, new.text)
+    return opened.path
+
+
+def _text(path: Path) -> str | None:
+    """The text of a file with its line ends as they are; None if there is none."""
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a profile") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text ({error.reason}); save the file as UTF-8") from None

@@ -1,0 +1,201 @@
+"""Charts of accuracy: held-out errors by stage, over the joints and in space, of the pair, and at targets.
+
+Errors of an arm are those of ``HeldOutArm.errors_mm``, which predicts with every model when it is first asked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.kinematics.transforms import Array
+from cellapp.reporting.cell_views import levelling_rotation
+from cellapp.reporting.charts import (
+    STAGE_STYLES,
+    Axis,
+    Chart,
+    Series,
+    bar_chart,
+    drawable_mm,
+    enumerated,
+    error_counts,
+    mm,
+    noise_limit,
+    series,
+)
+from cellapp.reporting.page_tables import measured_targets
+from cellapp.reporting.report_data import HeldOutArm
+from cellapp.reporting.tables import cooperative_noise_mm
+from cellapp.reporting.words import METHOD_WORDS, STAGE_WORDS
+from cellapp.results import METHODS, STAGES, ArmCalibrationResult, CalibrateResult, Method, PairHeldOut, VerifyResult
+
+_BINS_A_ROOT = 2.0
+"""Bins of a histogram for the root of the number of errors: 100 errors of four stages fill 20 bins."""
+_PARTS = 8
+"""Parts of a joint's range that are compared in words: of 100 held-out configurations each has a dozen."""
+_FEW = 5
+"""A part of fewer configurations has no mean worth a sentence."""
+_UNEVEN = 1.3
+"""A part of a joint's range is named where its mean error is that much above the mean of all: a dozen errors of one
+spread differ by less."""
+_METHOD_STYLES: Mapping[Method, int] = {"method_1": 1, "method_2": 4, "proposed": 2, "effects": 3}
+"""Styles of the methods of the pair: those of the stages that they build on."""
+_NO_HELD_OUT = "No held-out readings: calibrate first."
+
+
+def stage_chart(name: str, arm: ArmCalibrationResult) -> Chart:
+    """Held-out rms position error of each stage as bars."""
+    rms = {stage: arm.validate_[stage].position_mm.rms for stage in STAGES if stage in arm.validate_}
+    message = _NO_HELD_OUT
+    if rms:
+        first, last = next(iter(rms)), list(rms)[-1]
+        message = f"Held-out rms error: {mm(rms[first])} {STAGE_WORDS[first]}, {mm(rms[last])} {STAGE_WORDS[last]}."
+        if arm.tracker_mm:
+            message += f" The tracker's own noise is {mm(arm.tracker_mm)}."
+    values = {STAGE_WORDS[stage]: value for stage, value in rms.items()}
+    return bar_chart(f"Arm {name}: held-out error by stage", values, Axis("rms", "mm"), message)
+
+
+# -- histograms -------------------------------------------------------------------------------------------------------
+
+
+def error_histogram_chart(name: str, errors_mm: Mapping[str, Array], floor_mm: float | None) -> Chart:
+    """Histogram of the held-out position errors (n,) [mm] by stage, with the noise floor."""
+    errors = {STAGE_WORDS[stage]: errors_mm[stage] for stage in STAGES if stage in errors_mm}
+    number = {STAGE_WORDS[stage]: style for stage, style in STAGE_STYLES.items()}
+    return _histogram(f"Arm {name}: held-out errors", Axis("position error", "mm", True), errors, number, floor_mm)
+
+
+def pair_held_out(calibrate: CalibrateResult) -> dict[Method, PairHeldOut]:
+    """Errors of the held-out stops by method of the pair, for methods whose errors were stored by stop."""
+    found = {method: calibrate.pair[method].held_out for method in _METHOD_STYLES if method in calibrate.pair}
+    return {method: stops for method, stops in found.items() if stops is not None}
+
+
+def pair_histogram_chart(calibrate: CalibrateResult) -> Chart:
+    """Histogram of the cooperative errors by method, with the noise that the tracker alone would cause."""
+    errors = {
+        METHOD_WORDS[method]: np.array(stops.cooperative_mm) for method, stops in pair_held_out(calibrate).items()
+    }
+    number = {METHOD_WORDS[method]: _METHOD_STYLES[method] for method in METHODS if method in _METHOD_STYLES}
+    axis = Axis("cooperative error", "mm", logarithmic=True)
+    return _histogram("Pair: held-out errors", axis, errors, number, cooperative_noise_mm(calibrate))
+
+
+def _histogram(
+    title: str, axis: Axis, errors_mm: Mapping[str, Array], number: Mapping[str, int], floor_mm: float | None
+) -> Chart:
+    y = Axis("configurations")
+    errors = {what: values[np.isfinite(values)] for what, values in errors_mm.items()}
+    every = drawable_mm(np.concatenate([*errors.values(), [floor_mm] if floor_mm else []])) if errors else np.zeros(0)
+    if not any(len(values) for values in errors.values()):
+        return Chart(title, axis, y, (), _NO_HELD_OUT)
+    bins = math.ceil(_BINS_A_ROOT * math.sqrt(max(len(values) for values in errors.values())))
+    edges, counts = error_counts(errors, float(every.min()) / 1.25, float(every.max()) * 1.25, bins)
+    drawn = tuple(_outline(what, edges, count, number[what]) for what, count in counts.items() if count.any())
+    medians = [f"{mm(float(np.median(values)))} {what}" for what, values in errors.items() if len(values)]
+    message = f"Median error: {enumerated(medians)}." + (f" The noise floor is {mm(floor_mm)}." if floor_mm else "")
+    return Chart(title, axis, y, drawn, message, noise_limit(floor_mm, "x"))
+
+
+def _outline(name: str, edges: Array, counts: NDArray[np.intp], style: int) -> Series:
+    """The outline of a histogram from its first to its last error."""
+    used = np.flatnonzero(counts)
+    first, last = int(used[0]), int(used[-1]) + 1
+    x = [edges[first], *edges[first : last + 1]]
+    return series(name, x, [0.0, *counts[first:last], 0.0], "steps", style=style)
+
+
+# -- residuals over the joints and in space ---------------------------------------------------------------------------
+
+
+def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int, stages: Sequence[str] = STAGES) -> Chart:
+    """Held-out position error of some stages over the angle of one joint (from 1)."""
+    angle = np.degrees(held_out.readings.q[:, joint - 1])
+    errors = {stage: errors for stage, errors in held_out.errors_mm.items() if stage in stages}
+    drawn = tuple(
+        series(STAGE_WORDS[stage], angle, drawable_mm(values), "points", style=STAGE_STYLES[stage])
+        for stage, values in errors.items()
+    )
+    message = _NO_HELD_OUT
+    if errors and len(angle):
+        stage, values = list(errors.items())[-1]
+        message = f"{STAGE_WORDS[stage].capitalize()}: {along_joint(angle, values)}"
+    x, y = Axis(f"joint {joint}", "deg"), Axis("position error", "mm", logarithmic=True)
+    return Chart(f"Arm {name}: error over joint {joint}", x, y, drawn, message)
+
+
+def along_joint(angle: Array, errors_mm: Array) -> str:
+    """Where along the angles (n,) [deg] of a joint the mean of the errors (n,) [mm] is largest, in a sentence's end.
+
+    Parts of the range are compared that have the same number of configurations.
+    """
+    parts = np.array_split(np.argsort(angle), max(min(_PARTS, len(angle) // _FEW), 1))
+    mean = float(np.mean(errors_mm))
+    worst = max(parts, key=lambda rows: float(np.mean(errors_mm[rows])))
+    largest = float(np.mean(errors_mm[worst]))
+    if largest < _UNEVEN * mean:
+        return f"mean error {mm(mean)}, about the same along the whole range."
+    low, high = angle[worst].min(), angle[worst].max()
+    return f"mean error {mm(mean)}, largest from {low:.0f}° to {high:.0f}° ({mm(largest)})."
+
+
+def residual_space_chart(
+    name: str, held_out: HeldOutArm, stage: str, view: Literal["above", "side"] = "above"
+) -> Chart:
+    """Held-out position errors of one stage where the SMR was, in the tracker frame with its z axis up.
+
+    Three classes of size are drawn: the smaller half, up to the 90th percentile, and the largest tenth.
+    """
+    up = 1 if view == "above" else 2
+    title = f"Arm {name}: error in space, {STAGE_WORDS[stage]}, from {'above' if view == 'above' else 'the side'}"
+    axes = Axis("x", "m"), Axis("xyz"[up], "m")
+    errors = held_out.errors_mm.get(stage)
+    if errors is None or len(errors) == 0:
+        return Chart(title, *axes, (), _NO_HELD_OUT)
+    position = held_out.readings.p_M @ levelling_rotation(held_out.calibrated.up_M).T
+    half, most = np.quantile(errors, (0.5, 0.9))
+    classes = (
+        (f"up to {mm(half)}", errors <= half, "·", 0),
+        (f"up to {mm(most)}", (errors > half) & (errors <= most), "○", 1),
+        ("larger", errors > most, "●", 5),
+    )
+    drawn = tuple(
+        series(words, position[rows, 0], position[rows, up], "points", style=style, mark=mark)
+        for words, rows, mark, style in classes
+        if rows.any()
+    )
+    worst = int(np.argmax(errors))
+    x, y, z = position[worst]
+    message = (
+        f"Nine of ten errors are below {mm(most)}; the largest, {mm(errors[worst])}, is at x = {x:.2f},"
+        f" y = {y:.2f}, z = {z:.2f} m."
+    )
+    return Chart(title, *axes, drawn, message, equal=True)
+
+
+# -- targets ----------------------------------------------------------------------------------------------------------
+
+
+def target_chart(name: str, verify: VerifyResult | None, floor_mm: float | None) -> Chart:
+    """Measured error at each target of one arm without and with compensation, in the order of the table."""
+    measured = [] if verify is None else measured_targets(verify, name)
+    title, x, y = f"Arm {name}: targets", Axis("target"), Axis("measured error", "mm", logarithmic=True)
+    if not measured:
+        return Chart(title, x, y, (), "No target was measured with both commands yet: push with verification first.")
+    number = np.arange(1.0, len(measured) + 1.0)
+    before, after = (np.array([target[place] for target in measured]) for place in (1, 2))
+    drawn = (
+        series("uncompensated", number, drawable_mm(before), "points", style=STAGE_STYLES["nominal"]),
+        series("compensated", number, drawable_mm(after), "points", style=STAGE_STYLES["effects"]),
+    )
+    better = int(np.sum(after < before))
+    message = (
+        f"Mean error at {len(measured)} targets: {mm(float(before.mean()))} uncompensated, {mm(float(after.mean()))}"
+        f" compensated; {'all' if better == len(measured) else better} became better."
+    )
+    return Chart(title, x, y, drawn, message, noise_limit(floor_mm))

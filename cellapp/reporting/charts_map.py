@@ -1,0 +1,103 @@
+"""Maps of the cell: bases, tracker and stops from above, and as the tracker sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cellapp.kinematics.chain import smr_positions
+from cellapp.kinematics.transforms import Array, apply, invert
+from cellapp.model.nominal import nominal_arm, pose_matrix
+from cellapp.profile import Profile
+from cellapp.reporting.charts import Axis, Chart, enumerated, series
+from cellapp.results import PlannedStop
+
+View = Literal["above", "tracker"]
+
+_PLANNED, _MEASURED = "○△□◇", "●▲■◆"
+"""Marks of the arms: hollow where a stop is planned, full where it is measured."""
+_AXES: Mapping[View, tuple[Axis, Axis]] = {
+    "above": (Axis("x", "m"), Axis("y", "m")),
+    "tracker": (Axis("azimuth", "deg"), Axis("elevation", "deg")),
+}
+_TITLES: Mapping[View, str] = {"above": "The cell from above", "tracker": "The cell as the tracker sees it"}
+_OTHER_STYLE = 4
+"""Style of what belongs to no arm."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Marks:
+    """Positions (n, 3) in the cell frame C [m] that are drawn alike."""
+
+    name: str
+    p_C: Array
+    mark: str
+    style: int
+
+
+def cell_map_chart(
+    profile: Profile, stops: Sequence[PlannedStop], view: View = "above", current: int | None = None
+) -> Chart:
+    """Bases, tracker, and the SMR at planned and measured stops, with the nominal geometry.
+
+    From above in the cell frame C [m], or as azimuth and elevation [deg] in the tracker frame M. ``current`` is the
+    number of the stop to which the arms move.
+    """
+    pose = profile.tracker.pose
+    bases = {name: pose_matrix(arm.base) for name, arm in profile.arms.items() if arm.base is not None}
+    if pose is None or not bases:
+        message = "No map: the profile does not say where bases and tracker are (arms.*.base, tracker.pose)."
+        return Chart(_TITLES[view], *_AXES[view], (), message)
+    T_C_M = pose_matrix(pose)
+    smr = {name: _smr_positions(profile, name, T_C_B, stops) for name, T_C_B in bases.items()}
+    things = [*_stop_marks(smr, stops, current)]
+    things.append(_Marks("base", np.array([T_C_B[:3, 3] for T_C_B in bases.values()]), "B", _OTHER_STYLE))
+    if view == "above":
+        things.append(_Marks("tracker", T_C_M[:3, 3][np.newaxis], "T", _OTHER_STYLE))
+    drawn = tuple(
+        series(thing.name, *_seen(thing.p_C, T_C_M, view), "points", style=thing.style, mark=thing.mark)
+        for thing in things
+        if len(thing.p_C)
+    )
+    message = _message(smr, stops, T_C_M)
+    return Chart(_TITLES[view], *_AXES[view], drawn, message, equal=view == "above")
+
+
+def _smr_positions(profile: Profile, name: str, T_C_B: Array, stops: Sequence[PlannedStop]) -> Array:
+    """Nominal SMR positions of one arm in C [m], shape (n, 3), at all stops."""
+    geometry = nominal_arm(profile.arms[name]).with_T_M_B(T_C_B)
+    return smr_positions(geometry, np.array([stop.q[name] for stop in stops]).reshape(-1, geometry.joints))
+
+
+def _stop_marks(smr: Mapping[str, Array], stops: Sequence[PlannedStop], current: int | None) -> Iterator[_Marks]:
+    measured = np.array([stop.measured for stop in stops], dtype=np.bool_)
+    now = np.array([stop.configuration == current for stop in stops], dtype=np.bool_)
+    for style, (name, p_C) in enumerate(smr.items()):
+        shape = style % len(_PLANNED)
+        yield _Marks(f"{name} planned", p_C[~measured], _PLANNED[shape], style)
+        yield _Marks(f"{name} measured", p_C[measured], _MEASURED[shape], style)
+    if now.any():
+        yield _Marks("moving to", np.concatenate([p_C[now] for p_C in smr.values()]), "X", _OTHER_STYLE)
+
+
+def _seen(p_C: Array, T_C_M: Array, view: View) -> tuple[Array, Array]:
+    """Coordinates of a view: x and y [m], or azimuth and elevation [deg] from the tracker."""
+    if view == "above":
+        return p_C[:, 0], p_C[:, 1]
+    x, y, z = apply(invert(T_C_M), p_C).T
+    return np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
+
+
+def _message(smr: Mapping[str, Array], stops: Sequence[PlannedStop], T_C_M: Array) -> str:
+    """How many stops are measured, and how far they are from the tracker."""
+    if not stops:
+        return f"Bases of {enumerated(smr)} and the tracker; no stops yet: plan first."
+    away = np.linalg.norm(np.concatenate(list(smr.values())) - T_C_M[:3, 3], axis=1)
+    measured = sum(stop.measured for stop in stops)
+    return (
+        f"{measured} of {len(stops)} planned stops are measured; they are {away.min():.1f} to {away.max():.1f} m from"
+        " the tracker."
+    )

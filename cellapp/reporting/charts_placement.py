@@ -1,0 +1,43 @@
+"""Where bases and tracker stand while their poses are being written: those that are known so far."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cellapp.model.nominal import pose_matrix
+from cellapp.profile import Pose
+from cellapp.reporting.charts import Axis, Chart, Series, enumerated, series
+
+_AXIS_M = 0.4
+"""Length of the line along a frame's x axis: visible in a map of some metres."""
+_OTHER_STYLE = 4
+"""Style of what belongs to no arm; as in ``charts_map``."""
+
+
+def placement_chart(bases: Mapping[str, Pose], tracker: Pose | None) -> Chart:
+    """Bases and tracker from above in the cell frame C [m]; a line from each along its x axis."""
+    axes = (Axis("x", "m"), Axis("y", "m"))
+    lines = [line for style, (name, pose) in enumerate(bases.items()) for line in _frame(name, pose, style)]
+    lines += [] if tracker is None else _frame("tracker", tracker, _OTHER_STYLE, "T")
+    if not lines:
+        return Chart("The cell from above", *axes, (), "No map yet: write positions of bases and tracker.")
+    return Chart("The cell from above", *axes, tuple(lines), _message(bases, tracker), equal=True)
+
+
+def _frame(name: str, pose: Pose, style: int, mark: str = "B") -> list[Series]:
+    T_C_X = pose_matrix(pose)
+    origin, tip = T_C_X[:2, 3], T_C_X[:2, 3] + _AXIS_M * T_C_X[:2, 0]
+    x_axis = series(f"{name} x axis", [origin[0], tip[0]], [origin[1], tip[1]], style=style)
+    return [x_axis, series(name, origin[:1], origin[1:], "points", style=style, mark=mark)]
+
+
+def _message(bases: Mapping[str, Pose], tracker: Pose | None) -> str:
+    words = [f"{name} at {pose.position[0]:.2f}, {pose.position[1]:.2f} m" for name, pose in bases.items()]
+    if tracker is not None and bases:
+        away = [np.linalg.norm(np.subtract(pose.position, tracker.position)) for pose in bases.values()]
+        words.append(f"the tracker {min(away):.1f} to {max(away):.1f} m from the bases")
+    elif tracker is not None:
+        words.append("the tracker")
+    return f"From above: {enumerated(words)}."

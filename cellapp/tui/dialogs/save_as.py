@@ -1,0 +1,92 @@
+"""Ask where to save a text, and save it. A file that is there is only replaced when that is said twice."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import ClassVar
+
+from textual import on
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal
+from textual.widgets import Button, Input, Static
+
+from cellapp.tui.dialogs.file_picker import PathSuggester, completions
+from cellapp.tui.dialogs.question import Question
+
+
+class SaveAs(Question[Path]):
+    """Save a text where a person says. Returns the path; None where the dialog is closed.
+
+    Parameters
+    ----------
+    what : str
+        What is saved, in a word or two.
+    text : str
+    proposed : Path
+        The path to begin with.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", "Complete", priority=True)]
+
+    def __init__(self, what: str, text: str, proposed: Path) -> None:
+        super().__init__()
+        self._what, self._text, self._proposed = what, text, proposed
+        self._replace: Path | None = None
+
+    def body(self) -> ComposeResult:
+        yield Static(f"Save {self._what} as", classes="title", markup=False)
+        yield Input(str(self._proposed), suggester=PathSuggester(_anything), id="path", compact=True)
+        yield Static("Tab completes, Enter saves, Escape closes.", id="why", classes="text", markup=False)
+        with Horizontal(classes="answers"):
+            yield Button("Save", id="save", variant="success", compact=True)
+            yield Button("Close", id="close", compact=True)
+
+    def on_mount(self) -> None:
+        """Begin with the field."""
+        self.query_one("#path").focus()
+
+    def action_complete(self) -> None:
+        """Complete as far as all candidates agree."""
+        field = self.query_one("#path", Input)
+        found = completions(field.value, _anything)
+        if found:
+            field.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
+            field.cursor_position = len(field.value)
+        field.focus()
+
+    @on(Input.Submitted)
+    def submit(self, event: Input.Submitted) -> None:
+        """Save where was typed."""
+        event.stop()
+        self._save()
+
+    @on(Button.Pressed)
+    def press(self, event: Button.Pressed) -> None:
+        """Save or close."""
+        event.stop()
+        if event.button.id == "save":
+            self._save()
+        else:
+            self.dismiss(None)
+
+    def _save(self) -> None:
+        path = Path(self.query_one("#path", Input).value.strip()).expanduser()
+        if path.exists() and path != self._replace:
+            self._replace = path
+            self._explain(f"{path} exists. Enter again replaces it; or type another name.")
+            return
+        try:
+            path.write_text(self._text, encoding="utf-8")
+        except OSError as error:
+            self._explain(f"{path} cannot be written ({error.strerror or error}); type another name.")
+            return
+        self.dismiss(path)
+
+    def _explain(self, sentence: str) -> None:
+        self.query_one("#why", Static).update(sentence)
+
+
+def _anything(path: Path) -> bool:
+    return True

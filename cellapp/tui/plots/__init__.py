@@ -1,0 +1,11 @@
+"""Plots in the terminal: ``ChartPlot`` draws a chart of ``cellapp.reporting.charts``.
+
+Dots are set with numpy, without a plotting library: a redraw is in the event loop, and textual-plot took 22 ms for two
+lines at 196 x 50 cells, plotext 14 ms at 38 x 10; here it is 3 ms. Their frames and margins left 3 to 6 of 10 rows.
+"""
+
+from __future__ import annotations
+
+from cellapp.tui.plots.widget import ChartPlot
+
+__all__ = ["ChartPlot"]
