@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from textual.geometry import Region
 from textual.pilot import Pilot
-from textual.widgets import Button, Input, Static, TabbedContent, TextArea
+from textual.widgets import Button, Static, TabbedContent, TextArea
 
 from cellapp.kinematics.transforms import apply, invert
 from cellapp.model.nominal import pose_matrix
@@ -52,7 +52,7 @@ def row(app: CellApp, field: str) -> FieldRow:
 
 
 def text(app: CellApp, field: str) -> str:
-    return row(app, field).query_one(Input).value
+    return row(app, field).input.value
 
 
 def problem(app: CellApp, field: str) -> str:
@@ -70,7 +70,7 @@ async def shown(pilot: Pilot[None], app: CellApp, words: str) -> None:
 
 async def fill(pilot: Pilot[None], app: CellApp, field: str, value: str) -> None:
     """Replace the text of a field as a paste does."""
-    row(app, field).query_one(Input).value = value
+    row(app, field).input.value = value
     await pilot.pause()
 
 
@@ -146,7 +146,7 @@ async def test_a_new_cell_is_written_with_what_the_form_asks_for(app: CellApp) -
         await shown(pilot, app, "9 fields to correct")
         assert "missing; it must be given" in problem(app, "arms.0.host")
         await pilot.press("f4")  # the first problem after the name: in the section of the left arm
-        await until(pilot, lambda: app.focused is row(app, "arms.0.host").query_one(Input), "the next problem")
+        await until(pilot, lambda: app.focused is row(app, "arms.0.host").input, "the next problem")
         assert form(app).query_one(TabbedContent).active == "section-arm-0"
         for field, value in ANSWERS.items():
             await fill(pilot, app, field, value)
@@ -171,10 +171,12 @@ async def test_a_problem_stands_beside_its_field_while_typing(with_twin: CellApp
     app = with_twin
     async with app.run_test(size=(160, 40)) as pilot:
         await edit(pilot, app)
-        await pilot.press("f6", "down", "down", "down", "end", "backspace", "m", "m")
+        await pilot.press("f6")
+        await until(pilot, lambda: app.focused is row(app, "arms.0.name").input, "the section")
+        await pilot.press("down", "down", "down", "end", "backspace", "k", "m")
         await shown(pilot, app, "1 field to correct")
-        assert text(app, "arms.0.position") == "0.0, 0.85, 0.mm"
-        assert "expected a length" in problem(app, "arms.0.position")
+        assert text(app, "arms.0.position") == "0.0, 0.85, 0.km"
+        assert "'km' is not a unit of length; use one of m," in problem(app, "arms.0.position")
         assert "left (1)" in shown_text(app)
         await pilot.press("ctrl+z")
         await shown(pilot, app, "unchanged · every field holds")
@@ -305,7 +307,7 @@ async def test_stop_and_map_at_every_size(with_twin: CellApp, size: tuple[int, i
         await pilot.pause()
         assert "From above: left at 0.00, 0.85 m" in shown_text(app)
         await pilot.press("f3", "f6")
-        await until(pilot, lambda: app.focused is row(app, "arms.0.name").query_one(Input), "the section")
+        await until(pilot, lambda: app.focused is row(app, "arms.0.name").input, "the section")
         await pilot.pause()
         for label in ("Name", "Arm type", "Base position", "SMR offset", "Home", "Speed"):
             assert label in shown_text(app)

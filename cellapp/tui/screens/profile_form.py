@@ -91,6 +91,7 @@ class ProfileForm(Question[Path]):
         self._typing_in = ""
         self._judged: ProfileDraft | None = None
         self._problems: tuple[FieldProblem, ...] = ()
+        self._section = "section-cell"
         self._timer: Timer | None = None
         self._saved: Path | None = None
 
@@ -101,7 +102,10 @@ class ProfileForm(Question[Path]):
             yield Static("", id="form-title", markup=False)
             yield StopButton()
         with Horizontal(id="form-body"):
-            with TabbedContent(id="sections"):
+            last = len(self._draft.arms) - 1
+            if (self._present_arm() or 0) > last:  # it was removed
+                self._section = f"section-arm-{last}"
+            with TabbedContent(id="sections", initial=self._section):
                 yield self._pane("cell", "Cell", self._cell_rows())
                 for index, arm in enumerate(self._draft.arms):
                     yield self._pane(f"arm-{index}", arm.name, self._arm_rows(index, arm))
@@ -132,6 +136,7 @@ class ProfileForm(Question[Path]):
     @on(TabbedContent.TabActivated)
     def begin_section(self, event: TabbedContent.TabActivated) -> None:
         """Judge what was not judged yet: the form has just been composed."""
+        self._section = str(event.pane.id)
         if self._judged is not self._draft:
             self._draw_kinds()
             self._judge()
@@ -200,8 +205,8 @@ class ProfileForm(Question[Path]):
         arms = self._draft.arms
         like = arms[-1] if arms else ArmDraft(kind=arm_kinds()[0])
         new = replace(like, name="", host="", serial="", position="", source="", note="")
+        self._section = f"section-arm-{len(arms)}"
         await self._change_arms((*arms, new))
-        self.query_one("#sections", TabbedContent).active = f"section-arm-{len(arms)}"
 
     async def action_remove_arm(self) -> None:
         """Remove the arm whose section is shown."""
@@ -380,7 +385,7 @@ class ProfileForm(Question[Path]):
         return str(section)
 
     def _present_arm(self) -> int | None:
-        name = self.query_one("#sections", TabbedContent).active.removeprefix("section-")
+        name = self._section.removeprefix("section-")
         return int(name.removeprefix("arm-")) if name.startswith("arm-") else None
 
     def _section_of(self, field_id: str) -> str:
