@@ -155,7 +155,7 @@ class AirReport:
 
 
 @dataclass(frozen=True)
-class LogEntry:
+class LogReport:
     """A line of the run's log; ``level`` is info, warning, error or note."""
 
     level: str
@@ -173,7 +173,7 @@ Detail = (
     | PointMeasured
     | PointMissed
     | AirReport
-    | LogEntry
+    | LogReport
 )
 
 

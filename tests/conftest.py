@@ -12,6 +12,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from cellapp.collection.collect import collect_run
 from cellapp.compensation.targets import load_targets
@@ -19,6 +20,10 @@ from cellapp.pipeline import calibrate_run, discover_run, new_planned_run, push_
 from tests.twin import PROFILES, finished_twin
 
 FEW_TARGETS = 2
+
+# an example that takes long, on a busy computer, is no fault
+settings.register_profile("cellapp", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("cellapp")
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.motion import asking
 from cellapp.cli.options import AllowMotion, JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
 from cellapp.cli.requests import abort, pause, resume, stop
+from cellapp.cli.runs import compare, runs
 from cellapp.cli.show import schema, show
 from cellapp.cli.trials import trials_app
 from cellapp.errors import CheckFailed, InputError
@@ -127,6 +128,24 @@ def collect(
         job.say(*collect_lines(result), *other_notes(result, result.notes))
         job.result(result)
         _check(result.complaints(), "collect")
+
+
+@app.command()
+def replay(
+    folder: RunFolder,
+    speed: Annotated[
+        float, typer.Option("--speed", metavar="X", help="Times the recorded pace, from 1 to 100.")
+    ] = 10.0,
+    json_file: JsonOption = None,
+) -> None:
+    """Play the collecting of a run back: the same events, the same running model; nothing moves, nothing is written."""
+    from cellapp.collection.replay import replay_run
+    from cellapp.reporting.collection_text import replay_lines
+
+    with Job(json_file) as job, open_run(folder) as opened:
+        result = replay_run(opened, job.listen, job.control, speed=speed)
+        job.say(*replay_lines(result))
+        job.result(result)
 
 
 @app.command("import")
@@ -289,7 +308,7 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-for command in (init, pause, resume, stop, abort, show, schema, docs):
+for command in (init, pause, resume, stop, abort, runs, compare, show, schema, docs):
     app.command()(command)
 
 

@@ -1,4 +1,4 @@
-"""What commands of blind trials share: the Markdown file, and the exit code for missed bars."""
+"""What commands of trials against bars share: tables on the terminal and as Markdown, exit code for missed bars."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cellapp.cli.job import Job
 from cellapp.errors import CellappError, CheckFailed, InputError
 
 if TYPE_CHECKING:
+    from cellapp.reporting.table import Table
+    from cellapp.results import Result
     from cellapp.trials.judge_records import TargetScore
 
 
@@ -18,14 +21,27 @@ def check_markdown(path: Path | None) -> None:
         raise InputError(f"--markdown: {path}: folder not found; nothing was done")
 
 
-def write_markdown(path: Path | None, text: str) -> None:
-    """Write the tables, if asked for. Raises ``CellappError`` if that fails."""
-    if path is None:
+def state_result(
+    job: Job, result: Result, tables: Sequence[Table], sentences: Sequence[str], markdown: Path | None
+) -> None:
+    """Show the tables and the sentences below them, state the result, and write the Markdown file if asked for.
+
+    Raises
+    ------
+    CellappError
+        If the Markdown file cannot be written.
+    """
+    from cellapp.reporting.table import markdown as as_markdown
+
+    job.show(tables)
+    job.say(*sentences)
+    job.result(result)
+    if markdown is None:
         return
     try:
-        path.write_text(text, encoding="utf-8")
+        markdown.write_text(as_markdown(tables, sentences), encoding="utf-8")
     except OSError as error:
-        raise CellappError(f"--markdown: {path} cannot be written ({error.strerror})") from None
+        raise CellappError(f"--markdown: {markdown} cannot be written ({error.strerror})") from None
 
 
 def check_bars(failed: Sequence[str], missed: Sequence[TargetScore]) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from cellapp.cli.job import Job
 from cellapp.cli.options import JsonOption, ProfilePath
-from cellapp.cli.trial_files import check_bars, check_markdown, write_markdown
+from cellapp.cli.trial_files import check_bars, check_markdown, state_result
 from cellapp.errors import CheckFailed
 
 MarkdownFile = Annotated[
@@ -252,15 +252,12 @@ def judge(
 ) -> None:
     """Calibrate and discover on every sealed run, then open the truth and compare; continues where it was stopped."""
     from cellapp.trials.judge import judge_trials
-    from cellapp.trials.tables import judge_markdown, judge_sentences, judge_tables
+    from cellapp.trials.tables import judge_sentences, judge_tables
 
     with Job(json_file) as job:
         check_markdown(markdown)
         result = judge_trials(folder, jobs=jobs, again=again, listener=job.listen, cancel=job.control)
-        job.show(judge_tables(result))
-        job.say(*judge_sentences(result))
-        job.result(result)
-        write_markdown(markdown, judge_markdown(result))
+        state_result(job, result, judge_tables(result), judge_sentences(result), markdown)
         check_bars(result.failed, result.missed)
 
 
@@ -283,7 +280,7 @@ def blind_matrix(
     from cellapp.profile import load_profile
     from cellapp.trials.blind_matrix import blind_matrix as run_matrix
     from cellapp.trials.blind_matrix import matrix_cells
-    from cellapp.trials.tables import matrix_markdown, matrix_sentences, matrix_tables
+    from cellapp.trials.tables import matrix_sentences, matrix_tables
 
     with Job(json_file) as job:
         check_markdown(markdown)
@@ -291,10 +288,7 @@ def blind_matrix(
         result = run_matrix(
             load_profile(profile), out, n, cells, seed=seed, jobs=jobs, listener=job.listen, cancel=job.control
         )
-        job.show(matrix_tables(result))
-        job.say(*matrix_sentences(result))
-        job.result(result)
-        write_markdown(markdown, matrix_markdown(result))
+        state_result(job, result, matrix_tables(result), matrix_sentences(result), markdown)
         check_bars(result.failed, result.missed)
 
 
@@ -316,7 +310,6 @@ def league(
     json_file: JsonOption = None,
 ) -> None:
     """Real robots, measured by others: geometry, network and discovery on rows that were held out, against bars."""
-    from cellapp.reporting.table import markdown as as_markdown
     from cellapp.trials.league.series import parse_rows
     from cellapp.trials.league.tables import league_sentences, league_tables
     from cellapp.trials.league.trial import league_trials
@@ -335,9 +328,6 @@ def league(
             listener=job.listen,
             cancel=job.control,
         )
-        job.show(league_tables(result))
-        job.say(*league_sentences(result))
-        job.result(result)
-        write_markdown(markdown, as_markdown(league_tables(result), league_sentences(result)))
+        state_result(job, result, league_tables(result), league_sentences(result), markdown)
         if result.complaints():
             raise CheckFailed(f"trials league: {'; '.join(result.complaints())}")

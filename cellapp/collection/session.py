@@ -20,7 +20,7 @@ from cellapp.collection.travel import Travel
 from cellapp.collection.work import StopQueue, Work
 from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
-from cellapp.progress import Detail, Listener, LogEntry, MeasurementBegun, PointMissed, Progress, Suspicion
+from cellapp.progress import Detail, Listener, LogReport, MeasurementBegun, PointMissed, Progress, Suspicion
 from cellapp.run import Outcome, Reading, RunFile
 from cellapp.run.collection_rows import OutcomeKind
 from cellapp.safety.cell_bodies import home_positions
@@ -367,7 +367,7 @@ class CollectSession:
         text = record_sentence(kind, reason)
         level = "info" if kind in _HARMLESS else "warning"
         if state_of(kind) is None:
-            self._emit(LogEntry(level, text))
+            self._emit(LogReport(level, text))
         try:
             self.run.record_request(self.number, kind, reason)
             self.run.log(level, text, self._run_time_s())
@@ -379,7 +379,7 @@ class CollectSession:
 
     def _log(self, level: str, text: str) -> None:
         self.run.log(level, text, self._run_time_s())
-        self._emit(LogEntry(level, text))
+        self._emit(LogReport(level, text))
         if level == "warning":
             self.notes.append(text)
 

@@ -8,22 +8,20 @@ covariance: a Gauss-Newton step from the fit to the searched readings, and a sec
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cellapp.calibration.linear import inverse_psd, solve_psd
 from cellapp.discovery.arm_data import ArmData, whitening
-from cellapp.discovery.candidates import whitened_displacements
-from cellapp.discovery.joint_fit import JointFit, fit_terms, mean_variance, refit, uncertainty_with_scatter
+from cellapp.discovery.joint_fit import JointFit, LinearModel, fit_terms, mean_variance, refit, uncertainty_with_scatter
 from cellapp.discovery.process.components import Component, components
 from cellapp.discovery.process.evidence import Hyperparameters, ProcessData
 from cellapp.discovery.process.structured import StructuredProcess, needed_components, process_terms
 from cellapp.discovery.search.state import Review, SearchResult
 from cellapp.discovery.terms import ModelTerm, ModelTerms, smoothness_of
 from cellapp.effects import EffectColumn
-from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.model.posterior import PosteriorDraws
@@ -49,16 +47,19 @@ class _NormalMatrix:
     square: float
 
     def covariance(self, precision: Array) -> Array:
-        """Inverse of X^T X and the prior precisions (p,), each parameter scaled by its column."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.gram), _SMALLEST))
-        A = self.gram * (scale[:, None] * scale) + np.diag(precision * scale**2)
+        """Inverse of X^T X and the prior precisions (p,)."""
+        A, scale = self._scaled(precision)
         return inverse_psd(A) * (scale[:, None] * scale)
 
     def solution(self, precision: Array) -> Array:
         """Values (p,) of all parameters under the priors."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.gram), _SMALLEST))
-        A = self.gram * (scale[:, None] * scale) + np.diag(precision * scale**2)
+        A, scale = self._scaled(precision)
         return solve_psd(A, self.moment * scale) * scale
+
+    def _scaled(self, precision: Array) -> tuple[Array, Array]:
+        """X^T X and the prior precisions (p,) with each parameter scaled by its column, and these scales (p,)."""
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.gram), _SMALLEST))
+        return self.gram * (scale[:, None] * scale) + np.diag(precision * scale**2), scale
 
     def behind(self, flat: int, precision: Array, coordinates: int) -> ProcessData:
         """The columns from ``flat`` on behind the first ones, whose prior precisions (flat,) are given."""
@@ -103,9 +104,7 @@ def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: floa
     had = {term.slug: term for term in found.fit.terms if term.smooth is not None}
     chosen = [one if one.slug in had else one.coarse() for one in components(found.data, base)]
     flat = base.layout.total
-    columns = [column for one in chosen for column in one.columns]
-    gathered = _gathered(data, base, named, _Further(tuple(chosen)), len(columns))
-    gram = gathered.behind(flat, base.precision, 3 * len(data))
+    gram = _gathered(data, base, chosen).behind(flat, base.precision, 3 * len(data))
     start = Hyperparameters(
         tuple(_amplitudes(one, had.get(one.slug)) for one in chosen),
         tuple(_length(one, had.get(one.slug)) for one in chosen),
@@ -128,41 +127,29 @@ def _length(component: Component, term: ModelTerm | None) -> float:
     return next((known[key] for key in component.length_keys if key in known), component.lengths.start)
 
 
-@dataclass(frozen=True, eq=False)
-class _Further:
-    """Components whose columns are gathered beside those of a model's terms."""
-
-    components: tuple[Component, ...]
-
-    def columns(self, data: ArmData) -> list[EffectColumn]:
-        """Their columns at some readings."""
-        found: list[EffectColumn] = []
-        for one in self.components:
-            law = one.law(np.ones(len(one.amplitude_keys)), 1.0 if one.lengths is None else one.lengths.start)
-            found += data.columns(one.slug, law, [column.name for column in one.columns])
-        return found
+def _columns(data: ArmData, chosen: Sequence[Component]) -> list[EffectColumn]:
+    """Columns of components at some readings."""
+    found: list[EffectColumn] = []
+    for one in chosen:
+        law = one.law(np.ones(len(one.amplitude_keys)), 1.0 if one.lengths is None else one.lengths.start)
+        found += data.columns(one.slug, law, [column.name for column in one.columns])
+    return found
 
 
-def _gathered(data: ArmData, fit: JointFit, terms: ModelTerms, further: _Further, count: int) -> _NormalMatrix:
-    """Normal matrix of geometry, terms and ``count`` further columns over all readings, linearised at a fit."""
+def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -> _NormalMatrix:
+    """Normal matrix of a fit's geometry and terms and of further components over all readings, linearised there."""
+    count = sum(len(one.columns) for one in further)
     total = fit.layout.total + count
     gram, moment, square = np.zeros((total, total)), np.zeros(total), 0.0
     geometric = np.array(fit.identification.estimated.columns, dtype=np.intp)
     deviation = fit.model.geometry.vector()[geometric] - data.model.nominal.vector()[geometric]
     values = np.concatenate([deviation, fit.identification.effect_values, np.zeros(count)])
     for chunk in _chunks(data):
-        white = whitening(chunk.sigma, len(chunk))
-        angles = JointAngles.of(chunk.readings.q)
-        _, J = jacobian(fit.model.geometry, angles, fit.identification.estimated.columns)
-        _, by_joint = joint_jacobian(fit.model.geometry, angles)
-        by_joint = np.einsum("acn,cjn->ajn", white, by_joint)
-        columns = [*chunk.term_columns(terms), *further.columns(chunk)]
-        rows = np.concatenate(
-            [
-                np.einsum("acn,ckn->kan", white, J).reshape(len(geometric), -1),
-                whitened_displacements(columns, by_joint, white),
-            ]
-        )
+        white = whitening(chunk.sigma)
+        columns = [*chunk.term_columns(fit.terms), *_columns(chunk, further)]
+        rows = LinearModel.of(
+            fit.model.geometry, chunk.readings.q, white, fit.identification.estimated.columns, columns
+        ).rows
         left = chunk.readings.p_M - fit.model.predict(chunk.readings.q, conditions=chunk.conditions)
         target = np.einsum("acn,nc->an", white, left).ravel() + values @ rows
         gram += rows @ rows.T
@@ -192,7 +179,7 @@ def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
     columns = list(fit.identification.estimated.columns)
     normal = _NormalMatrix(np.zeros((0, 0)), np.zeros(0), 0.0)
     for _ in range(_STEPS):
-        normal = _gathered(data, fit, fit.terms, _Further(()), 0)
+        normal = _gathered(data, fit)
         values = normal.solution(fit.precision)
         vector = model.geometry.vector()
         vector[columns] = data.model.nominal.vector()[columns] + values[:flat]

@@ -123,9 +123,7 @@ class ArmData:
         return tuple(found)
 
 
-def whitening(sigma: Array | None, n: int) -> Array:
-    """Matrices (3, 3, n) [1/m] that turn errors of n points into units of their standard uncertainty; None: 1 m."""
-    if sigma is None:
-        return np.ascontiguousarray(np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n)))
+def whitening(sigma: Array) -> Array:
+    """Matrices (3, 3, n) [1/m] that turn errors of n points into units of their standard uncertainty."""
     white = whitener(sigma)
     return np.asarray(np.eye(3)[:, :, None] * white) if white.ndim == 1 else white

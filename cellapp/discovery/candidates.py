@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 from cellapp.effects import EffectColumn, Law
 from cellapp.kinematics.transforms import Array
 
+BOUND_ERRORS = 4.0
+"""Standard errors by which a value may exceed its physical bound: chance does so in one of 30 000 cases. The estimate
+of a joint that an effect hardly loads is often negative."""
+
 Block = tuple[int, ...]
 """Places of the columns of one block, which enter a model together."""
 
@@ -89,6 +93,15 @@ def best_law_of_each_effect(scores: Sequence[LawScore]) -> list[LawScore]:
     for score in scores:
         best.setdefault(score.slug, score)
     return list(best.values())
+
+
+def blocks_beyond_bounds(columns: Sequence[EffectColumn], values: Array, errors: Array) -> set[str]:
+    """Blocks with a value (m,) outside its column's physical bounds by more than its standard error (m,) allows."""
+    return {
+        column.block
+        for column, value, error in zip(columns, values.tolist(), errors.tolist(), strict=True)
+        if not column.lower - BOUND_ERRORS * error <= value <= column.upper + BOUND_ERRORS * error
+    }
 
 
 def whitened_displacements(columns: Sequence[EffectColumn], by_joint: Array, white: Array) -> Array:

@@ -11,7 +11,6 @@ from cellapp.design.information import VISIBLE
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.significance import smallest_detectable
 from cellapp.discovery.search.state import SearchResult
-from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import EFFECTS
 from cellapp.kinematics.transforms import Array
 from cellapp.results import AbsentEffect, SmallestSize
@@ -37,12 +36,10 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
 
     ``scan`` is that of all effects that the final model does not have.
     """
-    taken = {term.slug for term in found.fit.terms}
-    others = [slug for slug in EFFECTS if slug not in taken and slug != UNKNOWN]
     noise_mm = 1e3 * _noise_m(found.fit.white if found.fit.terms else found.geometry_only.white)
     invisible: list[AbsentEffect] = []
     not_found: list[AbsentEffect] = []
-    for slug in others:
+    for slug in found.absent:
         if lacking := EFFECTS[slug].missing_data(found.data.context):
             invisible.append(AbsentEffect(effect=slug, reason=f"not testable: {lacking}"))
             continue

@@ -19,11 +19,11 @@ from cellapp.calibration.normal_equations import EffectColumns
 from cellapp.calibration.weights import excess_variance, with_excess
 from cellapp.design.information import NuisanceProjector
 from cellapp.discovery.arm_data import TOLERANCE, ArmData, whitening
-from cellapp.discovery.candidates import CandidateLaw, whitened_displacements
+from cellapp.discovery.candidates import CandidateLaw, blocks_beyond_bounds, whitened_displacements
 from cellapp.discovery.projected_residual import ProjectedResidual
 from cellapp.discovery.terms import ModelTerms, TermLayout, prior_sd, smoothness_of
 from cellapp.effects import EFFECTS, EffectColumn, EffectTerm, Law
-from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
+from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.model.posterior import PosteriorDraws
@@ -34,9 +34,41 @@ _EXCESS_CHANGE = 0.02
 """Relative change of the excess variance below which its estimate has converged: weights then change by 1 %."""
 _DRAW_SEED = 0xD4A7
 """Beside the profile's seed: the draws of parameters are then independent of all other draws."""
-BOUND_ERRORS = 4.0
-"""Standard errors by which a value may exceed its physical bound: chance does so in one of 30 000 cases. The estimate
-of a joint that an effect hardly loads is often negative."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Whitened derivatives of the SMR positions of n readings at one geometry.
+
+    Attributes
+    ----------
+    by_joint : array, shape (3, N, n)
+        By the joints.
+    rows : array, shape (p, 3 n)
+        By geometric parameters, then by those of effect columns.
+    """
+
+    by_joint: Array
+    rows: Array
+
+    @classmethod
+    def of(
+        cls,
+        geometry: Geometry,
+        q: Array,
+        white: Array,
+        parameters: tuple[int, ...],
+        effects: Sequence[EffectColumn] = (),
+    ) -> LinearModel:
+        """At configurations ``q`` (n, N) [rad] with whitening ``white`` (3, 3, n), by some geometric parameters and the
+        columns of effects."""
+        angles = JointAngles.of(q)
+        _, J = jacobian(geometry, angles, parameters)
+        _, by_joint = joint_jacobian(geometry, angles)
+        by_joint = np.einsum("acn,cjn->ajn", white, by_joint)
+        geometric = np.einsum("acn,ckn->kan", white, J).reshape(len(parameters), -1)
+        rows = np.concatenate([geometric, whitened_displacements(effects, by_joint, white)]) if effects else geometric
+        return cls(by_joint, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +119,22 @@ class JointFit:
     def projected_residual(self) -> ProjectedResidual:
         """The residual in the complement of all that was fitted."""
         return ProjectedResidual(self.projector, self.residual)
+
+    @cached_property
+    def information_criterion(self) -> float:
+        """Minus twice the log marginal likelihood, parameters with a smooth prior integrated out.
+
+        The others cost ln N each, N = 3 n coordinates, as in the Bayesian information criterion.
+        """
+        first = self.layout.geometric
+        smooth = np.zeros(len(self.precision), dtype=bool)
+        smooth[first:] = self.precision[first:] > 0.0
+        values = self.identification.values
+        square = float(self.residual @ self.residual) + float(self.precision[smooth] @ values[smooth] ** 2)
+        log_variance = -2.0 * float(np.sum(np.log(np.einsum("aan->an", self.white))))
+        flat = NuisanceProjector.of(self.rows[~smooth], self.precision[~smooth])
+        price = flat.effective_parameters * math.log(len(self.residual))
+        return square + log_variance + price + _log_occam(self.rows[smooth], self.precision[smooth], flat)
 
     def residual_without(self, term: int) -> ProjectedResidual:
         """Residual of the model without one term, in the complement of that model's parameters."""
@@ -153,36 +201,37 @@ class JointFit:
 
     def blocks_beyond_bounds(self, term: int) -> set[str]:
         """Blocks of a term with a value outside its physical bounds by more than chance allows."""
-        errors = self.identification.standard_errors[self.layout.parameters(term)].tolist()
-        return {
-            column.block
-            for column, value, error in zip(
-                self.term_columns(term), self.term_values(term).tolist(), errors, strict=True
-            )
-            if not column.lower - BOUND_ERRORS * error <= value <= column.upper + BOUND_ERRORS * error
-        }
+        errors = self.identification.standard_errors[self.layout.parameters(term)]
+        return blocks_beyond_bounds(self.term_columns(term), self.term_values(term), errors)
+
+
+def _log_occam(rows: Array, precision: Array, flat: NuisanceProjector) -> float:
+    """Log determinant of ``I + V^1/2 S M S^T V^1/2`` of smooth columns S behind the other parameters, V their prior."""
+    if not len(rows):
+        return 0.0
+    explained = rows @ flat.basis
+    root = 1.0 / np.sqrt(precision)
+    gram = (rows @ rows.T - explained @ explained.T) * (root[:, None] * root)
+    gram[np.diag_indices_from(gram)] += 1.0
+    return 2.0 * float(np.sum(np.log(np.diag(np.linalg.cholesky(gram)))))
 
 
 def fit_terms(data: ArmData, terms: ModelTerms) -> JointFit:
     """Fit geometry and terms to all readings and linearise there."""
     found, columns = _identify(data, terms)
     layout = TermLayout.of(len(found.parameter_set.columns), [term.size for term in terms])
-    white = whitening(data.sigma, len(data))
-    angles = JointAngles.of(data.readings.q)
-    _, J = jacobian(found.geometry, angles, found.parameter_set.columns)
-    _, by_joint = joint_jacobian(found.geometry, angles)
-    by_joint = np.einsum("acn,cjn->ajn", white, by_joint)
-    geometric = np.einsum("acn,ckn->kan", white, J).reshape(layout.geometric, -1)
+    white = whitening(data.sigma)
+    linear = LinearModel.of(found.geometry, data.readings.q, white, found.parameter_set.columns, columns)
     fit = JointFit(
         terms=terms,
         layout=layout,
         identification=found,
         columns=columns,
-        model=_fitted_model(data, found, terms, layout, columns),
+        model=_fitted_model(data, found, terms, layout),
         white=white,
-        by_joint=by_joint,
-        rows=np.concatenate([geometric, whitened_displacements(columns, by_joint, white)]),
-        precision=_precision(data, found, terms, layout, columns),
+        by_joint=linear.by_joint,
+        rows=linear.rows,
+        precision=_precision(data, found, layout, columns),
         residual=np.einsum("acn,nc->an", white, found.residuals).ravel(),
     )
     return _with_misfits(fit) if any(term.modulations for term in terms) else fit
@@ -320,10 +369,8 @@ def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identificati
     )
 
 
-def _precision(
-    data: ArmData, found: Identification, terms: ModelTerms, layout: TermLayout, columns: Sequence[EffectColumn]
-) -> Array:
-    """Prior precisions (p,) of all that was fitted; those of the geometry only beside a stated uncertainty."""
+def _precision(data: ArmData, found: Identification, layout: TermLayout, columns: Sequence[EffectColumn]) -> Array:
+    """Prior precisions (p,) of all that was fitted, zero without a prior."""
     precision = np.zeros(layout.total)
     for row, name in enumerate(found.names[: layout.geometric]):
         if name in data.prior_sigma:
@@ -334,9 +381,7 @@ def _precision(
     return precision
 
 
-def _fitted_model(
-    data: ArmData, found: Identification, terms: ModelTerms, layout: TermLayout, columns: Sequence[EffectColumn]
-) -> ArmModel:
+def _fitted_model(data: ArmData, found: Identification, terms: ModelTerms, layout: TermLayout) -> ArmModel:
     """The arm with the fitted terms; the covariance is kept without the many coefficients with priors."""
     fitted = []
     kept = list(range(layout.geometric))

@@ -40,8 +40,8 @@ from cellapp.discovery.candidates import best_law_of_each_effect
 from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.projected_residual import ProjectedResidual
+from cellapp.discovery.search.bounds import possible_score
 from cellapp.discovery.search.free_part import CAUTIOUS_SHARE, FreePart, behind_free_parts, possible_free_parts
-from cellapp.discovery.search.possible_score import possible_score
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, Review, SearchResult, SearchState
 from cellapp.discovery.terms import UNKNOWN
@@ -181,9 +181,7 @@ def remaining_scan(found: SearchResult) -> LawScan:
     """Scan of all effects of the library that the final model does not have."""
     if not found.fit.terms:
         return found.scan
-    taken = {term.slug for term in found.fit.terms}
-    slugs = [slug for slug in EFFECTS if slug not in taken and slug != UNKNOWN]
-    return LawScan.of(found.fit.candidates(found.data, slugs), found.fit.projector)
+    return LawScan.of(found.fit.candidates(found.data, found.absent), found.fit.projector)
 
 
 def further_scores(found: SearchResult, scan: LawScan) -> dict[str, float]:

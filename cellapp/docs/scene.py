@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.effects import EFFECTS, EffectContext, Law, MeasurementConditions
+from cellapp.effects import EFFECTS, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import Geometry
 from cellapp.kinematics.statics import Bodies
@@ -83,25 +83,30 @@ def swept(q: Array, joint: int, degrees: Array) -> Array:
 
 def joint_offset(context: EffectContext, slug: str, law: Law, parameters: Mapping[str, float]) -> Array:
     """Offset (n,) [urad] of the joint that an effect with these parameters acts on."""
-    found = [
-        parameters[column.name] * column.offset
-        for column in EFFECTS[slug].columns(context, law, tuple(parameters))
-        if column.name in parameters and column.offset is not None
-    ]
-    if len(found) != len(parameters):
-        raise ValueError(f"effect {slug}: {len(found)} of the parameters {', '.join(parameters)} are joint offsets")
-    return np.asarray(1e6 * np.sum(found, axis=0))
+    return _sum_of_columns(context, slug, law, parameters, lambda column: column.offset, "are joint offsets")
 
 
 def smr_shift(context: EffectContext, slug: str, law: Law, parameters: Mapping[str, float]) -> Array:
     """Shift (n, 3) [um] of the SMR in the tracker frame by an effect with these parameters."""
+    return _sum_of_columns(context, slug, law, parameters, lambda column: column.shift_M, "shift the SMR")
+
+
+def _sum_of_columns(
+    context: EffectContext,
+    slug: str,
+    law: Law,
+    parameters: Mapping[str, float],
+    what_moves: Callable[[EffectColumn], Array | None],
+    wanted: str,
+) -> Array:
+    """What an effect with these parameters moves [1e-6 of its unit]; all parameters must do what is ``wanted``."""
     found = [
-        parameters[column.name] * column.shift_M
+        parameters[column.name] * moved
         for column in EFFECTS[slug].columns(context, law, tuple(parameters))
-        if column.name in parameters and column.shift_M is not None
+        if column.name in parameters and (moved := what_moves(column)) is not None
     ]
     if len(found) != len(parameters):
-        raise ValueError(f"effect {slug}: {len(found)} of the parameters {', '.join(parameters)} shift the SMR")
+        raise ValueError(f"effect {slug}: {len(found)} of the parameters {', '.join(parameters)} {wanted}")
     return np.asarray(1e6 * np.sum(found, axis=0))
 
 

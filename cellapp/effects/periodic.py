@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -157,14 +157,6 @@ class TransmissionError(Effect):
         return _waves(context, dict.fromkeys(joints, sorted({2, ratio, 2 * ratio})), by_line=True)
 
 
-def curve_law(prior: Mapping[int, tuple[float, float]], cycles: int) -> Law:
-    """The law of free curves with the length and amplitude [rad] of each joint's prior (joints from 0)."""
-    constants = {CYCLES.name: float(cycles)}
-    for joint, (length, amplitude) in prior.items():
-        constants |= {CURVE_LENGTH.key(joint): length, CURVE_AMPLITUDE.key(joint): amplitude}
-    return CURVE.law(constants)
-
-
 def curve_prior(law: Law, joints: int) -> dict[int, tuple[float, float]]:
     """Length and amplitude [rad] of each joint's prior (joints from 0) of a law of free curves; else empty."""
     return {
@@ -180,11 +172,6 @@ def _curves(context: EffectContext, law: Law, names: Collection[str] | None) -> 
     counts = dict.fromkeys(prior, range(2, cycles + 1)) if names is None else _counts_of(names, context.joints)
     sd = {j: amplitude * np.sqrt(circle_variances(length, cycles)) for j, (length, amplitude) in prior.items()}
     return _waves(context, counts, sd={joint: values.tolist() for joint, values in sd.items()})
-
-
-def wave_names(joint: int, counts: Iterable[int]) -> tuple[str, ...]:
-    """Names of the columns of some cycle counts of a joint (from 0), cosine and sine in turn."""
-    return tuple(name for count in counts for name, _ in _line(joint, count)[1])
 
 
 @lru_cache(maxsize=8192)

@@ -144,17 +144,19 @@ def drawable_mm(errors_mm: ArrayLike) -> Array:
     return np.maximum(np.asarray(errors_mm, dtype=np.float64), SMALLEST_MM)
 
 
-def error_counts(errors_mm: Mapping[str, Array], low: float, high: float) -> tuple[Array, dict[str, NDArray[np.intp]]]:
-    """Edges (k + 1,) [mm] of bins from ``low`` to ``high`` on a logarithmic axis, and the number of errors in each."""
-    edges = np.geomspace(low, high, _BINS + 1)
+def error_counts(
+    errors_mm: Mapping[str, Array], low: float, high: float, bins: int = _BINS
+) -> tuple[Array, dict[str, NDArray[np.intp]]]:
+    """Edges (bins + 1,) [mm] from ``low`` to ``high`` on a logarithmic axis, and the number of errors in each bin."""
+    edges = np.geomspace(low, high, bins + 1)
     return edges, {what: np.histogram(drawable_mm(errors), edges)[0] for what, errors in errors_mm.items()}
 
 
 def mm(value: float) -> str:
-    """A length [mm] with three significant digits, and no more than four decimals."""
+    """A length [mm] with two or three significant digits, and no more than four decimals."""
     if not np.isfinite(value):
         return "unknown"
-    decimals = 4 if abs(value) < 0.01 else 3 if abs(value) < 10.0 else 1
+    decimals = 4 if abs(value) < 0.01 else 3 if abs(value) < 1.0 else 2 if abs(value) < 10.0 else 1
     return f"{value:.{decimals}f} mm"
 
 

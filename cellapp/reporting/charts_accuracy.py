@@ -5,10 +5,12 @@ Errors of an arm are those of ``HeldOutArm.errors_mm``, which predicts with ever
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.kinematics.transforms import Array
 from cellapp.reporting.cell_views import levelling_rotation
@@ -16,6 +18,7 @@ from cellapp.reporting.charts import (
     STAGE_STYLES,
     Axis,
     Chart,
+    Series,
     bar_chart,
     drawable_mm,
     enumerated,
@@ -30,10 +33,15 @@ from cellapp.reporting.tables import cooperative_noise_mm
 from cellapp.reporting.words import METHOD_WORDS, STAGE_WORDS
 from cellapp.results import METHODS, STAGES, ArmCalibrationResult, CalibrateResult, Method, PairHeldOut, VerifyResult
 
+_BINS_A_ROOT = 2.0
+"""Bins of a histogram for the root of the number of errors: 100 errors of four stages fill 20 bins."""
 _PARTS = 8
 """Parts of a joint's range that are compared in words: of 100 held-out configurations each has a dozen."""
 _FEW = 5
-"""A part with fewer configurations has no mean worth a sentence."""
+"""A part of fewer configurations has no mean worth a sentence."""
+_UNEVEN = 1.3
+"""A part of a joint's range is named where its mean error is that much above the mean of all: a dozen errors of one
+spread differ by less."""
 _METHOD_STYLES: Mapping[Method, int] = {"method_1": 1, "method_2": 4, "proposed": 2, "effects": 3}
 """Styles of the methods of the pair: those of the stages that they build on."""
 _NO_HELD_OUT = "No held-out readings: calibrate first."
@@ -86,14 +94,20 @@ def _histogram(
     every = drawable_mm(np.concatenate([*errors.values(), [floor_mm] if floor_mm else []])) if errors else np.zeros(0)
     if not any(len(values) for values in errors.values()):
         return Chart(title, axis, y, (), _NO_HELD_OUT)
-    edges, counts = error_counts(errors, float(every.min()) / 1.25, float(every.max()) * 1.25)
-    drawn = tuple(
-        series(what, [edges[0], *edges], [0.0, *count, 0.0], "steps", style=number[what])
-        for what, count in counts.items()
-    )
+    bins = math.ceil(_BINS_A_ROOT * math.sqrt(max(len(values) for values in errors.values())))
+    edges, counts = error_counts(errors, float(every.min()) / 1.25, float(every.max()) * 1.25, bins)
+    drawn = tuple(_outline(what, edges, count, number[what]) for what, count in counts.items() if count.any())
     medians = [f"{mm(float(np.median(values)))} {what}" for what, values in errors.items() if len(values)]
     message = f"Median error: {enumerated(medians)}." + (f" The noise floor is {mm(floor_mm)}." if floor_mm else "")
     return Chart(title, axis, y, drawn, message, noise_limit(floor_mm, "x"))
+
+
+def _outline(name: str, edges: Array, counts: NDArray[np.intp], style: int) -> Series:
+    """The outline of a histogram from its first to its last error."""
+    used = np.flatnonzero(counts)
+    first, last = int(used[0]), int(used[-1]) + 1
+    x = [edges[first], *edges[first : last + 1]]
+    return series(name, x, [0.0, *counts[first:last], 0.0], "steps", style=style)
 
 
 # -- residuals over the joints and in space ---------------------------------------------------------------------------
@@ -110,21 +124,24 @@ def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int, stages: Se
     message = _NO_HELD_OUT
     if errors and len(angle):
         stage, values = list(errors.items())[-1]
-        message = f"{STAGE_WORDS[stage].capitalize()}: {_along_joint(angle, values)}"
+        message = f"{STAGE_WORDS[stage].capitalize()}: {along_joint(angle, values)}"
     x, y = Axis(f"joint {joint}", "deg"), Axis("position error", "mm", logarithmic=True)
     return Chart(f"Arm {name}: error over joint {joint}", x, y, drawn, message)
 
 
-def _along_joint(angle: Array, errors_mm: Array) -> str:
-    """Where along a joint's range the mean error is largest, against the mean of all."""
-    edges = np.linspace(float(angle.min()), float(angle.max()), _PARTS + 1)
-    part = np.clip(np.searchsorted(edges, angle, side="right") - 1, 0, _PARTS - 1)
-    means = {k: float(np.mean(errors_mm[part == k])) for k in range(_PARTS) if np.sum(part == k) >= _FEW}
-    words = f"mean error {mm(float(np.mean(errors_mm)))}"
-    if not means:
-        return f"{words} in {len(angle)} configurations."
-    worst = max(means, key=lambda k: means[k])
-    return f"{words}, largest from {edges[worst]:.0f}° to {edges[worst + 1]:.0f}° ({mm(means[worst])})."
+def along_joint(angle: Array, errors_mm: Array) -> str:
+    """Where along the angles (n,) [deg] of a joint the mean of the errors (n,) [mm] is largest, in a sentence's end.
+
+    Parts of the range are compared that have the same number of configurations.
+    """
+    parts = np.array_split(np.argsort(angle), max(min(_PARTS, len(angle) // _FEW), 1))
+    mean = float(np.mean(errors_mm))
+    worst = max(parts, key=lambda rows: float(np.mean(errors_mm[rows])))
+    largest = float(np.mean(errors_mm[worst]))
+    if largest < _UNEVEN * mean:
+        return f"mean error {mm(mean)}, about the same along the whole range."
+    low, high = angle[worst].min(), angle[worst].max()
+    return f"mean error {mm(mean)}, largest from {low:.0f}° to {high:.0f}° ({mm(largest)})."
 
 
 def residual_space_chart(
@@ -145,7 +162,7 @@ def residual_space_chart(
     classes = (
         (f"up to {mm(half)}", errors <= half, "·", 0),
         (f"up to {mm(most)}", (errors > half) & (errors <= most), "○", 1),
-        ("above", errors > most, "●", 5),
+        ("larger", errors > most, "●", 5),
     )
     drawn = tuple(
         series(words, position[rows, 0], position[rows, up], "points", style=style, mark=mark)

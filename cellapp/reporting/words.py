@@ -95,6 +95,11 @@ def geometry_unit(unit: str) -> tuple[float, str]:
     return (1e3, "mm") if unit == "m" else (math.degrees(1.0), "deg")
 
 
+def display_unit(unit: str) -> tuple[float, str]:
+    """Factor and display unit of a parameter of any kind: micrometres, microradians and the like."""
+    return _UNITS.get(unit, (1.0, unit))
+
+
 STAGE_WORDS: Mapping[str, str] = {
     "nominal": "nominal",
     "geometry": "identified geometry",

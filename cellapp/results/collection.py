@@ -104,6 +104,22 @@ class CollectionResult(Result):
     standard_error_mm: Mapping[str, float]
 
 
+class ReplayResult(Result):
+    """``replay``: stops that were visited, readings of each arm, recorded duration, how many times faster it played.
+
+    ``timed`` is False where the readings have no times; the duration is then that of a fixed pace.
+    """
+
+    schema_: Literal["cellapp-replay"] = "cellapp-replay"
+    version: Literal[1] = 1
+    run: str
+    stops: int
+    readings: Mapping[str, int]
+    duration_s: float
+    speed: float
+    timed: bool
+
+
 class RequestResult(Result):
     """``pause``, ``resume``, ``stop`` and ``abort``: what the running job was asked, and its answer."""
 

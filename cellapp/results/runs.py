@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Literal
 
 from cellapp.results.base import Method, Record, Result, Stage, StageName, Verdict
-from cellapp.results.discovery import BeforeAfter
+from cellapp.results.discovery import BeforeAfter, Place
 from cellapp.results.run import ArmState, NextVerb
 
 CellKind = Literal["simulated", "emulated", "real", "none"]
@@ -125,6 +126,13 @@ class ValueComparison(Record):
     z: float | None
 
     @property
+    def combined_standard_uncertainty(self) -> float | None:
+        """Root of the sum of both squared standard errors; None where one is not known."""
+        if self.a_standard_error is None or self.b_standard_error is None:
+            return None
+        return math.hypot(self.a_standard_error, self.b_standard_error)
+
+    @property
     def differs(self) -> bool:
         """Whether the two values differ by more than three combined standard uncertainties."""
         return self.z is not None and abs(self.z) > MOST_Z
@@ -144,12 +152,12 @@ class ErrorComparison(Record):
 
 
 class EffectComparison(Record):
-    """An effect in one run or in both; the places are joints or frames, ``parameters`` its sizes."""
+    """An effect in one run or in both: where it acts, None in a run without it, and its sizes."""
 
     effect: str
     title: str
-    a_where: tuple[str, ...] | None
-    b_where: tuple[str, ...] | None
+    a_where: Place | None
+    b_where: Place | None
     parameters: tuple[ValueComparison, ...]
 
     @property

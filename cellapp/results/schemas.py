@@ -12,6 +12,7 @@ from cellapp.results.collection import (
     ExportResult,
     ImportResult,
     PlanResult,
+    ReplayResult,
     RequestResult,
 )
 from cellapp.results.commissioning import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
@@ -32,6 +33,7 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     PlanResult,
     CollectResult,
     CollectionResult,
+    ReplayResult,
     RequestResult,
     ImportResult,
     ExportResult,

@@ -221,8 +221,8 @@ def _effect(a: AcceptedEffect | None, b: AcceptedEffect | None) -> EffectCompari
     return EffectComparison(
         effect=known.effect,
         title=known.title,
-        a_where=None if a is None else a.where.acts_on,
-        b_where=None if b is None else b.where.acts_on,
+        a_where=None if a is None else a.where,
+        b_where=None if b is None else b.where,
         parameters=_values(a.parameters if a else {}, b.parameters if b else {}),
     )
 

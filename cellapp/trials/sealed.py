@@ -32,7 +32,7 @@ from cellapp.results import Record, Result
 from cellapp.run import Readings, RunFile, stated_uncertainty
 from cellapp.trials.blind import DURATION_S, blind_readings, with_hidden
 from cellapp.trials.sealed_cases import EXPECTED, OUT, Case, cases, library_name
-from cellapp.trials.sealed_setup import NOISES, Setup
+from cellapp.trials.sealed_setup import NOISES, USUAL_SETUP, Setup
 from cellapp.trials.visible_size import beyond_geometry, beyond_law, registered_model
 from drivers.no_driver import NoDriver
 from drivers.plant import suggest, suggest_other_law
@@ -135,7 +135,7 @@ def seal_trials(
     profile: Profile,
     folder: Path,
     n: int = 200,
-    setup: Setup = Setup(),  # noqa: B008  immutable
+    setup: Setup = USUAL_SETUP,
     *,
     seed: int | None = None,
     listener: Listener = ignore,

@@ -133,6 +133,10 @@ class Setup(Record):
         return readings
 
 
+USUAL_SETUP = Setup()
+"""One hidden effect in each run, by the library's laws, and stated Gaussian noise."""
+
+
 def _narrowed(profile: Profile, rng: np.random.Generator) -> Profile:
     """The profile with joint limits of 10 to 50 degrees about a stop at which all SMRs are visible."""
     centre = draw_stops(cell_bodies(profile), profile, 1, rng)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from cellapp.reporting.table import Cell, Column, Number, Table, markdown, number_column
+from cellapp.reporting.table import Cell, Column, Number, Table, number_column
 from cellapp.trials.blind_matrix import MatrixResult
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.campaigns.trial import CampaignsResult
@@ -305,16 +305,6 @@ def matrix_sentences(result: MatrixResult) -> list[str]:
         *said,
         f"{result.date}; {result.program}, source {result.source}; {runs} runs in {len(result.cells)} cells.",
     ]
-
-
-def matrix_markdown(result: MatrixResult) -> str:
-    """The tables of a matrix as Markdown."""
-    return markdown(matrix_tables(result), matrix_sentences(result))
-
-
-def judge_markdown(result: JudgeResult) -> str:
-    """The tables as Markdown; date, seed and program stand at the end."""
-    return markdown(judge_tables(result), judge_sentences(result))
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

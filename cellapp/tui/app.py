@@ -7,11 +7,12 @@ drawn a few at a time: however many there are, a key is handled at once.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import threading
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
 from textual import on, work
@@ -24,25 +25,41 @@ from textual.widgets import Static
 
 from cellapp.signals import available, watch_signals
 from cellapp.tui import work as jobs_of_verbs
+from cellapp.tui.dialogs.handbook import Handbook
+from cellapp.tui.dialogs.jump import Jump
 from cellapp.tui.dialogs.motion import MotionQuestion
 from cellapp.tui.dialogs.palette import Palette
 from cellapp.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.tui.endings import UNEXPECTED, ending_of
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
+from cellapp.tui.offers import offer_to_resume, offer_whole_day
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.themes import HIGH_CONTRAST
 from cellapp.tui.widgets.header import DayHeader, StepLine, StepTab
-from cellapp.tui.workspace import RUN_FILE, Step, Workspace, load_workspace, new_folder
+from cellapp.tui.workspace import RUN_FILE, Step, Workspace, load_workspace
+
+if TYPE_CHECKING:
+    from cellapp.results import RunSummary
 
 _REQUESTS = ("stop", "pause", "resume", "abort")
+_OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
 _ALWAYS = ("stop", "abort")
 """Actions that an open dialog does not hide."""
 _ENDING = available("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 _PAUSING = available("SIGTSTP")
 _DRAWING_S = 0.1
 """Time between two drawings of a running job: people read no faster, and keys are answered between them."""
+_PRELOAD_AFTER_S = 0.3
+"""The first screen is drawn before."""
+_LATER = (
+    "cellapp.run",
+    "cellapp.reporting.report_data",
+    *(f"cellapp.tui.screens.{entry.step}" for entry in SCREENS),
+    "cellapp.pipeline",
+    "cellapp.docs.handbook",
+)
 _MOST_TAKEN = 300
 """Events that are taken in at a time: each takes some microseconds."""
 
@@ -57,6 +74,14 @@ class WorkspaceLoaded(Message):
     def __init__(self, workspace: Workspace) -> None:
         super().__init__()
         self.workspace = workspace
+
+
+class ResumeOffered(Message):
+    """A run was found that was interrupted while collecting."""
+
+    def __init__(self, run: RunSummary) -> None:
+        super().__init__()
+        self.run = run
 
 
 class CellApp(App[None]):
@@ -75,17 +100,18 @@ class CellApp(App[None]):
     TITLE = "cellapp"
     CSS_PATH = "app.tcss"
     COMMAND_PALETTE_BINDING = "ctrl+p"
-    HORIZONTAL_BREAKPOINTS: ClassVar[list[tuple[int, str]]] = [(0, "-narrow"), (100, "-medium"), (160, "-wide")]
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "stop", "STOP", priority=True),
-        Binding("f5", "whole_day", "Whole day"),
+        Binding("f5", "whole_day", "Day", tooltip="plan, collect, calibrate, discover, push and verify; asks first"),
         Binding("p", "pause", "Pause"),
         Binding("c", "resume", "Resume"),
         Binding("x", "abort", "Abort"),
         Binding("ctrl+x", "abort", show=False, priority=True),
         *(Binding(entry.key, f"show('{entry.step}')", entry.title, show=False) for entry in SCREENS),
-        Binding("n", "next_step", "Next step"),
-        Binding("question_mark", "explain", "Help", key_display="?"),
+        Binding("n", "next_step", "Next", tooltip="show the step that comes next"),
+        Binding("question_mark", "explain", "Help", key_display="?", tooltip="explain this screen"),
+        Binding("h", "handbook", "Handbook", show=False),
+        Binding("ctrl+o", "jump", "Jump", show=False),
         Binding("q", "quit", "Quit"),
         Binding("ctrl+q", "quit", show=False, priority=True),
     ]
@@ -113,10 +139,19 @@ class CellApp(App[None]):
         self.register_theme(HIGH_CONTRAST)
         self.push_screen(self._screen_of("cell"))
         self.set_interval(_DRAWING_S, self._draw_events)
+        self.set_timer(_PRELOAD_AFTER_S, self._preload)
         if threading.current_thread() is threading.main_thread():
             # after Textual has set its own: that of Ctrl-Z would freeze the program while arms move
             self._signals.enter_context(watch_signals((*_ENDING, *_PAUSING), self._on_signal, lambda *_: None))
         self.say("Choose a profile on this screen; n goes to the next step, ? explains.")
+
+    @work(thread=True)
+    def _preload(self) -> None:
+        """Load what screens and jobs will need, so that no key waits for it: scipy alone takes half a second."""
+        for module in _LATER:
+            importlib.import_module(module)
+        if run := jobs_of_verbs.interrupted_run(self.logs):
+            self.post_message(ResumeOffered(run))
 
     def on_unmount(self) -> None:
         """Brake all arms and end the job however the screen closes: no job continues unseen."""
@@ -208,12 +243,19 @@ class CellApp(App[None]):
         screen = self.day_screen
         self.push_screen(Reading(screen.HELP or f"# {screen.STEP.capitalize()}"))
 
+    def action_handbook(self) -> None:
+        """Open the handbook."""
+        self.push_screen(Handbook())
+
+    def action_jump(self) -> None:
+        """Label everything that can have the focus with a letter that jumps there."""
+        self.push_screen(Jump(self.screen))
+
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable actions that are not possible now; over a dialog only stop and abort remain."""
         if action in _REQUESTS and not self.jobs.possible(action):
             return False
-        own = action in ("show", "next_step", "whole_day", "explain", "quit", *_REQUESTS)
-        if own and action not in _ALWAYS and not isinstance(self.screen, DayScreen):
+        if action in _OWN and action not in _ALWAYS and not isinstance(self.screen, DayScreen):
             return False
         return None if action == "whole_day" and self.jobs.running else True
 
@@ -234,8 +276,9 @@ class CellApp(App[None]):
             yield SystemCommand(f"Show {entry.title}", f"{entry.purpose} (key {entry.key})", show)
         for key, active in screen.active_bindings.items():
             binding = active.binding
-            own = isinstance(active.node, CellApp | DayScreen) and binding.show
-            if own and active.enabled and binding.action != "command_palette":
+            own = isinstance(active.node, CellApp | DayScreen) and not binding.system
+            hidden = binding.action == "command_palette" or binding.action.startswith("show(")
+            if own and active.enabled and not hidden:
                 run = partial(self.run_action, binding.action, active.node)
                 yield SystemCommand(binding.description, binding.tooltip or f"key {key}", run)
 
@@ -244,6 +287,12 @@ class CellApp(App[None]):
     def open_profile(self, path: Path) -> None:
         """Open a profile without a run."""
         self._load(path, None)
+
+    @on(ResumeOffered)
+    def offer_to_resume(self, event: ResumeOffered) -> None:
+        """Ask whether to go on with an interrupted run, unless something else was begun meanwhile."""
+        if not self.jobs.running and self.workspace.folder is None and isinstance(self.screen, DayScreen):
+            offer_to_resume(self, event.run)
 
     def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
         """Open a run; its own profile is used."""
@@ -288,20 +337,7 @@ class CellApp(App[None]):
 
     def action_whole_day(self) -> None:
         """Ask, then plan, collect, calibrate, discover, push and verify in a new run."""
-        profile, path = self.workspace.profile, self.workspace.profile_path
-        if profile is None or path is None:
-            self.say("No profile is open: choose one on the screen Cell (key 1).", "warning")
-            return
-        folder = new_folder(profile)
-        arms = "REAL ARMS WILL MOVE" if self.workspace.kind == "real" else f"the arms are {self.workspace.kind}"
-        text = f"Plan, collect, calibrate, discover, push and verify with '{profile.name}' into {folder}; {arms}."
-
-        def begin(answer: str | None) -> None:
-            if answer == "begin" and self.start_job(jobs_of_verbs.whole_day(path, folder)):
-                self.action_show("collect")
-
-        answers = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
-        self.push_screen(Choice("Everything, unattended?", text, answers), begin)
+        offer_whole_day(self)
 
     def action_stop(self) -> None:
         """Brake all arms now."""

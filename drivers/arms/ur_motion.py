@@ -184,6 +184,8 @@ def leading_rates(
     longest = max(travel)
     if longest == 0.0:
         return min(*speed, MAX_SPEED), min(*acceleration, MAX_ACCELERATION)
-    lead_speed = min(limit * longest / way for limit, way in zip(speed, travel, strict=True) if way > 0.0)
-    lead_acceleration = min(limit * longest / way for limit, way in zip(acceleration, travel, strict=True) if way > 0.0)
+    lead_speed = min(limit * (longest / way) for limit, way in zip(speed, travel, strict=True) if way > 0.0)
+    lead_acceleration = min(
+        limit * (longest / way) for limit, way in zip(acceleration, travel, strict=True) if way > 0.0
+    )
     return min(lead_speed, MAX_SPEED), min(lead_acceleration, MAX_ACCELERATION)

@@ -123,7 +123,7 @@ class Supervisor:
             raise stopped
         if not accepted:
             self._require_ready(self._next_sample())
-            raise self._record_fault(failed("the control program did not take the motion"))
+            raise self._not_served(failed("the control program did not take the motion"))
         self._check_links()  # the client may report success on a link that has just broken
         now = time.monotonic()
         self._kicks.kicked(now)
@@ -159,7 +159,10 @@ class Supervisor:
         allowed = []
         for q in request["q"]:
             self._require_not_braked()
-            allowed.append(self._control.within_safety_limits(q))
+            try:
+                allowed.append(self._control.within_safety_limits(q))
+            except Refusal as refusal:
+                raise self._not_served(refusal) from refusal
             self.monitor()
         return {"allowed": allowed}
 
@@ -290,6 +293,23 @@ class Supervisor:
             self._stop_program()
         self._motion = None
         return self._fault
+
+    def _not_served(self, refusal: Refusal) -> Refusal:
+        """Return a brake that came meanwhile; else record ``refusal``, or why the control program has ended.
+
+        The client holds the interpreter's lock during a command, so a brake's message may be read after its effect.
+        """
+        time.sleep(_STOP_SEEN_WITHIN_S)
+        if self._application.braked:
+            stopped = self._stopped()
+            self._stop_program()
+            return stopped
+        self._check_links()
+        if self._control.program_runs:
+            return self._record_fault(refusal)
+        if self._program_stopped_s is None:
+            self._program_stopped_s = time.monotonic()
+        return self._program_stopped()
 
     def _program_stopped(self) -> Refusal:
         """Record why the control program was stopped by something else than the application."""

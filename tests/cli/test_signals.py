@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.latency import attempts
+
 ROOT = Path(__file__).parents[2]
 WAIT_S = 60.0
 BAR_S = 0.1
@@ -57,14 +59,14 @@ def brake_after(process: subprocess.Popen[str], number: int) -> tuple[str, float
 
 @pytest.mark.parametrize("load", LOADS)
 def test_ctrl_c_brakes_within_the_bar_whatever_the_main_thread_does(load: str) -> None:
-    with busy(load) as process:
-        verb, after_s = brake_after(process, signal.SIGINT)
-        assert verb == "stop"
-        assert after_s < BAR_S
-        _, said = process.communicate(timeout=WAIT_S)
-        assert process.returncode == 4
-        assert "stop: all arms brake now" in said
-        assert "'cellapp collect DIR --resume'" in said
+    for took in attempts(braked=BAR_S):
+        with busy(load) as process:
+            verb, took["braked"] = brake_after(process, signal.SIGINT)
+            assert verb == "stop"
+            _, said = process.communicate(timeout=WAIT_S)
+            assert process.returncode == 4
+            assert "stop: all arms brake now" in said
+            assert "'cellapp collect DIR --resume'" in said
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

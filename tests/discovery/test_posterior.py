@@ -10,7 +10,7 @@ import pytest
 from cellapp.discovery.candidates import CandidateLaw, LawScore
 from cellapp.discovery.posterior import posteriors
 from cellapp.discovery.projected_residual import ProjectedResidual
-from cellapp.discovery.search.possible_score import possible_score
+from cellapp.discovery.search.bounds import possible_score
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import Review
 from cellapp.discovery.terms import UNKNOWN, ModelTerm

@@ -18,6 +18,7 @@ from cellapp.model.nominal import bodies_of, nominal_arm
 from cellapp.profile import load_profile
 from cellapp.run import Readings
 from tests.arms import STATION
+from tests.latency import attempts
 from tests.twin import PROFILES
 
 pytestmark = pytest.mark.fast
@@ -115,6 +116,7 @@ def test_a_few_readings_are_not_tested():
 def test_hundreds_of_readings_take_milliseconds():
     data, fit = fitted(300)
     structure_left(data, fit)  # without the first call's imports
-    begun = time.process_time()
-    structure_left(data, fit)
-    assert time.process_time() - begun < 0.15
+    for took in attempts(tested=0.15):
+        begun = time.process_time()
+        structure_left(data, fit)
+        took["tested"] = time.process_time() - begun

@@ -7,7 +7,7 @@ import pytest
 
 from cellapp.discovery.terms import ModelTerm, Smoothness, TermLayout, prior_sd, smoothness_of, with_term, without_term
 from cellapp.effects import EFFECTS, joint_column
-from cellapp.effects.periodic import CURVE, curve_law
+from cellapp.effects.periodic import CURVE
 from cellapp.effects.smooth import circle_variances
 from tests.discovery.linear_problem import PLAIN
 from tests.effects.cell import context_of
@@ -32,7 +32,8 @@ def test_terms_are_left_out_and_replaced() -> None:
 
 def test_only_coefficients_of_the_curve_have_a_prior() -> None:
     names = ("cos2q2", "sin7q2", "cos120q2", "cos2q1")
-    columns = EFFECTS["transmission_error"].columns(context_of(5), curve_law({1: (0.1, 2e-4)}, 80), names)
+    law = CURVE.law({"cycles": 80.0, "length2": 0.1, "amplitude2": 2e-4})
+    columns = EFFECTS["transmission_error"].columns(context_of(5), law, names)
     by_name = {column.name: column.prior_sd for column in columns}
     wanted = 2e-4 * np.sqrt(circle_variances(0.1, 10))
     np.testing.assert_allclose([by_name[name] for name in names], [wanted[1], wanted[6], np.inf, np.inf])

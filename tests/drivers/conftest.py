@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,22 @@ def make_arm() -> Callable[..., ArmConfig]:
         return ArmConfig(**(values | changes))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def seven_joints(make_arm: Callable[..., ArmConfig]) -> ArmConfig:
+    """An arm of seven joints whose masses are not known."""
+    arm = make_arm()
+    return replace(
+        arm,
+        rows=np.vstack([arm.rows, [0.0, 0.1, 0.0, 0.0]]),
+        limits=np.vstack([arm.limits, [-1.0, 1.0]]),
+        home=None,
+        speed=np.ones(7),
+        acceleration=np.ones(7),
+        masses=np.zeros(7),
+        centers_of_mass=np.zeros((7, 3)),
+    )
 
 
 @pytest.fixture(scope="session")

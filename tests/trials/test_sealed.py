@@ -24,6 +24,7 @@ from cellapp.kinematics.transforms import transform
 from cellapp.model.nominal import nominal_arm
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import Cancelled, CancelToken, Progress
+from cellapp.reporting.table import markdown
 from cellapp.results import BeforeAfter
 from cellapp.run import RunFile
 from cellapp.run.stages import read_stages
@@ -42,7 +43,7 @@ from cellapp.trials.sealed import (
 )
 from cellapp.trials.sealed_cases import EXPECTED, KINDS, LOOK_ALIKES, PAIRS, TRIPLES, cases, library_name
 from cellapp.trials.sealed_setup import Setup
-from cellapp.trials.tables import judge_markdown, judge_sentences, judge_tables
+from cellapp.trials.tables import judge_sentences, judge_tables
 from cellapp.trials.visible_size import beyond_geometry
 from drivers.plant import OUTSIDE, REALISTIC
 from tests.twin import PROFILES, small_twin
@@ -423,7 +424,7 @@ def test_the_commands(
     assert f"seed {SEED}" in said
     found = JudgeResult.from_json(out.read_text("utf-8"), str(out))
     assert found.trials == judged_once[2].trials
-    assert table.read_text("utf-8") == judge_markdown(found)
+    assert table.read_text("utf-8") == markdown(judge_tables(found), judge_sentences(found))
     shutil.copytree(PROFILES, tmp_path / "profiles")
     monkeypatch.setattr("cellapp.trials.sealed._write_runs", lambda *arguments: [])
     code, said, _ = call(
@@ -617,7 +618,7 @@ def test_the_table_for_the_readme_ends_with_date_seed_and_program() -> None:
         date="2026-02-03", program="cellapp 0.1.0", source="abc", judged_by_other_source=1, jobs=2, sealed=sealed,
         failed=("run-0009: broken",), **dict(scores(trials)),
     )  # fmt: skip
-    text = judge_markdown(result)
+    text = markdown(judge_tables(result), judge_sentences(result))
     last = text.rstrip().splitlines()[-1]
     for word in ("2026-02-03", "cellapp 0.1.0", "seed 1234", "noise heavy", "2026-01-02", "run-0009: broken", "1 runs"):
         assert word in last, word

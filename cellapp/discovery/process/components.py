@@ -99,6 +99,11 @@ class Component:
     length_keys: tuple[str, ...] = ()
     frequencies: Array | None = None
 
+    @property
+    def hyperparameters(self) -> int:
+        """How many are fitted: amplitudes, and a length scale where it has one."""
+        return len(self.amplitude_keys) + (0 if self.lengths is None else 1)
+
     def relative_variances(self, length: float) -> Array:
         """Prior variances (m,) at unit amplitude."""
         if self.lengths is None:

@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 from cellapp.discovery.process.components import Component
 from cellapp.kinematics.transforms import Array
 
-_NEGLIGIBLE = 1e-3
+NEGLIGIBLE_COLUMN = 1e-3
 """Prior variance of a column's signal over that of the noise below which the column is left out: it would change the
 evidence by half of that."""
 _LOG_AMPLITUDE = (-7.0, 5.0)
@@ -98,14 +98,15 @@ class _Factored:
     @classmethod
     def of(cls, data: ProcessData, variance: Array, noise: float) -> _Factored | None:
         """None where the matrix is not positive definite: the noise is nearly zero."""
-        active = np.flatnonzero(variance * np.diag(data.gram) > _NEGLIGIBLE * noise)
+        active = np.flatnonzero(variance * np.diag(data.gram) > NEGLIGIBLE_COLUMN * noise)
         root = np.sqrt(variance[active])
-        gram = data.gram[np.ix_(active, active)]
-        A = gram * (root[:, None] * root / noise)
-        A[np.diag_indices_from(A)] += 1.0
+        gram = data.gram if len(active) == len(variance) else data.gram[np.ix_(active, active)]
+        A = gram * (root / noise)
+        A *= root[:, None]
+        A.flat[:: len(A) + 1] += 1.0
         if not len(active):
             return cls(active, root, gram, A)
-        lower, failed = lapack.dpotrf(A, lower=1, overwrite_a=1)
+        lower, failed = lapack.dpotrf(A.T, lower=1, overwrite_a=1)  # transposed: in the order of LAPACK, without a copy
         return None if failed else cls(active, root, gram, lower)
 
     def value(self, data: ProcessData, noise: float) -> tuple[float, Array]:
@@ -133,7 +134,7 @@ def evidence(data: ProcessData, variance: Array, noise: float) -> Evidence:
     by_variance = np.zeros(len(variance))
     inverse = np.zeros(0)
     if len(active):
-        triangle = np.tril(lapack.dtrtri(factored.lower, lower=1)[0])
+        triangle = lapack.dtrtri(factored.lower, lower=1)[0]  # zero above the diagonal, as the factor
         inverse = np.einsum("kl,kl->l", triangle, triangle)
         by_variance[active] = 0.5 * (solution**2 + inverse - 1.0)
     fitted = factored.root * solution
@@ -141,6 +142,28 @@ def evidence(data: ProcessData, variance: Array, noise: float) -> Evidence:
     left = data.square - 2.0 * explained + float(fitted @ (factored.gram @ fitted))
     by_noise = -0.5 * (data.coordinates - float(np.sum(1.0 - inverse))) + 0.5 * left / noise
     return Evidence(value, by_variance, by_noise)
+
+
+def losses(data: ProcessData, variance: Array, noise: float, ends: Sequence[int]) -> Array:
+    """Loss of log evidence (c,) without each of c groups of columns, which follow one another and end at ``ends``.
+
+    With x the solution of A x = b for all columns, and C = A^-1, the loss without the group g follows from its blocks:
+    ``(ln det C_gg + x_g^T C_gg^-1 x_g) / 2`` (inverse of a partitioned matrix).
+    """
+    factored = _Factored.of(data, variance, noise)
+    if factored is None:
+        return np.full(len(ends), math.inf)
+    _, solution = factored.value(data, noise)
+    inverse = lapack.dpotri(factored.lower, lower=1)[0] if len(solution) else factored.lower
+    found, first = np.zeros(len(ends)), 0
+    for group, end in enumerate(np.searchsorted(factored.active, ends).tolist()):
+        if end > first:
+            block, x = inverse[first:end, first:end], solution[first:end]
+            lower = lapack.dpotrf(block, lower=1)[0]
+            explained = float(x @ lapack.dpotrs(lower, x, lower=1)[0])
+            found[group] = float(np.log(np.diag(lower)).sum()) + 0.5 * explained
+        first = end
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,10 +19,12 @@ from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, fit_terms, mean_variance, uncertainty_with_scatter
 from cellapp.discovery.process.components import Component, components
 from cellapp.discovery.process.evidence import (
+    NEGLIGIBLE_COLUMN,
     Hyperparameters,
     ProcessData,
     first_guess,
     log_evidence,
+    losses,
     most_evident,
 )
 from cellapp.discovery.terms import ModelTerm, ModelTerms, Smoothness
@@ -35,8 +37,6 @@ _NEXT_EVALUATIONS = 12
 """Evaluations after a change of weights or components, from the values found before."""
 _LEAST_SIGNAL = 0.03
 """An amplitude whose signal is below this share of the noise (rms) is removed at once."""
-_NEGLIGIBLE_COLUMN = 1e-3
-"""Prior variance of a column's signal over the noise below which the column does not enter the model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +101,13 @@ class StructuredProcess:
 
     def price(self, component: int) -> float:
         """Price of the hyperparameters of a component, by the Bayesian information criterion."""
-        one = self.components[component]
-        return (len(one.amplitude_keys) + (1 if one.lengths else 0)) * math.log(self.gram.coordinates)
+        return self.components[component].hyperparameters * math.log(self.gram.coordinates)
 
     def gains(self) -> list[float]:
         """Gain of the score by each component: twice the log evidence less its price, at the same hyperparameters."""
-        return [
-            2.0 * (self.log_evidence - self.without(number).log_evidence) - self.price(number)
-            for number in range(len(self.components))
-        ]
+        ends = np.cumsum([len(one.columns) for one in self.components])
+        lost = losses(self.gram, self.values.variances(self.components), self.values.noise, ends.tolist())
+        return [2.0 * loss - self.price(number) for number, loss in enumerate(lost.tolist())]
 
 
 def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
@@ -190,10 +188,9 @@ def process_terms(process: StructuredProcess, scatter_m: float) -> ModelTerms:
     for number, one in enumerate(process.components):
         here = power[first : first + len(one.columns)]
         first += len(one.columns)
-        names = tuple(one.columns[k].name for k in np.flatnonzero(here > _NEGLIGIBLE_COLUMN))
+        names = tuple(one.columns[k].name for k in np.flatnonzero(here > NEGLIGIBLE_COLUMN))
         law = one.law(process.values.amplitudes[number], process.values.lengths[number])
-        count = len(one.amplitude_keys) + (1 if one.lengths else 0)
-        terms.append(ModelTerm(one.slug, law, names, Smoothness(gains[number], count, scatter_m)))
+        terms.append(ModelTerm(one.slug, law, names, Smoothness(gains[number], one.hyperparameters, scatter_m)))
     return tuple(terms)
 
 

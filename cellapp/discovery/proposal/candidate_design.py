@@ -10,9 +10,8 @@ import numpy as np
 
 from cellapp.discovery.arm_data import ArmData, whitening
 from cellapp.discovery.candidates import whitened_displacements
-from cellapp.discovery.joint_fit import JointFit
+from cellapp.discovery.joint_fit import JointFit, LinearModel
 from cellapp.effects import EFFECTS, EffectContext, Law, MeasurementConditions
-from cellapp.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 
 _MOST_JOINED = 200
@@ -46,13 +45,9 @@ class CandidateDesign:
         model, found = fit.model, fit.identification
         true_q = model.true_joints(q, conditions=conditions) if model.effects else None
         context = replace(model.context(q, conditions=conditions), q_actual=true_q)
-        white = whitening(_expected_sigma(data, context), len(q))
-        angles = JointAngles.of(q)
-        columns = found.parameter_set.columns
-        J = jacobian(found.geometry, angles, columns)[1]
-        by_joint = np.einsum("acn,cjn->ajn", white, joint_jacobian(found.geometry, angles)[1])
-        geometric = np.einsum("acn,ckn->kan", white, J).reshape(len(columns), -1)
-        return cls(context, white, by_joint, geometric)
+        white = whitening(_expected_sigma(data, context))
+        linear = LinearModel.of(found.geometry, q, white, found.parameter_set.columns)
+        return cls(context, white, linear.by_joint, linear.rows)
 
     def rows(self, slug: str, law: Law, names: Sequence[str]) -> Array:
         """Whitened columns (k, 3 m) of a law."""
@@ -65,11 +60,9 @@ class CandidateDesign:
         return rows.reshape(len(rows), 3, -1).transpose(0, 2, 1)
 
 
-def _expected_sigma(data: ArmData, context: EffectContext) -> Array | None:
+def _expected_sigma(data: ArmData, context: EffectContext) -> Array:
     """Uncertainty of further readings: the run's mean variances along the beam and across it, in their directions."""
     sigma = data.sigma
-    if sigma is None:
-        return None
     if sigma.ndim == 1:
         return np.full(len(context), float(np.sqrt(np.mean(sigma**2))))
     frame = _beam_frame(data.context)

@@ -114,19 +114,19 @@ def _faint_effects(data: ArmData, fit: JointFit, discovery: Discovery, joined: E
         if not columns:
             continue
         needed = discovery.threshold + math.log(3 * len(data)) + choice_price(law)
-        sizes = np.diag([_signal_size(data, fit, column, further[column.name], needed) for column in columns])
+        sizes = np.diag([_signal_size(fit, column, further[column.name], needed) for column in columns])
         names = tuple(column.name for column in columns)
         found.append(Hypothesis(slug, "", needed, data, fit, None, law, names, sizes))
     return found
 
 
-def _signal_size(data: ArmData, fit: JointFit, column: EffectColumn, further: EffectColumn, needed: float) -> float:
+def _signal_size(fit: JointFit, column: EffectColumn, further: EffectColumn, needed: float) -> float:
     """The smallest size of a parameter that the run would show; else one that moves the SMR by the noise."""
     rows = fit.displacements([column])
     visible, whole = float(np.sum(rows * fit.projector.project(rows))), float(np.sum(rows**2))
     if visible > VISIBLE**2 * whole and visible > 0.0:
         return detectable_size(math.sqrt(visible), needed)
-    noise = 1.0 if data.sigma is None else float(1.0 / np.sqrt(np.mean(fit.white[0, 0] ** 2)))
+    noise = float(1.0 / np.sqrt(np.mean(fit.white[0, 0] ** 2)))
     if further.shift_M is not None:
         moved = float(np.sqrt(np.mean(further.shift_M**2)))
     else:

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellapp.calibration.identification import TooFewReadings
-from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
-from cellapp.discovery.joint_fit import fit_terms
-from cellapp.discovery.projected_residual import ProjectedResidual
+from cellapp.discovery.search.bounds import within_bounds
 from cellapp.discovery.search.comparison import floor_reached
 from cellapp.discovery.search.free_part import explains_beside_free_parts
-from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SearchProblem, SearchState, SearchStep
-from cellapp.discovery.terms import ModelTerm, ModelTerms
+from cellapp.discovery.terms import ModelTerm
 from cellapp.effects import EFFECTS, Channel
 
 _REMAINDER = 0.1
@@ -42,35 +38,6 @@ def addition(problem: SearchProblem, state: SearchState, score: LawScore) -> Sea
     term = ModelTerm(possible.slug, possible.candidate.law, possible.names)
     title = EFFECTS[possible.slug].title
     return problem.step(possible.slug, f"{title} added", possible.value, (*state.fit.terms, term))
-
-
-def within_bounds(data: ArmData, others: ModelTerms, residual: ProjectedResidual, score: LawScore) -> LawScore | None:
-    """The score without the blocks whose fitted values are physically impossible; None where nothing is left.
-
-    A negative stiffness at one joint is an alias of something else there. It says nothing against the effect at other
-    joints.
-    """
-    candidate, current = score.candidate, score
-    with_refinements = any(candidate.refines((place,)) for place in score.chosen)
-    banned: set[str] = set()
-    while True:
-        term = ModelTerm(current.slug, candidate.law, current.names)
-        try:
-            trial = fit_terms(data, (*others, term))
-        except TooFewReadings:  # the readings do not determine all its columns
-            return None
-        impossible = trial.blocks_beyond_bounds(len(others))
-        if not impossible:
-            return current
-        banned |= impossible
-        kept = [place for place, column in enumerate(candidate.columns) if column.block not in banned]
-        if not kept:
-            return None
-        scan = LawScan.of([candidate.keep(kept)], residual.projector)
-        again = scan.score(0, residual, with_refinements=with_refinements)
-        if again is None:
-            return None
-        current = LawScore(candidate, again.value, tuple(kept[k] for k in again.chosen), again.explained_share)
 
 
 def _is_remainder(state: SearchState, score: LawScore) -> bool:

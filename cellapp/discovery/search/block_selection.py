@@ -75,20 +75,40 @@ class BlockSelection:
 
     def score(self, columns: Sequence[int]) -> tuple[float, float]:
         """BIC gain of some columns, without the price of choosing the law, and R^2."""
-        chosen = list(columns)
-        gram = self.candidate.rows[chosen] @ self.projected[chosen].T
-        root, rank = visible_root(gram, self.norms[chosen])
-        share = float(np.sum((root.T @ self.moments[chosen]) ** 2)) / self.residual.square
-        return bic_gain(share, len(self.residual), int(rank)), share
+        return self._scores([tuple(columns)])[0]
+
+    def _scores(self, sets: Sequence[Block]) -> list[tuple[float, float]]:
+        """``score`` of several sets of columns; those of equal size are computed together."""
+        found = [(0.0, 0.0)] * len(sets)
+        sizes = np.array([len(one) for one in sets])
+        for size in np.unique(sizes).tolist():
+            numbers = np.flatnonzero(sizes == size).tolist()
+            places = np.array([sets[number] for number in numbers], dtype=np.intp)
+            gram = self.candidate.rows[places] @ self.projected[places].swapaxes(1, 2)
+            root, ranks = visible_root(gram, self.norms[places])
+            along = np.einsum("bkr,bk->br", root, self.moments[places])
+            shares = np.sum(along**2, axis=1) / self.residual.square
+            for number, share, rank in zip(numbers, shares.tolist(), ranks.tolist(), strict=True):
+                found[number] = (bic_gain(share, len(self.residual), rank), share)
+        return found
+
+    def _best(self, sets: Sequence[Block]) -> tuple[float, int]:
+        """The best score among sets of columns, and its number."""
+        values = [value for value, _ in self._scores(sets)]
+        number = max(range(len(sets)), key=lambda k: (values[k], sets[k]))
+        return values[number], number
 
     def _forward(self, line_price: float) -> tuple[Block, float]:
         """Add the best block while the score grows; one that only refines others cannot be the first."""
         main = [block for block in self.blocks if not self.candidate.refines(block)]
-        best, chosen = max((self.score(block)[0], block) for block in self._promising(main, ()))
+        main = self._promising(main, ())
+        best, number = self._best(main)
+        chosen = main[number]
         left = [block for block in self.blocks if block != chosen]
         while left and best > 0.0:
             left = self._promising(left, chosen)
-            top, block = max((self.score((*chosen, *block))[0], block) for block in left)
+            top, number = self._best([(*chosen, *block) for block in left])
+            block = left[number]
             if top - line_price <= best + NEXT_BLOCK:
                 break
             best, chosen = top - line_price, (*chosen, *block)
@@ -104,13 +124,13 @@ class BlockSelection:
             for block in self.blocks:
                 rest = tuple(place for place in together if place not in block)
                 if len(rest) < len(together) and any(not self.candidate.refines((place,)) for place in rest):
-                    fewer.append((self.score(rest)[0], rest))
+                    fewer.append(rest)
             if not fewer:
                 break
-            top, rest = max(fewer)
+            top, number = self._best(fewer)
             if top <= value - NEXT_BLOCK:
                 break
-            together, value = rest, top
+            together, value = fewer[number], top
         return together, value
 
     def _promising(self, blocks: list[Block], chosen: Block) -> list[Block]:

@@ -12,7 +12,7 @@ from cellapp.calibration.identification import TooFewReadings
 from cellapp.discovery.candidates import CandidateLaw, LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.joint_fit import JointFit, fit_terms
-from cellapp.discovery.search.addition import within_bounds
+from cellapp.discovery.search.bounds import within_bounds
 from cellapp.discovery.search.free_part import explains_beside_free_parts
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep

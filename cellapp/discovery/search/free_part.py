@@ -162,7 +162,7 @@ def with_free_parts(problem: SearchProblem, state: SearchState) -> SearchState |
     """
     terms = tuple(replace(term, modulations=(), modulation_sd=()) for term in state.fit.terms)
     had = any(term.modulations for term in state.fit.terms)
-    if state.data.sigma is None or all(term.effect is None for term in terms):
+    if all(term.effect is None for term in terms):
         return None
     base = problem.state(terms, state) if had else state
     found = _free_terms(base)
@@ -241,8 +241,6 @@ def _evidence_of(fit: JointFit, nuisance: Array, precision: Array, rows: Array) 
 def behind_free_parts(state: SearchState) -> ProjectedResidual | None:
     """The residual behind the model and the free parts of all its laws at the cautious share; None without any."""
     fit = state.fit
-    if state.data.sigma is None:
-        return None
     rows, precision = [], []
     for number in range(len(fit.terms)):
         parts = possible_free_parts(state.data, fit, number)

@@ -13,7 +13,7 @@ from cellapp.calibration.identification import TooFewReadings
 from cellapp.discovery.candidates import CandidateLaw, LawScore
 from cellapp.discovery.cross_validation import cross_validated_gain
 from cellapp.discovery.joint_fit import fit_terms
-from cellapp.discovery.search.addition import within_bounds
+from cellapp.discovery.search.bounds import within_bounds
 from cellapp.discovery.search.review import term_score
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep

@@ -10,8 +10,8 @@ from cellapp.design.information import NuisanceProjector
 from cellapp.discovery.candidates import LawScore, best_law_of_each_effect
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.discovery.projected_residual import ProjectedResidual
+from cellapp.discovery.search.bounds import possible_score
 from cellapp.discovery.search.comparison import floor_reached
-from cellapp.discovery.search.possible_score import possible_score
 from cellapp.discovery.search.scan import LawScan, choice_price
 from cellapp.discovery.search.state import SCORE_MARGIN, Review, Rival, SearchProblem, SearchState
 from cellapp.discovery.terms import UNKNOWN, without_term

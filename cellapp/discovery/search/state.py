@@ -9,7 +9,8 @@ from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, refit
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.significance import corrected_p_value
-from cellapp.discovery.terms import ModelTerm, ModelTerms
+from cellapp.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
+from cellapp.effects import EFFECTS
 from cellapp.effects.contradiction import is_contradiction
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
@@ -141,6 +142,12 @@ class SearchResult:
     steps: tuple[SearchStep, ...]
     dropped: tuple[str, ...]
     threshold: float
+
+    @property
+    def absent(self) -> list[str]:
+        """Effects of the library that the final model does not have."""
+        taken = {term.slug for term in self.fit.terms}
+        return [slug for slug in EFFECTS if slug not in taken and slug != UNKNOWN]
 
     @property
     def contradictions(self) -> tuple[str, ...]:

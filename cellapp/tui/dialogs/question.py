@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, TypeVar
 
+from rich.markdown import Markdown
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.screen import ModalScreen
-from textual.widgets import Button, Markdown, Static
+from textual.widgets import Button, Static
 
 from cellapp.tui.widgets.stop import StopCorner
 
@@ -98,5 +99,5 @@ class Reading(Question[None]):
 
     def body(self) -> ComposeResult:
         with VerticalScroll(classes="reading"):
-            yield Markdown(self._text)
+            yield Static(Markdown(self._text))  # Textual's own makes a widget of each line, which takes seconds
         yield Static("Up, down, Page Up, Page Down scroll; Escape closes.", classes="text", markup=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,10 @@ from cellapp.reporting.charts import Chart, Series
 from cellapp.tui.plots.raster import (
     DOT_COLUMNS,
     DOT_ROWS,
-    Dots,
     as_steps,
     braille,
     no_dots,
+    occupied_cells,
     set_bars,
     set_line,
     set_points,
@@ -37,10 +37,16 @@ _TICK_ROWS = 2
 """Rows for one tick of the y axis."""
 _TICK_COLUMNS = 7
 """Columns for one tick of the x axis: a label of up to five characters and a gap."""
+_MOST_TICKS = 8
+"""Ticks of an axis, however long it is: more tell no more."""
 _MARK_EVERY = 10
 """Columns between two marks of a line: near enough to be found, far enough to see the line."""
+_CELLS_A_MARK = 8
+"""Cells for each mark of a cloud in which every point has one; in a denser one, marks would hide each other."""
 _MARKED_SHARE = 5
 """One of so many cells of a dense cloud shows its mark."""
+_LEAST_BAR = 6
+"""Cells for the longest bar, however long the names are."""
 _EIGHTHS = " ▏▎▍▌▋▊▉"
 
 Run = tuple[str, int]
@@ -72,9 +78,10 @@ class Cells:
 
     def lines(self) -> Iterator[Line]:
         """The rows as runs of one ink."""
-        for characters, inks in zip(self.characters.tolist(), self.inks.tolist(), strict=True):
-            pairs = groupby(zip(characters, inks, strict=True), key=lambda pair: pair[1])
-            yield [("".join(character for character, _ in run), ink) for ink, run in pairs]
+        for characters, inks in zip(self.characters, self.inks, strict=True):
+            begin = [0, *(np.flatnonzero(np.diff(inks)) + 1).tolist()]
+            text = "".join(characters.tolist())
+            yield [(text[a:b], int(inks[a])) for a, b in pairwise([*begin, len(text)])]
 
 
 def draw(chart: Chart, width: int, height: int) -> list[Line]:
@@ -111,56 +118,49 @@ def _plot(chart: Chart, width: int, height: int) -> Cells | None:
     rows = height - 2  # the axis and its labels
     if rows < _LEAST_ROWS:
         return None
-    x, y = _scales(chart, DOT_COLUMNS * width, DOT_ROWS * rows)
-    labels = _row_labels(chart, y, rows)
-    margin = max((len(text) for text in labels.values()), default=0) + 1
+    margin = max((len(text) for text in _row_labels(_scales(chart, width, rows)[1], rows).values()), default=0) + 1
     columns = width - margin
     if columns < _LEAST_COLUMNS:
         return None
-    x, y = _scales(chart, DOT_COLUMNS * columns, DOT_ROWS * rows)
-    if chart.equal:
-        x, y = equal_scales(x, y)
-        labels = {row: text.rjust(margin - 1) for row, text in _row_labels(chart, y, rows).items()}
-        if any(len(text) >= margin for text in labels.values()):
-            margin += 1
-            columns -= 1
-            x, y = equal_scales(*_scales(chart, DOT_COLUMNS * columns, DOT_ROWS * rows))
-            labels = _row_labels(chart, y, rows)
+    x, y = _scales(chart, columns, rows)
+    # the range of a map depends on its width: a label that became longer has no room
+    labels = {row: text for row, text in _row_labels(y, rows).items() if len(text) < margin}
     cells = Cells.blank(height, width)
     for row in range(rows):
         text = labels.get(row)
         cells.write(row, 0, f"{text or '':>{margin - 1}}{'│' if text is None else '┤'}")
     cells.write(rows, margin - 1, "└" + "─" * columns)
-    _write_column_labels(chart, cells, x, margin)
+    _write_column_labels(cells, x, margin)
     _draw_data(chart, Cells(cells.characters[:rows, margin:], cells.inks[:rows, margin:]), x, y)
     return cells
 
 
-def _scales(chart: Chart, across: int, up: int) -> tuple[Scale, Scale]:
+def _scales(chart: Chart, columns: int, rows: int) -> tuple[Scale, Scale]:
+    """Scales of both axes that show all series and limits, for a plot of some cells."""
     at_x = [limit.value for limit in chart.limits if limit.axis == "x"]
     at_y = [limit.value for limit in chart.limits if limit.axis == "y"]
     ys = [edge for one in chart.series for edge in _edges(one)] if chart.y_range is None else [np.array(chart.y_range)]
     fill = any(one.kind == "bars" for one in chart.series)
-    x = scale_of(chart.x, np.concatenate([*(one.x for one in chart.series), at_x]), across)
-    y = scale_of(chart.y, np.concatenate([*ys, at_y]), up, zero=fill)
-    return x, y
+    x = scale_of(chart.x, np.concatenate([*(one.x for one in chart.series), at_x]), DOT_COLUMNS * columns)
+    y = scale_of(chart.y, np.concatenate([*ys, at_y]), DOT_ROWS * rows, zero=fill)
+    return equal_scales(x, y) if chart.equal else (x, y)
 
 
 def _edges(one: Series) -> list[Array]:
     return [one.y] if one.band is None else [one.y - one.band, one.y + one.band]
 
 
-def _row_labels(chart: Chart, y: Scale, rows: int) -> dict[int, str]:
+def _row_labels(y: Scale, rows: int) -> dict[int, str]:
     """Row -> text of its tick."""
-    ticks = y.ticks(max(rows // _TICK_ROWS, 2))
+    ticks = y.ticks(min(max(rows // _TICK_ROWS, 2), _MOST_TICKS))
     at = (DOT_ROWS * rows - 1 - np.rint(y.place(np.array(ticks)))) // DOT_ROWS
     return dict(zip(at.astype(int).tolist(), tick_texts(ticks, logarithmic=y.axis.logarithmic), strict=True))
 
 
-def _write_column_labels(chart: Chart, cells: Cells, x: Scale, margin: int) -> None:
+def _write_column_labels(cells: Cells, x: Scale, margin: int) -> None:
     """Ticks of the x axis on the last two rows; a label that would touch the one before is left out."""
     columns = cells.characters.shape[1] - margin
-    ticks = x.ticks(max(columns // _TICK_COLUMNS, 2))
+    ticks = x.ticks(min(max(columns // _TICK_COLUMNS, 2), _MOST_TICKS))
     free = 0
     for at, text in zip(x.place(np.array(ticks)), tick_texts(ticks, logarithmic=x.axis.logarithmic), strict=True):
         column = margin + round(float(at)) // DOT_COLUMNS
@@ -194,7 +194,7 @@ def _places(rows: int, columns: int) -> tuple[NDArray[np.int64], NDArray[np.int6
 
 
 def _draw_band(one: Series, cells: Cells, x: Scale, y: Scale) -> None:
-    """Shade the cells between both edges of a band."""
+    """Shade the cells whose middle is between both edges of a band."""
     if one.band is None:
         return
     at = x.place(one.x) / DOT_COLUMNS
@@ -205,7 +205,7 @@ def _draw_band(one: Series, cells: Cells, x: Scale, y: Scale) -> None:
     rows, columns = _places(*cells.characters.shape)
     middle = columns + 0.5
     top, bottom = (np.interp(middle, at[seen], edge[seen], left=np.nan, right=np.nan) for edge in (high, low))
-    cells.put((rows >= np.floor(top)) & (rows <= np.floor(bottom)), _BAND, one.style)
+    cells.put((rows + 0.5 >= top) & (rows + 0.5 <= bottom), _BAND, one.style)
 
 
 def _draw_series(one: Series, cells: Cells, x: Scale, y: Scale, *, several: bool) -> None:
@@ -219,7 +219,7 @@ def _draw_series(one: Series, cells: Cells, x: Scale, y: Scale, *, several: bool
         set_bars(dots, column, row, y.dots - 1 - float(y.place(np.zeros(1))[0]))
     else:
         set_points(dots, column, row)
-    occupied = _occupied(dots)
+    occupied = occupied_cells(dots)
     cells.put(occupied, braille(dots), one.style)
     cells.put(_marked(one, occupied, column, row, several=several), mark_of(one), one.style)
 
@@ -232,11 +232,11 @@ def mark_of(one: Series) -> str:
 def _marked(one: Series, occupied: NDArray[np.bool_], column: Array, row: Array, *, several: bool) -> NDArray[np.bool_]:
     """The cells (rows, columns) in which a series shows its mark: every point where they are few, else some cells."""
     rows, columns = _places(*occupied.shape)
-    few = len(one.x) <= occupied.shape[1] // (1 if one.kind == "points" else 4)
+    few = len(one.x) <= (occupied.size // _CELLS_A_MARK if one.kind == "points" else occupied.shape[1] // 4)
     if one.mark or (few and one.kind in ("points", "line")):
         at_points = no_dots(*occupied.shape)
         set_points(at_points, column, row)
-        return _occupied(at_points)
+        return occupied_cells(at_points)
     if not several:
         return np.zeros_like(occupied)
     if one.kind == "points":
@@ -245,11 +245,6 @@ def _marked(one: Series, occupied: NDArray[np.bool_], column: Array, row: Array,
     topmost: NDArray[np.bool_] = np.cumsum(occupied, axis=0) == 1
     turns: NDArray[np.bool_] = columns % _MARK_EVERY == (2 + 3 * one.style) % _MARK_EVERY
     return occupied & topmost & turns
-
-
-def _occupied(dots: Dots) -> NDArray[np.bool_]:
-    """The cells (rows, columns) that have dots."""
-    return np.asarray(braille(dots) != " ")
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
@@ -261,10 +256,11 @@ def _key_lines(chart: Chart, width: int) -> list[Line]:
     for limit in chart.limits:
         unit = (chart.x if limit.axis == "x" else chart.y).unit
         entries.append((LIMIT[limit.axis], f"{limit.name} {limit.value:.3g} {unit}".rstrip(), SOFT))
+    entries += [(_BAND, "uncertainty", one.style) for one in chart.series if one.band is not None][:1]
     lines: list[Line] = []
     used = width
     for mark, name, ink in entries:
-        text = textwrap.shorten(name, max(width - 2, 1), placeholder="…")
+        text = _cut(name, width - 2)
         if used + 4 + len(text) > width:
             lines.append([])
             used = -2
@@ -276,9 +272,10 @@ def _key_lines(chart: Chart, width: int) -> list[Line]:
 def _category_lines(chart: Chart, width: int, rows: int) -> list[Line]:
     """One bar a line: name, bar, value."""
     values = np.nan_to_num(chart.series[0].y)
-    names = [textwrap.shorten(name, width // 2, placeholder="…") for name in chart.categories]
-    texts = [f"{value:.3g} {chart.y.unit}".rstrip() for value in values]
-    label, number = max(map(len, names)), max(map(len, texts))
+    texts = [_value_text(value, chart.y.unit) for value in values.tolist()]
+    number = max(map(len, texts))
+    names = [_cut(name, width - number - 2 - _LEAST_BAR) for name in chart.categories]
+    label = max(map(len, names))
     room = max(width - label - number - 2, 1)
     lines: list[Line] = []
     for name, value, text in zip(names, values, texts, strict=True):
@@ -288,3 +285,15 @@ def _category_lines(chart: Chart, width: int, rows: int) -> list[Line]:
     if len(lines) > rows:
         lines = [*lines[: rows - 1], [(f"and {len(lines) - rows + 1} more", SOFT)]]
     return lines
+
+
+def _value_text(value: float, unit: str) -> str:
+    """The value of a bar with three digits; whole percents."""
+    if unit == "%":
+        return "< 1 %" if 0.0 < value < 1.0 else f"{value:.0f} %"
+    return f"{value:.3g} {unit}".rstrip()
+
+
+def _cut(text: str, width: int) -> str:
+    """A text that is cut to a width, with an ellipsis where something is missing."""
+    return text if len(text) <= width else f"{text[: max(width - 1, 0)]}…"

@@ -11,8 +11,10 @@ DOT_ROWS, DOT_COLUMNS = 4, 2
 Dots = NDArray[np.bool_]
 Characters = NDArray[np.str_]
 
+_KEPT = 4
+"""Points that are kept of those in one column of dots."""
 _FIRST_BRAILLE = 0x2800
-_WEIGHTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+_WEIGHTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint32)
 """Bit of each dot of a braille character (Unicode, block U+2800)."""
 
 
@@ -21,13 +23,18 @@ def no_dots(rows: int, columns: int) -> Dots:
     return np.zeros((rows * DOT_ROWS, columns * DOT_COLUMNS), dtype=np.bool_)
 
 
-def braille(dots: Dots) -> Characters:
-    """The characters (rows, columns) that show some dots (4 rows, 2 columns); a blank where there are none."""
+def occupied_cells(dots: Dots) -> Dots:
+    """The cells (rows, columns) that have dots."""
     rows, columns = dots.shape[0] // DOT_ROWS, dots.shape[1] // DOT_COLUMNS
-    cells = dots.reshape(rows, DOT_ROWS, columns, DOT_COLUMNS).transpose(0, 2, 1, 3)
-    codes = (cells * _WEIGHTS).sum(axis=(2, 3))
-    codes = np.where(codes == 0, ord(" "), _FIRST_BRAILLE + codes)
-    return codes.astype(np.uint32).view("<U1")
+    return np.asarray(dots.reshape(rows, DOT_ROWS, columns, DOT_COLUMNS).any(axis=(1, 3)))
+
+
+def braille(dots: Dots) -> Characters:
+    """The characters (rows, columns) that show some dots (4 rows, 2 columns)."""
+    rows, columns = dots.shape[0] // DOT_ROWS, dots.shape[1] // DOT_COLUMNS
+    cells = dots.reshape(rows, DOT_ROWS, columns, DOT_COLUMNS)
+    codes = np.einsum("ijkl,jl->ik", cells, _WEIGHTS, dtype=np.uint32)
+    return np.asarray((codes + np.uint32(_FIRST_BRAILLE)).view("<U1"))
 
 
 def set_points(dots: Dots, column: Array, row: Array) -> None:
@@ -52,16 +59,15 @@ def set_line(dots: Dots, column: Array, row: Array) -> None:
 
 
 def thinned(column: Array, row: Array) -> tuple[Array, Array]:
-    """The lowest and the highest of neighbouring positions in one column of dots: the same line from fewer points."""
-    if len(column) == 0:
-        return column, row
+    """The first, lowest, highest and last of neighbouring positions in one column of dots: they draw the same line."""
     place = np.where(np.isfinite(column) & np.isfinite(row), np.rint(column), np.nan)
-    new = np.append(True, ~((np.diff(place) == 0.0) | (np.isnan(place[1:]) & np.isnan(place[:-1]))))
-    begin = np.flatnonzero(new)
-    if 2 * len(begin) >= len(column):
+    new = ~((np.diff(place) == 0.0) | (np.isnan(place[1:]) & np.isnan(place[:-1])))
+    begin = np.flatnonzero(np.append(True, new)) if len(column) else np.zeros(0, dtype=np.intp)
+    if _KEPT * len(begin) >= len(column):
         return column, row
+    end = np.append(begin[1:], len(column)) - 1
     low, high = np.minimum.reduceat(row, begin), np.maximum.reduceat(row, begin)
-    return np.repeat(place[begin], 2), np.column_stack([low, high]).ravel()
+    return np.repeat(place[begin], _KEPT), np.column_stack([row[begin], low, high, row[end]]).ravel()
 
 
 def set_bars(dots: Dots, column: Array, row: Array, zero: float) -> None:

@@ -12,6 +12,14 @@ from cellapp.reporting.charts import Axis
 
 _ROOM = 0.05
 """Room at either end of an axis, as a share of its range."""
+_LARGEST = 1e100
+"""Larger values are not drawn: sums and ratios of axes would overflow."""
+_FAR = 10.0
+"""Places beyond so many lengths of an axis are moved to there: a line that leaves the plot needs no more."""
+_SAME = 1e-6
+"""Values that differ by a smaller share are one value: the difference is rounding, and no tick could show it."""
+_LONGEST = 7
+"""Characters of a tick before its text changes to powers of ten."""
 _PARTS_OF_A_TURN = (15.0, 30.0, 45.0, 60.0, 90.0, 180.0, 360.0)
 """Steps between ticks of an angle [deg]."""
 _NEAR_ZERO = 0.5
@@ -30,11 +38,11 @@ class Scale:
 
     def place(self, values: Array) -> Array:
         """Positions in dots from ``low``; NaN where a logarithmic axis has no place for a value."""
-        low, high = self.low, self.high
+        low, high, values = self.low, self.high, drawable(values)
         if self.axis.logarithmic:
             values = np.log10(np.where(values > 0.0, values, np.nan))
             low, high = math.log10(low), math.log10(high)
-        return np.asarray((values - low) / (high - low) * (self.dots - 1))
+        return np.clip((values - low) / (high - low), -_FAR, _FAR) * (self.dots - 1)
 
     def ticks(self, most: int) -> list[float]:
         """At most about ``most`` round values in the range."""
@@ -42,14 +50,18 @@ class Scale:
             ticks = _decades(self.low, self.high, most)
             if len(ticks) >= min(2, most):
                 return ticks
-        step = _round_step((self.high - self.low) / most, degrees=self.axis.unit == "deg")
-        step = max(step, 1.0) if self.counted else step
-        first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+        for wanted in (most, 2 * most):  # two ticks at least, so that they give a scale
+            step = _round_step((self.high - self.low) / wanted, degrees=self.axis.unit == "deg")
+            step = max(step, 1.0) if self.counted else step
+            first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+            if last > first:
+                break
         return [number * step for number in range(first, last + 1)]
 
 
 def scale_of(axis: Axis, values: Array, dots: int, *, zero: bool = False) -> Scale:
     """A scale that shows all finite ``values``; with ``zero`` it contains zero."""
+    values = drawable(values)
     shown = values[np.isfinite(values) & ((values > 0.0) | (not axis.logarithmic))]
     if len(shown) == 0:
         return Scale(axis, 0.1, 1.0, dots)
@@ -59,9 +71,16 @@ def scale_of(axis: Axis, values: Array, dots: int, *, zero: bool = False) -> Sca
         return Scale(axis, low / room, high * room, dots)
     if zero or 0.0 <= low < _NEAR_ZERO * high:
         low, high = min(low, 0.0), max(high, 0.0)
-    room = _ROOM * (high - low) or 0.5 * abs(high) or 0.5
+    largest = max(abs(low), abs(high))
+    room = _ROOM * (high - low) if high - low > _SAME * largest else 0.5 * largest or 0.5
     counted = not axis.unit and bool(np.all(shown == np.rint(shown)))
     return Scale(axis, low if low == 0.0 else low - room, high + room, dots, counted)
+
+
+def drawable(values: Array) -> Array:
+    """Values with NaN for those that no axis can hold, and zero for those next to it."""
+    size = np.abs(values)
+    return np.where(size <= _LARGEST, np.where(size < 1.0 / _LARGEST, 0.0, values), np.nan)
 
 
 def equal_scales(x: Scale, y: Scale) -> tuple[Scale, Scale]:
@@ -87,8 +106,9 @@ def tick_texts(ticks: list[float], *, logarithmic: bool) -> list[str]:
     """Texts of ticks: as many decimals as the steps between them need."""
     if logarithmic or len(ticks) < 2:
         return [f"{tick:g}" for tick in ticks]
-    decimals = max(0, -math.floor(math.log10(min(np.diff(ticks))) + 1e-9))
-    return [f"{tick + 0.0:.{decimals}f}" for tick in ticks]
+    decimals = max(0, -math.floor(math.log10(ticks[1] - ticks[0]) + 1e-9))
+    texts = [f"{tick + 0.0:.{decimals}f}" for tick in ticks]
+    return texts if max(map(len, texts)) <= _LONGEST else [f"{tick:g}" for tick in ticks]
 
 
 def _decades(low: float, high: float, most: int) -> list[float]:

@@ -38,7 +38,7 @@ class ChartPlot(Widget):
     def render_line(self, y: int) -> Strip:
         """One line of the drawing, which is made once for a chart, a size and a background."""
         width, height = self.content_size
-        drawn_as = (self.chart, width, height, self.rich_style)
+        drawn_as = (self.chart, width, height, self.rich_style, self.app.current_theme.dark)
         if drawn_as != self._drawn_as:
             lines = [] if self.chart is None else draw(self.chart, width, height)
             self._strips = [
@@ -59,5 +59,5 @@ class ChartPlot(Widget):
             return own + Style(bold=True)
         if ink == SOFT:
             return own + Style(italic=True)
-        colours = ON_DARK if self.background_colors[1].brightness < 0.5 else ON_LIGHT
+        colours = ON_DARK if self.app.current_theme.dark else ON_LIGHT
         return own + Style(color=colours[ink % len(colours)])

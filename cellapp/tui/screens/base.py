@@ -26,6 +26,7 @@ class DayScreen(Screen[None]):
     is hidden.
     """
 
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (100, "-medium"), (160, "-wide")]  # noqa: RUF012 - as Textual declares it
     STEP: ClassVar[Step]
     HELP: ClassVar[str] = ""
     """Markdown for the key ``?``: what the screen shows and what one does here."""

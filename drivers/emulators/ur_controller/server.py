@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import selectors
 import signal
 import socket
@@ -30,6 +31,8 @@ from drivers.plant import Plant, PlantConfig
 _LONGEST_LINE = 4096
 _JOIN_S = 10.0
 _START_S = 60.0
+_NICENESS = -15
+"""Of the separate process: a controller has a computer of its own, which no busy-waiting client keeps from running."""
 _MAX_BEHIND = 5
 """Missed control cycles that are made up for; more are skipped."""
 
@@ -389,6 +392,9 @@ def _serve_in_process(
     pipe: Connection, arms: Sequence[ControllerConfig], plant: PlantConfig | None, pace: float
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends when the parent closes the pipe
+    if hasattr(os, "setpriority"):
+        with suppress(OSError):  # not allowed to everybody
+            os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
     try:
         server = UrControllerServer(arms, None if plant is None else Plant(plant), pace)
         addresses = server.open()

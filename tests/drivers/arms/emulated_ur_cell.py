@@ -26,6 +26,8 @@ SPEED, ACCELERATION = np.full(6, 2.0), np.full(6, 8.0)
 AWAY = HOME + np.array([0.25, 0.1, -0.2, 0.15, 0.3, -0.35])
 FAR = HOME + np.array([2.4, 0.3, -0.5, 1.0, 1.5, -2.0])
 """More than a second away."""
+WATCHDOG_HZ = 2.0
+"""A busy computer may stall for longer than the usual period of 0.2 s; a test of the watchdog sets its own."""
 
 
 def expectation(name: str, **changes: Any) -> UrExpectation:
@@ -56,11 +58,17 @@ def emulated_cell() -> Iterator[EmulatorProcess]:
 @contextmanager
 def driven(name: str, settings: UrSettings | None = None, **changes: Any) -> Iterator[UrArm]:
     """A driver that is not connected yet; disconnected at the end."""
-    arm = UrArm(name, settings or UrSettings(host=HOSTS[name]), expectation(name, **changes), rest_s=1.0)
+    patient = UrSettings(host=HOSTS[name], watchdog_hz=WATCHDOG_HZ)
+    arm = UrArm(name, settings or patient, expectation(name, **changes), rest_s=1.0)
     try:
         yield arm
     finally:
         arm.disconnect()
+
+
+def warnings_about(arm: UrArm) -> list[str]:
+    """Return the arm's warnings without those about this computer, which may be busy."""
+    return [note for note in arm.warnings() if "heartbeats: " not in note]
 
 
 def until(condition: Callable[[], bool], what: str, within_s: float = PATIENT_S) -> None:
@@ -94,9 +102,16 @@ def ready(status: dict[str, Any]) -> bool:
 
 def assert_stays_at_rest(emulator: EmulatorProcess, name: str, for_s: float = 0.15) -> None:
     """Assert that the arm comes to rest and stays at rest; 0.15 s are 19 states of a CB3 controller."""
-    until(lambda: not emulator.control(name, "status")["moving"], "the arm has braked", 1.0)
+    until(lambda: not emulator.control(name, "status")["moving"], "the arm has braked")
     before = emulator.control(name, "status")
     pause(for_s)
     after = emulator.control(name, "status")
     assert not after["moving"]
     assert (after["moves"], after["q"]) == (before["moves"], before["q"])
+
+
+def assert_braked(emulator: EmulatorProcess, name: str, since_s: float) -> None:
+    """Assert that a stop since ``since_s`` (``time.monotonic``) met the arm in motion, and that it stays at rest."""
+    assert_stays_at_rest(emulator, name)
+    stops = emulator.control(name, "stops", since_s)
+    assert any(stop["ideal_s"] > 0.0 for stop in stops), f"no stop met it in motion: {stops}"

@@ -28,13 +28,14 @@ from tests.drivers.arms.emulated_ur_cell import (
     HOSTS,
     PATIENT_S,
     SPEED,
+    assert_braked,
     assert_stays_at_rest,
     driven,
     emulated_cell,
-    pause,
     repair,
     until,
 )
+from tests.latency import attempts
 
 FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
     "fin": (("drop", "rtde", "fin"), LinkLost),
@@ -53,6 +54,8 @@ def emulator() -> Iterator[EmulatorProcess]:
         yield started
 
 
+LONGEST_DOUBT_S = 12.0
+"""A wait that ended with a timeout after this would have missed the fault."""
 Faults = dict[str, str]
 """Arm -> its fault; arms with faults are tested in parallel."""
 DURING: list[Faults] = [
@@ -148,10 +151,8 @@ def fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> 
     arm.start_move(FAR, SPEED, ACCELERATION)
     until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
     error = inject(emulator, arm.name, fault)
-    began = time.monotonic()
     with pytest.raises(error, match=f"arm {arm.name}: "):
-        arm.wait_settled(PATIENT_S)
-    assert time.monotonic() - began < 12.0
+        arm.wait_settled(LONGEST_DOUBT_S)
     assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3, "it went all the way"
     assert_stays_at_rest(emulator, arm.name)
     with pytest.raises(ArmError):
@@ -230,13 +231,14 @@ def test_the_other_arm_goes_on_when_one_link_breaks(unconnected: EmulatorProcess
     with driven("left") as left, driven("right") as right:
         left.connect()
         right.connect()
+        began_s = time.monotonic()
         for driver in (left, right):
-            driver.start_move(AWAY, SPEED, ACCELERATION)
+            driver.start_move(AWAY, SPEED * 0.2, ACCELERATION)
         inject(emulator, "left", "rst")
         np.testing.assert_allclose(right.wait_settled(PATIENT_S).q, AWAY, atol=1e-6)
         with pytest.raises(LinkLost):
             left.wait_settled(PATIENT_S)
-        assert_stays_at_rest(emulator, "left")
+        assert_braked(emulator, "left", began_s)
         go_again(emulator, left)
         go(right, HOME)
 
@@ -253,7 +255,7 @@ def signal_worker(emulator: EmulatorProcess, arm: UrArm, signal_number: signal.S
     assert arm.worker_pid is not None
     os.kill(arm.worker_pid, signal_number)
     # the application has not looked yet: the controller stops the arm by itself
-    until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm", 5.0)
+    until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm")
     assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
     with pytest.raises(LinkLost, match="seen at rest"):
         arm.wait_settled(0.2)
@@ -286,14 +288,13 @@ def kill_the_application(emulator: EmulatorProcess, name: str, with_worker: bool
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
         assert application.stdout is not None
         worker = int(application.stdout.readline())
-        until(lambda: emulator.control(name, "status")["moving"], "the arm moves")
-        pause(0.3)
+        until(lambda: abs(emulator.control(name, "status")["q"][0] - HOME[0]) > 0.1, "the arm moves")
         application.kill()
         if with_worker:
             os.kill(worker, signal.SIGKILL)
         application.wait(PATIENT_S)
-        until(lambda: not emulator.control(name, "status")["moving"], "the arm rests", 1.5)
-    until(lambda: emulator.control(name, "status")["runtime_state"] == "STOPPED", "the program has ended", 1.0)
+        until(lambda: not emulator.control(name, "status")["moving"], "the arm rests")
+    until(lambda: emulator.control(name, "status")["runtime_state"] == "STOPPED", "the program has ended")
     status = emulator.control(name, "status")
     assert np.abs(np.array(status["q"]) - FAR).max() > 0.3, "it went all the way"
     until(lambda: not alive(worker), "the worker is gone")
@@ -375,7 +376,7 @@ def late_start(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 
 def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, arm: UrArm) -> None:
-    arm.start_move(AWAY, SPEED * 0.2, ACCELERATION)
+    arm.start_move(AWAY, SPEED * 0.1, ACCELERATION)
     with pytest.raises(ArmTimeout):
         arm.wait_settled(0.2)
     with pytest.raises(ArmError, match="still moving"):
@@ -392,7 +393,7 @@ def test_a_dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess
     inject(emulator, arm.name, "rst")
     with pytest.raises(LinkLost):
         arm.wait_settled(PATIENT_S)
-    until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm", 1.0)
+    until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm")
     assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
     with pytest.raises(LinkLost):
         arm.connect()
@@ -400,18 +401,23 @@ def test_a_dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess
 
 
 def test_the_watchdogs_rate_is_the_settings(unconnected: EmulatorProcess) -> None:
-    """At 1 Hz the arm moves on for longer after the worker was killed than at 20 Hz."""
-    emulator = unconnected
-    ways = []
-    for hertz in (20.0, 1.0):
-        repair(emulator, "right")
-        with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=hertz)) as arm:
-            arm.connect()
-            go(arm, HOME)
-            arm.start_move(FAR, SPEED * 0.5, ACCELERATION)
-            assert arm.worker_pid is not None
-            until(lambda: emulator.control("right", "status")["moving"], "the arm moves")
-            os.kill(arm.worker_pid, signal.SIGKILL)
-            until(lambda: not emulator.control("right", "status")["moving"], "the watchdog stops the arm")
-            ways.append(abs(emulator.control("right", "status")["q"][0] - HOME[0]))
-    assert ways[0] < 0.5 * ways[1]
+    """At 1 Hz the controller stops a program later after the worker was killed than at 5 Hz."""
+    with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=1.0)) as arm:
+        assert stopped_after_kill_s(unconnected, arm) > 0.5  # the last kick is 0.2 s old, or more on a busy computer
+    with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=5.0)) as arm:
+        for took in attempts(stopped=0.4):
+            took["stopped"] = stopped_after_kill_s(unconnected, arm)
+
+
+def stopped_after_kill_s(emulator: EmulatorProcess, arm: UrArm) -> float:
+    """Connect, kill the worker during a motion, and return when the controller stopped its program [s]."""
+    make_ready(emulator, arm)
+    arm.start_move(FAR, SPEED * 0.5, ACCELERATION)
+    assert arm.worker_pid is not None
+    until(lambda: emulator.control("right", "status")["moving"], "the arm moves")
+    killed_s = time.monotonic()
+    os.kill(arm.worker_pid, signal.SIGKILL)
+    until(lambda: not emulator.control("right", "status")["moving"], "the watchdog stops the arm")
+    (stop,) = emulator.control("right", "stops", killed_s)
+    assert stop["ideal_s"] > 0.0, "it went all the way"
+    return float(stop["received_s"]) - killed_s

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cellapp.trials.link_bench import travel_s
@@ -59,7 +59,9 @@ from tests.drivers.arms.emulated_ur_cell import (
     expectation,
     repair,
     until,
+    warnings_about,
 )
+from tests.latency import attempts
 
 ARMS = ("left", "right")
 TRIAL_HOSTS = {"left": "127.0.0.43", "right": "127.0.0.44"}
@@ -97,7 +99,7 @@ def unconnected(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> Itera
 def test_both_arms_move_at_once(connected: dict[str, UrArm]) -> None:
     for goal in (AWAY, HOME):
         for arm in connected.values():
-            arm.start_move(goal, SPEED, ACCELERATION)
+            arm.start_move(goal, SPEED * 0.2, ACCELERATION)
         assert all(arm.state().moving for arm in connected.values())
         for arm in connected.values():
             state = arm.wait_settled(PATIENT_S)
@@ -124,7 +126,7 @@ def test_identity_state_and_tool_are_those_of_the_controller(connected: dict[str
     np.testing.assert_array_equal(tool.tcp, np.zeros(6))
     limits = arm.limits()
     np.testing.assert_array_equal(limits.speed, np.full(6, 3.0))
-    assert arm.warnings() == ()
+    assert warnings_about(arm) == []
     assert arm.state().time_s > state.time_s
 
 
@@ -170,6 +172,7 @@ positive = st.lists(st.floats(0.01, 10.0), min_size=6, max_size=6)
 angles = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)
 
 
+@example(here=[0.0] * 6, goal=[0.0] * 5 + [5e-324], speed=[1.0] * 5 + [0.5], acceleration=[1.0] * 6)
 @given(here=angles, goal=angles, speed=positive, acceleration=positive)
 def test_leading_rates_keep_every_joint_within_its_limits(
     here: list[float], goal: list[float], speed: list[float], acceleration: list[float]
@@ -262,7 +265,7 @@ def test_an_arm_without_power_is_refused(unconnected: EmulatorProcess) -> None:
 def test_a_changed_calibration_only_warns(unconnected: EmulatorProcess) -> None:
     with driven("right", checksum="0000000a-0000000b") as arm:
         arm.connect()
-        (note,) = arm.warnings()
+        (note,) = warnings_about(arm)
         assert note.startswith("arm right: ")
         assert arm.state().ready
 
@@ -373,13 +376,14 @@ def test_a_silent_host_is_reported_within_its_time_limit(unconnected: EmulatorPr
     assert UrSettings(host=HOSTS["right"]).timeout <= 5.0
     unconnected.control("right", "fault", silent, "silent")
     with driven("right", UrSettings(host=HOSTS["right"], timeout=1.0)) as arm:
-        began = time.monotonic()
         if silent == "primary":  # its data are optional
             arm.connect()
             return
-        with pytest.raises(LinkLost, match=r"arm right: .*127\.0\.0\.42"):
-            arm.connect()
-        assert time.monotonic() - began < 2.0
+        for took in attempts(reported=2.0):
+            began = time.monotonic()
+            with pytest.raises(LinkLost, match=r"arm right: .*127\.0\.0\.42"):
+                arm.connect()
+            took["reported"] = time.monotonic() - began
         unconnected.control("right", "fault", "*", "none")
     assert_untouched(unconnected, "right")
 
@@ -414,7 +418,7 @@ def test_an_arm_is_watched_over_a_separate_connection(emulator: EmulatorProcess,
     arm.start_move(FAR, SPEED * 0.2, ACCELERATION)
     until(lambda: arm.state().moving, "the arm moves")
     with pytest.raises(LinkLost, match="still moves"):
-        wait_at_rest(HOSTS["left"], 0.3)
+        wait_at_rest(HOSTS["left"], 1.0)
     arm.stop()
     arm.start_move(HOME, SPEED, ACCELERATION)
     arm.wait_settled(PATIENT_S)
@@ -427,7 +431,7 @@ def test_a_peer_that_is_not_an_rtde_server_is_refused(answer: bytes) -> None:
 
         def serve() -> None:
             link, _ = server.accept()
-            with link:
+            with link, suppress(ConnectionError):  # the client may have given up
                 link.sendall(answer)
                 link.shutdown(socket.SHUT_WR)
                 while link.recv(4096):
@@ -506,6 +510,21 @@ class DelayedClient:
     def stopJ(self, deceleration: float, asynchronous: bool) -> None:
         self.running = False
 
+    def moveJ(self, *_: object) -> bool:
+        return True
+
+    def isJointsWithinSafetyLimits(self, *_: object) -> bool:
+        return True
+
+    def end_program(self, *_: object) -> bool:
+        """A command that is not served, because the program ended."""
+        self.playing = False
+        return False
+
+
+MOVE = {"do": "move", "q": list(HOME), "speed": [1.0] * 6, "acceleration": [1.0] * 6}
+COMMANDS = [("moveJ", MOVE), ("isJointsWithinSafetyLimits", {"do": "allowed", "q": [list(HOME)]})]
+
 
 @pytest.fixture
 def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Callable[..., list[dict[str, Any]]]]:
@@ -580,8 +599,7 @@ def test_a_stop_by_something_else_is_a_fault(delayed: Any, moves_at_once: bool) 
     client.playing = False
     if moves_at_once:
         monitor(0.02)
-        move = {"do": "move", "q": list(HOME), "speed": [1.0] * 6, "acceleration": [1.0] * 6}
-        doubt, answer = monitor(0.01, move)[-2:]
+        doubt, answer = monitor(0.01, MOVE)[-2:]
     else:
         doubt, answer = monitor(0.4)
     assert "its program was stopped on the pendant" in answer["text"]
@@ -611,6 +629,46 @@ def test_an_application_that_falls_silent_at_rest_is_no_fault(delayed: Any) -> N
     monitor(0.3)
     monitor(2.0, beats=False)
     assert monitor(0.1, {"do": "state"})[-1]["ok"]["fault"] is None
+
+
+@pytest.mark.parametrize(("command", "asked"), COMMANDS)
+def test_a_command_that_is_not_served_because_of_a_brake_that_is_read_later_was_stopped(
+    delayed: Any, monkeypatch: pytest.MonkeyPatch, command: str, asked: dict[str, Any]
+) -> None:
+    """The client holds the interpreter's lock while it sends a command: the brake's message waits."""
+    client, monitor = delayed
+    client.q = list(AWAY)
+    monitor(0.3)
+
+    def sleep(seconds: float) -> None:
+        client.tick(seconds)
+        if not client.playing:
+            monitor(0.0, {"brake": True})
+
+    monkeypatch.setattr(vars(ur_supervisor)["time"], "sleep", sleep)
+    monkeypatch.setattr(client, command, client.end_program)
+    assert monitor(0.02, asked)[-1]["error"] == "stopped"
+    assert monitor(0.1, {"do": "state"})[-1]["ok"]["fault"] is None
+
+
+@pytest.mark.parametrize(("command", "asked"), COMMANDS)
+def test_a_command_that_is_not_served_because_this_computer_stalled_says_so(
+    delayed: Any, monkeypatch: pytest.MonkeyPatch, command: str, asked: dict[str, Any]
+) -> None:
+    client, monitor = delayed
+    client.q = list(AWAY)
+    monitor(0.3)
+    clock = vars(ur_supervisor)["time"]
+    now = clock.monotonic
+
+    def stalled(*_: object) -> bool:
+        monkeypatch.setattr(clock, "monotonic", lambda: now() + 0.3)
+        return bool(client.end_program())
+
+    monkeypatch.setattr(client, command, stalled)
+    doubt, answer = monitor(0.01, asked)[-2:]
+    assert (doubt["doubt"], answer["error"]) == ("stalled", "stalled")
+    assert "this computer was silent for 0.3" in answer["text"]
 
 
 def test_a_motion_that_stands_because_of_the_slider_is_no_fault(delayed: Any) -> None:

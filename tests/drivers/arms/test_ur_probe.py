@@ -28,9 +28,12 @@ from drivers.emulators.ur_controller import (
     kinematics_info,
     personality,
 )
+from tests.latency import attempts
 
 PATIENT_S = 10.0
 SHORT_S = 0.3
+MARGIN_S = 1.0
+"""Beyond its time limit, for a probe to look at the other ports."""
 QUESTIONS = {
     "PolyscopeVersion",
     "get robot model",
@@ -193,11 +196,12 @@ def test_calibrated_kinematics_come_with_their_checksums() -> None:
 )
 def test_a_faulty_dashboard_is_named_in_bounded_time(fault: Fault, expected: str) -> None:
     timeout_s = SHORT_S if fault in ("silent", "trickle") else PATIENT_S
-    began = time.monotonic()
     with emulated(CB3) as emulator:
         emulator.fail(fault)
-        message = lost(emulator.dashboard_port, timeout_s)
-        assert time.monotonic() - began < PATIENT_S
+        for took in attempts(named=SHORT_S + MARGIN_S):
+            began = time.monotonic()
+            message = lost(emulator.dashboard_port, timeout_s)
+            took["named"] = time.monotonic() - began
         assert f"127.0.0.1:{emulator.dashboard_port}: " in message
         assert expected in message
         emulator.fail("none")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,20 +38,25 @@ from tests.drivers.arms.emulated_ur_cell import (
     HOSTS,
     PATIENT_S,
     SPEED,
+    assert_braked,
     assert_stays_at_rest,
     driven,
     emulated_cell,
-    pause,
     repair,
     until,
 )
+from tests.latency import attempts
 
 COMMANDED_WITHIN_S = 0.1
 """From a request to stop until the controller has received it."""
 KNOWN_WITHIN_S = 0.3
 """Until an arm whose state is unknown counts as in doubt."""
-MARGIN_S = 0.2
-"""For processes that wait for their turn on a busy computer."""
+TOLD_WITHIN_S = 0.2
+"""From there until the listener is told."""
+FROZEN_S = 0.2
+"""A stall that is longer than the watchdog's period of 0.1 s, and shorter than what makes the state unknown."""
+MOST_LOST = 3
+"""Of 24 starts that are braked, on a computer too busy to exchange heartbeats or to feed the watchdog."""
 
 
 @pytest.fixture(scope="module")
@@ -122,12 +129,27 @@ class Heard:
 
 
 def test_a_brake_during_a_wait_stops_the_arm_and_ends_the_wait(emulator: EmulatorProcess, arm: UrArm) -> None:
+    for took in attempts(woken=COMMANDED_WITHIN_S, returned=0.05, received=COMMANDED_WITHIN_S):
+        make_ready(emulator, arm)
+        took.update(brake_during_a_wait(emulator, arm))
+    for call in (lambda: arm.wait_settled(PATIENT_S), lambda: arm.start_move(HOME, SPEED, ACCELERATION)):
+        with pytest.raises(MotionStopped, match="connect again"):
+            call()
+    pid = arm.worker_pid
+    arm.connect()
+    assert arm.worker_pid == pid, "the client was started again"
+    go(arm, AWAY)
+
+
+def brake_during_a_wait(emulator: EmulatorProcess, arm: UrArm) -> dict[str, float]:
+    """Return the latencies until the wait ends, ``brake`` returns and the controller has received the stop [s]."""
     start(emulator, arm)
     asked: list[float] = []
 
     def brake() -> None:
         asked.append(time.monotonic())
-        arm.brake()
+        with suppress(LinkLost):  # a dashboard that answers too late also shows as a late return
+            arm.brake()
         asked.append(time.monotonic())
 
     stopper = threading.Timer(0.1, brake)
@@ -136,17 +158,9 @@ def test_a_brake_during_a_wait_stops_the_arm_and_ends_the_wait(emulator: Emulato
         arm.wait_settled(PATIENT_S)
     woken_s = time.monotonic()
     stopper.join()
-    assert woken_s - asked[0] < COMMANDED_WITHIN_S
-    assert asked[1] - asked[0] < 0.05
-    assert received_stop_s(emulator, arm.name, asked[0]) - asked[0] < COMMANDED_WITHIN_S
-    for call in (lambda: arm.wait_settled(PATIENT_S), lambda: arm.start_move(HOME, SPEED, ACCELERATION)):
-        with pytest.raises(MotionStopped, match="connect again"):
-            call()
-    assert_stays_at_rest(emulator, arm.name)
-    pid = arm.worker_pid
-    arm.connect()
-    assert arm.worker_pid == pid, "the client was started again"
-    go(arm, AWAY)
+    assert_braked(emulator, arm.name, asked[0])
+    received_s = received_stop_s(emulator, arm.name, asked[0])
+    return {"woken": woken_s - asked[0], "returned": asked[1] - asked[0], "received": received_s - asked[0]}
 
 
 def test_no_motion_survives_a_brake_at_any_moment_of_its_start(
@@ -154,12 +168,13 @@ def test_no_motion_survives_a_brake_at_any_moment_of_its_start(
 ) -> None:
     threads = []
     failures: list[BaseException] = []
+    ends: list[type[ArmError]] = []
 
     def hammer(arm: UrArm) -> None:
         try:
             moments = random.Random(11)
             for _ in range(12):
-                brake_while_it_starts(emulator, arm, moments.uniform(0.0, 0.2))
+                ends.append(brake_while_it_starts(emulator, arm, moments.uniform(0.0, 0.2)))
         except BaseException as error:  # noqa: BLE001 - raised below, in the test's thread
             failures.append(error)
 
@@ -171,49 +186,60 @@ def test_no_motion_survives_a_brake_at_any_moment_of_its_start(
         thread.join()
     for failure in failures:
         raise failure
+    assert len(ends) - ends.count(MotionStopped) <= MOST_LOST, ends
 
 
-def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float) -> None:
+def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float) -> type[ArmError]:
+    """Return how the motion ended: ``MotionStopped``, or what a busy computer may add."""
     arm.stop()  # the next motion uploads the program first, which takes a tenth of a second
     here = arm.state().q
     goal = FAR if np.abs(here - FAR).max() > np.abs(here - HOME).max() else HOME
-    stopper = threading.Timer(after_s, arm.brake)
-    stopper.start()
-    try:
+
+    def brake() -> None:
+        with suppress(LinkLost):
+            arm.brake()
+
+    def move() -> None:
         arm.start_move(goal, SPEED, ACCELERATION)
-    except MotionStopped:
-        stopper.join()
-    else:
-        with pytest.raises(MotionStopped):
-            arm.wait_settled(PATIENT_S)
-        stopper.join()
+        arm.wait_settled(PATIENT_S)
+
+    stopper = threading.Timer(after_s, brake)
+    stopper.start()
+    with pytest.raises((MotionStopped, LinkLost, HostStalled)) as ended:
+        move()
+    stopper.join()
     assert_stays_at_rest(emulator, arm.name, for_s=0.3)
-    assert np.abs(arm.state().q - goal).max() > 0.3, "it went all the way"
-    with pytest.raises(MotionStopped):
+    assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - goal).max() > 0.3, "it went all the way"
+    with pytest.raises((MotionStopped, LinkLost, HostStalled)):
         arm.start_move(goal, SPEED, ACCELERATION)
     arm.connect()
     assert at_rest(emulator, arm.name), "connecting moved the arm"
+    return ended.type
 
 
 def test_a_brake_without_its_open_line_takes_a_new_one(emulator: EmulatorProcess, right: UrArm) -> None:
-    start(emulator, right)
-    emulator.control("right", "drop", "dashboard", "rst")
-    asked = time.monotonic()
-    right.brake()
-    assert received_stop_s(emulator, "right", asked) - asked < COMMANDED_WITHIN_S
-    assert_stays_at_rest(emulator, "right")
+    for took in attempts(received=COMMANDED_WITHIN_S):
+        make_ready(emulator, right)
+        start(emulator, right)
+        emulator.control("right", "drop", "dashboard", "rst")
+        asked = time.monotonic()
+        right.brake()
+        assert_braked(emulator, "right", asked)
+        took["received"] = received_stop_s(emulator, "right", asked) - asked
 
 
 def test_a_brake_that_the_dashboard_does_not_confirm_says_so_and_stops_all_the_same(
     emulator: EmulatorProcess, right: UrArm
 ) -> None:
-    start(emulator, right)
-    emulator.control("right", "fault", "dashboard", "silent")
-    asked = time.monotonic()
-    with pytest.raises(LinkLost, match=r"arm right: its stop was not confirmed: .*29999"):
-        right.brake()
-    assert received_stop_s(emulator, "right", asked) - asked < COMMANDED_WITHIN_S
-    assert_stays_at_rest(emulator, "right")
+    for took in attempts(received=COMMANDED_WITHIN_S):
+        make_ready(emulator, right)
+        start(emulator, right)
+        emulator.control("right", "fault", "dashboard", "silent")
+        asked = time.monotonic()
+        with pytest.raises(LinkLost, match=r"arm right: its stop was not confirmed: .*29999"):
+            right.brake()
+        assert_braked(emulator, "right", asked)
+        took["received"] = received_stop_s(emulator, "right", asked) - asked
 
 
 def test_braking_an_arm_that_rests_or_is_not_connected_is_harmless(emulator: EmulatorProcess, right: UrArm) -> None:
@@ -255,8 +281,19 @@ PUSHED: dict[str, tuple[tuple[Any, ...] | None, type[ArmError], float]] = {
 
 @pytest.mark.parametrize("fault", PUSHED)
 def test_a_doubt_is_pushed_before_it_is_diagnosed(emulator: EmulatorProcess, right: UrArm, fault: str) -> None:
-    command, error, known_after_s = PUSHED[fault]
-    heard = Heard(right)
+    for took in attempts(told=PUSHED[fault][2] + TOLD_WITHIN_S):
+        make_ready(emulator, right)
+        heard = Heard(right)
+        took["told"] = told_of(emulator, right, fault, heard)
+    right.connect()
+    go(right, AWAY)
+    emulator.control("right", "drop", "rtde", "rst")
+    until(lambda: len(heard.doubts) == 2, "the first doubt after the next connect is told")
+
+
+def told_of(emulator: EmulatorProcess, right: UrArm, fault: str, heard: Heard) -> float:
+    """Inject a fault during a motion and check what is heard, raised and done; return when it was heard [s]."""
+    command, error, _ = PUSHED[fault]
     start(emulator, right)
     pid = right.worker_pid
     assert pid is not None
@@ -271,59 +308,65 @@ def test_a_doubt_is_pushed_before_it_is_diagnosed(emulator: EmulatorProcess, rig
     heard_s, doubt = heard.first()
     assert type(doubt) is error
     assert str(doubt).startswith("arm right: ")
-    assert heard_s - began_s < known_after_s + MARGIN_S
     assert heard_s <= raised_s
     repair(emulator, "right")
-    assert_stays_at_rest(emulator, "right")
+    assert_braked(emulator, "right", began_s)
     assert len(heard.doubts) == 1
-    right.connect()
-    go(right, AWAY)
-    emulator.control("right", "drop", "rtde", "rst")
-    until(lambda: len(heard.doubts) == 2, "the first doubt after the next connect is told")
+    return heard_s - began_s
 
 
 def test_a_worker_that_does_not_run_is_a_doubt(emulator: EmulatorProcess, right: UrArm) -> None:
-    heard = Heard(right)
-    start(emulator, right)
-    assert right.worker_pid is not None
-    began_s = time.monotonic()
-    os.kill(right.worker_pid, signal.SIGSTOP)
-    heard_s, doubt = heard.first()
-    assert isinstance(doubt, LinkLost | HostStalled)
-    assert heard_s - began_s < KNOWN_WITHIN_S + MARGIN_S
-    asked_s = time.monotonic()
-    right.brake()
-    assert received_stop_s(emulator, "right", began_s) - asked_s < COMMANDED_WITHIN_S
-    assert_stays_at_rest(emulator, "right")
-    with pytest.raises(LinkLost, match="seen at rest"):
-        right.wait_settled(PATIENT_S)
+    for took in attempts(told=KNOWN_WITHIN_S + TOLD_WITHIN_S, received=COMMANDED_WITHIN_S):
+        make_ready(emulator, right)
+        heard = Heard(right)
+        start(emulator, right)
+        assert right.worker_pid is not None
+        began_s = time.monotonic()
+        os.kill(right.worker_pid, signal.SIGSTOP)
+        heard_s, doubt = heard.first()
+        assert isinstance(doubt, LinkLost | HostStalled)
+        asked_s = time.monotonic()
+        right.brake()
+        assert_braked(emulator, "right", began_s)
+        took.update(told=heard_s - began_s, received=received_stop_s(emulator, "right", began_s) - asked_s)
+        with pytest.raises(LinkLost, match="seen at rest"):
+            right.wait_settled(PATIENT_S)
     right.connect()
     go(right, AWAY)
 
 
 def test_a_stall_of_this_computer_is_named(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
-    """The worker does not run for longer than the watchdog's period of 0.1 s, but not long enough for other doubts."""
+    """The worker does not run until the watchdog has expired, but not long enough for other doubts."""
     drivers["right"].disconnect()
     with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=10.0)) as arm:
-        make_ready(emulator, arm)
-        heard = Heard(arm)
-        start(emulator, arm)
-        assert arm.worker_pid is not None
-        os.kill(arm.worker_pid, signal.SIGSTOP)
-        pause(0.2)
-        os.kill(arm.worker_pid, signal.SIGCONT)
-        with pytest.raises(
-            HostStalled, match=r"arm right: this computer was silent for 0.* nothing is wrong at the arm"
-        ):
-            arm.wait_settled(PATIENT_S)
-        assert type(heard.first()[1]) is HostStalled
-        assert_stays_at_rest(emulator, "right")
+        for took in attempts(frozen=FROZEN_S):
+            make_ready(emulator, arm)
+            heard = Heard(arm)
+            start(emulator, arm)
+            began_s = time.monotonic()
+            took["frozen"] = freeze_until_stopped(emulator, arm)
+            with pytest.raises((HostStalled, LinkLost)) as raised:
+                arm.wait_settled(PATIENT_S)
+        text = r"arm right: this computer was silent for 0.* nothing is wrong at the arm"
+        assert re.match(text, str(raised.value))
+        assert type(raised.value) is type(heard.first()[1]) is HostStalled
+        assert_braked(emulator, "right", began_s)
         gaps = arm.heartbeat_gaps()
         assert gaps.late >= 1
-        assert gaps.longest_s > 0.1
+        assert gaps.longest_s > 0.08  # the worker may see two states of 8 ms less of it than the controller
         assert any("heartbeats: this computer was late" in note for note in arm.warnings())
         arm.connect()
         go(arm, AWAY)
+
+
+def freeze_until_stopped(emulator: EmulatorProcess, arm: UrArm) -> float:
+    """Let the arm's worker not run until the controller has ended its program; return for how long [s]."""
+    assert arm.worker_pid is not None
+    frozen_s = time.monotonic()
+    os.kill(arm.worker_pid, signal.SIGSTOP)
+    until(lambda: emulator.control(arm.name, "status")["runtime_state"] != "PLAYING", "the watchdog expires")
+    os.kill(arm.worker_pid, signal.SIGCONT)
+    return time.monotonic() - frozen_s
 
 
 APPLICATION = """
@@ -353,9 +396,9 @@ def test_a_suspended_application_does_not_leave_its_arm_moving(
         assert application.stdout is not None
         assert application.stdout.readline() == "moving\n"
         until(lambda: not at_rest(emulator, "right"), "the arm moves")
+        suspended_s = time.monotonic()
         application.send_signal(signal.SIGSTOP)
-        until(lambda: at_rest(emulator, "right"), "the arm was stopped", 1.5)
-        assert_stays_at_rest(emulator, "right")
+        assert_braked(emulator, "right", suspended_s)
         application.send_signal(signal.SIGCONT)
         assert application.stdout.readline() == "HostStalled\n"
         application.wait(PATIENT_S)
@@ -394,10 +437,11 @@ def test_a_slider_that_is_moved_during_a_motion_is_no_fault(emulator: EmulatorPr
 
 def test_local_control_is_named_when_a_stop_is_refused(emulator: EmulatorProcess, right: UrArm) -> None:
     start(emulator, right)
+    asked = time.monotonic()
     emulator.control("right", "remote", "off")
     with pytest.raises(LinkLost, match=r"arm right: its stop was not confirmed: .*the pendant is in local control"):
         right.brake()
-    assert_stays_at_rest(emulator, "right")  # its program still obeys
+    assert_braked(emulator, "right", asked)  # its program still obeys
     with pytest.raises(NotInRemoteControl, match="from Local to Remote"):
         right.connect()
 

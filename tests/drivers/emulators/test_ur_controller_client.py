@@ -90,13 +90,11 @@ def test_two_arms_at_once_and_all_that_a_driver_asks_for(emulator: EmulatorProce
     assert (found["asynchronous"], found["back"]) == (True, True)
     moving, gone = found["stopped"]
     assert moving is False
-    assert 0.15 < gone < 0.5
+    assert 0.15 < gone < 2.0
 
 
 def test_states_come_at_125_and_500_a_second(emulator: EmulatorProcess) -> None:
-    old, new = client(emulator, "rates")["steps_s"]
-    assert old == pytest.approx(0.008, rel=0.3)
-    assert new == pytest.approx(0.002, rel=0.3) or new > 0.002, "a busy machine may lose some"
+    assert client(emulator, "rates")["steps_s"] == pytest.approx([0.008, 0.002], rel=0.3)
 
 
 def test_a_protective_stop_and_its_release(emulator: EmulatorProcess) -> None:
@@ -116,7 +114,7 @@ def test_the_watchdog_brings_the_arm_of_a_silent_client_to_rest(emulator: Emulat
     found = client(emulator, "watchdog")
     assert found["fed"] is True
     assert found["moving"] is False
-    assert found["gone"] < 1.0
+    assert found["gone"] < 2.4, "it went all the way"
 
 
 def test_an_arm_goes_on_when_the_link_is_cut(emulator: EmulatorProcess) -> None:

@@ -358,7 +358,7 @@ def commanding(server: UrControllerServer, arm: str) -> Iterator[Rtde]:
 def test_two_arms_move_the_plant_together(make_arm, make_plant) -> None:
     plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
     configs = [replace(CB3, name="left"), replace(E_SERIES, name="right")]
-    with UrControllerServer(configs, plant, pace=10.0) as server, ExitStack() as stack:
+    with UrControllerServer(configs, plant, pace=3.0) as server, ExitStack() as stack:
         clients = [stack.enter_context(commanding(server, name)) for name in ("left", "right")]
         with server.cell.lock:
             goals = [tuple(plant.q(name) + 0.3) for name in ("left", "right")]
@@ -422,7 +422,7 @@ def test_an_arm_moves_on_when_its_client_has_gone() -> None:
     with alone(E_SERIES) as (server, control):
         goal = tuple(q + 0.4 for q in E_SERIES.home)
         with commanding(server, "new") as client:
-            send_move(client, goal, 2.0, 4.0)
+            send_move(client, goal, 0.4, 4.0)
             client.until(lambda s: s[3] > E_SERIES.home[0] + 0.05)
         assert control("new", "status")["moving"]
         wait_for(lambda: not control("new", "status")["moving"])
@@ -438,7 +438,7 @@ def test_links_are_dropped_and_new_ones_refused_for_a_while(ending: str) -> None
         client.outputs(["timestamp"])
         client.start()
         client.state()
-        control("old", "drop", "rtde", ending, 0.3)
+        control("old", "drop", "rtde", ending, 1.0)
         with pytest.raises(ConnectionResetError, match="closed" if ending == "fin" else "reset by peer"):
             client.until(lambda _: False)
         with pytest.raises(ConnectionRefusedError):
@@ -459,13 +459,14 @@ def test_a_silent_port_sends_nothing_and_recovers_by_itself() -> None:
     with alone(CB3) as (server, control), Rtde(at(server, "old", "rtde")).agree() as client:
         client.outputs(["timestamp"])
         client.start()
-        before = client.state()[0]
+        stamps = [client.state()[0]]
         control("old", "fault", "rtde", "silent", 0.4)
-        client.link.settimeout(0.2)
-        with pytest.raises(TimeoutError):
-            client.until(lambda _: False)
-        client.link.settimeout(PATIENT_S)
-        assert client.state()[0] > before + 0.3, "what was not said is lost"
+
+        def missed_some(state: tuple[float, ...]) -> bool:
+            stamps.append(state[0])
+            return stamps[-1] - stamps[-2] > 0.3
+
+        client.until(missed_some)
 
 
 def test_operators_actions_over_the_control_channel() -> None:
@@ -629,13 +630,13 @@ def test_an_unknown_model_and_a_wrong_number_of_joints_are_refused() -> None:
 
 
 def test_waiting_for_the_cells_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.emulators.ur_controller.motion._STANDSTILL_S", 0.1)
     with alone(CB3, pace=50.0) as (server, control):
         before = control("old", "status")["clock_s"]
         server.cell.wait(1.0)
         assert control("old", "status")["clock_s"] >= before + 1.0
         with server.cell.passed:
             assert server.cell.passed.wait(PATIENT_S), "time passes while the lock is let go of"
+    monkeypatch.setattr("drivers.emulators.ur_controller.motion._STANDSTILL_S", 0.1)
     with pytest.raises(TimeoutError, match="its server does not run"):
         server.cell.wait(1.0)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -202,21 +201,10 @@ def test_other_laws_are_valid_repeatable_and_of_realistic_size(make_arm, positio
         assert 3e-6 < size < 8e-3
 
 
-def test_seven_joints_without_weight_have_other_laws_too(make_arm):
-    arm = make_arm()
-    seven = replace(
-        arm,
-        rows=np.vstack([arm.rows, [0.0, 0.1, 0.0, 0.0]]),
-        limits=np.vstack([arm.limits, [-1.0, 1.0]]),
-        home=None,
-        speed=np.ones(7),
-        acceleration=np.ones(7),
-        masses=np.zeros(7),
-        centers_of_mass=np.zeros((7, 3)),
-    )
+def test_seven_joints_without_weight_have_other_laws_too(seven_joints):
     for slug in REALISTIC:
         for seed in range(4):
-            parameters = suggest_other_law(slug, np.random.default_rng(seed), seven, DURATION_S)
+            parameters = suggest_other_law(slug, np.random.default_rng(seed), seven_joints, DURATION_S)
             FACTORIES[slug](Parameters("left", slug, parameters, 7))
 
 

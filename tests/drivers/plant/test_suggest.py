@@ -98,22 +98,11 @@ def test_a_lighter_arm_has_weaker_drives(make_arm):
     assert 5e4 < heavy < 1.3e5
 
 
-def test_parameters_are_valid_for_a_weightless_arm_of_seven_joints(make_arm):
-    arm = make_arm()
-    seven = replace(
-        arm,
-        rows=np.vstack([arm.rows, [0.0, 0.1, 0.0, 0.0]]),
-        limits=np.vstack([arm.limits, [-1.0, 1.0]]),
-        home=None,
-        speed=np.ones(7),
-        acceleration=np.ones(7),
-        masses=np.zeros(7),
-        centers_of_mass=np.zeros((7, 3)),
-    )
+def test_parameters_are_valid_for_a_weightless_arm_of_seven_joints(seven_joints):
     rng = np.random.default_rng(0)
     for slug in REALISTIC + OUTSIDE:
-        parameters = suggest(slug, rng, seven, DURATION_S)
-        assert len(build(seven.name, seven.joints, {slug: parameters})) == 1, slug
+        parameters = suggest(slug, rng, seven_joints, DURATION_S)
+        assert len(build(seven_joints.name, seven_joints.joints, {slug: parameters})) == 1, slug
 
 
 def test_a_wrong_slug_or_duration_is_one_clear_error(make_arm):

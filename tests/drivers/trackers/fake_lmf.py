@@ -21,7 +21,7 @@ import numpy as np
 
 from drivers.trackers.lmf_objects import Lmf
 
-HANDLER_S = 0.5
+HANDLER_S = 5.0
 _SIMULATOR = re.compile(r"(at930|at960|at40[123]|at500|ats600)(lr|mr)?simulator(#\d+)?")
 
 

@@ -496,7 +496,15 @@ def test_an_arm_that_moves_or_blocks_the_beam_on_a_shared_clock(make_plant):
             result = outcome()
             mover.join(5.0)
             assert isinstance(result, Unstable | TargetLost)
-            halting = in_thread(lambda: tracker.measure(plant.targets()[0].p_M, 500.0))
-            threading.Event().wait(0.5)
-            tracker.halt()
+            ended = threading.Event()
+
+            def measure():
+                try:
+                    return tracker.measure(plant.targets()[0].p_M, 500.0)
+                finally:
+                    ended.set()
+
+            halting = in_thread(measure)
+            while not ended.wait(0.2):  # a halt before the measurement has begun does not affect it
+                tracker.halt()
             assert isinstance(halting(), Halted | Unstable)

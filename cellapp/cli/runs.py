@@ -1,0 +1,44 @@
+"""``runs`` and ``compare``: what a folder of runs holds, and where two runs differ. They only read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cellapp.cli.job import Job, open_run
+from cellapp.cli.options import JsonOption
+
+
+def runs(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="FOLDER", help="A folder that holds runs; logs if not given.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """List every run below a folder, newest first: state, accuracy, what comes next, what can be resumed."""
+    from cellapp.reporting.runs import runs_sentences, runs_tables
+    from cellapp.run.history import list_runs
+
+    with Job(json_file) as job:
+        result = list_runs(folder)
+        job.show(runs_tables(result))
+        job.say(*runs_sentences(result))
+        job.result(result)
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="DIR_A", help="Folder of one run.")],
+    second: Annotated[Path, typer.Argument(metavar="DIR_B", help="Folder of the other run.")],
+    json_file: JsonOption = None,
+) -> None:
+    """Compare two runs: profile, parameters, held-out errors, effects, inter-base transform, verification."""
+    from cellapp.reporting.runs_compared import comparison_sentences, comparison_tables
+    from cellapp.run.history_compare import compare_runs
+
+    with Job(json_file) as job, open_run(first) as a, open_run(second) as b:
+        result = compare_runs(a, b)
+        job.show(comparison_tables(result))
+        job.say(*comparison_sentences(result))
+        job.result(result)

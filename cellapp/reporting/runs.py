@@ -1,0 +1,132 @@
+"""Tables and sentences of ``runs``: every run below a folder, and the one that can be resumed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cellapp.reporting.table import Column, Table, number_column
+from cellapp.results import BeforeAfter, CellKind, RunsResult, RunSummary
+
+CELL_WORDS: dict[CellKind, str] = {
+    "simulated": "simulated",
+    "emulated": "emulated",
+    "real": "REAL ARMS",
+    "none": "imported",
+}
+_MM = ".3f"
+_KIB = 1024.0
+_DATE = len("2026-01-02")
+
+
+def runs_tables(result: RunsResult) -> list[Table]:
+    """State of every run that can be read, errors of every calibrated arm, what discovery named in it."""
+    named = [(short_name(run, result.folder), run) for run in result.runs if not run.problem]
+    state = Table(
+        f"Runs below {result.folder}, newest first",
+        tuple(map(Column, ("run", "cell", "began", "stops", "next"))),
+        tuple(
+            (name, CELL_WORDS[run.cell], run.began[:_DATE], stops_words(run), next_words(run)) for name, run in named
+        ),
+    )
+    errors = Table(
+        "Mean errors [mm]: held-out positions, targets without and with compensation",
+        (
+            Column("run"),
+            Column("arm"),
+            *(number_column(title, _MM) for title in ("geometry", "best", "targets", "compensated")),
+        ),
+        tuple(
+            (name, arm, *_pair(figures.heldout_mm), *_pair(figures.verified_mm))
+            for name, run in named
+            for arm, figures in run.figures.items()
+        ),
+    )
+    effects = Table(
+        "Missing effects",
+        tuple(map(Column, ("run", "arm", "verdict", "effects"))),
+        tuple(
+            (name, arm, figures.verdict, effects_words(figures.effects))
+            for name, run in named
+            for arm, figures in run.figures.items()
+            if figures.verdict
+        ),
+    )
+    return [table for table in (state, errors, effects) if table.rows]
+
+
+def runs_sentences(result: RunsResult) -> list[str]:
+    """What cannot be read and why, what is in use, what can be resumed, and what comes next in the newest run."""
+    if not result.runs:
+        return [f"no runs below {result.folder}; 'cellapp run PROFILE' makes one"]
+    sentences = [run.problem for run in result.runs if run.problem]
+    sentences += [f"{run.run}: in use by {run.in_use}" for run in result.runs if run.in_use]
+    sentences += [resume_sentence(run) for run in result.runs if run.resumable]
+    newest = next((run for run in result.runs if not run.problem), None)
+    if newest is not None and newest.next_step and not newest.resumable:
+        sentences.append(f"next in the newest run: {newest.next_step}")
+    return sentences
+
+
+def resume_sentence(run: RunSummary) -> str:
+    """Offer to continue an interrupted run."""
+    return (
+        f"{run.run}: collecting was interrupted ({session_words(run)}) with {run.stops_left} of"
+        f" {run.stops_measured + run.stops_left} stops left; 'cellapp collect {run.run} --resume' continues it"
+    )
+
+
+def short_name(run: RunSummary, folder: str) -> str:
+    """The run's folder as seen from the listed one."""
+    path = Path(run.run)
+    return str(path.relative_to(folder)) if path.is_relative_to(folder) and path != Path(folder) else run.run
+
+
+def time_words(written: str) -> str:
+    """A time (ISO 8601) to the minute."""
+    return written[:16].replace("T", " ")
+
+
+def stops_words(run: RunSummary) -> str:
+    """``120/400 stopped``; the number alone for imported readings."""
+    if not run.stops_planned:
+        return str(run.stops_measured)
+    words = session_words(run)
+    return f"{run.stops_measured}/{run.stops_planned} {'' if words == 'complete' else words}".rstrip()
+
+
+def session_words(run: RunSummary) -> str:
+    """How the last session of collecting ended, or that it still runs."""
+    if run.in_use and run.last_session == "no end":
+        return "running"
+    return run.last_session or ("" if run.stops_measured else "not begun")
+
+
+def stages_words(run: RunSummary) -> str:
+    """``calibrate, discover (out of date)``."""
+    return ", ".join(f"{stage.name} (out of date)" if stage.out_of_date else stage.name for stage in run.stages)
+
+
+def next_words(run: RunSummary) -> str:
+    """The verb that comes next, and whether a result is out of date; ``done`` if nothing is left to do."""
+    outdated = any(stage.out_of_date for stage in run.stages)
+    return f"{run.next_verb or 'done'}{' (out of date)' if outdated else ''}"
+
+
+def effects_words(effects: Sequence[str]) -> str:
+    """Names of effects as words."""
+    return ", ".join(slug.replace("_", " ") for slug in effects)
+
+
+def size_words(size_bytes: int) -> str:
+    """A size with its unit, as ``1.2 MiB``."""
+    size, unit = float(size_bytes), "B"
+    for unit in ("B", "KiB", "MiB", "GiB"):  # noqa: B007 - the last unit is used below
+        if size < _KIB:
+            break
+        size /= _KIB
+    return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
+
+
+def _pair(values: BeforeAfter | None) -> tuple[float | None, float | None]:
+    return (None, None) if values is None else (values.before, values.after)
