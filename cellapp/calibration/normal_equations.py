@@ -150,6 +150,13 @@ class Linearisation:
     P: Array
     J: Array
 
+    def part(self, first: int, last: int) -> Linearisation:
+        """The same for one chunk of the configurations."""
+        if last - first == self.P.shape[1]:
+            return self
+        J = self.J[:, :, first:last]
+        return Linearisation(self.P[:, first:last], J, gram_matrix(J))
+
 
 @dataclass(frozen=True)
 class NormalEquations:
@@ -198,7 +205,7 @@ def normal_equations(
 ) -> NormalEquations:
     """Normal equations at ``values`` (k,) with robust ``weights`` (n,).
 
-    ``linearised`` saves the evaluation where it is known; it must cover all readings in one chunk.
+    ``linearised`` saves the evaluation where it is known; it covers all readings.
     """
     geometry, beta = split_values(start, parameters, values)
     k, size = len(values), len(parameters.columns)
@@ -207,7 +214,10 @@ def normal_equations(
     residuals = np.empty((3, observations.count))
     common = observations.common_white if weights is None else None
     for first, last in observations.chunks():
-        model = linearised or _linearise(geometry, observations, parameters, beta, first, last)
+        if linearised is None:
+            model = _linearise(geometry, observations, parameters, beta, first, last)
+        else:
+            model = linearised.part(first, last)
         J = model.J
         r = residuals[:, first:last] = observations.left(model.P, beta, first, last)
         if common is None:
