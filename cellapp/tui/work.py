@@ -127,13 +127,10 @@ def doctor(profile: Path) -> Job:
     """Check what is reachable, what is missing, what would be refused; nothing moves."""
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commissioning.doctor import examine
+        from cellapp.commissioning.doctor import examine_run
         from cellapp.profile import load_profile
-        from cellapp.results import DoctorResult, Finding
 
-        found = examine(load_profile(profile))
-        findings = tuple(Finding(subject=one.subject, status=one.status, text=one.text) for one in found)
-        return DoctorResult(findings=findings)
+        return examine_run(load_profile(profile))
 
     return Job("doctor", work)
 
