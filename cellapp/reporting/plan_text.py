@@ -30,10 +30,8 @@ def check_sentences(check: PlanCheckResult) -> list[str]:
     refusals = [refusal_sentence(one) for one in check.refused]
     if check.is_safe:
         detours = f"; {len(refusals)} ways go via home" if refusals else ""
-        return [
-            f"Safe: {check.stops} stops and {check.ways} ways keep their clearance, the tracker sees every SMR{detours}.",
-            *refusals,
-        ]
+        kept = f"{check.stops} stops and {check.ways} ways keep their clearance"
+        return [f"Safe: {kept}, the tracker sees every SMR{detours}.", *refusals]
     bad = sum(not one.via_home for one in check.refused)
     return [f"Not safe: {bad} of {check.stops} stops and {check.ways} ways are refused.", *refusals]
 
