@@ -30,10 +30,8 @@ def check_sentences(check: PlanCheckResult) -> list[str]:
     refusals = [refusal_sentence(one) for one in check.refused]
     if check.is_safe:
         detours = f"; {len(refusals)} ways go via home" if refusals else ""
-        return [
-            f"Safe: {check.stops} stops and {check.ways} ways keep their clearance, the tracker sees every SMR{detours}.",
-            *refusals,
-        ]
+        kept = f"{check.stops} stops and {check.ways} ways keep their clearance"
+        return [f"Safe: {kept}, the tracker sees every SMR{detours}.", *refusals]
     bad = sum(not one.via_home for one in check.refused)
     return [f"Not safe: {bad} of {check.stops} stops and {check.ways} ways are refused.", *refusals]
 
@@ -135,7 +133,7 @@ def effects_table(name: str, arm: ArmForecast) -> Table:
     )
     rows = tuple(
         (
-            EFFECTS[one.effect].title if one.effect in EFFECTS else one.effect,
+            effect_title(one),
             "yes" if one.visible else "no",
             one.smallest_seen_rms_mm if one.visible else None,
             one.with_scatter_rms_mm if one.visible else None,
@@ -154,10 +152,19 @@ def coverage_bar(one: JointCoverage, width: int) -> str:
     return "░" * first + "█" * (last - first) + "░" * (width - last)
 
 
-def smallest_words(one: PlannedEffect) -> str:
-    """The first few parameters with their smallest sizes."""
+def effect_title(one: PlannedEffect) -> str:
+    """Name of an effect in reports; its slug where this version does not know it."""
+    return EFFECTS[one.effect].title if one.effect in EFFECTS else one.effect
+
+
+def effect_sentence(one: PlannedEffect) -> str:
+    """Whether and from which size on an effect would be seen, or why not."""
+    title = effect_title(one)
+    if not one.visible:
+        return f"{title} cannot be seen: {short_reason(one.reason)}."
     words = []
     for parameter, size in list(one.smallest_seen.items())[:_MOST_SIZES]:
         factor, unit = display_unit(size.unit)
         words.append(f"{parameter} {factor * size.value:.3g} {unit}")
-    return "; ".join(words)
+    sizes = f", for instance {'; '.join(words)}" if words else ""
+    return f"{title} would be seen from an rms displacement of {one.smallest_seen_rms_mm or 0.0:.3f} mm on{sizes}."
