@@ -143,6 +143,7 @@ PLAN_FIELDS = (
     ),
     FormField("floor", ("floor",), "value", "Floor", "height in C below which nothing may reach: table or floor"),
 )
+ARM_NAME_FIELD = FormField("name", (), "text", "Name", "name of the arm, such as left; readings and targets use it")
 NAME_FIELD = FormField("name", ("name",), "text", "Name", "name of the cell; a person types it before arms move")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -78,6 +79,27 @@ def new_text(opened: OpenProfile, draft: ProfileDraft) -> NewText:
 
     edited = edited_text(opened.text, opened.path, draft)
     return NewText(edited.text, edited.lost_comments, check_text(edited.text, opened.path, draft))
+
+
+def before_saving(opened: OpenProfile, new: NewText, *, changed: bool) -> tuple[str, ...]:
+    """Return what a person must agree to before the text is written, in sentences; none for a new file that holds.
+
+    ``changed`` is what ``changed_on_disk`` says.
+    """
+    sentences = []
+    if changed and opened.text is None:
+        sentences.append(f"{opened.path} exists already; saving replaces it.")
+    elif changed:
+        sentences.append(f"{opened.path} was changed by others since it was opened; saving replaces their version.")
+    elif opened.text is not None:
+        lines = list(difflib.ndiff(opened.text.splitlines(), new.text.splitlines()))
+        added, taken = (sum(line.startswith(mark) for line in lines) for mark in "+-")
+        sentences.append(f"Saving changes {opened.path}: lines taken out {taken}, put in {added}.")
+    if new.lost_comments:
+        sentences.append(f"Comments that go with keys that are no longer there: {'; '.join(new.lost_comments)}.")
+    if new.checked.problems:
+        sentences.append(f"cellapp refuses this profile until it is corrected: {new.checked.problems[0]}.")
+    return tuple(sentences)
 
 
 def save(opened: OpenProfile, draft: ProfileDraft, text: str) -> OpenProfile:

@@ -37,7 +37,7 @@ def _message(bases: Mapping[str, Pose], tracker: Pose | None) -> str:
     words = [f"{name} at {pose.position[0]:.2f}, {pose.position[1]:.2f} m" for name, pose in bases.items()]
     if tracker is not None and bases:
         away = [np.linalg.norm(np.subtract(pose.position, tracker.position)) for pose in bases.values()]
-        words.append(f"the tracker {min(away):.1f} to {max(away):.1f} m from the bases")
+        words.append(f"the tracker, at least {min(away):.1f} m from the bases")
     elif tracker is not None:
         words.append("the tracker")
     return f"From above: {enumerated(words)}."

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
 from textual import on, work
@@ -33,11 +33,15 @@ from cellapp.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.tui.endings import UNEXPECTED, ending_of
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
+from cellapp.tui.offers import offer_to_resume, offer_whole_day
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.themes import HIGH_CONTRAST
 from cellapp.tui.widgets.header import DayHeader, StepLine, StepTab
-from cellapp.tui.workspace import RUN_FILE, Step, Workspace, load_workspace, new_folder
+from cellapp.tui.workspace import RUN_FILE, Step, Workspace, load_workspace
+
+if TYPE_CHECKING:
+    from cellapp.results import RunSummary
 
 _REQUESTS = ("stop", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
@@ -70,6 +74,14 @@ class WorkspaceLoaded(Message):
     def __init__(self, workspace: Workspace) -> None:
         super().__init__()
         self.workspace = workspace
+
+
+class ResumeOffered(Message):
+    """A run was found that was interrupted while collecting."""
+
+    def __init__(self, run: RunSummary) -> None:
+        super().__init__()
+        self.run = run
 
 
 class CellApp(App[None]):
@@ -138,6 +150,8 @@ class CellApp(App[None]):
         """Load what screens and jobs will need, so that no key waits for it: scipy alone takes half a second."""
         for module in _LATER:
             importlib.import_module(module)
+        if run := jobs_of_verbs.interrupted_run(self.logs):
+            self.post_message(ResumeOffered(run))
 
     def on_unmount(self) -> None:
         """Brake all arms and end the job however the screen closes: no job continues unseen."""
@@ -274,6 +288,12 @@ class CellApp(App[None]):
         """Open a profile without a run."""
         self._load(path, None)
 
+    @on(ResumeOffered)
+    def offer_to_resume(self, event: ResumeOffered) -> None:
+        """Ask whether to go on with an interrupted run, unless something else was begun meanwhile."""
+        if not self.jobs.running and self.workspace.folder is None and isinstance(self.screen, DayScreen):
+            offer_to_resume(self, event.run)
+
     def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
         """Open a run; its own profile is used."""
         self._load(profile_path, folder)
@@ -317,20 +337,7 @@ class CellApp(App[None]):
 
     def action_whole_day(self) -> None:
         """Ask, then plan, collect, calibrate, discover, push and verify in a new run."""
-        profile, path = self.workspace.profile, self.workspace.profile_path
-        if profile is None or path is None:
-            self.say("No profile is open: choose one on the screen Cell (key 1).", "warning")
-            return
-        folder = new_folder(profile)
-        arms = "REAL ARMS WILL MOVE" if self.workspace.kind == "real" else f"the arms are {self.workspace.kind}"
-        text = f"Plan, collect, calibrate, discover, push and verify with '{profile.name}' into {folder}; {arms}."
-
-        def begin(answer: str | None) -> None:
-            if answer == "begin" and self.start_job(jobs_of_verbs.whole_day(path, folder)):
-                self.action_show("collect")
-
-        answers = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
-        self.push_screen(Choice("Everything, unattended?", text, answers), begin)
+        offer_whole_day(self)
 
     def action_stop(self) -> None:
         """Brake all arms now."""

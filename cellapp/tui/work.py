@@ -12,7 +12,7 @@ from cellapp.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
     from cellapp.reporting.report_data import ReportData
-    from cellapp.results import Result
+    from cellapp.results import Result, RunSummary
     from cellapp.run import RunFile
 
 
@@ -110,17 +110,27 @@ def report(folder: Path) -> Job:
     return _on_run("report", folder, work)
 
 
+def replay(folder: Path, speed: float) -> Job:
+    """Play back what a run recorded; nothing moves."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.collection.replay import replay_run
+        from cellapp.run import RunFile
+
+        with RunFile.open(folder) as run:
+            return replay_run(run, listener, control, speed=speed)
+
+    return Job("replay", work, folder)
+
+
 def doctor(profile: Path) -> Job:
     """Check what is reachable, what is missing, what would be refused; nothing moves."""
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commissioning.doctor import examine
+        from cellapp.commissioning.doctor import examine_run
         from cellapp.profile import load_profile
-        from cellapp.results import DoctorResult, Finding
 
-        found = examine(load_profile(profile))
-        findings = tuple(Finding(subject=one.subject, status=one.status, text=one.text) for one in found)
-        return DoctorResult(findings=findings)
+        return examine_run(load_profile(profile))
 
     return Job("doctor", work)
 
@@ -155,3 +165,14 @@ def report_data(folder: Path | None) -> ReportData | None:
     for arm in data.held_out.values():
         _ = arm.errors_mm  # computed here, not while drawing
     return data
+
+
+def interrupted_run(logs: Path) -> RunSummary | None:
+    """The newest run below a folder that was interrupted while collecting. For a thread of its own."""
+    from cellapp.errors import CellappError
+    from cellapp.run.history import resumable
+
+    try:
+        return resumable(logs) if logs.is_dir() else None
+    except CellappError:
+        return None  # a folder that cannot be read offers nothing; the screen Runs says why

@@ -189,6 +189,14 @@ def test_a_narrow_plot_still_has_axes_with_numbers_and_its_message(chart: Chart)
         assert bottom.count("┬") >= 2
 
 
+@pytest.mark.parametrize("chart", [chart for chart in CHARTS if not chart.categories], ids=lambda chart: chart.title)
+def test_a_quarter_of_a_small_terminal_still_shows_data_and_the_first_sentence(chart: Chart) -> None:
+    lines = texts(chart, 38, 10)
+    assert len(lines) <= 10
+    assert has_data(lines)
+    assert chart.message.partition(". ")[0] in one_line(lines)
+
+
 def test_series_differ_without_colour() -> None:
     x = np.linspace(0.0, 1.0, 200)
     several = [series(f"s{style}", x, x + style, style=style) for style in range(len(MARKS))]
@@ -208,7 +216,7 @@ def test_limits_are_drawn_and_named() -> None:
 
 
 def test_a_band_is_shaded_around_its_line() -> None:
-    banded = series("curve", [0.0, 1.0, 2.0], [1.0, 1.0, 1.0], band=[0.0, 1.0, 1.0])
+    banded = series("curve", [2.0, 0.0, 1.0], [1.0, 1.0, 1.0], band=[1.0, 0.0, 1.0])
     lines = texts(simple(banded), 60, 20)
     shaded = [line for line in lines if line.count("░") > 3]
     assert len(shaded) > 5
@@ -224,21 +232,22 @@ def test_circles_of_a_map_are_round() -> None:
 
 
 def test_bars_have_names_and_values() -> None:
-    chart = bar_chart("Probability", {"backlash": 97.0, "a very long name of an effect": 0.4}, Axis("p", "%"), "Words.")
+    bars = {"backlash": (97.0, "97 %"), "a very long name of an effect": (0.4, "< 1 %")}
+    chart = bar_chart("Probability", bars, Axis("p", "%"), "Words.")
     assert texts(chart, 40, 10) == [
         "Probability",
         "                   backlash ██████  97 %",
         "a very long name of an eff…        < 1 %",
         "Words.",
     ]
-    many = bar_chart("Many", {f"effect {k}": float(k) for k in range(20)}, Axis("p", "%"), "Words.")
+    many = bar_chart("Many", {f"effect {k}": (float(k), str(k)) for k in range(20)}, Axis("p", "%"), "Words.")
     lines = texts(many, 40, 8)
     assert len(lines) == 8
     assert lines[-2] == "and 15 more"
 
 
 def test_where_there_is_no_room_the_message_stays() -> None:
-    assert texts(CHARTS[0], 38, 5)[-1] == texts(CHARTS[0], 38, 18)[-1]
+    assert texts(CHARTS[0], 38, 5)[1:] == texts(CHARTS[0], 38, 18)[-4:]
     assert one_line(texts(simple(series("left", [0.0], [1.0])), 20, 2)) == "Title The message."
     assert texts(simple(series("left", [0.0], [1.0])), 20, 1) == ["The message."]
     assert texts(CHARTS[0], 0, 0) == []

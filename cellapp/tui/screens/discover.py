@@ -15,7 +15,8 @@ from cellapp.reporting.discovery_text import explanation_text, verdict_sentence
 from cellapp.reporting.proposal import proposal_lines
 from cellapp.results import DISCOVER, DiscoverResult
 from cellapp.tui import work
-from cellapp.tui.dialogs.question import Answer, Choice
+from cellapp.tui.dialogs.question import Choice
+from cellapp.tui.offers import BEGIN, arms_words
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.tables import TablesView
@@ -99,17 +100,14 @@ The handbook explains each effect: key **h**.
         if folder is None or left == 0:
             self.say("No stop is left to measure: m proposes further ones.", "warning")
             return
-        arms = "REAL ARMS WILL MOVE" if self.workspace.kind == "real" else f"the arms are {self.workspace.kind}"
+        text = f"{left} stops are left to measure in {folder}; {arms_words(self.workspace)}."
 
         def begin(answer: str | None) -> None:
             if answer == "begin":
                 self.start(work.collect(folder, resume=True))
                 self.cell_app.action_show("collect")
 
-        answers = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
-        self.app.push_screen(
-            Choice("Collect?", f"{left} stops are left to measure in {folder}; {arms}.", answers), begin
-        )
+        self.app.push_screen(Choice("Collect?", text, BEGIN), begin)
 
     def _has_run(self) -> bool:
         if self.workspace.folder is None:

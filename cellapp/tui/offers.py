@@ -1,0 +1,66 @@
+"""Questions that the application asks before it begins something larger. Each begins nothing by itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellapp.tui import work
+from cellapp.tui.dialogs.question import Answer, Choice
+from cellapp.tui.workspace import Workspace, new_folder
+
+if TYPE_CHECKING:
+    from cellapp.results import RunSummary
+    from cellapp.tui.app import CellApp
+
+BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
+_SPEEDS = ((1, "1"), (10, "2"), (100, "3"))
+"""Speeds of a replay and their keys."""
+
+
+def arms_words(workspace: Workspace) -> str:
+    """Which arms a job would move."""
+    return "REAL ARMS WILL MOVE" if workspace.kind == "real" else f"the arms are {workspace.kind}"
+
+
+def offer_whole_day(app: CellApp) -> None:
+    """Plan, collect, calibrate, discover, push and verify in a new run."""
+    profile, path = app.workspace.profile, app.workspace.profile_path
+    if profile is None or path is None:
+        app.say("No profile is open: choose one on the screen Cell (key 1).", "warning")
+        return
+    folder = new_folder(profile)
+    arms = arms_words(app.workspace)
+    text = f"Plan, collect, calibrate, discover, push and verify with '{profile.name}' into {folder}; {arms}."
+
+    def begin(answer: str | None) -> None:
+        if answer == "begin" and app.start_job(work.whole_day(path, folder)):
+            app.action_show("collect")
+
+    app.push_screen(Choice("Everything, unattended?", text, BEGIN), begin)
+
+
+def offer_to_resume(app: CellApp, run: RunSummary) -> None:
+    """Open a run that was interrupted while collecting."""
+    folder = Path(run.run)
+    text = f"{folder} was interrupted with {run.stops_left} stops left. Open it? Nothing moves yet."
+
+    def open_it(answer: str | None) -> None:
+        if answer == "open":
+            app.open_run(folder, app.workspace.profile_path)
+            app.action_show("collect")
+
+    answers = (Answer("open", "Open", "o", "success"), Answer("later", "Later", "l"))
+    app.push_screen(Choice("Go on with the last run?", text, answers), open_it)
+
+
+def offer_replay(app: CellApp, folder: Path) -> None:
+    """Play back a run through the screen Collect."""
+
+    def play(answer: str | None) -> None:
+        if answer is not None and app.start_job(work.replay(folder, float(answer[1:]))):
+            app.action_show("collect")
+
+    answers = [Answer(f"x{speed}", f"{speed} times", key) for speed, key in _SPEEDS]
+    text = f"Play back {folder} through the screen Collect. Nothing moves."
+    app.push_screen(Choice("How fast?", text, answers), play)
