@@ -43,7 +43,7 @@ from cellapp.tui.widgets.arm_panel import ArmPanel, TrackerPanel
 from cellapp.tui.widgets.log_view_pane import LogPane
 from cellapp.tui.widgets.log_view_rows import as_text
 from cellapp.tui.widgets.progress_bars import ProgressBars, parts_of
-from cellapp.tui.widgets.tables import TablesView
+from cellapp.tui.widgets.tables import WrappedTables
 from cellapp.tui.workspace import Step, Workspace
 
 View = Literal["log", "plots", "collected"]
@@ -115,6 +115,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     CollectScreen #state.halted { background: $error; color: white; text-style: bold; }
     CollectScreen #state.replay { background: $accent-muted; color: $text-accent; }
     CollectScreen #arms { height: auto; }
+    CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
     CollectScreen #suspicions.any { display: block; }
     CollectScreen #plots { layout: horizontal; height: 5fr; display: none; }
@@ -127,6 +128,8 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     CollectScreen.-wide #plots ChartPlot { display: block; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
     CollectScreen.-wide.plots #plots { width: 100%; }
+    CollectScreen.unplotted #plots { display: none; }
+    CollectScreen.unplotted.plots #plots { display: block; }
     """
 
     def __init__(self) -> None:
@@ -136,7 +139,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         self._plotted: tuple[object, ...] = ()
         self._plot_waits = False
         self._tabled: Workspace | None = None
-        self._stored_of: Path | None = None
+        self._opened: Path | None = None
         self._was_running = False
 
     def body(self) -> ComposeResult:
@@ -149,7 +152,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             for name in _PLOTS:
                 yield ChartPlot(id=name)
         yield LogPane(id="log")
-        yield TablesView(_NOT_COLLECTED, id="collected")
+        yield WrappedTables(_NOT_COLLECTED, id="collected")
 
     def on_mount(self) -> None:
         """Begin with the log."""
@@ -222,7 +225,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             self.query_one(f"#{name}").set_class(number == self._plot, "chosen")
         for one in ("log", "plots", "collected"):
             self.set_class(one == view, one)
-        focus = {"log": self.query_one(LogPane).view, "collected": self.query_one(TablesView)}.get(view)
+        focus = {"log": self.query_one(LogPane).view, "collected": self.query_one(WrappedTables)}.get(view)
         self.set_focus(focus)
 
     def action_search(self) -> None:
@@ -241,7 +244,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
 
     def action_least(self, level: str) -> None:
         """Show a level of the log and the more important ones."""
-        self.query_one(LogPane).action_least(level_of(level))
+        self.query_one(LogPane).show_from(level_of(level))
 
     def action_save(self) -> None:
         """Save the lines of the log that are marked, else those that are shown."""
@@ -282,8 +285,13 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     @on(StoredLog)
     def show_stored(self, event: StoredLog) -> None:
         """Draw the log that a run stores, where it is still wanted."""
-        if event.folder == self.workspace.folder and event.rows and not self.cell_app.jobs.running:
-            self.query_one(LogPane).show_stored(f"Log stored in {event.folder.name}", event.rows)
+        pane = self.query_one(LogPane)
+        if event.folder != self.workspace.folder or self.cell_app.jobs.running:
+            return
+        if event.rows:
+            pane.show_stored(f"Log stored in {event.folder.name}", event.rows)
+        else:
+            pane.show_session(self.cell_app.record)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
@@ -292,20 +300,20 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         if workspace is not self._tabled:
             self._tabled = workspace
             state = workspace.collection
-            self.query_one(TablesView).show([] if state is None else collection_tables(state))
-        if workspace.folder != self._stored_of and not self.cell_app.jobs.running:
-            self._stored_of = workspace.folder
+            self.query_one(WrappedTables).show([] if state is None else collection_tables(state))
+        if workspace.folder != self._opened and not self.cell_app.jobs.running:
+            self._opened = workspace.folder
+            self.action_view("log" if workspace.collection is None else "collected")
             if workspace.folder is not None:
                 self._read_log(workspace.folder)
 
     def show_job(self, record: JobRecord) -> None:
         """Draw what has changed."""
-        pane = self.query_one(LogPane)
         running = record.state is not None
-        if pane.shows_session or (running and not self._was_running):
-            pane.show_session(record)
-        if running and self.cell_app.jobs.job is not None:
-            self._stored_of = self.cell_app.jobs.job.folder or self._stored_of  # its lines are heard already
+        if running and not self._was_running:
+            self._begin_to_watch(record)
+        elif self.query_one(LogPane).shows_session:
+            self.query_one(LogPane).show_session(record)
         self._was_running = running
         self._draw_state(record)
         self._draw_arms(record)
@@ -323,6 +331,14 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             self._plot_waits = True
             self.set_timer(_PLOTTING_S, self._draw_plots)
 
+    def _begin_to_watch(self, record: JobRecord) -> None:
+        """A job was begun: its log is what people look at."""
+        self.query_one(LogPane).show_session(record)
+        if self.has_class("collected"):
+            self.action_view("log")
+        if self.cell_app.jobs.job is not None and self.cell_app.jobs.job.folder is not None:
+            self._opened = self.cell_app.jobs.job.folder  # what it stores is heard already
+
     def _draw_state(self, record: JobRecord) -> None:
         now = headline(self.workspace, record, self.cell_app.jobs.control.request)
         state = self.query_one("#state", Static)
@@ -339,6 +355,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             box.mount(*panels.values())
         for name, panel in panels.items():
             panel.arm = record.arms.get(name, ArmRecord())
+        self.set_class(record.state is None and not record.arms, "unheard")
 
     def _arm_names(self, record: JobRecord) -> list[str]:
         profile = self.workspace.profile
@@ -372,3 +389,4 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         if not record.references and collection is not None:
             drift = drift_chart(collection.references, collection.drift_limit_mm)
         self.query_one("#drift", ChartPlot).chart = drift
+        self.set_class(all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot)), "unplotted")
