@@ -9,6 +9,31 @@ Status = Literal["ok", "warning", "failed"]
 
 
 @dataclass(frozen=True)
+class DeviceReport:
+    """What a device says of itself; None: not reported.
+
+    Attributes
+    ----------
+    model, serial, software : str or None
+    state : str or None
+        Its modes in its own words: "RUNNING, NORMAL".
+    joints_c : tuple of float or None
+        Temperature of each joint [degC].
+    air_c, pressure_hpa, humidity_percent : float or None
+        The air at a sensor [degC, hPa, %].
+    """
+
+    model: str | None = None
+    serial: str | None = None
+    software: str | None = None
+    state: str | None = None
+    joints_c: tuple[float, ...] | None = None
+    air_c: float | None = None
+    pressure_hpa: float | None = None
+    humidity_percent: float | None = None
+
+
+@dataclass(frozen=True)
 class Finding:
     """Result of one check.
 
@@ -20,8 +45,11 @@ class Finding:
         Whether a job can start; a warning does not prevent it.
     text : str
         What was found and, unless it is ok, what to do.
+    device : DeviceReport or None
+        What the device reported, with the finding about the device as a whole.
     """
 
     subject: str
     status: Status
     text: str
+    device: DeviceReport | None = None

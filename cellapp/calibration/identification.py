@@ -28,6 +28,7 @@ from cellapp.calibration.normal_equations import (
     normal_equations,
     parameter_scale,
     split_values,
+    with_gradient,
 )
 from cellapp.calibration.parameters import (
     ParameterSet,
@@ -44,6 +45,9 @@ from cellapp.kinematics.transforms import Array, register
 
 _LEAST_WEIGHT = 1e-3
 """Points with a smaller robust weight do not count as degrees of freedom."""
+_SAME_JACOBIAN = 1e-3
+"""Change of the parameters [m at arm's length] up to which the normal matrix of many effects is kept: it changes by
+about as much, relatively. The gradient is that of the present values, so that the solution is the same."""
 _SMALLEST = 1e-300
 """Keeps a variance above zero."""
 _TRACKER_M = 1e-5
@@ -95,8 +99,9 @@ class Identification:
         Robust weights; 1 without robust estimation.
     steps : tuple of float
         Largest component of each step in metres at arm's length.
-    gram : array, shape (k, k)
-        ``J^T J / n`` of the unweighted Jacobian, scaled to metres at arm's length, without priors.
+    gram : array, shape (K, K)
+        ``J^T J / n`` of the unweighted Jacobian by the geometric parameters in the table, scaled to metres at arm's
+        length, without priors.
     configurations : int
         Number of readings n.
     """
@@ -125,7 +130,7 @@ class Identification:
 
     @cached_property
     def singular_values(self) -> Array:
-        """Singular values of the scaled Jacobian divided by root n, in descending order, shape (k,)."""
+        """Singular values of the scaled Jacobian divided by root n, in descending order, shape (K,)."""
         result: Array = np.sqrt(np.clip(np.linalg.eigvalsh(self.gram)[::-1], 0.0, None))
         return result
 
@@ -278,7 +283,8 @@ def _check_count(n: int, precision: Array) -> None:
 class _Estimate:
     """Parameter values (k,), the normal equations there, the weights they were made with, precisions of priors (k,).
 
-    ``variance`` multiplies the stated covariance of the readings where it is weighed against the priors.
+    ``variance`` multiplies the stated covariance of the readings where it is weighed against the priors. ``moved_m`` is
+    how far the values are from those of the normal matrix [m at arm's length].
     """
 
     values: Array
@@ -286,6 +292,7 @@ class _Estimate:
     weights: Array | None
     precision: Array
     variance: float = 1.0
+    moved_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -330,6 +337,8 @@ class _Problem:
             whitened = self.observations.whiten(point.normal.residuals, 0, self.observations.count)
             weights = robust_weights(np.linalg.norm(whitened, axis=0), self.robust)
             point = replace(self._estimate(point.values, weights, point.precision), variance=point.variance)
+        elif point.moved_m > _SAME_JACOBIAN:
+            point = replace(self._estimate(point.values, None, point.precision), variance=point.variance)
         # Priors are weighed against the present scatter of the readings. Far from the solution, where the scatter is
         # large, they dominate; near it they only determine what the readings do not.
         if not point.precision.any() or (self.sigma_is_exact and not self.spreads):
@@ -354,8 +363,12 @@ class _Problem:
         return unit * step, step
 
     def moved(self, point: _Estimate, step: Array) -> _Estimate:
-        trial = self._estimate(point.values + step, point.weights, point.precision)
-        return replace(trial, variance=point.variance)
+        values = point.values + step
+        if self.robust != "none" or self.effect_count <= len(self.parameters.columns):
+            return replace(self._estimate(values, point.weights, point.precision), variance=point.variance)
+        normal = with_gradient(point.normal, self.start, self.observations, self.parameters, values)
+        moved_m = point.moved_m + float(np.max(np.abs(step * normal.scale)))
+        return replace(point, values=values, normal=normal, moved_m=moved_m)
 
     def objective(self, point: _Estimate) -> float:
         return point.normal.cost / point.variance + float(point.precision @ (point.values - self.mean) ** 2)
@@ -372,8 +385,9 @@ class _Problem:
         chosen = self._determined(normal.A / point.variance) if self.tabulated else self.parameters
         to_table, kept = chosen.from_estimated(self.parameters, self.effect_count)
         in_table = covariance if chosen is self.parameters else to_table @ covariance @ to_table.T
-        gram = normal.gram[kept[:, None], kept]
-        scale = parameter_scale(gram, n, chosen)
+        of_geometry = kept[: len(chosen.columns)]
+        gram = normal.gram[of_geometry[:, None], of_geometry]
+        scale = parameter_scale(np.diag(gram), n, chosen)
         return Identification(
             geometry=geometry,
             estimated=self.parameters,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,14 @@ class Observations:
     white: Array | None
     effects: EffectColumns | None
 
+    @cached_property
+    def common_white(self) -> float | None:
+        """Whitening factor that all coordinates share; None where they differ."""
+        if self.white is None:
+            return 1.0
+        first = float(self.white.flat[0])
+        return first if self.white.ndim == 1 and bool(np.all(self.white == first)) else None
+
     @property
     def count(self) -> int:
         """Number of readings n."""
@@ -106,6 +115,19 @@ class Observations:
         shifts = self.effects.shifts_M[:, :, first:last]
         return np.asarray(np.tensordot(beta[len(self.effects.joints) :], shifts, axes=1))
 
+    def left(self, P: Array, beta: Array, first: int, last: int) -> Array:
+        """Measured less computed SMR positions of a chunk (3, last - first), ``P`` those without shifts [m]."""
+        shift = self.shift(beta, first, last)
+        left = self.p_M[:, first:last] - P
+        return left if shift is None else left - shift
+
+    def weigh(self, white: Array, first: int, last: int) -> Array:
+        """Whitened vectors (3, last - first) times the transposed whitening: W^T W times the vectors before."""
+        if self.white is None:
+            return white
+        factors = self.white[..., first:last]
+        return white * factors if factors.ndim == 1 else np.einsum("acn,an->cn", factors, white)
+
     def whiten(self, vectors: Array, first: int, last: int) -> Array:
         """Vectors (3, ..., last - first) in units of their standard uncertainty."""
         if self.white is None:
@@ -123,11 +145,16 @@ class Observations:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Computed SMR positions ``P`` (3, n) [m], their Jacobian ``J`` (3, k, n) and its Gram matrix (k, k)."""
+    """Computed SMR positions ``P`` (3, n) [m] and their Jacobian ``J`` (3, k, n)."""
 
     P: Array
     J: Array
-    gram: Array
+
+    def part(self, first: int, last: int) -> Linearisation:
+        """The same for one chunk of the configurations."""
+        if last - first == self.P.shape[1]:
+            return self
+        return Linearisation(self.P[:, first:last], self.J[:, :, first:last])
 
 
 @dataclass(frozen=True)
@@ -140,8 +167,8 @@ class NormalEquations:
         ``sum J^T W J`` over whitened and weighted readings.
     b : array, shape (k,)
         ``sum J^T W r``.
-    gram : array, shape (k, k)
-        ``sum J^T J`` without whitening and weights.
+    gram : array, shape (K, K)
+        ``sum J^T J`` of the K geometric parameters without whitening and weights.
     cost : float
         ``sum r^T W r``.
     scale : array, shape (k,)
@@ -177,31 +204,64 @@ def normal_equations(
 ) -> NormalEquations:
     """Normal equations at ``values`` (k,) with robust ``weights`` (n,).
 
-    ``linearised`` saves the evaluation where it is known; it must cover all readings in one chunk.
+    ``linearised`` saves the evaluation where it is known; it covers all readings.
     """
     geometry, beta = split_values(start, parameters, values)
-    k = len(values)
-    A, b, gram, cost = np.zeros((k, k)), np.zeros(k), np.zeros((k, k)), 0.0
+    k, size = len(values), len(parameters.columns)
+    A, b, gram, cost = np.zeros((k, k)), np.zeros(k), np.zeros((size, size)), 0.0
+    squares = np.zeros(k)
     residuals = np.empty((3, observations.count))
-    unweighted = observations.white is None and weights is None
+    common = observations.common_white if weights is None else None
     for first, last in observations.chunks():
-        model = linearised or _linearise(geometry, observations, parameters, beta, first, last)
+        if linearised is None:
+            model = _linearise(geometry, observations, parameters, beta, first, last)
+        else:
+            model = linearised.part(first, last)
         J = model.J
-        r = np.subtract(observations.p_M[:, first:last], model.P, out=residuals[:, first:last])
-        shift = observations.shift(beta, first, last)
-        if shift is not None:
-            r -= shift
-        gram += model.gram
-        if not unweighted:
+        r = residuals[:, first:last] = observations.left(model.P, beta, first, last)
+        if common is None:
+            gram += gram_matrix(J[:, :size])
+            squares += np.einsum("akn,akn->k", J, J)
             J, r = observations.whiten(J, first, last), observations.whiten(r, first, last)
             if weights is not None:
                 root = np.sqrt(weights[first:last])
                 J, r = J * root, r * root
-            A += gram_matrix(J)
+        A += gram_matrix(J)
         b += (J @ r[:, :, None]).sum(axis=0)[:, 0]
         cost += float(np.vdot(r, r))
-    scale = parameter_scale(gram, observations.count, parameters)
-    return NormalEquations(gram if unweighted else A, b, gram, cost, scale, residuals)
+    if common is not None:
+        gram, squares = A[:size, :size], np.diag(A)
+        A, b, cost = A * common**2, b * common**2, cost * common**2
+    scale = parameter_scale(squares, observations.count, parameters)
+    return NormalEquations(A, b, gram, cost, scale, residuals)
+
+
+def with_gradient(
+    near: NormalEquations, start: Geometry, observations: Observations, parameters: ParameterSet, values: Array
+) -> NormalEquations:
+    """Residuals and gradient at ``values`` (k,) without robust weights, with the normal matrix of a point nearby.
+
+    Costs as much as the residuals: the effects' columns are not multiplied out.
+    """
+    geometry, beta = split_values(start, parameters, values)
+    effects = observations.effects
+    b, cost, residuals = np.zeros(len(values)), 0.0, np.empty((3, observations.count))
+    size = len(parameters.columns)
+    for first, last in observations.chunks():
+        angles = observations.angles_with(beta, first, last)
+        P, J = jacobian(geometry, angles, parameters.columns)
+        r = residuals[:, first:last] = observations.left(P, beta, first, last)
+        white = observations.whiten(r, first, last)
+        cost += float(np.vdot(white, white))
+        weighed = observations.weigh(white, first, last)
+        b[:size] += np.einsum("akn,an->k", J, weighed)
+        if effects is not None:
+            _, by_joint = joint_jacobian(geometry, angles)
+            torque = np.einsum("ajn,an->jn", by_joint, weighed)
+            last_offset = size + len(effects.joints)
+            b[size:last_offset] += np.einsum("kn,kn->k", effects.offsets[:, first:last], torque[effects.joints])
+            b[last_offset:] += np.einsum("kan,an->k", effects.shifts_M[:, :, first:last], weighed)
+    return replace(near, b=b, cost=cost, residuals=residuals)
 
 
 def _linearise(
@@ -213,13 +273,13 @@ def _linearise(
         _, by_joint = joint_jacobian(geometry, angles)
         by_offset = effects.offsets[None, :, first:last] * by_joint[:, effects.joints]
         J = np.concatenate([J, by_offset, effects.shifts_M[:, :, first:last].swapaxes(0, 1)], axis=1)
-    return Linearisation(P, J, gram_matrix(J))
+    return Linearisation(P, J)
 
 
-def parameter_scale(gram: Array, count: int, parameters: ParameterSet) -> Array:
-    """``NormalEquations.scale`` from the Gram matrix (k, k); 1 for translations of the geometry."""
-    mean_square = np.maximum(np.diag(gram) / count, 1e-30)  # a parameter without effect must not divide by zero
-    scale = np.ones(len(gram))
+def parameter_scale(squares: Array, count: int, parameters: ParameterSet) -> Array:
+    """``NormalEquations.scale`` from the sums of squares (k,) of J; 1 for translations of the geometry."""
+    mean_square = np.maximum(squares / count, 1e-30)  # a parameter without effect must not divide by zero
+    scale = np.ones(len(squares))
     rotations, size = parameters.rotations, len(parameters.columns)
     if rotations:
         scale[:rotations] = math.sqrt(float(mean_square[:rotations].mean()))

@@ -368,7 +368,7 @@ class OnlineFit:
         extra = J.shape[1] - k
         columns = list(self._parameters.columns)
         values = np.concatenate([origin.vector()[columns], np.zeros(extra)])
-        linear = Linearisation(P, J, gram_matrix(J))
+        linear = Linearisation(P, J)
         normal = normal_equations(origin, observations, self._parameters, values, weighting.weights, linear)
         model = LinearModel(
             A=normal.A,

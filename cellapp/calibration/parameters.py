@@ -198,6 +198,11 @@ def weak_priors(joints: int) -> dict[str, float]:
     return {name: _WEAK_PRIOR[parameter_unit(name)] for name in parameter_names(joints)[6:-3]}
 
 
+def typical_spreads(joints: int) -> dict[str, float]:
+    """Standard deviations [m, rad] of the arm's own parameters that calibrations of industrial arms typically find."""
+    return {name: _TYPICAL[parameter_unit(name)] for name in parameter_names(joints)[6:-3]}
+
+
 def estimated_parameters(
     wanted: SetName, geometry: Geometry, prior_sigma: Mapping[str, float]
 ) -> tuple[ParameterSet, Mapping[str, float]]:

@@ -80,19 +80,25 @@ def run(
 
 
 @app.command()
-def doctor(profile: ProfilePath, json_file: JsonOption = None) -> None:
+def doctor(
+    profile: ProfilePath,
+    cell: Annotated[bool, typer.Option("--cell", help="First print what the profile says of the cell.")] = False,
+    json_file: JsonOption = None,
+) -> None:
     """What is reachable, what is missing, what would be refused; nothing moves."""
-    from cellapp.commissioning.doctor import examine
+    from cellapp.commissioning.doctor import examine_run
     from cellapp.profile import load_profile
-    from cellapp.results import DoctorResult, Finding
+    from cellapp.reporting.profile_words import profile_tables
 
     with Job(json_file) as job:
-        findings = [Finding(subject=f.subject, status=f.status, text=f.text) for f in examine(load_profile(profile))]
-        job.say(*(f"{finding.status:8} {finding.subject}: {finding.text}" for finding in findings))
-        job.result(DoctorResult(findings=tuple(findings)))
-        failed = sum(finding.status == "failed" for finding in findings)
-        if failed:
-            raise CheckFailed(f"{failed} of {len(findings)} checks failed")
+        described = load_profile(profile)
+        if cell:
+            job.show(profile_tables(described))
+        result = examine_run(described)
+        job.say(*(f"{finding.status:8} {finding.subject}: {finding.text}" for finding in result.findings))
+        job.result(result)
+        if result.failed:
+            raise CheckFailed(f"{len(result.failed)} of {len(result.findings)} checks failed")
 
 
 @app.command()

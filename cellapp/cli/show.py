@@ -9,7 +9,7 @@ import typer
 
 from cellapp.cli.job import Job, open_run
 from cellapp.cli.options import JsonOption, RunFolder
-from cellapp.errors import InputError
+from cellapp.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
     from cellapp.results import RunResults
@@ -49,14 +49,22 @@ def show(
         str | None, typer.Option("--level", metavar="WORD", help="With log: only lines of this level.")
     ] = None,
     last: Annotated[int | None, typer.Option("--last", metavar="N", min=1, help="With log: the last N lines.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="With plan: run the safety gate over all stops and ways again.")
+    ] = False,
+    forecast: Annotated[
+        bool, typer.Option("--forecast", help="With plan: time, joint ranges, expected errors, effects it can show.")
+    ] = False,
     json_file: JsonOption = None,
 ) -> None:
-    """Print what a run holds; nothing is computed or changed."""
+    """Print what a run holds; nothing is changed, and only --check and --forecast compute anything."""
     from cellapp.reporting import run_tables
     from cellapp.run import overview
 
     if part is not Part.LOG and (level is not None or last is not None):
         raise InputError("show: --level and --last belong to 'log'")
+    if (check or forecast) and (part is not Part.PLAN or (check and forecast)):
+        raise InputError("show: --check and --forecast belong to 'plan'; give one of them")
     with Job(json_file) as job, open_run(folder) as run:
         match part:
             case Part.OVERVIEW:
@@ -68,6 +76,10 @@ def show(
                 history = overview.run_history(run)
                 job.say(*run_tables.history_lines(history))
                 job.result(history)
+            case Part.PLAN if check:
+                _check_plan(job, run)
+            case Part.PLAN if forecast:
+                _forecast_plan(job, run)
             case Part.PLAN:
                 stops = overview.planned_stops(run)
                 job.show(run_tables.plan_tables(stops))
@@ -106,6 +118,29 @@ def schema(
         if json_file is None:
             job.say(text)
         job.write_json(text)
+
+
+def _check_plan(job: Job, run: RunFile) -> None:
+    from cellapp.planning.check import check_plan_run
+    from cellapp.reporting.plan_text import check_sentences
+
+    result = check_plan_run(run, job.listen, job.control)
+    verdict, *refusals = check_sentences(result)
+    job.say(*refusals)
+    job.result(result)
+    if not result.is_safe:
+        raise CheckFailed(f"plan: {verdict}")
+    job.say(verdict)
+
+
+def _forecast_plan(job: Job, run: RunFile) -> None:
+    from cellapp.planning.forecast import forecast_run
+    from cellapp.reporting.plan_text import forecast_sentences, forecast_tables
+
+    result = forecast_run(run, job.listen, job.control)
+    job.show(forecast_tables(result))
+    job.say(*forecast_sentences(result))
+    job.result(result)
 
 
 def _show_collection(job: Job, run: RunFile) -> None:

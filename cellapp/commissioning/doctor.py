@@ -5,20 +5,26 @@ from __future__ import annotations
 import importlib.util
 import platform
 import sys
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 
 from cellapp.collection.cell import arm_context, build_plant, tracker_context
 from cellapp.errors import InputError
 from cellapp.profile import Profile
+from cellapp.results import DeviceReport, DoctorResult
+from cellapp.results import Finding as ResultFinding
 from cellapp.safety.bodies import place
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import CellBodies, clear_alone, refuse_stop, visible
 from drivers.arms.registry import ARMS
+from drivers.arms.settings import ArmSettings
 from drivers.findings import Finding
+from drivers.sensors.settings import AirSensorSettings
+from drivers.trackers.settings import TrackerSettings
 
 LONGEST_PROBE_S = 5.0
 """A device that is silent for this long counts as dead, even if the profile allows it more time."""
@@ -36,21 +42,70 @@ def examine(profile: Profile) -> list[Finding]:
     However many devices are dead, this takes about twice ``LONGEST_PROBE_S``, or the time limit of the slowest
     connection: a minute for LMF, a sensor's own ``timeout``. Problems are reported as findings, not raised.
     """
-    air = profile.sensors.air
-    with ThreadPoolExecutor(max_workers=len(profile.arms) + 2, thread_name_prefix="probe") as pool:
-        arms = {
-            name: pool.submit(arm.driver.probe, arm_context(name, arm), LONGEST_PROBE_S)
-            for name, arm in profile.arms.items()
-        }
-        tracker = pool.submit(profile.tracker.driver.probe, tracker_context(profile), LONGEST_PROBE_S)
-        station = None if air is None else pool.submit(air.probe)
+    with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
+        probes = _start_probes(pool, profile)
         placement = _placement(profile)
-        findings = [_python(profile)]
-        for name, probe in arms.items():
-            findings += _of(f"arm {name}", [*_shared_address(profile, name), *probe.result()])
-        findings += _of("tracker", tracker.result())
-        findings += [] if station is None else _of("sensor air", station.result())
+        findings = [_python(profile), *_found(profile, probes)]
     return findings + placement
+
+
+def examine_run(profile: Profile) -> DoctorResult:
+    """``examine`` as the result of the verb."""
+    return DoctorResult(findings=tuple(map(_result, examine(profile))))
+
+
+def repeatable_devices(profile: Profile) -> tuple[str, ...]:
+    """Devices whose probe may be repeated every few seconds, as they are called in findings."""
+    settings: dict[str, ArmSettings | TrackerSettings | AirSensorSettings] = {
+        **{f"arm {name}": arm.driver for name, arm in profile.arms.items()},
+        "tracker": profile.tracker.driver,
+    }
+    if profile.sensors.air is not None:
+        settings["sensor air"] = profile.sensors.air
+    return tuple(name for name, one in settings.items() if one.repeatable_probe)
+
+
+def probe_devices(profile: Profile, devices: Collection[str]) -> DoctorResult:
+    """What some devices say now; nothing moves, and nothing else is checked."""
+    with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
+        found = _found(profile, _start_probes(pool, profile, devices))
+    return DoctorResult(findings=tuple(map(_result, found)))
+
+
+_Probes = Mapping[str, Future[Sequence[Finding]]]
+"""Device, as it is called in findings -> what its probe will find."""
+
+
+def _devices(profile: Profile) -> int:
+    return len(profile.arms) + 2
+
+
+def _start_probes(pool: Executor, profile: Profile, devices: Collection[str] | None = None) -> _Probes:
+    """Probe devices at the same time; all of them where no names are given."""
+    air, tracker = profile.sensors.air, profile.tracker.driver
+    probes: dict[str, Callable[[], Sequence[Finding]]] = {
+        f"arm {name}": partial(arm.driver.probe, arm_context(name, arm), LONGEST_PROBE_S)
+        for name, arm in profile.arms.items()
+    }
+    probes["tracker"] = partial(tracker.probe, tracker_context(profile), LONGEST_PROBE_S)
+    if air is not None:
+        probes["sensor air"] = air.probe
+    return {name: pool.submit(probe) for name, probe in probes.items() if devices is None or name in devices}
+
+
+def _found(profile: Profile, probes: _Probes) -> list[Finding]:
+    """What the probes found, with the device's name in front of each subject."""
+    findings = []
+    for device, probe in probes.items():
+        arm = device.removeprefix("arm ")
+        shared = _shared_address(profile, arm) if arm in profile.arms and arm != device else []
+        findings += _of(device, [*shared, *probe.result()])
+    return findings
+
+
+def _result(finding: Finding) -> ResultFinding:
+    device = None if finding.device is None else DeviceReport(**asdict(finding.device))
+    return ResultFinding(subject=finding.subject, status=finding.status, text=finding.text, device=device)
 
 
 def _of(device: str, findings: Sequence[Finding]) -> list[Finding]:

@@ -273,8 +273,8 @@ def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
 def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
     """Return the data with weights that include the scatter of a model with ``terms`` beyond the stated uncertainty.
 
-    Where none is stated, all of the scatter is estimated. With smooth terms the scatter is the one that maximised
-    their evidence.
+    The estimate begins from the weights of the data. Where no uncertainty is stated, all of the scatter is estimated.
+    With smooth terms the scatter is the one that maximised their evidence.
     """
     smooth = smoothness_of(terms)
     if smooth is not None:
@@ -286,7 +286,7 @@ def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
             if abs(found.scale - 1.0) <= _EXCESS_CHANGE:
                 break
         return data
-    sigma, excess = data.stated, -1.0
+    sigma, excess = data.sigma, mean_variance(data.sigma) - mean_variance(data.stated)
     for _ in range(_WEIGHING_ROUNDS):
         found, _ = _identify(replace(data, sigma=sigma), terms)
         before, excess = excess, excess_variance(found.residuals, data.stated, found.degrees_of_freedom)

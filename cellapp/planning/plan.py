@@ -159,25 +159,36 @@ def _next_stop(
     return None, refusal
 
 
+def joint_ranges(cell: CellBodies, profile: Profile, name: str) -> Array:
+    """Ranges from which the joint positions of an arm are drawn, lowest and highest, shape (N, 2) [rad].
+
+    Raises
+    ------
+    InputError
+        If a range of the plan is outside the arm's limits.
+    """
+    limits = cell.arms[name].limits
+    if profile.plan.ranges is None:  # poses repeat after one turn of a joint: stay as near to zero as the limits allow
+        middle = np.clip(0.0, limits[:, 0] + math.pi, limits[:, 1] - math.pi)
+        return np.stack(
+            [np.maximum(limits[:, 0], middle - math.pi), np.minimum(limits[:, 1], middle + math.pi)], axis=1
+        )
+    low, high = np.array(profile.plan.ranges).T
+    ranges = np.stack([np.maximum(low, limits[:, 0]), np.minimum(high, limits[:, 1])], axis=1)
+    for j in np.flatnonzero(ranges[:, 0] > ranges[:, 1]):
+        raise InputError(
+            f"plan.ranges: joint {j + 1}: no part of [{low[j]:g}, {high[j]:g}] rad is inside the limits of arm {name}"
+        )
+    return ranges
+
+
 class _ConfigurationPool:
     """Visible and safe configurations of one arm, drawn in batches as they are needed."""
 
     def __init__(self, cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator) -> None:
         self._cell, self._name, self._rng = cell, name, rng
         self._ready: list[Array] = []
-        limits = cell.arms[name].limits
-        if profile.plan.ranges is not None:
-            low, high = np.array(profile.plan.ranges).T
-            self._low, self._high = np.maximum(low, limits[:, 0]), np.minimum(high, limits[:, 1])
-            for j in np.flatnonzero(self._low > self._high):
-                raise InputError(
-                    f"plan.ranges: joint {j + 1}: no part of [{low[j]:g}, {high[j]:g}] rad is inside the limits of"
-                    f" arm {name}"
-                )
-        else:  # poses repeat after one turn of a joint: stay as near to zero as the limits allow
-            middle = np.clip(0.0, limits[:, 0] + math.pi, limits[:, 1] - math.pi)
-            self._low = np.maximum(limits[:, 0], middle - math.pi)
-            self._high = np.minimum(limits[:, 1], middle + math.pi)
+        self._low, self._high = joint_ranges(cell, profile, name).T
 
     def draw(self) -> Array:
         """The next configuration (N,) [rad]. Raises ``InputError`` if none is found in many batches."""

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cellapp.kinematics.transforms import Array
 from cellapp.results import STAGES
 
+Array = NDArray[np.float64]  # not that of kinematics, which loads scipy: a screen that draws must open fast
 Kind = Literal["line", "points", "steps", "bars"]
+Key = TypeVar("Key", bound=str)
+"""Name of a stage or a method."""
 
 STAGE_STYLES: Mapping[str, int] = {stage: number for number, stage in enumerate(STAGES)}
 """Style of each stage: the same in all charts."""
@@ -88,6 +90,8 @@ class Chart:
         The chart in one or two sentences, for those who do not see it; where there is nothing to draw, why.
     categories : tuple of str
         Names of the bars at x = 0, 1, ..., if the x axis has no numbers.
+    bar_texts : tuple of str
+        Their values as texts.
     equal : bool
         A map: one unit has the same length along both axes.
     y_range : tuple of float, or None
@@ -101,6 +105,7 @@ class Chart:
     message: str
     limits: tuple[Limit, ...] = ()
     categories: tuple[str, ...] = ()
+    bar_texts: tuple[str, ...] = ()
     equal: bool = False
     y_range: tuple[float, float] | None = None
 
@@ -126,12 +131,11 @@ def series(
     return Series(name, as_array, np.asarray(y, dtype=np.float64), kind, width, style, mark)
 
 
-def bar_chart(
-    title: str, values: Mapping[str, float], axis: Axis, message: str, limits: tuple[Limit, ...] = ()
-) -> Chart:
-    """One bar for each name."""
-    bars = series(title, np.arange(float(len(values))), list(values.values()), "bars")
-    return Chart(title, Axis(""), axis, (bars,) if values else (), message, limits, tuple(values))
+def bar_chart(title: str, bars: Mapping[str, tuple[float, str]], axis: Axis, message: str) -> Chart:
+    """One bar for each name, with its value and that value as a text."""
+    values, texts = [value for value, _ in bars.values()], tuple(text for _, text in bars.values())
+    drawn = (series(title, np.arange(float(len(bars))), values, "bars"),) if bars else ()
+    return Chart(title, Axis(""), axis, drawn, message, categories=tuple(bars), bar_texts=texts)
 
 
 def noise_limit(floor_mm: float | None, axis: Literal["x", "y"] = "y", name: str = "noise floor") -> tuple[Limit, ...]:
@@ -145,8 +149,8 @@ def drawable_mm(errors_mm: ArrayLike) -> Array:
 
 
 def error_counts(
-    errors_mm: Mapping[str, Array], low: float, high: float, bins: int = _BINS
-) -> tuple[Array, dict[str, NDArray[np.intp]]]:
+    errors_mm: Mapping[Key, Array], low: float, high: float, bins: int = _BINS
+) -> tuple[Array, dict[Key, NDArray[np.intp]]]:
     """Edges (bins + 1,) [mm] from ``low`` to ``high`` on a logarithmic axis, and the number of errors in each bin."""
     edges = np.geomspace(low, high, bins + 1)
     return edges, {what: np.histogram(drawable_mm(errors), edges)[0] for what, errors in errors_mm.items()}

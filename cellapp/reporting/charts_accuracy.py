@@ -18,10 +18,10 @@ from cellapp.reporting.charts import (
     STAGE_STYLES,
     Axis,
     Chart,
+    Key,
     Series,
     bar_chart,
     drawable_mm,
-    enumerated,
     error_counts,
     mm,
     noise_limit,
@@ -31,7 +31,7 @@ from cellapp.reporting.page_tables import measured_targets
 from cellapp.reporting.report_data import HeldOutArm
 from cellapp.reporting.tables import cooperative_noise_mm
 from cellapp.reporting.words import METHOD_WORDS, STAGE_WORDS
-from cellapp.results import METHODS, STAGES, ArmCalibrationResult, CalibrateResult, Method, PairHeldOut, VerifyResult
+from cellapp.results import STAGES, ArmCalibrationResult, CalibrateResult, Method, PairHeldOut, VerifyResult
 
 _BINS_A_ROOT = 2.0
 """Bins of a histogram for the root of the number of errors: 100 errors of four stages fill 20 bins."""
@@ -56,8 +56,8 @@ def stage_chart(name: str, arm: ArmCalibrationResult) -> Chart:
         message = f"Held-out rms error: {mm(rms[first])} {STAGE_WORDS[first]}, {mm(rms[last])} {STAGE_WORDS[last]}."
         if arm.tracker_mm:
             message += f" The tracker's own noise is {mm(arm.tracker_mm)}."
-    values = {STAGE_WORDS[stage]: value for stage, value in rms.items()}
-    return bar_chart(f"Arm {name}: held-out error by stage", values, Axis("rms", "mm"), message)
+    bars = {STAGE_WORDS[stage]: (value, mm(value)) for stage, value in rms.items()}
+    return bar_chart(f"Arm {name}: held-out error by stage", bars, Axis("rms", "mm"), message)
 
 
 # -- histograms -------------------------------------------------------------------------------------------------------
@@ -65,9 +65,9 @@ def stage_chart(name: str, arm: ArmCalibrationResult) -> Chart:
 
 def error_histogram_chart(name: str, errors_mm: Mapping[str, Array], floor_mm: float | None) -> Chart:
     """Histogram of the held-out position errors (n,) [mm] by stage, with the noise floor."""
-    errors = {STAGE_WORDS[stage]: errors_mm[stage] for stage in STAGES if stage in errors_mm}
-    number = {STAGE_WORDS[stage]: style for stage, style in STAGE_STYLES.items()}
-    return _histogram(f"Arm {name}: held-out errors", Axis("position error", "mm", True), errors, number, floor_mm)
+    errors: dict[str, Array] = {stage: errors_mm[stage] for stage in STAGES if stage in errors_mm}
+    x = Axis("position error", "mm", logarithmic=True)
+    return _histogram(f"Arm {name}: held-out errors", x, errors, STAGE_STYLES, STAGE_WORDS, floor_mm)
 
 
 def pair_held_out(calibrate: CalibrateResult) -> dict[Method, PairHeldOut]:
@@ -78,28 +78,33 @@ def pair_held_out(calibrate: CalibrateResult) -> dict[Method, PairHeldOut]:
 
 def pair_histogram_chart(calibrate: CalibrateResult) -> Chart:
     """Histogram of the cooperative errors by method, with the noise that the tracker alone would cause."""
-    errors = {
-        METHOD_WORDS[method]: np.array(stops.cooperative_mm) for method, stops in pair_held_out(calibrate).items()
-    }
-    number = {METHOD_WORDS[method]: _METHOD_STYLES[method] for method in METHODS if method in _METHOD_STYLES}
-    axis = Axis("cooperative error", "mm", logarithmic=True)
-    return _histogram("Pair: held-out errors", axis, errors, number, cooperative_noise_mm(calibrate))
+    errors = {method: np.array(stops.cooperative_mm) for method, stops in pair_held_out(calibrate).items()}
+    x = Axis("cooperative error", "mm", logarithmic=True)
+    floor_mm = cooperative_noise_mm(calibrate)
+    return _histogram("Pair: held-out errors", x, errors, _METHOD_STYLES, METHOD_WORDS, floor_mm)
 
 
 def _histogram(
-    title: str, axis: Axis, errors_mm: Mapping[str, Array], number: Mapping[str, int], floor_mm: float | None
+    title: str,
+    x: Axis,
+    errors_mm: Mapping[Key, Array],
+    style: Mapping[Key, int],
+    words: Mapping[Key, str],
+    floor_mm: float | None,
 ) -> Chart:
+    """Outlines of the histograms of some errors, each with its style, and its words in the message."""
     y = Axis("configurations")
-    errors = {what: values[np.isfinite(values)] for what, values in errors_mm.items()}
-    every = drawable_mm(np.concatenate([*errors.values(), [floor_mm] if floor_mm else []])) if errors else np.zeros(0)
-    if not any(len(values) for values in errors.values()):
-        return Chart(title, axis, y, (), _NO_HELD_OUT)
+    errors = {key: finite for key, values in errors_mm.items() if len(finite := values[np.isfinite(values)])}
+    if not errors:
+        return Chart(title, x, y, (), _NO_HELD_OUT)
+    every = drawable_mm(np.concatenate([*errors.values(), [floor_mm] if floor_mm else []]))
     bins = math.ceil(_BINS_A_ROOT * math.sqrt(max(len(values) for values in errors.values())))
     edges, counts = error_counts(errors, float(every.min()) / 1.25, float(every.max()) * 1.25, bins)
-    drawn = tuple(_outline(what, edges, count, number[what]) for what, count in counts.items() if count.any())
-    medians = [f"{mm(float(np.median(values)))} {what}" for what, values in errors.items() if len(values)]
-    message = f"Median error: {enumerated(medians)}." + (f" The noise floor is {mm(floor_mm)}." if floor_mm else "")
-    return Chart(title, axis, y, drawn, message, noise_limit(floor_mm, "x"))
+    drawn = tuple(_outline(key, edges, count, style[key]) for key, count in counts.items())
+    ends = [next(iter(errors)), list(errors)[-1]][: len(errors)]
+    medians = [f"{mm(float(np.median(errors[key])))} ({words[key]})" for key in ends]
+    message = f"Median error: {', '.join(medians)}." + (f" The noise floor is {mm(floor_mm)}." if floor_mm else "")
+    return Chart(title, x, y, drawn, message, noise_limit(floor_mm, "x"))
 
 
 def _outline(name: str, edges: Array, counts: NDArray[np.intp], style: int) -> Series:
@@ -118,7 +123,7 @@ def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int, stages: Se
     angle = np.degrees(held_out.readings.q[:, joint - 1])
     errors = {stage: errors for stage, errors in held_out.errors_mm.items() if stage in stages}
     drawn = tuple(
-        series(STAGE_WORDS[stage], angle, drawable_mm(values), "points", style=STAGE_STYLES[stage])
+        series(stage, angle, drawable_mm(values), "points", style=STAGE_STYLES[stage])
         for stage, values in errors.items()
     )
     message = _NO_HELD_OUT

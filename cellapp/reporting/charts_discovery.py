@@ -59,8 +59,8 @@ def candidates_chart(name: str, arm: ArmDiscoveryResult) -> Chart:
     message = "No probabilities were computed." if not ordered else "No effect that was tested is probable."
     if likely:
         message = f"Probable effects: {enumerated(likely)}."
-    percent = {effect.replace("_", " "): 100.0 * p for effect, p in ordered.items()}
-    return bar_chart(f"Arm {name}: probability of each effect", percent, Axis("probability", "%"), message)
+    bars = {effect.replace("_", " "): (100.0 * p, probability_words(p)) for effect, p in ordered.items()}
+    return bar_chart(f"Arm {name}: probability of each effect", bars, Axis("probability", "%"), message)
 
 
 def picture_chart(name: str, picture: Picture) -> Chart:

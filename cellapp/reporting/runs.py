@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich import filesize
+
 from cellapp.reporting.table import Column, Table, number_column
-from cellapp.results import BeforeAfter, CellKind, RunsResult, RunSummary
+from cellapp.results import ArmFigures, BeforeAfter, CellKind, RunsResult, RunSummary
 
 CELL_WORDS: dict[CellKind, str] = {
     "simulated": "simulated",
@@ -15,7 +17,6 @@ CELL_WORDS: dict[CellKind, str] = {
     "none": "imported",
 }
 _MM = ".3f"
-_KIB = 1024.0
 _DATE = len("2026-01-02")
 
 
@@ -68,6 +69,37 @@ def runs_sentences(result: RunsResult) -> list[str]:
     return sentences
 
 
+def run_lines(run: RunSummary) -> list[str]:
+    """One run in a few lines: where it stands, its results, the figures of each arm, what comes next."""
+    used = [f"in use by {run.in_use}"] if run.in_use else []
+    if run.problem:
+        return [run.problem, *used]
+    size = filesize.decimal(run.size_bytes)
+    lines = [
+        f"profile {run.profile}, {CELL_WORDS[run.cell]}; began {time_words(run.began)},"
+        f" changed {time_words(run.changed)} (UTC); {size}",
+        f"stops {stops_words(run)} in {run.sessions} sessions; results: {stages_words(run) or 'none'}",
+        *used,
+        *(f"{name}: {figures_words(figures)}" for name, figures in run.figures.items()),
+    ]
+    if run.resumable:
+        return [*lines, f"interrupted, {run.stops_left} stops left: {run.next_step}"]
+    return [*lines, f"next: {run.next_step or 'nothing is left to do'}"]
+
+
+def figures_words(figures: ArmFigures) -> str:
+    """Errors, effects and verification of one arm in one line."""
+    parts = []
+    if figures.heldout_mm is not None:
+        best = f"{figures.heldout_mm.after:{_MM}} mm with {figures.best_stage}"
+        parts.append(f"held-out mean {figures.heldout_mm.before:{_MM}} mm with geometry, {best}")
+    if figures.verdict is not None:
+        parts.append(effects_words(figures.effects) or figures.verdict)
+    if figures.verified_mm is not None:
+        parts.append(f"targets {figures.verified_mm.before:{_MM}} -> {figures.verified_mm.after:{_MM}} mm")
+    return "; ".join(parts)
+
+
 def resume_sentence(run: RunSummary) -> str:
     """Offer to continue an interrupted run."""
     return (
@@ -116,16 +148,6 @@ def next_words(run: RunSummary) -> str:
 def effects_words(effects: Sequence[str]) -> str:
     """Names of effects as words."""
     return ", ".join(slug.replace("_", " ") for slug in effects)
-
-
-def size_words(size_bytes: int) -> str:
-    """A size with its unit, as ``1.2 MiB``."""
-    size, unit = float(size_bytes), "B"
-    for unit in ("B", "KiB", "MiB", "GiB"):  # noqa: B007 - the last unit is used below
-        if size < _KIB:
-            break
-        size /= _KIB
-    return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
 
 
 def _pair(values: BeforeAfter | None) -> tuple[float | None, float | None]:

@@ -53,6 +53,7 @@ from cellapp.results.collection import (
     SessionRequest,
 )
 from cellapp.results.commissioning import (
+    DeviceReport,
     DoctorResult,
     EmulatedArm,
     EmulatedController,
@@ -93,6 +94,16 @@ from cellapp.results.discovery import (
     StructureKind,
     StructureTest,
     TermDescription,
+)
+from cellapp.results.planning import (
+    ArmForecast,
+    JointCoverage,
+    PlanCheckResult,
+    PlanForecastResult,
+    PlannedAccuracy,
+    PlannedEffect,
+    PlannedTime,
+    PlanRefusal,
 )
 from cellapp.results.run import (
     ArmState,
@@ -154,6 +165,7 @@ __all__ = [
     "ArmComparison",
     "ArmDiscoveryResult",
     "ArmFigures",
+    "ArmForecast",
     "ArmOrder",
     "ArmState",
     "ArmVerification",
@@ -167,6 +179,7 @@ __all__ = [
     "Correlation",
     "CurveRecord",
     "CycleBand",
+    "DeviceReport",
     "DiscoverResult",
     "Discrimination",
     "DocsResult",
@@ -189,6 +202,7 @@ __all__ = [
     "HistoryResult",
     "ImportResult",
     "InitResult",
+    "JointCoverage",
     "LastSession",
     "LawRecord",
     "LogLine",
@@ -207,8 +221,14 @@ __all__ = [
     "PairMethodResult",
     "Picture",
     "Place",
+    "PlanCheckResult",
+    "PlanForecastResult",
+    "PlanRefusal",
     "PlanResult",
+    "PlannedAccuracy",
+    "PlannedEffect",
     "PlannedStop",
+    "PlannedTime",
     "PredictedUncertainty",
     "ProfileDifference",
     "Proposal",

@@ -16,12 +16,30 @@ class InitResult(Result):
     notes: tuple[str, ...] = ()
 
 
+class DeviceReport(Record):
+    """What a device says of itself; ``joints_c`` and ``air_c`` are in degC, what is not reported is left out."""
+
+    model: str | None = None
+    serial: str | None = None
+    software: str | None = None
+    state: str | None = None
+    joints_c: tuple[float, ...] | None = None
+    air_c: float | None = None
+    pressure_hpa: float | None = None
+    humidity_percent: float | None = None
+    omitted_when_none = frozenset(
+        {"model", "serial", "software", "state", "joints_c", "air_c", "pressure_hpa", "humidity_percent"}
+    )
+
+
 class Finding(Record):
-    """One check of the doctor."""
+    """One check of the doctor; ``device`` is with the finding about a device as a whole."""
 
     subject: str
     status: Literal["ok", "warning", "failed"]
     text: str
+    device: DeviceReport | None = None
+    omitted_when_none = frozenset({"device"})
 
 
 class DoctorResult(Result):
@@ -30,6 +48,11 @@ class DoctorResult(Result):
     schema_: Literal["cellapp-doctor"] = "cellapp-doctor"
     version: Literal[1] = 1
     findings: tuple[Finding, ...]
+
+    @property
+    def failed(self) -> tuple[Finding, ...]:
+        """What would keep a job from starting."""
+        return tuple(finding for finding in self.findings if finding.status == "failed")
 
 
 class EmulatedController(Record):

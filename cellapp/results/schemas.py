@@ -17,6 +17,7 @@ from cellapp.results.collection import (
 )
 from cellapp.results.commissioning import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
 from cellapp.results.discovery import DiscoverResult
+from cellapp.results.planning import PlanCheckResult, PlanForecastResult
 from cellapp.results.run import (
     DocsResult,
     HistoryResult,
@@ -31,6 +32,8 @@ from cellapp.results.targets import CompensateResult, VerifyResult
 
 VERB_RESULTS: tuple[type[Result], ...] = (
     PlanResult,
+    PlanCheckResult,
+    PlanForecastResult,
     CollectResult,
     CollectionResult,
     ReplayResult,

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from cellapp.commissioning.job_requests import who_uses
 from cellapp.errors import CellappError, InputError
 from cellapp.profile import Profile
@@ -54,8 +56,12 @@ def summarise(folder: Path) -> RunSummary:
     try:
         with RunFile.peek(folder) as run:
             return _summary(run, known)
-    except (CellappError, OSError, ValueError, TypeError) as error:  # whatever a damaged or foreign file may contain
-        return known.model_copy(update={"problem": str(error)})
+    except CellappError as error:
+        problem = str(error)
+    except (OSError, ValueError, TypeError) as error:  # whatever a damaged or foreign file may contain
+        problem = f"{folder / FILE_NAME} holds values that this cellapp cannot read ({_first_words(error)})"
+        problem += "; open it with the cellapp that wrote it, or restore it from a copy"
+    return known.model_copy(update={"problem": problem})
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -109,6 +115,13 @@ def _on_disk(folder: Path) -> tuple[str, int]:
     return changed, size
 
 
+def _first_words(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    return str(error).partition("\n")[0] or type(error).__name__
+
+
 def _summary(run: RunFile, known: RunSummary) -> RunSummary:
     stages, arms, sessions = read_stages(run, counted_basis), arm_states(run), run.sessions()
     verb, command = next_step(run, stages, arms)
@@ -118,26 +131,28 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
     last = _last_session(sessions)
     figures, unreadable = run_figures(stages)
     out_of_date = {**stages.out_of_date, **unreadable}
-    return known.model_copy(
-        update={
-            "profile": run.profile.name,
-            "cell": cell_kind(run.profile),
-            "began": run.created,
-            "arms": arms,
-            "stops_planned": total - len(reserves),
-            "stops_measured": len(done),
-            "stops_left": left,
-            "sessions": len(sessions),
-            "last_session": last,
-            "stages": tuple(
-                StageSummary(name=name, written=stage.written, out_of_date=out_of_date.get(name))
-                for name, stage in stages.current.items()
-            ),
-            "figures": figures,
-            "next_verb": verb,
-            "next_step": command,
-            "interrupted": last is not None and last not in _DONE and left > 0,
-        }
+    return RunSummary(
+        run=known.run,
+        profile=run.profile.name,
+        cell=cell_kind(run.profile),
+        began=run.created,
+        changed=known.changed,
+        arms=arms,
+        stops_planned=total - len(reserves),
+        stops_measured=len(done),
+        stops_left=left,
+        sessions=len(sessions),
+        last_session=last,
+        stages=tuple(
+            StageSummary(name=name, written=stage.written, out_of_date=out_of_date.get(name))
+            for name, stage in stages.current.items()
+        ),
+        figures=figures,
+        next_verb=verb,
+        next_step=command,
+        interrupted=last is not None and last not in _DONE and left > 0,
+        in_use=known.in_use,
+        size_bytes=known.size_bytes,
     )
 
 
@@ -148,10 +163,10 @@ def _last_session(sessions: list[Session]) -> LastSession | None:
 
 
 def cell_kind(profile: Profile) -> CellKind:
-    """What moves in a cell: real arms if any arm is real."""
+    """What moves in a cell: real arms if any arm is real, simulated ones if all are simulated."""
     drivers = [arm.driver for arm in profile.arms.values()]
     if profile.moves_hardware:
         return "real"
-    if any(driver.needs_plant for driver in drivers):
-        return "simulated"
-    return "emulated" if any(driver.has_device for driver in drivers) else "none"
+    if not any(driver.has_device for driver in drivers):
+        return "none"
+    return "simulated" if all(driver.needs_plant for driver in drivers) else "emulated"

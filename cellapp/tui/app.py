@@ -454,9 +454,10 @@ class CellApp(App[None]):
             self._say_state()
 
     def _say_state(self) -> None:
-        """A new state of the job in the message line, in the words of its log."""
-        if self.record.log:
-            entry = self.record.log[-1]
-            self.message, self._severity = entry.text, "information" if entry.level == "info" else "warning"
+        """A new state of the job in the message line."""
+        state, reason = self.record.state, self.record.reason
+        if state is not None and reason:
+            self.message = f"{state.upper()}: {reason}"
+            self._severity = "information" if state == "running" else "warning"
             self._draw_message()
         self.refresh_bindings()

@@ -76,6 +76,8 @@ class ArmSettings(Section):
     has_device: ClassVar[bool] = True
     """Whether there is an arm to move; otherwise the readings come from a file."""
     packages: ClassVar[tuple[Package, ...]] = ()
+    repeatable_probe: ClassVar[bool] = False
+    """Whether a probe may be repeated every few seconds: it only reads, and keeps the device from nobody."""
 
     @property
     def controller_address(self) -> str:

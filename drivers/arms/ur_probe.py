@@ -32,6 +32,7 @@ from drivers.arms.ur_links import (
     resolve,
 )
 from drivers.arms.ur_rtde_reader import UrSample, read_sample
+from drivers.findings import DeviceReport
 
 _LARGEST_PACKAGE = 65536
 _MAX_PACKAGES = 200
@@ -183,6 +184,17 @@ class UrProbe:
         if self.series != "CB3" and self.model in _MODELS_WITH_E_SUFFIX:
             return f"{self.model}e"
         return self.model
+
+    def report(self) -> DeviceReport:
+        """Identity, modes and joint temperatures."""
+        modes = [mode for mode in (self.robot_mode, self.safety_mode) if mode is not None]
+        return DeviceReport(
+            model=self.full_model,
+            serial=self.serial,
+            software=f"PolyScope {self.software}",
+            state=", ".join(modes) or None,
+            joints_c=None if self.sample is None else self.sample.joints_c,
+        )
 
 
 def probe_ur(

@@ -32,7 +32,7 @@ _FORMATS = {
     "VECTOR6INT32": "6i",
 }
 _REQUIRED = ("timestamp", "actual_q", "actual_qd", "robot_mode", "safety_mode", "runtime_state")
-_OPTIONAL = ("target_speed_fraction", "payload", "payload_cog")
+_OPTIONAL = ("target_speed_fraction", "payload", "payload_cog", "joint_temperatures")
 """Older software versions lack some of these."""
 _AT_REST_RAD_S = 0.005
 _RETRY_S = 0.1
@@ -65,7 +65,7 @@ PROGRAM_STATES = {0: "STOPPING", 1: "STOPPED", 2: "PLAYING", 3: "PAUSING", 4: "P
 
 @dataclass(frozen=True)
 class UrSample:
-    """One state. ``q``, ``qd``: six joints [rad, rad/s]; None: not reported by this software version.
+    """One state. ``q``, ``qd``, ``joints_c``: six joints [rad, rad/s, degC]; None: not reported by this software.
 
     ``robot_mode``, ``safety_mode`` and ``program`` are named as in the manual, e.g. RUNNING, NORMAL, PLAYING.
     """
@@ -79,6 +79,7 @@ class UrSample:
     speed_fraction: float | None
     payload_kg: float | None
     payload_center_m: tuple[float, ...] | None
+    joints_c: tuple[float, ...] | None = None
 
     @property
     def at_rest(self) -> bool:
@@ -193,6 +194,7 @@ def _sample(where: str, values: Mapping[str, tuple[float, ...]]) -> UrSample:
         speed_fraction=None if fraction is None else fraction[0],
         payload_kg=None if payload is None else payload[0],
         payload_center_m=values.get("payload_cog"),
+        joints_c=values.get("joint_temperatures"),
     )
 
 

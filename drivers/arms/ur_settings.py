@@ -52,6 +52,8 @@ class UrSettings(ArmSettings):
         """The host, as written."""
         return self.host
 
+    repeatable_probe: ClassVar[bool] = True
+
     def emulated_controller(self) -> EmulatedController | None:
         """Return the loopback address of the controller; None if it is on another machine."""
         host = loopback_ipv4(self.host)
@@ -107,4 +109,5 @@ class UrSettings(ArmSettings):
         if failed:
             motion = Finding("motion", "failed", f"would be refused because of {failed}; no motion was tried")
         checked = [Finding(check.subject, check.status, check.text) for check in found]
-        return [Finding("link", "ok", where), *checked, Finding("safety limits", "ok", _SAFETY_LIMITS), motion]
+        link = Finding("link", "ok", where, answers.report())
+        return [link, *checked, Finding("safety limits", "ok", _SAFETY_LIMITS), motion]

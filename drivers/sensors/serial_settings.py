@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from drivers.findings import Finding
+from drivers.findings import DeviceReport, Finding
 from drivers.quantities import Time
 from drivers.sensors.settings import AirSensorSettings
 from drivers.settings import Section
@@ -92,7 +92,11 @@ class SerialStationSettings(AirSensorSettings):
         station = self.open(None)
         try:
             station.connect()
-            return [Finding("", "ok", f"{self.url}: {station.read()}")]
+            air = station.read()
+            report = DeviceReport(
+                air_c=air.temperature_c, pressure_hpa=air.pressure_hpa, humidity_percent=air.humidity_percent
+            )
+            return [Finding("", "ok", f"{self.url}: {air}", report)]
         except SensorError as error:
             return [Finding("", "failed", str(error))]
         finally:

@@ -18,6 +18,8 @@ class AirSensorSettings(Section):
     """Base of the settings of every kind of weather station."""
 
     kind: str
+    repeatable_probe: ClassVar[bool] = False
+    """Whether a probe may be repeated every few seconds: it only reads, and keeps the device from nobody."""
     needs_plant: ClassVar[bool] = False
     """Whether the station belongs to the simulated cell."""
 

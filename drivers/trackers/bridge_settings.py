@@ -112,7 +112,8 @@ class BridgeSettings(TrackerSettings):
             return [Finding("", "failed", str(error))]
         finally:
             device.disconnect()
+        report = identity.report()
         who = f"{identity.model}, serial {identity.serial}, {identity.software}, behind the bridge at {self.url}"
         if unmet:
-            return [Finding("", "warning", f"{who}; before it measures: {'; '.join(unmet)}")]
-        return [Finding("", "ok", f"{who}; ready")]
+            return [Finding("", "warning", f"{who}; before it measures: {'; '.join(unmet)}", report)]
+        return [Finding("", "ok", f"{who}; ready", report)]

@@ -108,9 +108,10 @@ class LmfSettings(TrackerSettings):
             return [Finding("", "failed", str(error))]
         finally:
             device.disconnect()
+        report = identity.report()
         who = f"{identity.model}, serial {identity.serial}, {identity.software}"
         if unmet:
-            return [Finding("", "warning", f"{who}; before it measures: {'; '.join([*unmet, *notices])}")]
+            return [Finding("", "warning", f"{who}; before it measures: {'; '.join([*unmet, *notices])}", report)]
         if notices:
-            return [Finding("", "warning", f"{who}; {'; '.join(notices)}")]
-        return [Finding("", "ok", f"{who}; ready")]
+            return [Finding("", "warning", f"{who}; {'; '.join(notices)}", report)]
+        return [Finding("", "ok", f"{who}; ready", report)]

@@ -9,6 +9,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.findings import DeviceReport
+
 Face = Literal[1, 2]
 Accuracy = Literal["fast", "standard", "precise"]
 
@@ -22,6 +24,10 @@ class TrackerIdentity:
     model: str
     serial: str
     software: str
+
+    def report(self) -> DeviceReport:
+        """The identity as what a probe found."""
+        return DeviceReport(model=self.model, serial=self.serial, software=self.software)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from cellapp.calibration import normal_equations
 from cellapp.calibration.arm_identification import identify_with_excess
 from cellapp.calibration.identification import start_from_nominal
 from cellapp.calibration.online import OnlineFit, online_fit
@@ -59,6 +60,16 @@ def test_after_all_stops_it_agrees_with_the_identification_of_the_same_readings(
     assert report.standard_error_mm == pytest.approx(rms * 1e3, rel=0.05)
     for parameter, error in zip(batch.names, batch.standard_errors, strict=True):
         assert report.parameter_errors[parameter] == pytest.approx(error, rel=0.1)
+
+
+def test_readings_of_several_chunks_give_the_same_fit(readings, monkeypatch):
+    one = readings["left"]
+    whole, _ = fitted("left", one)
+    monkeypatch.setattr(normal_equations, "_CHUNK", 64)
+    chunked, _ = fitted("left", one)
+    assert whole.geometry is not None
+    assert chunked.geometry is not None
+    np.testing.assert_allclose(chunked.geometry.vector(), whole.geometry.vector(), rtol=0.0, atol=1e-9)
 
 
 def test_it_converges_from_centimetres_within_a_few_stops(readings):

@@ -258,9 +258,26 @@ def test_looking_changes_no_byte(work: Path, call: Any) -> None:
         assert ended.code == 0, ended.err
         assert says in ended.out, part
         assert call("show", "done", part, "--json", "-").json["schema"] == schema
+    found = call("runs", ".", "--json", "-").json
+    assert {Path(run["run"]).name for run in found["runs"]} == {"planned", "collected", "calibrated", "done"}
+    assert call("compare", "done", "calibrated", "--json", "-").json["arms"].keys() == {"left", "right"}
     assert bytes_below(work / "done") == before
     lines = call("show", "done", "log", "--level", "info", "--last", "1", "--json", "-").json["lines"]
     assert [line["level"] for line in lines] == ["info"]
+
+
+@pytest.mark.fast
+def test_runs_are_listed_and_compared(work: Path, call: Any) -> None:
+    listed = call("runs", ".")
+    assert listed.code == 0, listed.err
+    for text in ("Runs below .", "simulated", "next in the newest run: cellapp "):
+        assert text in " ".join(listed.out.split())
+    compared = call("compare", "calibrated", "done")
+    assert compared.code == 0, compared.err
+    for text in ("the profiles are the same", "calibrated was not searched for missing effects", "a: calibrated"):
+        assert text in compared.out
+    empty = call("runs")
+    assert (empty.code, empty.out) == (0, "no runs below logs; 'cellapp run PROFILE' makes one\n")
 
 
 def test_what_is_out_of_date_is_shown_and_not_pushed(work: Path, call: Any) -> None:
@@ -285,6 +302,7 @@ def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call:
     schemas = json.loads(schemas)
     results = [json.loads(path.read_text("utf-8")) for path in made.glob("*-*.json")]
     results += [call("show", "done", part, "--json", "-").json for part in SHOWN if part != "profile"]
+    results += [call("runs", ".", "--json", "-").json, call("compare", "collected", "done", "--json", "-").json]
     results += [call("report", "done", "--json", "-").json, call("doctor", "twin.yaml", "--json", "-").json]
     assert len({result["schema"] for result in results}) >= 10
     for result in results:
@@ -491,6 +509,11 @@ BAD = [
     (damaged_model, "show done", ["the stored model of 'calibrate' is damaged; run 'cellapp calibrate' again"]),
     (None, "show planned overview --last 3", ["--level and --last belong to 'log'"]),
     (None, "show nothing", ["nothing: run folder not found"]),
+    (None, "runs nowhere", ["nowhere: folder not found; give a folder that holds runs"]),
+    (None, "runs twin.yaml", ["twin.yaml is not a folder"]),
+    (None, "compare done done", ["done and done are the same run"]),
+    (None, "compare done nothing", ["nothing: run folder not found"]),
+    (newer, "compare done collected", ["written by a newer cellapp (schema 99"]),
     (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-plan, "]),
     (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
     (None, "push done twin.yaml", ["twin.yaml: "]),
@@ -651,6 +674,8 @@ LIGHT = (
     "collect planned",
     "doctor twin.yaml",
     "docs backlash",
+    "runs .",
+    "compare done calibrated",
     *(f"show done {part}" for part in ("overview", "calibration", "discovery", "verification", "plan")),
 )
 """Commands that need no network and draw nothing."""
@@ -686,7 +711,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     assert ended.code == 0
     for command in ("run", "doctor", "plan", "collect", "replay", "import", "export", "calibrate", "discover",
                     "compensate", "push", "report", "show", "schema", "docs", "trials", "emulate", "tracker-bridge",
-                    "pause", "resume", "stop", "abort"):  # fmt: skip
+                    "pause", "resume", "stop", "abort", "runs", "compare"):  # fmt: skip
         assert f" {command} " in ended.out
 
 

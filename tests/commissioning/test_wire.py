@@ -102,10 +102,7 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
     )
     with emulated(served) as port:
         arms = {
-            name: arm.model_copy(
-                # a watchdog that forgives a busy computer
-                update={"driver": UrSettings(host=HOSTS[name], settle_time=SETTLE_S, watchdog_hz=2.0)}
-            )
+            name: arm.model_copy(update={"driver": UrSettings(host=HOSTS[name], settle_time=SETTLE_S, watchdog_hz=2.0)})
             for name, arm in twin.arms.items()
         }
         bridge = BridgeSettings(url=f"socket://127.0.0.1:{port}")

@@ -228,7 +228,7 @@ def test_a_histogram_counts_every_error_once() -> None:
     assert [one.style for one in chart.series] == [0, 3]
     assert [(limit.axis, limit.value) for limit in chart.limits] == [("x", 0.02)]
     medians = [mm(float(np.nanmedian(values))) for values in errors.values()]
-    assert f"{medians[0]} nominal and {medians[1]} geometry and effects" in chart.message
+    assert f"Median error: {medians[0]} (nominal), {medians[1]} (geometry and effects)." in chart.message
 
 
 def test_histograms_without_errors_say_so() -> None:
@@ -245,7 +245,7 @@ def test_a_histogram_of_the_pair() -> None:
     pair = {"proposed": PairMethodResult(cooperative_mm=ERRORS, held_out=held_out)}
     chart = pair_histogram_chart(calibration("left", "right").model_copy(update={"pair": pair}))
     assert chart.series[0].y.sum() == 3.0
-    assert "Median error: 0.200 mm geometry and a network in the base frame." in chart.message
+    assert "Median error: 0.200 mm (geometry and a network in the base frame)." in chart.message
 
 
 def test_the_worst_part_of_a_joint_is_named() -> None:

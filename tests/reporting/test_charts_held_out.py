@@ -22,7 +22,7 @@ def held_out(data: ReportData) -> HeldOutArm:
 
 def test_errors_over_a_joint_of_each_stage(held_out: HeldOutArm) -> None:
     chart = residual_joint_chart("only", held_out, 3)
-    assert [one.name for one in chart.series] == ["nominal", "identified geometry"]
+    assert [one.name for one in chart.series] == ["nominal", "geometry"]
     assert chart.series[0].x == pytest.approx(np.degrees(held_out.readings.q[:, 2]))
     assert chart.series[1].y == pytest.approx(held_out.errors_mm["geometry"])
     assert chart.message.startswith("Identified geometry: mean error ")

@@ -23,6 +23,7 @@ from cellapp.tui.plots.drawing import MARKS, draw
 from cellapp.tui.plots.raster import braille, no_dots, occupied_cells, set_bars, set_line, set_points, thinned
 from cellapp.tui.plots.scale import equal_scales, scale_of, tick_texts
 from cellapp.tui.plots.widget import ON_DARK, ON_LIGHT
+from cellapp.tui.themes import HIGH_CONTRAST
 from tests.reporting.cases import picture, unknown_effect
 
 pytestmark = pytest.mark.fast
@@ -30,7 +31,7 @@ pytestmark = pytest.mark.fast
 SIZES = [(80, 24), (120, 40), (200, 60)]
 NARROW = (38, 18)
 """One of four plots on a terminal of 80 x 24, with its words."""
-THEMES = ["textual-dark", "textual-light", "ansi-dark", "ansi-light", "gruvbox", "solarized-light"]
+THEMES = ["textual-dark", "textual-light", "ansi-dark", "ansi-light", HIGH_CONTRAST.name, "gruvbox", "solarized-light"]
 REPORTS = [
     StopReport(stop, arm, 0.02 + 0.01 * (arm == "right") + 0.001 * (stop % 7), 0.1, {})
     for stop in range(40)
@@ -50,6 +51,7 @@ class PlotApp(App[None]):
 
     def __init__(self, chart: Chart | None) -> None:
         super().__init__()
+        self.register_theme(HIGH_CONTRAST)
         self.plot = ChartPlot(chart)
 
     def compose(self) -> ComposeResult:
@@ -189,6 +191,14 @@ def test_a_narrow_plot_still_has_axes_with_numbers_and_its_message(chart: Chart)
         assert bottom.count("┬") >= 2
 
 
+@pytest.mark.parametrize("chart", [chart for chart in CHARTS if not chart.categories], ids=lambda chart: chart.title)
+def test_a_quarter_of_a_small_terminal_still_shows_data_and_the_first_sentence(chart: Chart) -> None:
+    lines = texts(chart, 38, 10)
+    assert len(lines) <= 10
+    assert has_data(lines)
+    assert chart.message.partition(". ")[0] in one_line(lines)
+
+
 def test_series_differ_without_colour() -> None:
     x = np.linspace(0.0, 1.0, 200)
     several = [series(f"s{style}", x, x + style, style=style) for style in range(len(MARKS))]
@@ -208,7 +218,7 @@ def test_limits_are_drawn_and_named() -> None:
 
 
 def test_a_band_is_shaded_around_its_line() -> None:
-    banded = series("curve", [0.0, 1.0, 2.0], [1.0, 1.0, 1.0], band=[0.0, 1.0, 1.0])
+    banded = series("curve", [2.0, 0.0, 1.0], [1.0, 1.0, 1.0], band=[1.0, 0.0, 1.0])
     lines = texts(simple(banded), 60, 20)
     shaded = [line for line in lines if line.count("░") > 3]
     assert len(shaded) > 5
@@ -224,21 +234,22 @@ def test_circles_of_a_map_are_round() -> None:
 
 
 def test_bars_have_names_and_values() -> None:
-    chart = bar_chart("Probability", {"backlash": 97.0, "a very long name of an effect": 0.4}, Axis("p", "%"), "Words.")
+    bars = {"backlash": (97.0, "97 %"), "a very long name of an effect": (0.4, "< 1 %")}
+    chart = bar_chart("Probability", bars, Axis("p", "%"), "Words.")
     assert texts(chart, 40, 10) == [
         "Probability",
         "                   backlash ██████  97 %",
         "a very long name of an eff…        < 1 %",
         "Words.",
     ]
-    many = bar_chart("Many", {f"effect {k}": float(k) for k in range(20)}, Axis("p", "%"), "Words.")
+    many = bar_chart("Many", {f"effect {k}": (float(k), str(k)) for k in range(20)}, Axis("p", "%"), "Words.")
     lines = texts(many, 40, 8)
     assert len(lines) == 8
     assert lines[-2] == "and 15 more"
 
 
 def test_where_there_is_no_room_the_message_stays() -> None:
-    assert texts(CHARTS[0], 38, 5)[-1] == texts(CHARTS[0], 38, 18)[-1]
+    assert texts(CHARTS[0], 38, 5)[1:] == texts(CHARTS[0], 38, 18)[-4:]
     assert one_line(texts(simple(series("left", [0.0], [1.0])), 20, 2)) == "Title The message."
     assert texts(simple(series("left", [0.0], [1.0])), 20, 1) == ["The message."]
     assert texts(CHARTS[0], 0, 0) == []

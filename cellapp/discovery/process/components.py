@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,8 +111,12 @@ class Component:
             return self.weights
         if self.frequencies is not None:
             return field_variances(length, self.frequencies)
-        cycles = np.array([0 if column.cycles is None else column.cycles for column in self.columns])
-        return np.asarray(circle_variances(length, int(cycles.max()))[cycles - 1])
+        return np.asarray(circle_variances(length, int(self._cycles.max()))[self._cycles - 1])
+
+    @cached_property
+    def _cycles(self) -> NDArray[np.intp]:
+        """Cycles a turn of each column (m,), zero for those that are no wave."""
+        return np.array([column.cycles or 0 for column in self.columns], dtype=np.intp)
 
     def law(self, amplitudes: Array, length: float) -> Law:
         """The law with its hyperparameters."""
@@ -133,8 +138,7 @@ class Component:
         """The component with the slower half of its waves, where it has a length scale."""
         if self.lengths is None:
             return self
-        cycles = [0 if column.cycles is None else column.cycles for column in self.columns]
-        fast = np.array(cycles, dtype=np.float64) if self.frequencies is None else self.frequencies
+        fast = self._cycles if self.frequencies is None else self.frequencies
         return self._take(np.flatnonzero(fast <= 0.5 * fast.max()))
 
     def _take(self, places: NDArray[np.intp]) -> Component:

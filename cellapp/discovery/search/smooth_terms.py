@@ -20,7 +20,7 @@ def with_smooth_terms(problem: SearchProblem, state: SearchState) -> SearchState
     if found is None:
         return None
     terms = (*state.fit.terms, *process_terms(*found))
-    data, fit = refit(problem.data.at(state.fit.model), terms)
+    data, fit = refit(state.data.at(state.fit.model), terms)
     steps = list(state.steps)
     for number in range(len(state.fit.terms), len(terms)):
         term = fit.terms[number]

@@ -81,7 +81,7 @@ class SearchProblem:
 
     def state(self, terms: ModelTerms, near: SearchState) -> SearchState:
         """The fitted state of some terms, from the values of a state nearby and with its history."""
-        return SearchState(*refit(self.data.at(near.fit.model), terms), near.steps, near.dropped)
+        return SearchState(*refit(near.data.at(near.fit.model), terms), near.steps, near.dropped)
 
     def step(self, slug: str, what: str, score: float, terms: ModelTerms) -> SearchStep:
         """A step with its p-value."""

@@ -36,7 +36,7 @@ _MOST_EFFECTS = 5
 the other laws."""
 _MOST_STEPS = 16
 """Additions and refinements at most: three for each of the effects, and one more."""
-_LEAST_FREEDOM = 30.0
+LEAST_FREEDOM = 30.0
 """Measured coordinates beyond the determined parameters below which no effect is looked for: what geometry leaves of so
 few follows any law."""
 _NULL_SEED = 0xD15C
@@ -57,7 +57,7 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     weighed = reweighted(data, ())
     fit = fit_terms(weighed, ())
     start = SearchState(weighed.at(fit.model), fit)
-    if len(fit.residual) - fit.projector.effective_parameters < _LEAST_FREEDOM:
+    if len(fit.residual) - fit.projector.effective_parameters < LEAST_FREEDOM:
         slugs = ()
     scan = LawScan.of(fit.candidates(start.data, slugs), fit.projector)
     seed = (data.profile.seed, _NULL_SEED)

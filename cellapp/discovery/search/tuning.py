@@ -23,10 +23,10 @@ _LEAST_IMPROVEMENT = 1e-9
 
 def apply_step(problem: SearchProblem, state: SearchState, step: SearchStep) -> SearchState:
     """The state after a step: refitted with weights of its own, constants tuned, the step added to the history."""
-    data, fit = refit(problem.data.at(state.fit.model), step.terms)
+    data, fit = refit(state.data.at(state.fit.model), step.terms)
     tuned = _tuned_terms(data, fit)
     if tuned is not step.terms:
-        data, fit = refit(problem.data.at(fit.model), tuned)
+        data, fit = refit(data.at(fit.model), tuned)
     done = replace(step, terms=fit.terms, model=fit.model)
     return SearchState(data, fit, (*state.steps, done), state.dropped)
 

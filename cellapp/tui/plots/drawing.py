@@ -10,8 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.kinematics.transforms import Array
-from cellapp.reporting.charts import Chart, Series
+from cellapp.reporting.charts import Array, Chart, Series
 from cellapp.tui.plots.raster import (
     DOT_COLUMNS,
     DOT_ROWS,
@@ -31,7 +30,7 @@ MARKS = "●▲■◆+×"
 """One mark for each style; further styles repeat them."""
 LIMIT = {"y": "╌", "x": "╎"}
 _BAND = "░"
-_LEAST_ROWS, _LEAST_COLUMNS = 4, 16
+_LEAST_ROWS, _LEAST_COLUMNS = 3, 16
 """Cells of data below which a plot says less than its message."""
 _TICK_ROWS = 2
 """Rows for one tick of the y axis."""
@@ -87,23 +86,32 @@ class Cells:
 def draw(chart: Chart, width: int, height: int) -> list[Line]:
     """Title, plot, key and message in at most ``height`` lines of ``width`` cells.
 
-    Where the room is too small for all, the plot goes first and the message stays.
+    Where the room is too small, the words of the axes go first, then sentences after the first and the key, last the
+    plot: its message says as much.
     """
     if width < 1:
         return []
     title, message = _wrapped(chart.title, width, HEADING), _wrapped(chart.message, width)
-    if chart.is_empty:
-        return (title + message)[:height]
-    if chart.categories:
-        rows = height - len(title) - len(message)
-        bars = _category_lines(chart, width, rows) if rows > 0 and width >= _LEAST_COLUMNS else []
-        return (title + bars + message)[:height]
+    room = height - len(title)
+    if chart.categories and room > len(message) and width >= _LEAST_COLUMNS:
+        return [*title, *_category_lines(chart, width, room - len(message)), *message]
+    if not chart.is_empty and not chart.categories:
+        for above, below in _words(chart, width, message):
+            plot = _plot(chart, width, room - len(above) - len(below))
+            if plot is not None:
+                return [*title, *above, *plot.lines(), *below]
+    return title + message if len(message) <= room else message[:height]
+
+
+def _words(chart: Chart, width: int, message: list[Line]) -> Iterator[tuple[list[Line], list[Line]]]:
+    """Lines above and below a plot: first all of them, then fewer and fewer."""
     axes, key = _wrapped(f"↑ {chart.y.words}   → {chart.x.words}", width), _key_lines(chart, width)
-    rows = height - len(title) - len(axes) - len(key) - len(message)
-    plot = _plot(chart, width, rows)
-    if plot is None:
-        return (title + message)[:height] if len(title) + len(message) <= height else message[:height]
-    return [*title, *axes, *plot.lines(), *key, *message]
+    sentence = _wrapped(chart.message.partition(". ")[0], width)
+    yield axes, key + message
+    yield [], key + message
+    yield [], key + sentence
+    yield [], message
+    yield [], sentence
 
 
 def _wrapped(text: str, width: int, ink: int = TEXT) -> list[Line]:
@@ -199,8 +207,9 @@ def _draw_band(one: Series, cells: Cells, x: Scale, y: Scale) -> None:
         return
     at = x.place(one.x) / DOT_COLUMNS
     low, high = ((y.dots - 1 - y.place(edge)) / DOT_ROWS for edge in _edges(one))
-    seen = np.isfinite(at) & np.isfinite(low) & np.isfinite(high)
-    if not seen.any():
+    seen = np.argsort(at)
+    seen = seen[np.isfinite(at + low + high)[seen]]
+    if len(seen) == 0:
         return
     rows, columns = _places(*cells.characters.shape)
     middle = columns + 0.5
@@ -272,26 +281,18 @@ def _key_lines(chart: Chart, width: int) -> list[Line]:
 def _category_lines(chart: Chart, width: int, rows: int) -> list[Line]:
     """One bar a line: name, bar, value."""
     values = np.nan_to_num(chart.series[0].y)
-    texts = [_value_text(value, chart.y.unit) for value in values.tolist()]
-    number = max(map(len, texts))
+    number = max(map(len, chart.bar_texts))
     names = [_cut(name, width - number - 2 - _LEAST_BAR) for name in chart.categories]
     label = max(map(len, names))
     room = max(width - label - number - 2, 1)
     lines: list[Line] = []
-    for name, value, text in zip(names, values, texts, strict=True):
+    for name, value, text in zip(names, values, chart.bar_texts, strict=True):
         eighths = round(8 * room * max(float(value), 0.0) / (float(values.max()) or 1.0))
         bar = "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
         lines.append([(f"{name:>{label}} ", TEXT), (f"{bar:<{room}}", 0), (f" {text:>{number}}", TEXT)])
     if len(lines) > rows:
         lines = [*lines[: rows - 1], [(f"and {len(lines) - rows + 1} more", SOFT)]]
     return lines
-
-
-def _value_text(value: float, unit: str) -> str:
-    """The value of a bar with three digits; whole percents."""
-    if unit == "%":
-        return "< 1 %" if 0.0 < value < 1.0 else f"{value:.0f} %"
-    return f"{value:.3g} {unit}".rstrip()
 
 
 def _cut(text: str, width: int) -> str:

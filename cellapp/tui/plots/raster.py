@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.kinematics.transforms import Array
+from cellapp.reporting.charts import Array
 
 DOT_ROWS, DOT_COLUMNS = 4, 2
 Dots = NDArray[np.bool_]

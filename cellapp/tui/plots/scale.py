@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.kinematics.transforms import Array
-from cellapp.reporting.charts import Axis
+from cellapp.reporting.charts import Array, Axis
 
 _ROOM = 0.05
 """Room at either end of an axis, as a share of its range."""
@@ -114,9 +113,12 @@ def tick_texts(ticks: list[float], *, logarithmic: bool) -> list[str]:
 def _decades(low: float, high: float, most: int) -> list[float]:
     """Round values of a logarithmic axis: 1, 2, 5 of each decade where there is room, else whole decades."""
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    options = []
     for factors in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
         ticks = [float(f"{factor}e{power}") for power in powers for factor in factors]
-        ticks = [tick for tick in ticks if low <= tick <= high]
-        if len(ticks) <= most:
+        options.append([tick for tick in ticks if low <= tick <= high])
+    for ticks in options:
+        if 2 <= len(ticks) <= most:
             return ticks
-    return ticks[:: math.ceil(len(ticks) / most)]
+    crowded = [ticks for ticks in options if len(ticks) > most]
+    return crowded[-1][:: math.ceil(len(crowded[-1]) / most)] if crowded else options[0]

@@ -1,20 +1,346 @@
-"""The screen Runs."""
+"""The screen Runs: every run in the folder of runs; open, compare, report, resume, replay.
+
+Runs are read and compared in threads; packages for that are loaded there, too.
+"""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
+from rich.text import Text
+from textual import on, work
 from textual.app import ComposeResult
-from textual.widgets import Static
+from textual.binding import Binding, BindingType
+from textual.containers import VerticalScroll
+from textual.message import Message
+from textual.widgets import DataTable, Input, Static
+from textual.worker import get_current_worker
 
+from cellapp.errors import CellappError
+from cellapp.reporting.run_columns import contains, run_cells, run_columns
+from cellapp.reporting.runs import run_lines, runs_sentences
+from cellapp.results import ReportResult, Result, RunsResult
+from cellapp.tui import work as jobs_of_verbs
+from cellapp.tui.browser import open_page
+from cellapp.tui.offers import offer_replay, offer_to_resume
 from cellapp.tui.screens.base import DayScreen
-from cellapp.tui.workspace import Step
+from cellapp.tui.workspace import Step, Workspace
+
+if TYPE_CHECKING:
+    from cellapp.results import RunComparison, RunSummary
+
+REPORT = "report.html"
+"""As ``cellapp.run`` names it."""
+_MARK = "●"
+_MOST_MARKED = 2
+_BEGAN = 1
+"""Column by which the list is sorted at first."""
+HELP = """\
+# Runs
+
+Every run in the folder of runs, newest first. Nothing here changes a run.
+
+- **Enter** opens the run under the cursor; **n** then goes to the step that comes next.
+- **Space** marks a run, **c** compares two marked ones: profile, parameters, errors, effects, verification.
+- **o** opens the report in a browser; it is written first where there is none.
+- **e** goes on with a run that was interrupted while collecting. It asks, and nothing moves yet.
+- **y** plays the run back through the screen Collect. Nothing moves.
+- **/** filters while you type, **s** sorts by the next column, **u** reads the folder again.
+
+Whether a result still holds is judged by the number of readings here; opening the run compares the readings themselves.
+"""
+
+
+class RunsListed(Message):
+    """The folder was read, or the sentence why not."""
+
+    def __init__(self, found: RunsResult | str) -> None:
+        super().__init__()
+        self.found = found
+
+
+class RunsCompared(Message):
+    """Two runs were compared, or the sentence why not."""
+
+    def __init__(self, found: RunComparison | str) -> None:
+        super().__init__()
+        self.found = found
 
 
 class RunsScreen(DayScreen):
-    """Placeholder."""
+    """The history of the folder of runs."""
 
     STEP: ClassVar[Step] = "runs"
+    HELP = HELP
+    AUTO_FOCUS = "#runs"
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("space", "mark", "Mark", tooltip="mark a run to compare it"),
+        Binding("c", "compare", "Compare", tooltip="compare the two marked runs"),
+        Binding("o", "report", "Report", tooltip="open the report in a browser"),
+        Binding("e", "resume_run", "Resume run", tooltip="go on with a run that was interrupted"),
+        Binding("y", "replay", "Replay", tooltip="play the run back; nothing moves"),
+        Binding("slash", "filter", "Filter", key_display="/"),
+        Binding("escape", "clear_filter", show=False),
+        Binding("s", "sort", "Sort", tooltip="sort by the next column"),
+        Binding("u", "read", "Read again", show=False),
+    ]
+    DEFAULT_CSS = """
+    RunsScreen #runs { height: 1fr; }
+    RunsScreen #about-run { height: auto; max-height: 8; }
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._found = RunsResult(folder="", runs=())
+        self._columns = run_columns("")
+        self._shown: dict[str, RunSummary] = {}
+        self._marked: list[str] = []
+        self._sorted, self._reverse = _BEGAN, True
+        self._workspace: Workspace | None = None
 
     def body(self) -> ComposeResult:
-        yield Static("Runs", markup=False)
+        yield Input(placeholder="/ to filter: name, cell, effect, ...", id="filter", compact=True)
+        yield DataTable(id="runs", cursor_type="row", zebra_stripes=True)
+        with VerticalScroll(id="about-run", can_focus=False):
+            yield Static("reading the folder of runs ...", id="about", markup=False)
+
+    def on_mount(self) -> None:
+        """Draw the headings."""
+        table = self._table
+        table.add_column(" ", key="mark")
+        for place, column in enumerate(self._columns):
+            table.add_column(Text(column.title), key=str(place))
+
+    @property
+    def _table(self) -> DataTable[Text]:
+        return self.query_one("#runs", DataTable)
+
+    @property
+    def _run(self) -> RunSummary | None:
+        """The run under the cursor."""
+        table = self._table
+        if not table.row_count:
+            return None
+        return self._shown.get(str(table.ordered_rows[table.cursor_row].key.value))
+
+    # -- reading -------------------------------------------------------------------------------------------------------
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Read the folder again where a run may have changed."""
+        if workspace is not self._workspace:
+            self._workspace = workspace
+            self._list_runs(self.cell_app.logs)
+
+    def action_read(self) -> None:
+        """Read the folder again."""
+        self._list_runs(self.cell_app.logs)
+
+    @work(thread=True, exclusive=True, group="list of runs")
+    def _list_runs(self, folder: Path) -> None:
+        from cellapp.run.history import list_runs
+
+        found: RunsResult | str
+        try:
+            found = list_runs(folder) if folder.is_dir() else RunsResult(folder=str(folder), runs=())
+        except CellappError as error:
+            found = str(error)
+        if not get_current_worker().is_cancelled:  # else a later reading is under way
+            self.post_message(RunsListed(found))
+
+    @on(RunsListed)
+    def show_list(self, event: RunsListed) -> None:
+        """Draw the list; what was marked stays marked."""
+        if isinstance(event.found, str):
+            self.say(event.found, "error")
+            return
+        self._found, self._columns = event.found, run_columns(event.found.folder)
+        self._marked = [name for name in self._marked if any(run.run == name for run in self._found.runs)]
+        self._draw()
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        """Draw the rows that pass the filter, in order; the cursor stays on its run."""
+        table, present, wanted = self._table, self._run, self.query_one("#filter", Input).value
+        chosen = [run for run in self._found.runs if contains(run, self._columns, wanted)]
+        chosen.sort(key=self._columns[self._sorted].order, reverse=self._reverse)
+        self._shown = {run.run: run for run in chosen}
+        table.clear()
+        for run in chosen:
+            style = "dim" if run.problem else ""
+            mark = Text(_MARK if run.run in self._marked else " ")
+            table.add_row(mark, *(Text(cell, style) for cell in run_cells(run, self._columns)), key=run.run)
+        if present is not None and present.run in self._shown:
+            table.move_cursor(row=table.get_row_index(present.run))
+        self._draw_about()
+
+    def _draw_about(self) -> None:
+        run = self._run
+        if run is not None:
+            lines = run_lines(run)
+        elif self._found.runs:
+            lines = [f"none of {len(self._found.runs)} runs passes the filter; Escape empties it"]
+        else:
+            lines = runs_sentences(self._found)
+        self.query_one("#about", Static).update("\n".join(lines))
+
+    @on(DataTable.RowHighlighted)
+    def show_run(self) -> None:
+        """Say more about the run under the cursor."""
+        self._draw_about()
+
+    # -- sort and filter -----------------------------------------------------------------------------------------------
+
+    def action_filter(self) -> None:
+        """Type a filter."""
+        self.query_one("#filter").focus()
+
+    @on(Input.Changed, "#filter")
+    def filter_rows(self) -> None:
+        """Filter while a person types."""
+        self._draw()
+
+    @on(Input.Submitted, "#filter")
+    def leave_filter(self) -> None:
+        """Go back to the list."""
+        self._table.focus()
+
+    def action_clear_filter(self) -> None:
+        """Show all runs again; Escape does so while no job runs."""
+        self.query_one("#filter", Input).clear()
+        self._table.focus()
+
+    def action_sort(self) -> None:
+        """Sort by the next column."""
+        self._sort((self._sorted + 1) % len(self._columns), again=False)
+
+    @on(DataTable.HeaderSelected)
+    def sort_by(self, event: DataTable.HeaderSelected) -> None:
+        """Sort by the column whose heading was clicked; a second click turns the order round."""
+        if event.column_key.value != "mark":
+            self._sort(int(event.column_key.value or 0), again=True)
+
+    def _sort(self, place: int, *, again: bool) -> None:
+        turned = again and place == self._sorted
+        self._reverse = not self._reverse if turned else self._columns[place].newest_first
+        self._sorted = place
+        self._draw()
+        self.say(f"Sorted by {self._columns[place].title}{', largest first' if self._reverse else ''}.")
+
+    # -- what can be done with a run -----------------------------------------------------------------------------------
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Compare two marked runs only, and not while a job waits to be resumed, which has the same key."""
+        if action == "compare":
+            return not self.cell_app.jobs.possible("resume") and len(self._marked) == _MOST_MARKED
+        return True
+
+    @on(DataTable.RowSelected)
+    def open_run(self) -> None:
+        """Open the run under the cursor."""
+
+        def open_it(run: RunSummary) -> None:
+            self.cell_app.open_run(Path(run.run), self.workspace.profile_path)
+            self.say(f"{run.run} is open; n: the step that comes next.")
+
+        self._with_run(open_it)
+
+    def action_mark(self) -> None:
+        """Mark the run under the cursor, or take its mark away; of three marks the oldest goes."""
+
+        def mark(run: RunSummary) -> None:
+            if run.run in self._marked:
+                self._marked.remove(run.run)
+            else:
+                self._marked = [*self._marked, run.run][-_MOST_MARKED:]
+            self._draw()
+            self.refresh_bindings()
+            if len(self._marked) == _MOST_MARKED:
+                self.say("Two runs are marked; c compares them.")
+
+        self._with_run(mark)
+
+    def action_compare(self) -> None:
+        """Compare the two marked runs."""
+        first, second = self._marked
+        self.say(f"Comparing {first} with {second} ...")
+        self._compare(Path(first), Path(second))
+
+    @work(thread=True, exclusive=True, group="comparison of runs")
+    def _compare(self, first: Path, second: Path) -> None:
+        from cellapp.run import RunFile
+        from cellapp.run.history_compare import compare_runs
+
+        try:
+            with RunFile.open(first) as a, RunFile.open(second) as b:
+                self.post_message(RunsCompared(compare_runs(a, b)))
+        except CellappError as error:
+            self.post_message(RunsCompared(str(error)))
+
+    @on(RunsCompared)
+    def show_comparison(self, event: RunsCompared) -> None:
+        """Show where the runs differ, unless another screen or dialog is shown meanwhile."""
+        if isinstance(event.found, str):
+            self.say(event.found, "error")
+        elif self.app.screen is self:
+            from cellapp.tui.dialogs.comparison import Comparison
+
+            self.app.push_screen(Comparison(event.found))
+
+    def action_report(self) -> None:
+        """Open the report; write it first where there is none."""
+
+        def report(run: RunSummary) -> None:
+            page = Path(run.run) / REPORT
+            if page.is_file():
+                self._open_page(page)
+            elif any(stage.name == "calibrate" for stage in run.stages):
+                self.start(jobs_of_verbs.report(Path(run.run)))
+            else:
+                self.say(f"{run.run} is not calibrated; there is nothing to report yet.", "warning")
+
+        self._with_run(report)
+
+    def show_result(self, result: Result) -> None:
+        """Open the page that was just written."""
+        if isinstance(result, ReportResult):
+            self._open_page(Path(result.page))
+
+    @work(thread=True, group="report in a browser")
+    def _open_page(self, page: Path) -> None:
+        self.app.call_from_thread(self.say, open_page(page))
+
+    def action_resume_run(self) -> None:
+        """Offer to go on with the run under the cursor."""
+
+        def resume(run: RunSummary) -> None:
+            if run.resumable:
+                offer_to_resume(self.cell_app, run)
+            else:
+                why = f"is in use by {run.in_use}" if run.in_use else "was not interrupted while collecting"
+                self.say(f"{run.run} {why}; there is nothing to resume.", "warning")
+
+        self._with_run(resume)
+
+    def action_replay(self) -> None:
+        """Offer to play back the run under the cursor."""
+
+        def replay(run: RunSummary) -> None:
+            if run.stops_measured:
+                offer_replay(self.cell_app, Path(run.run))
+            else:
+                self.say(f"{run.run} has no readings to play back.", "warning")
+
+        self._with_run(replay)
+
+    def _with_run(self, act: Callable[[RunSummary], None]) -> None:
+        """Do something with the run under the cursor if it can be read."""
+        run = self._run
+        if run is None:
+            self.say("No run is under the cursor.", "warning")
+        elif run.problem:
+            self.say(run.problem, "error")
+        else:
+            act(run)

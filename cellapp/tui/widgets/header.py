@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from textual.app import ComposeResult
 from textual.containers import Horizontal
@@ -14,10 +15,13 @@ from cellapp.progress import eta_words
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.widgets.stop import StopButton
-from cellapp.tui.workspace import CellKind, Step, StepState, Workspace
+from cellapp.tui.workspace import Step, StepState, Workspace
+
+if TYPE_CHECKING:
+    from cellapp.results import CellKind
 
 _BADGES: Mapping[CellKind, str] = {
-    "no cell": " NO ARMS ",
+    "none": " NO ARMS ",
     "simulated": " SIMULATED ",
     "emulated": " EMULATED ",
     "real": " REAL ARMS ",
@@ -29,7 +33,7 @@ class DayHeader(Horizontal):
     """Badge, profile, run, job, STOP."""
 
     def compose(self) -> ComposeResult:
-        yield Static(_BADGES["no cell"], classes="badge", markup=False)
+        yield Static(_BADGES["none"], classes="badge", markup=False)
         yield Static("", classes="where", markup=False)
         yield Static("", classes="job", markup=False)
         yield StopButton()
@@ -38,7 +42,7 @@ class DayHeader(Horizontal):
         """Draw what is open and what runs."""
         badge = self.query_one(".badge", Static)
         badge.update(_BADGES[workspace.kind])
-        badge.set_classes(f"badge {workspace.kind.replace(' ', '-')}")
+        badge.set_classes(f"badge {workspace.kind}")
         profile = "no profile" if workspace.profile is None else workspace.profile.name
         self.query_one(".where", Static).update(
             f"{profile} · {'no run' if workspace.folder is None else workspace.folder}"

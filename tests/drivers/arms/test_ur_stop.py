@@ -205,12 +205,12 @@ def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float)
 
     stopper = threading.Timer(after_s, brake)
     stopper.start()
-    with pytest.raises((MotionStopped, LinkLost, HostStalled)) as ended:
+    with pytest.raises(ArmError) as ended:
         move()
     stopper.join()
     assert_stays_at_rest(emulator, arm.name, for_s=0.3)
     assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - goal).max() > 0.3, "it went all the way"
-    with pytest.raises((MotionStopped, LinkLost, HostStalled)):
+    with pytest.raises(ArmError):
         arm.start_move(goal, SPEED, ACCELERATION)
     arm.connect()
     assert at_rest(emulator, arm.name), "connecting moved the arm"

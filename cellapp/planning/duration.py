@@ -1,0 +1,100 @@
+"""Estimated time of collecting a plan: motions, rests, measurements, references, warm-up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.kinematics.transforms import Array
+from cellapp.planning.stop_conditions import StopConditions
+from cellapp.profile import Arm, Profile
+from cellapp.results import PlannedTime
+from cellapp.safety.cell_bodies import home_positions
+
+_SETTLE_S = 0.2
+"""Rest after a motion before an arm counts as settled: the default of UR controllers and of simulated arms."""
+_POINTING_S = 1.0
+"""Time for the tracker to turn to the next SMR and to lock it; its head turns a quarter in half a second."""
+
+Conditions = Mapping[int, Mapping[str, StopConditions]]
+"""Stop -> arm -> approach and dwell of stops that discovery proposed."""
+
+
+@dataclass(frozen=True, eq=False)
+class StopTimes:
+    """Expected times of n stops.
+
+    Attributes
+    ----------
+    moving_s, resting_s : arrays, shape (n,)
+        Of the motion to each stop, and of the rest before its measurement [s].
+    measuring_s : float
+        Of all arms at one stop [s].
+    """
+
+    moving_s: Array
+    resting_s: Array
+    measuring_s: float
+
+    @property
+    def measured_s(self) -> Array:
+        """When each stop is measured, in seconds since the first motion, shape (n,)."""
+        return np.cumsum(self.moving_s + self.resting_s + self.measuring_s) - 0.5 * self.measuring_s
+
+
+def motion_s(arm: Arm, way: Array) -> Array:
+    """Time of joint motions ``way`` (n, N) [rad] from rest to rest, shape (n,) [s].
+
+    All joints start and end together, with a trapezoidal speed profile inside the arm's speeds and accelerations.
+    """
+    speed = np.array([joint.speed for joint in arm.type.joints]) * arm.speed_scale
+    acceleration = np.array([joint.acceleration for joint in arm.type.joints]) * arm.speed_scale
+    at_speed = np.abs(way / speed).max(axis=1)
+    at_acceleration = np.abs(way / acceleration).max(axis=1)
+    # with ramps of a / v each: distance 1 = v * (T - a / v), or a triangle where full speed is never reached
+    triangle = at_speed**2 < at_acceleration
+    ramp = np.divide(at_acceleration, at_speed, out=np.zeros_like(at_speed), where=at_speed > 0.0)
+    return np.asarray(np.where(triangle, 2.0 * np.sqrt(at_acceleration), at_speed + ramp))
+
+
+def stop_times(profile: Profile, plan: Mapping[str, Array], conditions: Conditions) -> StopTimes:
+    """Expected times of the stops of a plan (arm -> q (n, N) [rad]) in their order, from home."""
+    homes = home_positions(profile)
+    steps = {name: np.diff(q, axis=0, prepend=homes[name][None]) for name, q in plan.items()}
+    moving_s = np.max([motion_s(profile.arms[name], way) for name, way in steps.items()], axis=0)
+    slow = profile.collection.slow_start
+    if profile.moves_hardware:
+        moving_s[: slow.stops] /= slow.speed
+    resting_s = np.full(len(moving_s), _SETTLE_S)
+    for stop, arms in conditions.items():
+        if stop < len(resting_s):
+            resting_s[stop] = max([_SETTLE_S, *(one.dwell_s for one in arms.values())])
+    return StopTimes(moving_s, resting_s, _measuring_s(profile) * len(plan))
+
+
+def planned_time(profile: Profile, plan: Mapping[str, Array], conditions: Conditions) -> PlannedTime:
+    """Expected time of collecting the stops of a plan (arm -> q (n, N) [rad]) and going home."""
+    times = stop_times(profile, plan, conditions)
+    homes = home_positions(profile)
+    home_s = max(float(motion_s(profile.arms[name], (q[-1] - homes[name])[None])[0]) for name, q in plan.items())
+    reference = profile.collection.reference
+    references_s = 0.0
+    if reference.every > 0:
+        count = 2 + (len(times.moving_s) - 1) // reference.every
+        points = len(plan) + len(reference.nests)
+        references_s = count * (2.0 * float(np.mean(times.moving_s)) + points * _measuring_s(profile))
+    parts = {
+        "moving_s": float(times.moving_s.sum()) + home_s,
+        "resting_s": float(times.resting_s.sum()),
+        "measuring_s": times.measuring_s * len(times.moving_s),
+        "references_s": references_s,
+        "warm_up_s": profile.collection.warm_up,
+    }
+    return PlannedTime(total_s=sum(parts.values()), **parts)
+
+
+def _measuring_s(profile: Profile) -> float:
+    """Time of pointing at one SMR and measuring it, at least twice where repeats are asked for."""
+    return _POINTING_S + (2 if profile.collection.repeat.precision is not None else 1) * profile.tracker.averaging

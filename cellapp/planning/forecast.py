@@ -1,0 +1,91 @@
+"""What can be expected of the plan of a run before it is measured: time, covered ranges, accuracy, effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cellapp.calibration.parameters import EXPECTED_SCATTER_M
+from cellapp.discovery.plan_forecast import ArmDesign, PlannedReadings, arm_designs, planned_accuracy, planned_effects
+from cellapp.errors import InputError
+from cellapp.kinematics.transforms import Array
+from cellapp.planning.check import required_plan
+from cellapp.planning.coverage import joint_coverage
+from cellapp.planning.duration import planned_time, stop_times
+from cellapp.planning.plan import joint_ranges
+from cellapp.planning.stop_conditions import read_stop_conditions
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import ArmForecast, PlanForecastResult, PlannedEffect
+from cellapp.run import RunFile
+from cellapp.safety.cell_bodies import cell_bodies
+
+
+def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlanForecastResult:
+    """Foresee what the plan of a run will give. It only reads.
+
+    Raises
+    ------
+    InputError
+        If the run has no plan, or the profile does not describe the cell.
+    Cancelled
+    """
+    cancel = cancel or CancelToken()
+    profile, plan, conditions = run.profile, required_plan(run), read_stop_conditions(run)
+    total = len(next(iter(plan.values())))
+    reserves = profile.plan.reserves(total)
+    visited = [stop for stop in range(total) if stop not in reserves]
+    if not visited:
+        raise InputError(f"{run.path}: the plan has reserve stops only")
+    first = {name: q[visited] for name, q in plan.items()}
+    asked = {place: conditions[stop] for place, stop in enumerate(visited) if stop in conditions}
+    times = stop_times(profile, first, asked)
+    designs = arm_designs(profile, first, PlannedReadings(times.measured_s, times.resting_s))
+    cell = cell_bodies(profile)
+    arms: dict[str, ArmForecast] = {}
+    notes: list[str] = []
+    for number, (name, design) in enumerate(designs.items()):
+        cancel.check()
+        listener(Progress("forecast", number, len(designs), f"arm {name}"))
+        try:
+            effects = _effects(design)
+        except InputError as error:
+            effects = ()
+            notes.append(str(error))
+        arms[name] = ArmForecast(
+            stops=len(visited),
+            reserves=len(reserves),
+            noise_rms_mm=_noise_rms_mm(design),
+            coverage=joint_coverage(joint_ranges(cell, profile, name), first[name]),
+            accuracy=tuple(planned_accuracy(design, scatter) for scatter in (0.0, EXPECTED_SCATTER_M)),
+            effects=effects,
+        )
+    listener(Progress("forecast", len(designs), len(designs), "done"))
+    return PlanForecastResult(
+        run=str(run.folder),
+        time=planned_time(profile, first, asked),
+        arms=arms,
+        notes=(*notes, *_notes(profile, first)),
+    )
+
+
+def _effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
+    with threadpool_limits(limits=1, user_api="blas"):  # the matrices are small
+        return planned_effects(design)
+
+
+def _noise_rms_mm(design: ArmDesign) -> float:
+    """Rms length of the tracker's noise at the stops [mm]."""
+    covariance = design.data.stated
+    assert covariance is not None
+    return 1e3 * float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
+
+
+def _notes(profile: Profile, plan: Mapping[str, Array]) -> list[str]:
+    return [
+        f"arm {name}: smr.offset is unknown; an offset of some centimetres beside the last axis was assumed"
+        for name in plan
+        if profile.arms[name].smr.offset == "unknown"
+    ]
