@@ -37,7 +37,7 @@ def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float
     gain = 0.0
     for k in range(folds):
         out = fold == k
-        complement = np.eye(np.count_nonzero(out)) - basis[out] @ basis[out].T
+        complement = np.eye(int(np.count_nonzero(out))) - basis[out] @ basis[out].T
         gain += float(np.sum(solve_psd(complement, left[out]) ** 2))
         complement -= further[out] @ further[out].T
         gain -= float(np.sum(solve_psd(complement, left_with[out]) ** 2))
