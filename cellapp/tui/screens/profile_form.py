@@ -35,6 +35,7 @@ from cellapp.reporting.charts_placement import placement_chart
 from cellapp.tui.dialogs.points import PointsDialog
 from cellapp.tui.dialogs.question import Answer, Choice, Question
 from cellapp.tui.plots import ChartPlot
+from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.form_fields import FieldRow
 from cellapp.tui.widgets.stop import StopButton
 
@@ -58,6 +59,7 @@ class ProfileForm(Question[Path]):
     opened : OpenProfile
     """
 
+    HORIZONTAL_BREAKPOINTS = DayScreen.HORIZONTAL_BREAKPOINTS
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+s", "save", "Save", priority=True),
         Binding("escape", "close", "Close"),
