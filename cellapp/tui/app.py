@@ -7,6 +7,7 @@ drawn a few at a time: however many there are, a key is handled at once.
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import threading
 from collections.abc import Iterable, Iterator
@@ -158,6 +159,8 @@ class CellApp(App[None]):
         """Load what screens and jobs will need, so that no key waits for it: scipy alone takes half a second."""
         for module in _LATER:
             importlib.import_module(module)
+        gc.collect()
+        gc.freeze()  # what was loaded stays: passing over it again and again held up keys for up to 0.3 s
         if run := jobs_of_verbs.interrupted_run(self.logs):
             self.post_message(ResumeOffered(run))
 
