@@ -128,7 +128,8 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     CollectScreen.-wide #plots { layout: vertical; dock: right; width: 45%; display: block; padding-left: 1; }
     CollectScreen.-wide #plots ChartPlot { display: block; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
-    CollectScreen.-wide.plots #plots { width: 100%; }
+    CollectScreen.-wide.plots #plots { width: 65%; }
+    CollectScreen.-wide.plots #log { display: block; }
     CollectScreen.unplotted #plots { display: none; }
     CollectScreen.unplotted.plots #plots { display: block; }
     """
