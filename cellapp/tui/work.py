@@ -143,7 +143,7 @@ def replay(folder: Path, speed: float) -> Job:
         with RunFile.open(folder) as run:
             return replay_run(run, listener, control, speed=speed)
 
-    return Job("replay", work, folder)
+    return Job(f"replay x{speed:g}", work, folder)
 
 
 def doctor(profile: Path) -> Job:

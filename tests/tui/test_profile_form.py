@@ -51,6 +51,13 @@ def row(app: CellApp, field: str) -> FieldRow:
     return next(row for row in form(app).query(FieldRow) if row.field_id == field)
 
 
+async def show(pilot: Pilot[None], app: CellApp, section: str) -> None:
+    """Show a section and wait for its fields."""
+    form(app).query_one(TabbedContent).active = f"section-{section}"
+    name = section.replace("arm-", "arms.").replace("cell", "name")
+    await until(pilot, lambda: any(row.field_id.startswith(name) for row in form(app).query(FieldRow)), section)
+
+
 def text(app: CellApp, field: str) -> str:
     return row(app, field).input.value
 
@@ -70,6 +77,8 @@ async def shown(pilot: Pilot[None], app: CellApp, words: str) -> None:
 
 async def fill(pilot: Pilot[None], app: CellApp, field: str, value: str) -> None:
     """Replace the text of a field as a paste does."""
+    first, _, rest = field.partition(".")
+    await show(pilot, app, f"arm-{rest[0]}" if first == "arms" else "tracker" if first == "tracker" else "cell")
     row(app, field).input.value = value
     await pilot.pause()
 
@@ -138,10 +147,10 @@ async def test_a_new_cell_is_written_with_what_the_form_asks_for(app: CellApp) -
         write_profile(app)
         await until(pilot, lambda: isinstance(app.screen, ProfileForm), "the form")
         await shown(pilot, app, "9 fields to correct")
+        await pilot.press("f4")  # from the name to the first problem of the left arm
+        await until(pilot, lambda: "Controller: address" in shown_text(app), "the next problem")
+        assert app.focused is row(app, "arms.0.host").input
         assert "missing; it must be given" in problem(app, "arms.0.host")
-        await pilot.press("f4")  # the first problem after the name: in the section of the left arm
-        await until(pilot, lambda: app.focused is row(app, "arms.0.host").input, "the next problem")
-        assert form(app).query_one(TabbedContent).active == "section-arm-0"
         for field, value in ANSWERS.items():
             await fill(pilot, app, field, value)
         await shown(pilot, app, "hall-3.yaml · not saved · every field holds")
@@ -225,6 +234,7 @@ async def test_the_fields_are_those_of_the_arms_and_their_drivers(with_twin: Cel
     app = with_twin
     async with app.run_test(size=SMALL) as pilot:
         await edit(pilot, app)
+        await show(pilot, app, "arm-0")
         assert not row(app, "arms.0.host").display
         await fill(pilot, app, "arms.0.kind", "ur")
         await fill(pilot, app, "tracker.kind", "bridge")

@@ -72,6 +72,7 @@ class CellScreen(DayScreen):
         Binding("r", "refresh_devices", "Ask devices", tooltip="ask every device for its state; nothing moves"),
         Binding("o", "open", "Open profile", tooltip="open a profile by its path"),
         Binding("w", "edit", "Edit profile", tooltip="change the profile in a form"),
+        Binding("plus", "write", "New profile", key_display="+", tooltip="write a profile in a form"),
     ]
     DEFAULT_CSS = """
     #profiles { width: 22; height: 1fr; }
@@ -126,7 +127,7 @@ class CellScreen(DayScreen):
         if self._found:
             profiles.highlighted = 0
         else:
-            self.say(f"No profile is in {self.cell_app.profiles}: press o and give the path of one.", "warning")
+            self.say(f"No profile is in {self.cell_app.profiles}: o opens one by its path, + writes one.", "warning")
         profiles.focus()
         self.set_interval(_REFRESH_S, self._tick)
 
@@ -150,19 +151,36 @@ class CellScreen(DayScreen):
 
     def _open_listed(self, path: Path) -> None:
         """Open a profile from anywhere; it joins the list."""
+        self._list(path)
+        self._open(path)
+
+    def _list(self, path: Path) -> None:
+        """Highlight a profile in the list; it joins the list where it is not there yet."""
+        profiles = self.query_one("#profiles", OptionList)
         if path not in self._found:
             self._found.append(path)
-            self.query_one("#profiles", OptionList).add_option(path.stem)
-        self.query_one("#profiles", OptionList).highlighted = self._found.index(path)
-        self._open(path)
+            profiles.add_option(path.stem)
+        profiles.highlighted = self._found.index(path)
 
     def _open(self, path: Path) -> None:
         if path != self.workspace.profile_path or self.workspace.folder is not None:
             self.cell_app.open_profile(path)
 
     def action_edit(self) -> None:
-        """Edit the profile."""
-        self.say("Edit the profile's YAML file with any editor, then press d: it is read again.")
+        """Edit the profile in a form."""
+        path = self.workspace.profile_path
+        if path is None:
+            self.say("No profile is open: + writes a new one.", "warning")
+        else:
+            from cellapp.tui.dialogs.first_run import edit_profile
+
+            edit_profile(self.cell_app, path)
+
+    def action_write(self) -> None:
+        """Write a new profile in a form."""
+        from cellapp.tui.dialogs.first_run import write_profile
+
+        write_profile(self.cell_app)
 
     # -- doctor and devices --------------------------------------------------------------------------------------------
 
@@ -240,6 +258,8 @@ class CellScreen(DayScreen):
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the profile."""
+        if workspace.profile_path is not None:
+            self._list(workspace.profile_path)
         if workspace.profile is not self._profile:
             self._show_profile(workspace.profile)
         self._draw_doctor()
