@@ -16,6 +16,7 @@ from cellapp.profile import Profile
 from cellapp.results import DeviceReport, DoctorResult, Finding
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.file_picker import FilePicker
+from cellapp.tui.dialogs.question import Question
 from cellapp.tui.screens.cell import CellScreen, DevicesProbed
 from cellapp.tui.widgets.cell_findings import DevicesTable, FindingsTable, age_words
 from tests.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, until
@@ -150,8 +151,9 @@ async def test_devices_are_asked_again_and_again_but_not_while_a_job_runs(monkey
 async def test_a_broken_profile_and_none_at_all_are_told(tmp_path: Path) -> None:
     app = CellApp(tmp_path / "nowhere")
     async with app.run_test(size=SMALL) as pilot:
-        await pilot.pause()
-        assert "No profile is in" in app.message
+        await until(pilot, lambda: isinstance(app.screen, Question), "the offer of a first start")
+        await pilot.press("escape")
+        await until(pilot, lambda: app.screen is app.day_screen, "the screen")
         for key in ("d", "r"):
             await pilot.press(key)
             assert "No profile is open" in app.message

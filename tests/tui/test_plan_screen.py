@@ -12,9 +12,12 @@ from textual.pilot import Pilot
 from textual.widgets import Input, Static, TabbedContent
 
 from cellapp.pipeline import new_planned_run
+from cellapp.planning.forecast import forecast_run
+from cellapp.results import PlanForecastResult
 from cellapp.run import RunFile
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.new_run import NewRunQuestion
+from cellapp.tui.dialogs.question import Question
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable
 from tests.tui.pilot import PROFILES, SIZES, SMALL, ended, opened, shown_text, until
@@ -31,6 +34,12 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def forecast(planned: Path) -> PlanForecastResult:
+    with RunFile.open(planned) as run:
+        return forecast_run(run)
+
+
 async def shown(pilot: Pilot[None], app: CellApp, folder: Path | None) -> None:
     """Open a run and show the screen."""
     await opened(pilot, app)
@@ -45,31 +54,41 @@ def line(app: CellApp, name: str) -> str:
     return str(app.day_screen.query_one(f"#{name}", Static).render())
 
 
-@pytest.mark.parametrize("size", SIZES)
-async def test_a_plan_is_shown_checked_and_foreseen(size: tuple[int, int], planned: Path) -> None:
+async def test_a_plan_is_shown_checked_and_foreseen(planned: Path) -> None:
     app = CellApp(PROFILES)
-    async with app.run_test(size=size) as pilot:
+    async with app.run_test(size=SMALL) as pilot:
         await shown(pilot, app, planned)
         assert line(app, "plan-state").startswith("arm left: 24 stops, 0 measured; arm right: 24 stops")
         assert "clearance" in shown_text(app)
-        maps = list(app.day_screen.query(ChartPlot))
-        await until(pilot, lambda: all(one.chart is not None for one in maps), "the maps")
-        assert {one.chart.message for one in maps if one.chart is not None} != {""}
         await pilot.press("k")
         await ended(pilot, app)
         assert line(app, "plan-safety").startswith("Safe: 24 stops and 25 ways")
+        await pilot.press("t")
+        assert "f computes" in line(app, "plan-detail")
         await pilot.press("f")
         await ended(pilot, app)
         assert line(app, "plan-time").startswith("Collecting takes about")
-        tabs = app.day_screen.query_one("#plan-tabs", TabbedContent)
-        assert tabs.active == "tab-effects"
-        effects = app.day_screen.query_one(EffectsTable)
-        assert effects.row_count > 30
-        assert "cannot be seen" in line(app, "plan-detail")
+        assert line(app, "plan-safety").startswith("Safe"), "the reloaded run has the same plan"
+
+
+@pytest.mark.parametrize("size", SIZES)
+async def test_a_forecast_fits_every_terminal(
+    size: tuple[int, int], planned: Path, forecast: PlanForecastResult
+) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=size) as pilot:
+        await shown(pilot, app, planned)
+        maps = list(app.day_screen.query(ChartPlot))
+        await until(pilot, lambda: all(one.chart is not None for one in maps), "the maps")
+        assert {one.chart.message for one in maps if one.chart is not None} != {""}
+        app.day_screen.show_result(forecast)
+        await pilot.pause()
+        assert app.day_screen.query_one("#plan-tabs", TabbedContent).active == "tab-effects"
+        assert app.day_screen.query_one(EffectsTable).row_count > 30
+        await until(pilot, lambda: "cannot be seen" in line(app, "plan-detail"), "what cannot be seen comes first")
         assert app.day_screen.query_one(CoverageTable).row_count == 12
         assert app.day_screen.query_one(AccuracyTable).row_count > 40
-        assert line(app, "plan-safety").startswith("Safe"), "the reloaded run has the same plan"
-        for widget in app.screen.query("#plan-detail, #plan-tabs, Footer"):
+        for widget in app.screen.query("#plan-detail, #plan-tabs, .message"):
             assert app.screen.region.contains_region(widget.region), widget
 
 
@@ -120,6 +139,9 @@ async def test_what_is_missing_is_said(tmp_path: Path) -> None:
     (tmp_path / "none").mkdir()
     app = CellApp(tmp_path / "none")
     async with app.run_test(size=SMALL) as pilot:
+        await until(pilot, lambda: isinstance(app.screen, Question), "the offer of a first start")
+        await pilot.press("escape")
+        await until(pilot, lambda: app.screen is app.day_screen, "the screen")
         await pilot.press("2")
         await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
         for key, words in (("g", "No profile is open"), ("k", "No run is open"), ("f", "No run is open")):
