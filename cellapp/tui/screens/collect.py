@@ -125,7 +125,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     CollectScreen.-low #plots ChartPlot.chosen { display: block; }
     CollectScreen.-tall #plots { display: block; }
     CollectScreen #plots ChartPlot { padding-right: 1; }
-    CollectScreen.-wide #plots { layout: vertical; dock: right; width: 45%; display: block; padding-left: 1; }
+    CollectScreen.-wide #plots { layout: vertical; dock: right; width: 45%; height: 100%; display: block; padding-left: 1; }
     CollectScreen.-wide #plots ChartPlot { display: block; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
     CollectScreen.-wide.plots #plots { width: 65%; }
