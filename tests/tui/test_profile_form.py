@@ -31,7 +31,9 @@ TWIN = Path("profiles/twin.yaml")
 
 @pytest.fixture
 def app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CellApp:
-    """The application in an empty folder."""
+    """The application in an empty folder; what waits for a rest in typing waits a moment only."""
+    for module in ("screens.profile_form", "dialogs.points"):
+        monkeypatch.setattr(f"cellapp.tui.{module}._PAUSE_S", 0.01)
     monkeypatch.chdir(tmp_path)
     return CellApp(Path("profiles"))
 
