@@ -18,8 +18,7 @@ from cellapp.results import (
 )
 
 TIME_RESTS_ON = (
-    "speeds and accelerations of the profile, its averaging time, 1 s to turn to each SMR and 0.2 s of rest; persons,"
-    " waits and repeats beyond the second are not in it"
+    "the profile's speeds and averaging time, 1 s to find each SMR, 0.2 s of rest; waits and persons are not counted"
 )
 _MOST_SIZES = 6
 """Parameters of one effect whose smallest sizes are named: those of the first joints."""
@@ -74,7 +73,7 @@ def time_sentence(time: PlannedTime) -> str:
         ("warm-up", time.warm_up_s),
     )
     spent = ", ".join(f"{name} {duration_words(seconds)}" for name, seconds in parts if seconds > 0.0)
-    return f"Collecting takes about {duration_words(time.total_s)} ({spent}). This rests on {TIME_RESTS_ON}."
+    return f"Collecting takes about {duration_words(time.total_s)} ({spent}). It rests on {TIME_RESTS_ON}."
 
 
 def duration_words(seconds: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
 from textual import on
@@ -12,14 +12,16 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
-from cellapp.profile import Profile
-from cellapp.results import PlanCheckResult, PlanForecastResult, Result, StopsResult
 from cellapp.tui import work as verbs
 from cellapp.tui.dialogs.new_run import NewRunQuestion
-from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
+from cellapp.tui.widgets.cell_map import CellMap
 from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable
 from cellapp.tui.workspace import Step, Workspace, new_folder
+
+if TYPE_CHECKING:
+    from cellapp.profile import Profile
+    from cellapp.results import PlanCheckResult, PlanForecastResult, Result, StopsResult
 
 HELP = """
 # Plan
@@ -89,13 +91,13 @@ class PlanScreen(DayScreen):
                     with TabPane("Check", id="tab-check"):
                         yield PairsTable(id="refusals")
                     with TabPane("Above", id="tab-above"):
-                        yield ChartPlot(id="plan-above")
+                        yield CellMap("above", id="plan-above")
                     with TabPane("Tracker", id="tab-tracker"):
-                        yield ChartPlot(id="plan-tracker")
+                        yield CellMap("tracker", id="plan-tracker")
                 yield Static("", id="plan-detail", markup=False)
             with Vertical(id="plan-side"):
-                yield ChartPlot(id="side-above")
-                yield ChartPlot(id="side-tracker")
+                yield CellMap("above", id="side-above")
+                yield CellMap("tracker", id="side-tracker")
 
     # -- actions -------------------------------------------------------------------------------------------------------
 
@@ -142,6 +144,8 @@ class PlanScreen(DayScreen):
 
     def show_result(self, result: Result) -> None:
         """Draw a check or a forecast."""
+        from cellapp.results import PlanCheckResult, PlanForecastResult
+
         tabs = self.query_one("#plan-tabs", TabbedContent)
         if isinstance(result, PlanCheckResult):
             self._check = result
@@ -175,15 +179,9 @@ class PlanScreen(DayScreen):
         self.query_one("#constraints", PairsTable).show(rows)
 
     def _draw_maps(self, workspace: Workspace) -> None:
-        from cellapp.reporting.charts_map import cell_map_chart
-
         stops = () if workspace.stops is None else workspace.stops.stops
-        profile = workspace.profile
-        above = None if profile is None else cell_map_chart(profile, stops)
-        tracker = None if profile is None else cell_map_chart(profile, stops, "tracker")
-        for key, chart in (("plan", (above, tracker)), ("side", (above, tracker))):
-            self.query_one(f"#{key}-above", ChartPlot).chart = chart[0]
-            self.query_one(f"#{key}-tracker", ChartPlot).chart = chart[1]
+        for drawn in self.query(CellMap):
+            drawn.show_cell(workspace.profile, stops)
 
     def _draw_results(self) -> None:
         """Draw check and forecast, or what to press for them."""
@@ -192,7 +190,10 @@ class PlanScreen(DayScreen):
         forecast = self._forecast
         for table in self.query("#coverage, #effects, #accuracy").results():
             assert isinstance(table, CoverageTable | EffectsTable | AccuracyTable)
-            table.show({} if forecast is None else forecast.arms)
+            if forecast is None:
+                table.draw([])
+            else:
+                table.show(forecast.arms)
         words = _NO_FORECAST if has_plan else ""
         if forecast is not None:
             from cellapp.reporting.plan_text import time_sentence
@@ -202,14 +203,14 @@ class PlanScreen(DayScreen):
         self._draw_detail()
 
     def _draw_check(self, *, has_plan: bool) -> None:
-        from cellapp.reporting.plan_text import check_sentences
-
         line, check = self.query_one("#plan-safety", Static), self._check
         if check is None:
             line.update("Checked when it was planned; k checks it again." if has_plan else "")
             line.set_classes("")
             self.query_one("#refusals", PairsTable).show([])
             return
+        from cellapp.reporting.plan_text import check_sentences
+
         verdict, *refusals = check_sentences(check)
         line.update(verdict)
         line.set_classes("safe" if check.is_safe else "unsafe")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
 from textual.widgets import DataTable
 
-from cellapp.results import ArmForecast
+if TYPE_CHECKING:
+    from cellapp.results import ArmForecast
 
 _BAR_CELLS = 24
 """Width of the bar of a joint's range: 15 degrees a cell over one turn."""
@@ -80,7 +81,7 @@ class CoverageTable(_RowTable):
 class EffectsTable(_RowTable):
     """For each effect whether the plan can show it."""
 
-    COLUMNS = ("arm", "effect", "visible", "from mm", "scatter mm")
+    COLUMNS = ("arm", "visible", "from mm", "scatter", "effect")
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
         """Draw the effects of all arms, those that cannot be seen first."""
@@ -93,7 +94,7 @@ class EffectsTable(_RowTable):
         for name, one in entries:
             sizes = (one.smallest_seen_rms_mm, one.with_scatter_rms_mm) if one.visible else (None, None)
             shown = ["" if size is None else f"{size:.3f}" for size in sizes]
-            cells = (name, effect_title(one), "yes" if one.visible else "no", *shown)
+            cells = (name, "yes" if one.visible else "no", *shown, effect_title(one))
             rows.append((cells, f"Arm {name}: {effect_sentence(one)}"))
         self.draw(rows)
 
