@@ -154,8 +154,7 @@ class Linearisation:
         """The same for one chunk of the configurations."""
         if last - first == self.P.shape[1]:
             return self
-        J = self.J[:, :, first:last]
-        return Linearisation(self.P[:, first:last], J, gram_matrix(J))
+        return Linearisation(self.P[:, first:last], self.J[:, :, first:last])
 
 
 @dataclass(frozen=True)

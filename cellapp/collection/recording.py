@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from itertools import groupby
 from typing import Literal
 
@@ -36,6 +36,8 @@ from cellapp.safety.cell_bodies import home_positions
 
 UNTIMED_STOP_S = 10.0
 """Pace of readings without times: a motion of some seconds, and a few seconds for the points of two arms."""
+_LAST_WORDS = timedelta(seconds=1.0)
+"""A session logs why it ended just after its end; what a later verb logs comes later."""
 
 Plan = Mapping[str, NDArray[np.float64]]
 
@@ -289,7 +291,7 @@ def _timed_lines(run: RunFile, first_s: float, last_s: float) -> list[tuple[floa
     """
     sessions, events = run.sessions(), run.events()
     spans = _spans(sessions, events)
-    lines = [one for one in events if any(began <= _utc(one.written) <= ended for began, ended in spans)]
+    lines = [one for one in events if any(began <= _utc(one.written) <= ended + _LAST_WORDS for began, ended in spans)]
     worked_s = [_worked_s(spans, _utc(one.written)) for one in lines]
     known = [(worked, one.time_s) for worked, one in zip(worked_s, lines, strict=True) if one.time_s is not None]
     latest_s = max([last_s, *(time_s for _, time_s in known)])
@@ -322,6 +324,7 @@ def _worked_s(spans: Sequence[tuple[datetime, datetime]], when: datetime) -> flo
 def _utc(text: str) -> datetime:
     """Return a stored time. Raises ``InputError`` if the text is none."""
     try:
-        return datetime.fromisoformat(text)
+        when = datetime.fromisoformat(text)
     except ValueError:
         raise InputError(f"the run's log is damaged ('{text}' is not a time); restore the run from a copy") from None
+    return when if when.tzinfo is not None else when.replace(tzinfo=UTC)

@@ -95,12 +95,17 @@ class ArmData:
     def at(self, model: ArmModel) -> ArmData:
         """The same readings, with effects evaluated at the geometry and the true joint positions of ``model``."""
         true_q = model.true_joints(self.readings.q, conditions=self.conditions) if model.effects else None
+        here = replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache={})
+        return here.beginning_at(model)
+
+    def beginning_at(self, model: ArmModel) -> ArmData:
+        """The same readings and columns; the next fit begins from the effects' values in ``model``."""
         values = {
             (term.slug, name): value
             for term in model.effects
             for name, value in zip(term.names, term.values.tolist(), strict=True)
         }
-        return replace(self, model=replace(model, effects=(), network=None), start=values, true_q=true_q, cache={})
+        return replace(self, start=values)
 
     def columns(self, slug: str, law: Law, names: Sequence[str] | None = None) -> list[EffectColumn]:
         """Columns of a law, all or those of ``names`` in that order."""

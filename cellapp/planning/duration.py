@@ -56,7 +56,7 @@ def motion_s(arm: Arm, way: Array) -> Array:
     # with ramps of a / v each: distance 1 = v * (T - a / v), or a triangle where full speed is never reached
     triangle = at_speed**2 < at_acceleration
     ramp = np.divide(at_acceleration, at_speed, out=np.zeros_like(at_speed), where=at_speed > 0.0)
-    return np.where(triangle, 2.0 * np.sqrt(at_acceleration), at_speed + ramp)
+    return np.asarray(np.where(triangle, 2.0 * np.sqrt(at_acceleration), at_speed + ramp))
 
 
 def stop_times(profile: Profile, plan: Mapping[str, Array], conditions: Conditions) -> StopTimes:

@@ -44,14 +44,16 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
     times = stop_times(profile, first, asked)
     designs = arm_designs(profile, first, PlannedReadings(times.measured_s, times.resting_s))
     cell = cell_bodies(profile)
-    arms, notes = {}, []
+    arms: dict[str, ArmForecast] = {}
+    notes: list[str] = []
     for number, (name, design) in enumerate(designs.items()):
         cancel.check()
         listener(Progress("forecast", number, len(designs), f"arm {name}"))
         try:
             effects = _effects(design)
         except InputError as error:
-            effects, notes = (), [*notes, str(error)]
+            effects = ()
+            notes.append(str(error))
         arms[name] = ArmForecast(
             stops=len(visited),
             reserves=len(reserves),

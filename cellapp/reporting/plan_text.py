@@ -18,8 +18,7 @@ from cellapp.results import (
 )
 
 TIME_RESTS_ON = (
-    "speeds and accelerations of the profile, its averaging time, 1 s to turn to each SMR and 0.2 s of rest; persons,"
-    " waits and repeats beyond the second are not in it"
+    "the profile's speeds and averaging time, 1 s to find each SMR, 0.2 s of rest; waits and persons are not counted"
 )
 _MOST_SIZES = 6
 """Parameters of one effect whose smallest sizes are named: those of the first joints."""
@@ -30,10 +29,8 @@ def check_sentences(check: PlanCheckResult) -> list[str]:
     refusals = [refusal_sentence(one) for one in check.refused]
     if check.is_safe:
         detours = f"; {len(refusals)} ways go via home" if refusals else ""
-        return [
-            f"Safe: {check.stops} stops and {check.ways} ways keep their clearance, the tracker sees every SMR{detours}.",
-            *refusals,
-        ]
+        kept = f"{check.stops} stops and {check.ways} ways keep their clearance"
+        return [f"Safe: {kept}, the tracker sees every SMR{detours}.", *refusals]
     bad = sum(not one.via_home for one in check.refused)
     return [f"Not safe: {bad} of {check.stops} stops and {check.ways} ways are refused.", *refusals]
 
@@ -76,7 +73,7 @@ def time_sentence(time: PlannedTime) -> str:
         ("warm-up", time.warm_up_s),
     )
     spent = ", ".join(f"{name} {duration_words(seconds)}" for name, seconds in parts if seconds > 0.0)
-    return f"Collecting takes about {duration_words(time.total_s)} ({spent}). This rests on {TIME_RESTS_ON}."
+    return f"Collecting takes about {duration_words(time.total_s)} ({spent}). It rests on {TIME_RESTS_ON}."
 
 
 def duration_words(seconds: float) -> str:
@@ -135,7 +132,7 @@ def effects_table(name: str, arm: ArmForecast) -> Table:
     )
     rows = tuple(
         (
-            EFFECTS[one.effect].title if one.effect in EFFECTS else one.effect,
+            effect_title(one),
             "yes" if one.visible else "no",
             one.smallest_seen_rms_mm if one.visible else None,
             one.with_scatter_rms_mm if one.visible else None,
@@ -154,10 +151,19 @@ def coverage_bar(one: JointCoverage, width: int) -> str:
     return "░" * first + "█" * (last - first) + "░" * (width - last)
 
 
-def smallest_words(one: PlannedEffect) -> str:
-    """The first few parameters with their smallest sizes."""
+def effect_title(one: PlannedEffect) -> str:
+    """Name of an effect in reports; its slug where this version does not know it."""
+    return EFFECTS[one.effect].title if one.effect in EFFECTS else one.effect
+
+
+def effect_sentence(one: PlannedEffect) -> str:
+    """Whether and from which size on an effect would be seen, or why not."""
+    title = effect_title(one)
+    if not one.visible:
+        return f"{title} cannot be seen: {short_reason(one.reason)}."
     words = []
     for parameter, size in list(one.smallest_seen.items())[:_MOST_SIZES]:
         factor, unit = display_unit(size.unit)
         words.append(f"{parameter} {factor * size.value:.3g} {unit}")
-    return "; ".join(words)
+    sizes = f", for instance {'; '.join(words)}" if words else ""
+    return f"{title} would be seen from an rms displacement of {one.smallest_seen_rms_mm or 0.0:.3f} mm on{sizes}."

@@ -35,13 +35,10 @@ def cell_words(profile: Profile) -> list[tuple[str, str]]:
 def _arm_words(name: str, arm: Arm) -> list[tuple[str, str]]:
     address = arm.driver.controller_address
     where = f" at {address}" if address else ""
-    offset = arm.smr.offset
+    device, offset = _device(arm.driver.kind, arm.driver.has_device), arm.smr.offset
     smr = "unknown" if offset == "unknown" else f"{_mm(offset)} mm from the flange"
     return [
-        (
-            f"arm {name}",
-            f"{arm.type.model}, {len(arm.type.joints)} joints, {_device(arm.driver.kind, arm.driver.has_device)}{where}",
-        ),
+        (f"arm {name}", f"{arm.type.model}, {len(arm.type.joints)} joints, {device}{where}"),
         (f"arm {name} base", _pose(arm.base)),
         (f"arm {name} SMR", f"{smr}, seen within {math.degrees(arm.smr.acceptance):.0f} deg of its axis"),
         (f"arm {name} payload", f"{arm.payload.mass:.3g} kg, speed {100.0 * arm.speed_scale:.0f} % of the type's"),

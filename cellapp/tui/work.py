@@ -40,6 +40,29 @@ def plan(profile: Path, folder: Path) -> Job:
     return Job("plan", work, folder)
 
 
+def check_plan(folder: Path) -> Job:
+    """Run the safety gate over the plan of a run again; nothing moves."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        import cellapp.reporting.plan_text  # noqa: F401 - the screen draws with it, and must not wait for it to load
+        from cellapp.planning.check import check_plan_run
+
+        return check_plan_run(run, listener, control)
+
+    return _of_run("check", folder, work)
+
+
+def forecast_plan(folder: Path) -> Job:
+    """Foresee what the plan of a run will give."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.planning.forecast import forecast_run
+
+        return forecast_run(run, listener, control)
+
+    return _of_run("forecast", folder, work)
+
+
 def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
     """Measure the planned stops that are not stored yet."""
 
@@ -118,7 +141,7 @@ def replay(folder: Path, speed: float) -> Job:
         with RunFile.open(folder) as run:
             return replay_run(run, listener, control, speed=speed)
 
-    return Job("replay", work, folder)
+    return Job(f"replay x{speed:g}", work, folder)
 
 
 def doctor(profile: Path) -> Job:
@@ -131,6 +154,18 @@ def doctor(profile: Path) -> Job:
         return examine_run(load_profile(profile))
 
     return Job("doctor", work)
+
+
+def _of_run(name: str, folder: Path, work: Callable[[RunFile, Listener, JobControl, Ask], Result]) -> Job:
+    """A job that only reads a run."""
+
+    def opened(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.run import RunFile
+
+        with RunFile.open(folder) as run:
+            return work(run, listener, control, ask)
+
+    return Job(name, opened, folder)
 
 
 def _on_run(

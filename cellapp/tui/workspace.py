@@ -11,12 +11,11 @@ from cellapp.errors import CellappError, InputError
 
 if TYPE_CHECKING:
     from cellapp.profile import Profile
-    from cellapp.results import CollectionResult, OverviewResult, RunResults, StopsResult
+    from cellapp.results import CellKind, CollectionResult, OverviewResult, RunResults, StopsResult
 
 RUN_FILE = "run.sqlite"
 """As ``cellapp.run`` names it; that package is loaded when a run is opened."""
 
-CellKind = Literal["no cell", "simulated", "emulated", "real"]
 Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "runs"]
 STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "runs")
 StepState = Literal["open", "next", "done", "out of date"]
@@ -61,15 +60,10 @@ class Workspace:
 
     @property
     def kind(self) -> CellKind:
-        """Whether this cell's arms are real, emulated or simulated; ``no cell`` where none can move."""
-        if self.profile is None:
-            return "no cell"
-        if self.profile.moves_hardware:
-            return "real"
-        drivers = [arm.driver for arm in self.profile.arms.values()]
-        if not any(driver.has_device for driver in drivers):
-            return "no cell"
-        return "simulated" if all(driver.kind == "simulated" for driver in drivers) else "emulated"
+        """Whether this cell's arms are real, emulated or simulated; ``none`` where none can move."""
+        from cellapp.run.history import cell_kind
+
+        return "none" if self.profile is None else cell_kind(self.profile)
 
     @property
     def next_step(self) -> Step:

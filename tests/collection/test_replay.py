@@ -220,6 +220,27 @@ def test_a_stop_at_which_nothing_was_measured_counts(tmp_path: Path) -> None:
     assert [one.detail.stop for one in events if isinstance(one.detail, MotionBegun)] == [0, 1, 2, 3]
 
 
+def test_sessions_follow_one_another_and_say_how_they_ended(tmp_path: Path) -> None:
+    profile = small_twin(6)
+    with RunFile.create(tmp_path / "run", profile) as run:
+        run.write_plan(plan_stops(profile))
+        bench = Bench(run)
+        bench.before_measuring[6] = lambda bench: bench.control.stop()
+        with pytest.raises(Stopped):
+            bench.collect()
+        bench.control = JobControl()
+        bench.collect(resume=True)
+        recording = read_recording(run)
+        events = [one.event for one in replay_events(run.profile, recording)]
+    assert recording.visits == 6
+    told = [event.detail for event in events if isinstance(event.detail, StateChange | LogReport | PointMeasured)]
+    assert [one.stop for one in told if isinstance(one, PointMeasured)] == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
+    first = [one for one in told if isinstance(one, StateChange | LogReport) or one.stop <= 1]
+    assert [type(one) for one in first] == [*[PointMeasured] * 4, StateChange, LogReport]
+    assert first[-2] == StateChange("stopped", "a person stopped the arms")
+    assert first[-1] == LogReport("info", "collecting stopped: stopped on request")
+
+
 def test_steps_of_a_stop_leave_the_log_alone(collected: Collected) -> None:
     worded = {type(one.detail) for one in collected.heard if one.detail and detail_words(one.detail)}
     assert worded == {StateChange, StopReport, ReferenceReport, LogReport}

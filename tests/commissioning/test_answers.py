@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -111,3 +112,11 @@ def test_points_by_joints_and_by_coordinates_agree() -> None:
     poses = [surveyed_base(arm, points, TRACKER).pose for points in (by_joints, by_place)]
     assert poses[0].position == pytest.approx(poses[1].position, abs=1e-12)
     assert poses[0].rpy == pytest.approx(TRUE_BASE.rpy, abs=1e-9)
+
+
+def test_the_readme_s_answers_make_a_profile(tmp_path: Path) -> None:
+    readme = (PROFILES.parent / "README.md").read_text("utf-8")
+    (block,) = [part for part in re.findall(r"^```yaml\n(.*?)^```", readme, re.M | re.S) if "points:" in part]
+    result = write_answers(written(tmp_path, block), tmp_path)
+    assert result.path.name == "my-cell.yaml"
+    assert result.notes[0].endswith("; good")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from importlib.metadata import PackagePath
+from importlib.metadata import Distribution
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,16 +26,17 @@ def test_the_twin_is_first_and_each_has_a_sentence() -> None:
     assert {starter.name for starter in starters if not starter.has_device} == {"ur10-real", "ur10-real-d", "ur5-real"}
 
 
-class Installed:
+class Installed(Distribution):
     """What pip recorded of an installation: starter profiles, and another package's file of the same name."""
 
     def __init__(self, folder: Path) -> None:
-        self.files = [PackagePath(name) for name in ("other/twin.yaml", "../share/cellapp/profiles/twin.yaml")]
-        for file in self.files:
-            file.dist = self
         self.folder = folder
 
-    def locate_file(self, path: PackagePath) -> Path:
+    def read_text(self, filename: str) -> str | None:
+        names = ("other/twin.yaml", "../share/cellapp/profiles/twin.yaml")
+        return "\n".join(f"{name},," for name in names) if filename == "RECORD" else None
+
+    def locate_file(self, path: str | os.PathLike[str]) -> Path:
         return self.folder / path
 
 

@@ -86,6 +86,13 @@ class Terminal:
                     raise AssertionError(f"never came: {what}\n{shown}")
         return time.monotonic()
 
+    def quiet(self, for_s: float) -> None:
+        """Wait until the screen has not changed for some time, at most ten times as long."""
+        end_s = time.monotonic() + 10.0 * for_s
+        with self._changed:
+            while self._changed.wait(for_s) and time.monotonic() < end_s:
+                pass
+
     def hang_up(self) -> None:
         """Close the terminal, as a person closes its window."""
         self._open = False
@@ -124,10 +131,10 @@ def key_latencies_s(terminal: Terminal, count: int, pause_s: float) -> list[floa
     for _ in range(count):
         sent_s = terminal.send("?")
         took.append(terminal.until(lambda text: "Escape closes" in text, "the help") - sent_s)
-        time.sleep(pause_s)
+        terminal.quiet(pause_s)
         sent_s = terminal.send("q")
         took.append(terminal.until(lambda text: "Escape closes" not in text, "the end of the help") - sent_s)
-        time.sleep(pause_s)
+        terminal.quiet(pause_s)
     return took
 
 
@@ -147,7 +154,7 @@ def main() -> None:
             painted_s = terminal.until(lambda text: "STOP" in text, "the first screen") - terminal.began_s
             print(f"first paint after {painted_s:.2f} s")
             terminal.until(lambda text: "SIMULATED" in text, "the profile")
-            time.sleep(5.0)
+            terminal.quiet(3.0)
             print("idle:", figures(key_latencies_s(terminal, 20, 0.2)))
             terminal.send("\x1b[15~")  # F5
             terminal.until(lambda text: "unattended" in text, "the question")

@@ -23,6 +23,7 @@ from cellapp.tui.plots.drawing import MARKS, draw
 from cellapp.tui.plots.raster import braille, no_dots, occupied_cells, set_bars, set_line, set_points, thinned
 from cellapp.tui.plots.scale import equal_scales, scale_of, tick_texts
 from cellapp.tui.plots.widget import ON_DARK, ON_LIGHT
+from cellapp.tui.themes import HIGH_CONTRAST
 from tests.reporting.cases import picture, unknown_effect
 
 pytestmark = pytest.mark.fast
@@ -30,7 +31,7 @@ pytestmark = pytest.mark.fast
 SIZES = [(80, 24), (120, 40), (200, 60)]
 NARROW = (38, 18)
 """One of four plots on a terminal of 80 x 24, with its words."""
-THEMES = ["textual-dark", "textual-light", "ansi-dark", "ansi-light", "gruvbox", "solarized-light"]
+THEMES = ["textual-dark", "textual-light", "ansi-dark", "ansi-light", HIGH_CONTRAST.name, "gruvbox", "solarized-light"]
 REPORTS = [
     StopReport(stop, arm, 0.02 + 0.01 * (arm == "right") + 0.001 * (stop % 7), 0.1, {})
     for stop in range(40)
@@ -50,6 +51,7 @@ class PlotApp(App[None]):
 
     def __init__(self, chart: Chart | None) -> None:
         super().__init__()
+        self.register_theme(HIGH_CONTRAST)
         self.plot = ChartPlot(chart)
 
     def compose(self) -> ComposeResult:

@@ -51,6 +51,13 @@ def row(app: CellApp, field: str) -> FieldRow:
     return next(row for row in form(app).query(FieldRow) if row.field_id == field)
 
 
+async def show(pilot: Pilot[None], app: CellApp, section: str) -> None:
+    """Show a section and wait for its fields."""
+    form(app).query_one(TabbedContent).active = f"section-{section}"
+    name = section.replace("arm-", "arms.").replace("cell", "name")
+    await until(pilot, lambda: any(row.field_id.startswith(name) for row in form(app).query(FieldRow)), section)
+
+
 def text(app: CellApp, field: str) -> str:
     return row(app, field).input.value
 
@@ -70,6 +77,8 @@ async def shown(pilot: Pilot[None], app: CellApp, words: str) -> None:
 
 async def fill(pilot: Pilot[None], app: CellApp, field: str, value: str) -> None:
     """Replace the text of a field as a paste does."""
+    first, _, rest = field.partition(".")
+    await show(pilot, app, f"arm-{rest[0]}" if first == "arms" else "tracker" if first == "tracker" else "cell")
     row(app, field).input.value = value
     await pilot.pause()
 
@@ -92,9 +101,8 @@ async def asked(pilot: Pilot[None], app: CellApp, *words: str) -> None:
 # -- first run --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", SIZES)
-async def test_enter_in_an_empty_folder_opens_the_twin(app: CellApp, size: tuple[int, int]) -> None:
-    async with app.run_test(size=size) as pilot:
+async def test_enter_in_an_empty_folder_opens_the_twin(app: CellApp) -> None:
+    async with app.run_test(size=SMALL) as pilot:
         assert offer_first_run(app)
         await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
         await pilot.pause()
@@ -107,20 +115,15 @@ async def test_enter_in_an_empty_folder_opens_the_twin(app: CellApp, size: tuple
         assert not offer_first_run(app), "there is a profile now"
 
 
-async def test_a_folder_that_cannot_be_written_gets_a_sentence(app: CellApp) -> None:
+async def test_what_cannot_be_written_or_edited_gets_a_sentence(app: CellApp) -> None:
     Path("profiles").write_text("a file", "utf-8")
     async with app.run_test(size=SMALL) as pilot:
+        edit_profile(app, Path("nothing.yaml"))
+        assert app.message == "nothing.yaml: file not found; give the path of a profile"
         assert offer_first_run(app)
         await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
         await pilot.press("t")
         await until(pilot, lambda: "profiles" in app.message and "give" in app.message, "the sentence")
-
-
-async def test_a_profile_that_the_form_cannot_edit_gets_a_sentence(app: CellApp) -> None:
-    async with app.run_test(size=SMALL) as pilot:
-        edit_profile(app, Path("nothing.yaml"))
-        await pilot.pause()
-        assert app.message == "nothing.yaml: file not found; give the path of a profile"
 
 
 # -- a new profile ----------------------------------------------------------------------------------------------------
@@ -144,10 +147,10 @@ async def test_a_new_cell_is_written_with_what_the_form_asks_for(app: CellApp) -
         write_profile(app)
         await until(pilot, lambda: isinstance(app.screen, ProfileForm), "the form")
         await shown(pilot, app, "9 fields to correct")
+        await pilot.press("f4")  # from the name to the first problem of the left arm
+        await until(pilot, lambda: "Controller: address" in shown_text(app), "the next problem")
+        assert app.focused is row(app, "arms.0.host").input
         assert "missing; it must be given" in problem(app, "arms.0.host")
-        await pilot.press("f4")  # the first problem after the name: in the section of the left arm
-        await until(pilot, lambda: app.focused is row(app, "arms.0.host").input, "the next problem")
-        assert form(app).query_one(TabbedContent).active == "section-arm-0"
         for field, value in ANSWERS.items():
             await fill(pilot, app, field, value)
         await shown(pilot, app, "hall-3.yaml · not saved · every field holds")
@@ -167,10 +170,19 @@ async def test_a_new_cell_is_written_with_what_the_form_asks_for(app: CellApp) -
 # -- an existing profile ----------------------------------------------------------------------------------------------
 
 
-async def test_a_problem_stands_beside_its_field_while_typing(with_twin: CellApp) -> None:
+async def test_undo_steps_by_field_and_a_problem_stands_beside_its_field(with_twin: CellApp) -> None:
     app = with_twin
     async with app.run_test(size=(160, 40)) as pilot:
         await edit(pilot, app)
+        await pilot.press("down", "end", "backspace", "5", "down", "end", "x")
+        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mmx")
+        await pilot.press("ctrl+z")
+        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mm")
+        await pilot.press("ctrl+z")
+        assert text(app, "plan.stops") == "400"
+        await pilot.press("ctrl+y", "ctrl+y")
+        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mmx")
+        await pilot.press("ctrl+z", "ctrl+z")
         await pilot.press("f6")
         await until(pilot, lambda: app.focused is row(app, "arms.0.name").input, "the section")
         await pilot.press("down", "down", "down", "end", "backspace", "k", "m")
@@ -182,20 +194,6 @@ async def test_a_problem_stands_beside_its_field_while_typing(with_twin: CellApp
         await shown(pilot, app, "unchanged · every field holds")
         assert text(app, "arms.0.position") == "0.0, 0.85, 0.0"
         assert problem(app, "arms.0.position") == ""
-
-
-async def test_undo_and_redo_step_by_field(with_twin: CellApp) -> None:
-    app = with_twin
-    async with app.run_test(size=SMALL) as pilot:
-        await edit(pilot, app)
-        await pilot.press("down", "end", "backspace", "5", "down", "end", "x")
-        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mmx")
-        await pilot.press("ctrl+z")
-        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mm")
-        await pilot.press("ctrl+z")
-        assert text(app, "plan.stops") == "400"
-        await pilot.press("ctrl+y", "ctrl+y")
-        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mmx")
 
 
 async def test_saving_asks_and_keeps_every_comment(with_twin: CellApp) -> None:
@@ -232,10 +230,11 @@ async def test_a_file_that_others_changed_is_not_overwritten_silently(with_twin:
     assert TWIN.read_text("utf-8").endswith("# a colleague\n")
 
 
-async def test_the_fields_are_those_of_the_driver(with_twin: CellApp) -> None:
+async def test_the_fields_are_those_of_the_arms_and_their_drivers(with_twin: CellApp) -> None:
     app = with_twin
     async with app.run_test(size=SMALL) as pilot:
         await edit(pilot, app)
+        await show(pilot, app, "arm-0")
         assert not row(app, "arms.0.host").display
         await fill(pilot, app, "arms.0.kind", "ur")
         await fill(pilot, app, "tracker.kind", "bridge")
@@ -243,12 +242,7 @@ async def test_the_fields_are_those_of_the_driver(with_twin: CellApp) -> None:
         assert row(app, "tracker.url").display
         assert not row(app, "tracker.address").display
         await shown(pilot, app, "2 fields to correct")
-
-
-async def test_arms_are_added_and_removed(with_twin: CellApp) -> None:
-    app = with_twin
-    async with app.run_test(size=SMALL) as pilot:
-        await edit(pilot, app)
+        await pilot.press("ctrl+z", "ctrl+z")
         await pilot.press("f7")
         await shown(pilot, app, "1 field to correct")
         assert "each arm needs a name" in problem(app, "arms.2.name")
@@ -296,18 +290,20 @@ async def test_a_base_is_found_from_tracker_points(with_twin: CellApp) -> None:
 # -- every size -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", SIZES)
-async def test_stop_and_map_at_every_size(with_twin: CellApp, size: tuple[int, int]) -> None:
+async def test_stop_and_map_at_every_size(with_twin: CellApp) -> None:
     app = with_twin
-    async with app.run_test(size=size) as pilot:
+    async with app.run_test(size=SIZES[-1]) as pilot:
         await edit(pilot, app)
-        assert form(app).query_one(StopButton).region == Region(size[0] - 11, 0, 11, 1)
-        assert ("From above" in shown_text(app)) == (size != SMALL)
-        await pilot.press("f3")
-        await pilot.pause()
-        assert "From above: left at 0.00, 0.85 m" in shown_text(app)
-        await pilot.press("f3", "f6")
-        await until(pilot, lambda: app.focused is row(app, "arms.0.name").input, "the section")
-        await pilot.pause()
-        for label in ("Name", "Arm type", "Base position", "SMR offset", "Home", "Speed"):
-            assert label in shown_text(app)
+        await pilot.press("f6")
+        for size in SIZES:
+            await pilot.resize_terminal(*size)
+            await pilot.pause()
+            assert form(app).query_one(StopButton).region == Region(size[0] - 11, 0, 11, 1)
+            assert ("From above" in shown_text(app)) == (size != SMALL)
+            for label in ("Name", "Arm type", "Base position", "SMR offset", "Home", "Speed"):
+                assert label in shown_text(app)
+            await pilot.press("f3")
+            await pilot.pause()
+            assert "From above: left at 0.00, 0.85 m" in shown_text(app)
+            await pilot.press("f3")
+            await pilot.pause()

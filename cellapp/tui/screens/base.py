@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, ClassVar, cast
 from textual.app import ComposeResult
 from textual.containers import Vertical
 from textual.screen import Screen
-from textual.widgets import Footer, Static
+from textual.widgets import Static
 
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.widgets.header import DayHeader, StepLine
+from cellapp.tui.widgets.key_line import KeyLine
 from cellapp.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ class DayScreen(Screen[None]):
         with Vertical(classes="body"):
             yield from self.body()
         yield Static("", classes="message", markup=False)
-        yield Footer()
+        yield KeyLine()
 
     def body(self) -> ComposeResult:
         """The widgets between header and message."""

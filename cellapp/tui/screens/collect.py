@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -30,9 +31,11 @@ from cellapp.tui import work as jobs
 from cellapp.tui.dialogs.question import Answer, Choice
 from cellapp.tui.dialogs.save_as import SaveAs
 from cellapp.tui.job_record import ArmRecord, JobRecord, LogRow, level_of
+from cellapp.tui.jobs import Job
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.screens.collect_state import (
+    Headline,
     drift_exceeded,
     headline,
     holds_for_drift,
@@ -43,7 +46,7 @@ from cellapp.tui.widgets.arm_panel import ArmPanel, TrackerPanel
 from cellapp.tui.widgets.log_view_pane import LogPane
 from cellapp.tui.widgets.log_view_rows import as_text
 from cellapp.tui.widgets.progress_bars import ProgressBars, parts_of
-from cellapp.tui.widgets.tables import TablesView
+from cellapp.tui.widgets.tables import WrappedTables
 from cellapp.tui.workspace import Step, Workspace
 
 View = Literal["log", "plots", "collected"]
@@ -107,14 +110,13 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     DEFAULT_CSS = """
     CollectScreen #state { height: auto; max-height: 4; padding: 0 1; background: $panel; }
     CollectScreen.-tall #state { padding: 1 1; max-height: 6; }
-    CollectScreen.-low TrackerPanel, CollectScreen.-low #suspicions {
-        max-height: 1; text-wrap: nowrap; text-overflow: ellipsis;
-    }
+    CollectScreen.-low #suspicions { max-height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
     CollectScreen #state.running { background: $success-muted; color: $text-success; }
     CollectScreen #state.waiting { background: $warning-muted; color: $text-warning; }
     CollectScreen #state.halted { background: $error; color: white; text-style: bold; }
     CollectScreen #state.replay { background: $accent-muted; color: $text-accent; }
     CollectScreen #arms { height: auto; }
+    CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
     CollectScreen #suspicions.any { display: block; }
     CollectScreen #plots { layout: horizontal; height: 5fr; display: none; }
@@ -126,7 +128,10 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     CollectScreen.-wide #plots { layout: vertical; dock: right; width: 45%; display: block; padding-left: 1; }
     CollectScreen.-wide #plots ChartPlot { display: block; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
-    CollectScreen.-wide.plots #plots { width: 100%; }
+    CollectScreen.-wide.plots #plots { width: 65%; }
+    CollectScreen.-wide.plots #log { display: block; }
+    CollectScreen.unplotted #plots { display: none; }
+    CollectScreen.unplotted.plots #plots { display: block; }
     """
 
     def __init__(self) -> None:
@@ -136,8 +141,10 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         self._plotted: tuple[object, ...] = ()
         self._plot_waits = False
         self._tabled: Workspace | None = None
-        self._stored_of: Path | None = None
-        self._was_running = False
+        self._opened: Path | None = None
+        self._job: Job | None = None
+        self._headline: Headline | None = None
+        self._suspicions = 0
 
     def body(self) -> ComposeResult:
         yield Static("", id="state", markup=False)
@@ -149,7 +156,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             for name in _PLOTS:
                 yield ChartPlot(id=name)
         yield LogPane(id="log")
-        yield TablesView(_NOT_COLLECTED, id="collected")
+        yield WrappedTables(_NOT_COLLECTED, id="collected")
 
     def on_mount(self) -> None:
         """Begin with the log."""
@@ -222,7 +229,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             self.query_one(f"#{name}").set_class(number == self._plot, "chosen")
         for one in ("log", "plots", "collected"):
             self.set_class(one == view, one)
-        focus = {"log": self.query_one(LogPane).view, "collected": self.query_one(TablesView)}.get(view)
+        focus = {"log": self.query_one(LogPane).view, "collected": self.query_one(WrappedTables)}.get(view)
         self.set_focus(focus)
 
     def action_search(self) -> None:
@@ -241,7 +248,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
 
     def action_least(self, level: str) -> None:
         """Show a level of the log and the more important ones."""
-        self.query_one(LogPane).action_least(level_of(level))
+        self.query_one(LogPane).show_from(level_of(level))
 
     def action_save(self) -> None:
         """Save the lines of the log that are marked, else those that are shown."""
@@ -282,8 +289,13 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     @on(StoredLog)
     def show_stored(self, event: StoredLog) -> None:
         """Draw the log that a run stores, where it is still wanted."""
-        if event.folder == self.workspace.folder and event.rows and not self.cell_app.jobs.running:
-            self.query_one(LogPane).show_stored(f"Log stored in {event.folder.name}", event.rows)
+        pane = self.query_one(LogPane)
+        if event.folder != self.workspace.folder or self.cell_app.jobs.running:
+            return
+        if event.rows:
+            pane.show_stored(f"Log stored in {event.folder.name}", event.rows)
+        else:
+            pane.show_session(self.cell_app.record)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
@@ -292,42 +304,53 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         if workspace is not self._tabled:
             self._tabled = workspace
             state = workspace.collection
-            self.query_one(TablesView).show([] if state is None else collection_tables(state))
-        if workspace.folder != self._stored_of and not self.cell_app.jobs.running:
-            self._stored_of = workspace.folder
+            self.query_one(WrappedTables).show([] if state is None else collection_tables(state))
+        if workspace.folder != self._opened and not self.cell_app.jobs.running:
+            self._opened = workspace.folder
+            self.action_view("log" if workspace.collection is None else "collected")
             if workspace.folder is not None:
                 self._read_log(workspace.folder)
 
     def show_job(self, record: JobRecord) -> None:
         """Draw what has changed."""
-        pane = self.query_one(LogPane)
-        running = record.state is not None
-        if pane.shows_session or (running and not self._was_running):
-            pane.show_session(record)
-        if running and self.cell_app.jobs.job is not None:
-            self._stored_of = self.cell_app.jobs.job.folder or self._stored_of  # its lines are heard already
-        self._was_running = running
+        running, job = record.state is not None, self.cell_app.jobs.job
+        if job is not None and job is not self._job:
+            self._begin_to_watch(job, record)
+        elif self.query_one(LogPane).shows_session:
+            self.query_one(LogPane).show_session(record)
         self._draw_state(record)
+        if not running and (self._job is None or self._job.folder != self.workspace.folder):
+            record = JobRecord()  # the job was about another run
         self._draw_arms(record)
         self.query_one(TrackerPanel).tracker = record.tracker
         self.query_one(ProgressBars).parts = parts_of(record)
         self._draw_suspicions(record)
         if running and self._plotted:
-            self._plot_soon()
+            self._plot_soon(record)
         else:
-            self._draw_plots()
+            self._draw_plots(record)
 
-    def _plot_soon(self) -> None:
+    def _plot_soon(self, record: JobRecord) -> None:
         """Draw the plots a little later, once for all that happens until then."""
         if not self._plot_waits:
             self._plot_waits = True
-            self.set_timer(_PLOTTING_S, self._draw_plots)
+            self.set_timer(_PLOTTING_S, partial(self._draw_plots, record))
+
+    def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
+        """A job was begun: its log is what people look at."""
+        self.query_one(LogPane).show_session(record)
+        if self.has_class("collected"):
+            self.action_view("log")
+        self._job = job
+        self._opened = job.folder or self._opened  # what it stores is heard already
 
     def _draw_state(self, record: JobRecord) -> None:
         now = headline(self.workspace, record, self.cell_app.jobs.control.request)
-        state = self.query_one("#state", Static)
-        state.update(Content.assemble((f"{now.word}", "bold"), f"  {now.sentence}"))
-        state.set_classes(now.look)
+        if now != self._headline:
+            self._headline = now
+            state = self.query_one("#state", Static)
+            state.update(Content.assemble((now.word, "bold"), f"  {now.sentence}"))
+            state.set_classes(now.look)
 
     def _draw_arms(self, record: JobRecord) -> None:
         panels = {panel.arm_name: panel for panel in self.query(ArmPanel)}
@@ -339,6 +362,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             box.mount(*panels.values())
         for name, panel in panels.items():
             panel.arm = record.arms.get(name, ArmRecord())
+        self.set_class(record.state is None and not record.arms, "unheard")
 
     def _arm_names(self, record: JobRecord) -> list[str]:
         profile = self.workspace.profile
@@ -347,6 +371,9 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
 
     def _draw_suspicions(self, record: JobRecord) -> None:
         """The newest suspicion in words, and how many there were."""
+        if len(record.suspicions) == self._suspicions:
+            return
+        self._suspicions = len(record.suspicions)
         box = self.query_one("#suspicions", Static)
         box.set_class(bool(record.suspicions), "any")
         if record.suspicions:
@@ -356,10 +383,10 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             arm = "" if newest.arm is None else f", arm {newest.arm}"
             box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
 
-    def _draw_plots(self) -> None:
+    def _draw_plots(self, record: JobRecord) -> None:
         """Draw the plots whose data are new: those of the job, else those that the run stores."""
         self._plot_waits = False
-        record, collection = self.cell_app.record, self.workspace.collection
+        collection = self.workspace.collection
         reports = [report for arm in record.stops.values() for report in arm]
         state = (record.name, len(reports), len(record.references), id(collection))
         if state == self._plotted:
@@ -372,3 +399,4 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         if not record.references and collection is not None:
             drift = drift_chart(collection.references, collection.drift_limit_mm)
         self.query_one("#drift", ChartPlot).chart = drift
+        self.set_class(all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot)), "unplotted")

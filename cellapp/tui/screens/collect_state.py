@@ -66,7 +66,7 @@ def headline(workspace: Workspace, record: JobRecord, request: Request) -> Headl
     if record.state is None:
         return _of_run(workspace)
     if record.is_replay:
-        return _of_replay(record, record.state)
+        return _of_replay(record, record.state, request)
     state = record.state
     if state == "running" and request != "none":
         state = {"pause": "pausing", "stop": "stopped", "abort": "aborted"}[request]  # type: ignore[assignment]
@@ -77,10 +77,13 @@ def headline(workspace: Workspace, record: JobRecord, request: Request) -> Headl
     return Headline(state.upper(), f"{record.reason.rstrip('.')}. {possible}" if shows_reason else possible, look)
 
 
-def _of_replay(record: JobRecord, state: JobState) -> Headline:
-    speed = record.name.removeprefix("replay")
+def _of_replay(record: JobRecord, state: JobState, request: Request) -> Headline:
+    """A replay; the states that it plays back are those of the recorded job."""
+    word = f"REPLAY{record.name.removeprefix('replay')}, nothing moves"
+    if request == "pause":
+        return Headline(f"{word}, PAUSED", "p or c resumes; Escape or x ends it.", "replay")
     recorded = f"Recorded: {state.upper()}, {record.reason}. " if state != "running" and record.reason else ""
-    return Headline(f"REPLAY{speed}, nothing moves", f"{recorded}p pauses and resumes; Escape or x ends it.", "replay")
+    return Headline(word, f"{recorded}p pauses and resumes; Escape or x ends it.", "replay")
 
 
 def _of_run(workspace: Workspace) -> Headline:

@@ -1,20 +1,259 @@
-"""The screen Plan."""
+"""The screen Plan: what constrains it, where its stops are, how long it takes, what it can show, whether it is safe."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
+from rich.text import Text
+from textual import on
 from textual.app import ComposeResult
-from textual.widgets import Static
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical
+from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
+from cellapp.tui import work as verbs
+from cellapp.tui.dialogs.new_run import NewRunQuestion
 from cellapp.tui.screens.base import DayScreen
-from cellapp.tui.workspace import Step
+from cellapp.tui.widgets.cell_map import CellMap
+from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable
+from cellapp.tui.workspace import Step, Workspace, new_folder
+
+if TYPE_CHECKING:
+    from cellapp.profile import Profile
+    from cellapp.results import PlanCheckResult, PlanForecastResult, Result, StopsResult
+
+HELP = """
+# Plan
+
+Which stops the arms will visit, before anything moves.
+
+- `g` makes a new run with a plan of the profile; you may change the proposed folder.
+- `k` runs the safety gate again over every stop and every way of the open run's plan.
+- `f` foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect whether the
+  plan can show it and from which size on.
+- *Constraints* is what the profile demands, *Above* and *Tracker* show the stops. The sentence below a table is that of
+  the selected row.
+
+Sizes and errors *alone* are for the tracker's noise alone; *with scatter* adds 0.1 mm, what gravity and backlash leave
+in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload let more effects be seen.
+
+Next: collect (`3`).
+"""
+_NO_FORECAST = "Not foreseen yet: f computes time, joint ranges, expected errors and visible effects."
 
 
 class PlanScreen(DayScreen):
-    """Placeholder."""
+    """Plan a run, look at its plan, check it, foresee what it gives."""
 
     STEP: ClassVar[Step] = "plan"
+    HELP: ClassVar[str] = HELP
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("g", "plan", "New plan", tooltip="make a new run with a plan"),
+        Binding("k", "check", "Check", tooltip="run the safety gate over all stops and ways again; nothing moves"),
+        Binding("f", "forecast", "Forecast", tooltip="time, joint ranges, expected errors, effects that can be seen"),
+    ]
+    DEFAULT_CSS = """
+    #plan-state, #plan-time, #plan-safety { height: auto; max-height: 3; }
+    #plan-safety.safe { color: $text-success; }
+    #plan-safety.unsafe { color: $text-error; }
+    #plan-tabs { height: 1fr; }
+    #plan-tabs DataTable { height: 1fr; scrollbar-size-horizontal: 0; }
+    #plan-detail { height: auto; max-height: 4; background: $panel; padding: 0 1; }
+    #plan-side { display: none; width: 1fr; }
+    PlanScreen.-wide #plan-side { display: block; }
+    PlanScreen.-wide #plan-middle { width: 2fr; }
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._profile: Profile | None = None
+        self._stops: StopsResult | None = None
+        self._folder: Path | None = None
+        self._check: PlanCheckResult | None = None
+        self._forecast: PlanForecastResult | None = None
 
     def body(self) -> ComposeResult:
-        yield Static("Plan", markup=False)
+        with Horizontal():
+            with Vertical(id="plan-middle"):
+                yield Static("", id="plan-state", markup=False)
+                yield Static("", id="plan-safety", markup=False)
+                yield Static("", id="plan-time", markup=False)
+                with TabbedContent(id="plan-tabs", initial="tab-constraints"):
+                    with TabPane("Constraints", id="tab-constraints"):
+                        yield PairsTable(id="constraints")
+                    with TabPane("Joints", id="tab-joints"):
+                        yield CoverageTable(id="coverage")
+                    with TabPane("Effects", id="tab-effects"):
+                        yield EffectsTable(id="effects")
+                    with TabPane("Errors", id="tab-errors"):
+                        yield AccuracyTable(id="accuracy")
+                    with TabPane("Check", id="tab-check"):
+                        yield PairsTable(id="refusals")
+                    with TabPane("Above", id="tab-above"):
+                        yield CellMap("above", id="plan-above")
+                    with TabPane("Tracker", id="tab-tracker"):
+                        yield CellMap("tracker", id="plan-tracker")
+                yield Static("", id="plan-detail", markup=False)
+            with Vertical(id="plan-side"):
+                yield CellMap("above", id="side-above")
+                yield CellMap("tracker", id="side-tracker")
+
+    # -- actions -------------------------------------------------------------------------------------------------------
+
+    def action_plan(self) -> None:
+        """Ask for the folder, then make a new run."""
+        profile, path = self.workspace.profile, self.workspace.profile_path
+        if profile is None or path is None:
+            self.say("No profile is open: choose one on the screen Cell (key 1).", "warning")
+            return
+        if self.cell_app.jobs.running:
+            self.say("A job is running; plan when it has ended.", "warning")
+            return
+        reserve = f" and {profile.plan.reserve} in reserve" if profile.plan.reserve else ""
+        text = f"{profile.plan.stops} stops{reserve} of the cell '{profile.name}', read from {path}. Nothing moves."
+
+        def begin(folder: Path | None) -> None:
+            if folder is not None:
+                self.start(verbs.plan(path, folder))
+
+        self.app.push_screen(NewRunQuestion(text, new_folder(profile)), begin)
+
+    def action_check(self) -> None:
+        """Check the plan of the open run."""
+        if folder := self._planned_folder():
+            self.start(verbs.check_plan(folder))
+
+    def action_forecast(self) -> None:
+        """Foresee what the plan of the open run gives."""
+        if folder := self._planned_folder():
+            self.start(verbs.forecast_plan(folder))
+
+    def _planned_folder(self) -> Path | None:
+        """Folder of the open run with a plan; None with a sentence why there is none."""
+        workspace = self.workspace
+        if workspace.folder is None:
+            self.say("No run is open: plan one with g, or open one on the screen Runs (7).", "warning")
+        elif workspace.stops is None or not workspace.stops.stops:
+            self.say("This run has no plan: its readings were imported. Plan a new run with g.", "warning")
+        else:
+            return workspace.folder
+        return None
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def show_result(self, result: Result) -> None:
+        """Draw a check or a forecast."""
+        from cellapp.results import PlanCheckResult, PlanForecastResult
+
+        tabs = self.query_one("#plan-tabs", TabbedContent)
+        if isinstance(result, PlanCheckResult):
+            self._check = result
+            if result.refused:
+                tabs.active = "tab-check"
+        elif isinstance(result, PlanForecastResult):
+            self._forecast = result
+            if tabs.active in ("tab-constraints", "tab-check"):
+                tabs.active = "tab-effects"
+        self._draw_results()
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw the constraints, the plan and its maps."""
+        if workspace.profile is not self._profile:
+            self._profile = workspace.profile
+            self._draw_constraints()
+        stops = workspace.stops
+        same_plan = workspace.folder == self._folder and _planned(stops) == _planned(self._stops)
+        if not same_plan:
+            self._check = self._forecast = None
+        if stops is not self._stops or not same_plan or workspace.folder is None:
+            self._folder, self._stops = workspace.folder, stops
+            self._draw_maps(workspace)
+        self.query_one("#plan-state", Static).update(_state_words(workspace))
+        self._draw_results()
+
+    def _draw_constraints(self) -> None:
+        from cellapp.reporting.profile_words import constraint_words
+
+        rows = [] if self._profile is None else constraint_words(self._profile)
+        self.query_one("#constraints", PairsTable).show(rows)
+
+    def _draw_maps(self, workspace: Workspace) -> None:
+        stops = () if workspace.stops is None else workspace.stops.stops
+        for drawn in self.query(CellMap):
+            drawn.show_cell(workspace.profile, stops)
+
+    def _draw_results(self) -> None:
+        """Draw check and forecast, or what to press for them."""
+        has_plan = self._stops is not None and bool(self._stops.stops)
+        self._draw_check(has_plan=has_plan)
+        forecast = self._forecast
+        for table in self.query("#coverage, #effects, #accuracy").results():
+            assert isinstance(table, CoverageTable | EffectsTable | AccuracyTable)
+            if forecast is None:
+                table.draw([])
+            else:
+                table.show(forecast.arms)
+        words = _NO_FORECAST if has_plan else ""
+        if forecast is not None:
+            from cellapp.reporting.plan_text import time_sentence
+
+            words = " ".join([time_sentence(forecast.time), *forecast.notes])
+        self.query_one("#plan-time", Static).update(words)
+        self._draw_detail()
+
+    def _draw_check(self, *, has_plan: bool) -> None:
+        line, check = self.query_one("#plan-safety", Static), self._check
+        if check is None:
+            line.update("Checked when it was planned; k checks it again." if has_plan else "")
+            line.set_classes("")
+            self.query_one("#refusals", PairsTable).show([])
+            return
+        from cellapp.reporting.plan_text import check_sentences
+
+        verdict, *refusals = check_sentences(check)
+        line.update(verdict)
+        line.set_classes("safe" if check.is_safe else "unsafe")
+        rows = [
+            ("goes via home" if one.via_home else "refused", text)
+            for one, text in zip(check.refused, refusals, strict=True)
+        ]
+        self.query_one("#refusals", PairsTable).show(rows or [("safe", verdict)])
+
+    @on(DataTable.RowHighlighted)
+    @on(TabbedContent.TabActivated)
+    def _draw_detail(self) -> None:
+        """The selected row of the table in front, in full."""
+        pane = self.query_one("#plan-tabs", TabbedContent).active_pane
+        text = ""
+        if pane is not None:
+            for table in pane.query(PairsTable).results():
+                text = table.selected_text
+            for other in pane.query("CoverageTable, EffectsTable, AccuracyTable").results():
+                assert isinstance(other, CoverageTable | EffectsTable | AccuracyTable)
+                text = other.selected_text
+        self.query_one("#plan-detail", Static).update(Text(text))
+
+
+def _planned(stops: StopsResult | None) -> tuple[object, ...]:
+    """What a check and a forecast rest on: the joint positions of all stops."""
+    return () if stops is None else tuple(stop.q for stop in stops.stops)
+
+
+def _state_words(workspace: Workspace) -> str:
+    """How much is planned and measured, or what to do."""
+    if workspace.profile is None:
+        return workspace.problem or "No profile is open: choose one on the screen Cell (1)."
+    overview = workspace.overview
+    if workspace.folder is None or overview is None:
+        return workspace.problem or "No run is open: plan one with g, or open one on the screen Runs (7)."
+    stops = () if workspace.stops is None else workspace.stops.stops
+    if not stops:
+        return "This run has no plan: its readings were imported. g plans a new run."
+    parts = []
+    for name, arm in overview.arms.items():
+        reserves = len(stops) - arm.planned
+        more = f" and {reserves} in reserve" if reserves else ""
+        parts.append(f"arm {name}: {arm.planned} stops{more}, {arm.measured} measured")
+    edited = " The profile was edited since; g plans with the present one." if workspace.edited else ""
+    return "; ".join(parts) + "." + edited

@@ -35,6 +35,7 @@ from cellapp.reporting.charts_placement import placement_chart
 from cellapp.tui.dialogs.points import PointsDialog
 from cellapp.tui.dialogs.question import Answer, Choice, Question
 from cellapp.tui.plots import ChartPlot
+from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.form_fields import FieldRow
 from cellapp.tui.widgets.stop import StopButton
 
@@ -58,6 +59,7 @@ class ProfileForm(Question[Path]):
     opened : OpenProfile
     """
 
+    HORIZONTAL_BREAKPOINTS = DayScreen.HORIZONTAL_BREAKPOINTS
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+s", "save", "Save", priority=True),
         Binding("escape", "close", "Close"),
@@ -91,7 +93,7 @@ class ProfileForm(Question[Path]):
         self._typing_in = ""
         self._judged: ProfileDraft | None = None
         self._problems: tuple[FieldProblem, ...] = ()
-        self._section = "section-cell"
+        self._section, self._wanted = "section-cell", ""
         self._timer: Timer | None = None
         self._saved: Path | None = None
 
@@ -101,22 +103,35 @@ class ProfileForm(Question[Path]):
         with Horizontal(id="form-top"):
             yield Static("", id="form-title", markup=False)
             yield StopButton()
+        last = len(self._draft.arms) - 1
+        if (self._present_arm() or 0) > last:  # it was removed
+            self._section = f"section-arm-{last}"
         with Horizontal(id="form-body"):
-            last = len(self._draft.arms) - 1
-            if (self._present_arm() or 0) > last:  # it was removed
-                self._section = f"section-arm-{last}"
             with TabbedContent(id="sections", initial=self._section):
-                yield self._pane("cell", "Cell", self._cell_rows())
-                for index, arm in enumerate(self._draft.arms):
-                    yield self._pane(f"arm-{index}", arm.name, self._arm_rows(index, arm))
-                rows = self._rows("tracker", self._draft.tracker, TRACKER_FIELDS)
-                yield self._pane("tracker", "Tracker", rows)
+                for name, title in self._titles().items():
+                    yield TabPane(title, VerticalScroll(can_focus=False), id=f"section-{name}")
             yield ChartPlot(id="form-map")
         yield Static("", id="form-help", markup=False)
         yield Footer()
 
-    def _pane(self, name: str, title: str, rows: Iterator[FieldRow]) -> TabPane:
-        return TabPane(title or "arm", VerticalScroll(*rows, can_focus=False), id=f"section-{name}")
+    def _titles(self) -> dict[str, str]:
+        """Sections and their titles."""
+        arms = {f"arm-{index}": arm.name or "arm" for index, arm in enumerate(self._draft.arms)}
+        return {"cell": "Cell", **arms, "tracker": "Tracker"}
+
+    def _section_rows(self, section: str) -> Iterator[FieldRow]:
+        """The fields of a section; those that its driver does not have are hidden."""
+        if section.startswith("arm-"):
+            index = int(section.removeprefix("arm-"))
+            rows = self._arm_rows(index, self._draft.arms[index])
+        elif section == "tracker":
+            rows = self._rows("tracker", self._draft.tracker, TRACKER_FIELDS)
+        else:
+            rows = self._cell_rows()
+        shown = self._shown_ids()
+        for row in rows:
+            row.display = row.field_id in shown
+            yield row
 
     def _cell_rows(self) -> Iterator[FieldRow]:
         yield FieldRow("name", NAME_FIELD, self._draft.name)
@@ -134,14 +149,25 @@ class ProfileForm(Question[Path]):
             yield FieldRow(f"{prefix}.{form.name}", form, text, choices.get(form.name, ()))
 
     @on(TabbedContent.TabActivated)
-    def begin_section(self, event: TabbedContent.TabActivated) -> None:
-        """Judge what was not judged yet: the form has just been composed."""
+    async def begin_section(self, event: TabbedContent.TabActivated) -> None:
+        """Make the fields of a section when it is first shown: all at once would hold up the keys."""
         self._section = str(event.pane.id)
+        if not event.pane.query(FieldRow):
+            await event.pane.query_one(VerticalScroll).mount(
+                *self._section_rows(self._section.removeprefix("section-"))
+            )
         if self._judged is not self._draft:
-            self._draw_kinds()
             self._judge()
-        if not isinstance(self.focused, Input):
-            event.pane.query(Input).first().focus()
+        self._draw_problems()
+        self._focus_field(event.pane)
+
+    def _focus_field(self, pane: TabPane) -> None:
+        """Go to the field that is wanted, else to the first of the section."""
+        rows = [row for row in pane.query(FieldRow) if row.display]
+        wanted = next((row for row in rows if row.field_id == self._wanted), None)
+        if wanted is not None or self.focused not in [row.input for row in rows]:
+            (wanted or rows[0]).input.focus()
+        self._wanted = ""
 
     # -- editing -------------------------------------------------------------------------------------------------------
 
@@ -257,22 +283,25 @@ class ProfileForm(Question[Path]):
         self._judged = event.draft
         checked = None if event.new is None else event.new.checked
         self._problems = (FieldProblem("", "", event.words),) if checked is None else checked.problems
-        words: dict[str, str] = {}
-        for problem in self._problems:
-            words.setdefault(problem.field, problem.words)
-        for row in self.query(FieldRow):
-            row.show_problem(words.get(row.field_id, ""))
+        self._draw_problems()
         if checked is not None:
             self.query_one(ChartPlot).chart = placement_chart(checked.bases, checked.tracker)
         self._draw_titles()
         self._draw_help()
 
+    def _draw_problems(self) -> None:
+        """What is wrong, beside the fields that are made."""
+        words: dict[str, str] = {}
+        for problem in self._problems:
+            words.setdefault(problem.field, problem.words)
+        for row in self.query(FieldRow):
+            row.show_problem(words.get(row.field_id, ""))
+
     def _draw_titles(self) -> None:
         """Name, state and number of problems, above all and on each section."""
         counts = Counter(self._section_of(problem.field) for problem in self._problems)
         sections = self.query_one("#sections", TabbedContent)
-        names = {f"arm-{index}": arm.name or "arm" for index, arm in enumerate(self._draft.arms)}
-        for name, title in {"cell": "Cell", **names, "tracker": "Tracker"}.items():
+        for name, title in self._titles().items():
             mark = f" ({counts[name]})" if counts[name] else ""
             sections.get_tab(f"section-{name}").label = f"{title}{mark}"
         state = "not saved" if self._draft != self._opened.draft else "saved" if self._saved else "unchanged"
@@ -293,9 +322,13 @@ class ProfileForm(Question[Path]):
 
     def _draw_kinds(self) -> None:
         """Show the fields that the chosen kinds of devices have."""
-        shown = {item.id for item in fields_of(self._draft)}
+        shown = self._shown_ids()
         for row in self.query(FieldRow):
-            row.display = row.field_id in shown or row.form is ARM_NAME_FIELD
+            row.display = row.field_id in shown
+
+    def _shown_ids(self) -> set[str]:
+        names = {f"arms.{index}.name" for index in range(len(self._draft.arms))}
+        return names | {item.id for item in fields_of(self._draft)}
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
         """Explain the field; the next key in it is a new step of undo."""
@@ -308,27 +341,23 @@ class ProfileForm(Question[Path]):
 
     def action_next_section(self) -> None:
         """Show the next section."""
-        panes = [pane.id for pane in self.query(TabPane)]
-        sections = self.query_one("#sections", TabbedContent)
-        self._show_section(str(panes[(panes.index(sections.active) + 1) % len(panes)]))
+        panes = [str(pane.id) for pane in self.query(TabPane)]
+        self.query_one("#sections", TabbedContent).active = panes[(panes.index(self._section) + 1) % len(panes)]
 
     def action_next_problem(self) -> None:
         """Go to the next field that has to be corrected."""
-        wrong = {problem.field for problem in self._problems}
-        rows = [row for row in self.query(FieldRow) if row.display]
-        row = self.focused.parent if self.focused is not None else None
-        start = rows.index(row) + 1 if isinstance(row, FieldRow) and row in rows else 0
-        found = next((row for row in (*rows[start:], *rows[:start]) if row.field_id in wrong), None)
-        if found is None:
+        wrong = list(dict.fromkeys(problem.field for problem in self._problems if problem.field))
+        if not wrong:
             self.notify("Every field holds.")
             return
-        self.query_one("#sections", TabbedContent).active = f"section-{self._section_of(found.field_id)}"
-        self.call_after_refresh(found.input.focus)
-
-    def _show_section(self, pane: str) -> None:
-        self.query_one("#sections", TabbedContent).active = pane
-        rows = self.query_one(f"#{pane}", TabPane).query(Input)
-        self.call_after_refresh(rows.first().focus)
+        row = self.focused.parent if self.focused is not None else None
+        here = wrong.index(row.field_id) if isinstance(row, FieldRow) and row.field_id in wrong else -1
+        self._wanted = wrong[(here + 1) % len(wrong)]
+        section = f"section-{self._section_of(self._wanted)}"
+        if section == self._section:
+            self._focus_field(self.query_one(f"#{section}", TabPane))
+        else:
+            self.query_one("#sections", TabbedContent).active = section
 
     # -- saving --------------------------------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical
 from textual.content import Content
+from textual.message import Message
 from textual.widgets import Input, Static
 
 from cellapp.tui.job_record import LEVELS, JobRecord, Level, LogRow
@@ -25,12 +26,27 @@ class LogField(Input):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,up,down", "submit", "Back to the log", show=False)]
 
 
+class LogHeading(Static):
+    """Which log is shown, and how many rows each level has; a click on a level shows it."""
+
+    class Chosen(Message):
+        """A level is asked for."""
+
+        def __init__(self, level: Level) -> None:
+            super().__init__()
+            self.level = level
+
+    def action_choose(self, level: Level) -> None:
+        """Ask for a level."""
+        self.post_message(self.Chosen(level))
+
+
 class LogPane(Vertical):
     """The log of this session, or one that a run stores."""
 
     DEFAULT_CSS = """
     LogPane { height: 1fr; }
-    LogPane .heading { height: 1; text-wrap: nowrap; text-overflow: ellipsis; background: $panel; }
+    LogPane LogHeading { height: 1; text-wrap: nowrap; text-overflow: ellipsis; background: $panel; }
     LogPane LogField { display: none; }
     LogPane.asking LogField { display: block; }
     """
@@ -42,13 +58,13 @@ class LogPane(Vertical):
         self._asked: Literal["search", "filter"] = "search"
 
     def compose(self) -> ComposeResult:
-        yield Static(classes="heading")
+        yield LogHeading()
         yield LogField(id="log-field", compact=True)
         yield LogView(id="log-view")
 
     def on_mount(self) -> None:
         """Begin with an empty log."""
-        heading = self.query_one(".heading", Static)
+        heading = self.query_one(LogHeading)
         heading.tooltip = "Which log is shown. Click a level, or D, I, W, E, to show it and the more important ones."
         self.query_one(LogField).tooltip = "The text to search for, or to filter by. Enter goes back to the log."
         self._draw_heading()
@@ -113,7 +129,13 @@ class LogPane(Vertical):
         else:
             self.notify("Nothing is searched for: / begins a search.", severity="warning")
 
-    def action_least(self, level: Level) -> None:
+    @on(LogHeading.Chosen)
+    def take_level(self, event: LogHeading.Chosen) -> None:
+        """Show the level that was clicked."""
+        event.stop()
+        self.show_from(event.level)
+
+    def show_from(self, level: Level) -> None:
         """Show a level and the more important ones."""
         self.view.set_filter(replace(self.view.rows.filter, least=level))
 
@@ -129,7 +151,7 @@ class LogPane(Vertical):
         rows = self.view.rows
         least = LEVELS.index(rows.filter.least)
         levels = [
-            Content.from_markup(f"[@click=least('{level}')]$text[/]", text=f"{level} {rows.counts[level]}").stylize(
+            Content.from_markup(f"[@click=choose('{level}')]$text[/]", text=f"{level} {rows.counts[level]}").stylize(
                 "bold" if number >= least else "strike dim"
             )
             for number, level in enumerate(LEVELS)
@@ -138,4 +160,4 @@ class LogPane(Vertical):
         words.append("" if self.view.follows else "End: newest")
         more = "".join(f" · {word}" for word in words if word)
         title = Content.assemble((self._title, "bold"), "  ")
-        self.query_one(".heading", Static).update(Content.assemble(title, Content(" ").join(levels), more))
+        self.query_one(LogHeading).update(Content.assemble(title, Content(" ").join(levels), more))

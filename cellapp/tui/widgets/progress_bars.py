@@ -51,12 +51,17 @@ class ProgressBars(Widget):
     ProgressBars { height: auto; }
     """
 
-    parts: reactive[tuple[Part, ...]] = reactive((), layout=True)
+    parts: reactive[tuple[Part, ...]] = reactive(())
     compact: reactive[bool] = reactive(False, layout=True)
 
     def __init__(self) -> None:
         super().__init__(classes="parts")
         self.tooltip = "The parts of the job: steps done, what is done now, the time that is left, when it will end."
+
+    def watch_parts(self, before: tuple[Part, ...], now: tuple[Part, ...]) -> None:
+        """More parts need more lines; all else is only drawn."""
+        if len(before) != len(now):
+            self.refresh(layout=True)
 
     def render(self) -> Content:
         """The bars."""

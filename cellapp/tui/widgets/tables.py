@@ -9,9 +9,11 @@ from typing import ClassVar, Literal
 from rich.text import Text
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical, VerticalScroll
+from textual.widget import Widget
 from textual.widgets import DataTable, Static
 
 from cellapp.reporting.table import Table, markdown
+from cellapp.reporting.terminal import rich_table
 from cellapp.tui.dialogs.save_as import SaveAs
 
 
@@ -53,10 +55,14 @@ class TablesView(VerticalScroll):
             return
         self.mount(
             *(Static(text, classes="before", markup=False) for text in before),
-            *map(draw_table, tables),
+            *map(self.draw, tables),
             *(Static(text, classes="after", markup=False) for text in after),
         )
         self.scroll_home(animate=False)
+
+    def draw(self, table: Table) -> Widget:
+        """A widget for one table."""
+        return draw_table(table)
 
     def action_copy(self) -> None:
         """Copy all tables to the clipboard."""
@@ -71,6 +77,14 @@ class TablesView(VerticalScroll):
     def _say_saved(self, path: Path | None) -> None:
         if path is not None:
             self.notify(f"saved as {path}")
+
+
+class WrappedTables(TablesView):
+    """Tables whose cells hold sentences: these are broken into lines, and no column is cut off."""
+
+    def draw(self, table: Table) -> Widget:
+        """A table as the command line prints it."""
+        return Static(rich_table(table), classes="table")
 
 
 def draw_table(table: Table) -> Vertical:

@@ -1,0 +1,118 @@
+"""Tables of the screen Plan: constraints, joint ranges, effects, expected errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+from rich.text import Text
+from textual.widgets import DataTable
+
+if TYPE_CHECKING:
+    from cellapp.results import ArmForecast
+
+_BAR_CELLS = 24
+"""Width of the bar of a joint's range: 15 degrees a cell over one turn."""
+
+
+class _RowTable(DataTable[Text]):
+    """A table of which the row under the cursor has a sentence."""
+
+    COLUMNS: ClassVar[tuple[str, ...]]
+
+    def on_mount(self) -> None:
+        """Make the columns."""
+        self.cursor_type = "row"
+        self._texts: list[str] = []
+        self.add_columns(*self.COLUMNS)
+
+    def draw(self, rows: Sequence[tuple[tuple[str, ...], str]]) -> None:
+        """Draw rows of cells, each with its sentence; the cursor stays where it was if nothing changed."""
+        texts = [text for _, text in rows]
+        if texts == self._texts:
+            return
+        self._texts = texts
+        self.clear()
+        for cells, _ in rows:
+            self.add_row(*map(Text, cells))
+
+    @property
+    def selected_text(self) -> str:
+        """The sentence of the row under the cursor."""
+        return self._texts[self.cursor_row] if self.cursor_row < len(self._texts) else ""
+
+
+class PairsTable(_RowTable):
+    """Names with words."""
+
+    COLUMNS = ("what", "how")
+
+    def show(self, rows: Sequence[tuple[str, str]]) -> None:
+        """Draw names with words."""
+        self.tooltip = "The selected row stands below in full"
+        self.draw([((name, words), f"{name}: {words}") for name, words in rows])
+
+
+class CoverageTable(_RowTable):
+    """The used part of each joint's range as a bar."""
+
+    COLUMNS = ("arm", "joint", "allowed range, used part", "share", "largest gap")
+
+    def show(self, arms: Mapping[str, ArmForecast]) -> None:
+        """Draw the joints of all arms."""
+        from cellapp.reporting.plan_text import coverage_bar
+
+        self.tooltip = "Full: the part of the allowed range that stops use"
+        rows = []
+        for name, arm in arms.items():
+            for one in arm.coverage:
+                allowed, used = (tuple(map(math.degrees, pair)) for pair in (one.allowed, one.used))
+                gap = math.degrees(one.largest_gap)
+                cells = (name, str(one.joint), coverage_bar(one, _BAR_CELLS), f"{one.share:.0%}", f"{gap:.0f}°")
+                text = (
+                    f"Arm {name}, joint {one.joint}: allowed {allowed[0]:.0f} to {allowed[1]:.0f} deg, used"
+                    f" {used[0]:.0f} to {used[1]:.0f} deg; the largest part without a stop is {gap:.0f} deg."
+                )
+                rows.append((cells, text))
+        self.draw(rows)
+
+
+class EffectsTable(_RowTable):
+    """For each effect whether the plan can show it."""
+
+    COLUMNS = ("arm", "visible", "from mm", "scatter", "effect")
+
+    def show(self, arms: Mapping[str, ArmForecast]) -> None:
+        """Draw the effects of all arms, those that cannot be seen first."""
+        from cellapp.reporting.plan_text import effect_sentence, effect_title
+
+        self.tooltip = "Smallest rms displacement of the SMR that would be seen: tracker alone, and with 0.1 mm scatter"
+        entries = [(name, one) for name, arm in arms.items() for one in arm.effects]
+        entries.sort(key=lambda entry: entry[1].visible)
+        rows = []
+        for name, one in entries:
+            sizes = (one.smallest_seen_rms_mm, one.with_scatter_rms_mm) if one.visible else (None, None)
+            shown = ["" if size is None else f"{size:.3f}" for size in sizes]
+            cells = (name, "yes" if one.visible else "no", *shown, effect_title(one))
+            rows.append((cells, f"Arm {name}: {effect_sentence(one)}"))
+        self.draw(rows)
+
+
+class AccuracyTable(_RowTable):
+    """Expected standard errors."""
+
+    COLUMNS = ("arm", "standard error of", "tracker alone", "0.1 mm scatter", "unit")
+
+    def show(self, arms: Mapping[str, ArmForecast]) -> None:
+        """Draw predicted positions and parameters of all arms."""
+        from cellapp.reporting.plan_text import accuracy_table
+
+        self.tooltip = "Standard errors that the planned stops will give"
+        rows = []
+        for name, arm in arms.items():
+            for cells in accuracy_table(name, arm).text_rows():
+                what, alone, scattered, unit = cells
+                text = f"Arm {name}, {what}: {alone or '-'} {unit} with the tracker's noise alone"
+                rows.append(((name, *cells), f"{text}, {scattered or '-'} {unit} with 0.1 mm scatter."))
+        self.draw(rows)
