@@ -29,9 +29,9 @@ from cellapp.profile.draft_fields import (
     TRACKER_FIELDS,
     FormField,
 )
-from cellapp.profile.draft_file import NewText, OpenProfile, before_saving, changed_on_disk, new_text, save
+from cellapp.profile.draft_file import OpenProfile, before_saving, changed_on_disk, new_text, save
 from cellapp.profile.starters import arm_type_files
-from cellapp.reporting.charts_placement import placement_chart
+from cellapp.reporting.charts import Chart
 from cellapp.tui.dialogs.points import PointsDialog
 from cellapp.tui.dialogs.question import Answer, Choice, Question
 from cellapp.tui.plots import ChartPlot
@@ -44,11 +44,11 @@ _PAUSE_S = 0.2
 
 
 class Judged(Message):
-    """The draft was judged by the profile's rules; ``words`` says why where it could not be."""
+    """The draft was judged by the profile's rules; ``chart`` is its map, None where it could not be read."""
 
-    def __init__(self, draft: ProfileDraft, new: NewText | None, words: str = "") -> None:
+    def __init__(self, draft: ProfileDraft, problems: tuple[FieldProblem, ...], chart: Chart | None = None) -> None:
         super().__init__()
-        self.draft, self.new, self.words = draft, new, words
+        self.draft, self.problems, self.chart = draft, problems, chart
 
 
 class ProfileForm(Question[Path]):
@@ -270,10 +270,14 @@ class ProfileForm(Question[Path]):
 
     @work(thread=True, exclusive=True, group="judge")
     def _judge_draft(self, opened: OpenProfile, draft: ProfileDraft) -> None:
+        from cellapp.reporting.charts_placement import placement_chart  # loads scipy: not in the thread of the keys
+
         try:
-            self.post_message(Judged(draft, new_text(opened, draft)))
+            checked = new_text(opened, draft).checked
         except InputError as error:
-            self.post_message(Judged(draft, None, str(error)))
+            self.post_message(Judged(draft, (FieldProblem("", "", str(error)),)))
+        else:
+            self.post_message(Judged(draft, checked.problems, placement_chart(checked.bases, checked.tracker)))
 
     @on(Judged)
     def show_judged(self, event: Judged) -> None:
@@ -281,11 +285,10 @@ class ProfileForm(Question[Path]):
         if event.draft is not self._draft:
             return
         self._judged = event.draft
-        checked = None if event.new is None else event.new.checked
-        self._problems = (FieldProblem("", "", event.words),) if checked is None else checked.problems
+        self._problems = event.problems
         self._draw_problems()
-        if checked is not None:
-            self.query_one(ChartPlot).chart = placement_chart(checked.bases, checked.tracker)
+        if event.chart is not None:
+            self.query_one(ChartPlot).chart = event.chart
         self._draw_titles()
         self._draw_help()
 
