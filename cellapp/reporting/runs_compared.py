@@ -55,7 +55,9 @@ def comparison_sentences(result: RunComparison) -> list[str]:
                 f"inter-base transform: the origin of the second base differs by {result.pair.distance_mm:.3f} mm"
             )
     if any(value.z is not None for arm in result.arms.values() for value in arm.parameters):
-        sentences.append("z, in combined standard uncertainties, takes the readings of both runs as independent")
+        sentences.append(
+            "z is the difference in combined standard uncertainties u, with the readings of both runs as independent"
+        )
     return [*sentences, *result.notes]
 
 
@@ -89,13 +91,13 @@ def _value_tables(title: str, values: Sequence[ValueComparison], shown_in: Shown
         return []
     columns = (
         Column("parameter"),
-        number_column("b - a", "+.5f"),
-        number_column("uncertainty", ".5f"),
+        number_column("b - a", "+.4f"),
+        number_column("u(b - a)", ".4f"),
         number_column("z", "+.1f"),
         Column("differs"),
         Column("unit"),
-        number_column("a", ".5f"),
-        number_column("b", ".5f"),
+        number_column("a", ".4f"),
+        number_column("b", ".4f"),
     )
     return [Table(title, columns, tuple(_value_row(value, *shown_in(value.unit)) for value in values))]
 
