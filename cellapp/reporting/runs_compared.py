@@ -56,7 +56,7 @@ def comparison_sentences(result: RunComparison) -> list[str]:
             )
     if any(value.z is not None for arm in result.arms.values() for value in arm.parameters):
         sentences.append(
-            "z is the difference in combined standard uncertainties u, with the readings of both runs as independent"
+            "z: difference in combined standard uncertainties u; readings of both runs count as independent"
         )
     return [*sentences, *result.notes]
 
