@@ -48,13 +48,13 @@ class Checked:
     Attributes
     ----------
     bases : mapping
-        Arm -> pose of its base, where that holds.
+        Arm -> pose of its base; None where that does not hold.
     tracker : Pose or None
     """
 
     problems: tuple[FieldProblem, ...]
     profile: Profile | None = None
-    bases: Mapping[str, Pose] = field(default_factory=dict)
+    bases: Mapping[str, Pose | None] = field(default_factory=dict)
     tracker: Pose | None = None
 
 
@@ -77,9 +77,8 @@ def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
         return Checked((_at_field(error.place.inside, error.words, draft, fields),))
     except InputError as error:
         return Checked((FieldProblem("", "", str(error)),))
-    poses = {path: _pose(document.data, path) for path in [("tracker", "pose"), *_base_paths(draft)]}
-    tracker = poses.pop(("tracker", "pose"))
-    bases = {path[1]: pose for path, pose in poses.items() if pose is not None}
+    bases = {arm.name: _pose(document.data, ("arms", arm.name, "base")) for arm in draft.arms}
+    tracker = _pose(document.data, ("tracker", "pose"))
     try:
         return Checked((), Profile.model_validate(document.data), bases, tracker)
     except ValidationError as error:
@@ -122,10 +121,6 @@ def _wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
         for index, arm in enumerate(draft.arms)
         if not arm.name.strip() or counts[arm.name] > 1
     )
-
-
-def _base_paths(draft: ProfileDraft) -> list[tuple[str, ...]]:
-    return [("arms", arm.name, "base") for arm in draft.arms]
 
 
 def _pose(data: Any, path: Sequence[str]) -> Pose | None:

@@ -94,7 +94,7 @@ def before_saving(opened: OpenProfile, new: NewText, *, changed: bool) -> tuple[
     elif opened.text is not None:
         lines = list(difflib.ndiff(opened.text.splitlines(), new.text.splitlines()))
         added, taken = (sum(line.startswith(mark) for line in lines) for mark in "+-")
-        sentences.append(f"Saving changes {opened.path}: lines taken out {taken}, put in {added}.")
+        sentences.append(f"Saving changes {opened.path}: {_lines(taken)} taken out, {_lines(added)} put in.")
     if new.lost_comments:
         sentences.append(f"Comments that go with keys that are no longer there: {'; '.join(new.lost_comments)}.")
     if new.checked.problems:
@@ -130,6 +130,10 @@ def save_new(folder: Path, draft: ProfileDraft, name: str) -> Path:
         raise InputError(f"{opened.path} exists already; nothing was written. Give another name, or move it away")
     save(opened, draft, new.text)
     return opened.path
+
+
+def _lines(count: int) -> str:
+    return f"{count} line" if count == 1 else f"{count} lines"
 
 
 def _text(path: Path) -> str | None:
