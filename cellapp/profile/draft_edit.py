@@ -14,7 +14,7 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import YAMLError
 
 from cellapp.errors import InputError
-from cellapp.profile.draft import PLANT, ArmDraft, ProfileDraft, draft_of, driver_keys, fields_of, needs_plant
+from cellapp.profile.draft import PLANT, SURVEYED, ArmDraft, ProfileDraft, draft_of, driver_keys, fields_of, needs_plant
 from cellapp.profile.draft_fields import FormField, yaml_value
 from cellapp.profile.messages import KeyPath
 from drivers.arms.registry import ARMS
@@ -58,7 +58,7 @@ def edited_text(text: str, path: Path, draft: ProfileDraft) -> EditedText:
     for item in fields_of(draft):
         if item.text.strip() != before.get(item.path, "").strip():
             _set(document, item.path, item.form, item.text.strip())
-    result = _dump(document)
+    result = _with_notes(_dump(document), path, old, draft)
     if needs_plant(draft) and "plant" not in document:
         result += PLANT
     return EditedText(result, tuple(_missing_comments(text, result)))
@@ -78,6 +78,21 @@ def _edit_arms(document: CommentedMap, arms: Sequence[ArmDraft]) -> None:
         section = listed.setdefault(arm.name, CommentedMap())
         if section.get("driver", {}).get("kind") != arm.kind:
             _drop_keys(section.get("driver"), driver_keys(arm.kind, ARMS))
+
+
+def _with_notes(text: str, path: Path, old: ProfileDraft, draft: ProfileDraft) -> str:
+    """Say above each base that was changed where it comes from now; what was said of a surveyed one goes."""
+    before = {arm.name: (arm.position, arm.rpy) for arm in _renamed(old, draft.arms).arms}
+    arms = _load(text, path)["arms"]
+    lines = text.split("\n")
+    for arm in reversed(draft.arms):  # from the end: the numbers of earlier lines stay
+        section = arms[arm.name]
+        if before.get(arm.name) == (arm.position, arm.rpy) or "base" not in section or section.fa.flow_style():
+            continue
+        line, column = section.lc.key("base")
+        noted = lines[line - 1].strip().startswith(f"# {SURVEYED}")
+        lines[line - noted : line] = [f"{' ' * column}# {arm.note}"] if arm.note else []
+    return "\n".join(lines)
 
 
 def _renamed(old: ProfileDraft, arms: Sequence[ArmDraft]) -> ProfileDraft:

@@ -240,6 +240,20 @@ def test_arms_can_be_removed_and_added() -> None:
     assert again.arms[1].position == draft().arms[1].position
 
 
+def test_a_surveyed_base_says_so_until_it_is_typed_again() -> None:
+    path = PROFILES / "twin.yaml"
+    text = path.read_text("utf-8")
+    words = "From tracker points: 4 points fit to 0.10 mm rms."
+    surveyed = with_text(changed("twin", arms__1__position="0, -0.9, 0"), "arms.1.note", words)
+    noted = edited_text(text, path, surveyed).text
+    assert f"\n    # {words}\n    base: {{position: [0.0, -0.9, 0.0]" in noted
+    assert noted.count("From tracker points") == 1
+    again = edited_text(noted, path, with_text(surveyed, "arms.1.position", "0, -0.8, 0")).text
+    assert again.count("From tracker points") == 1
+    typed = with_text(draft_of(again, path), "arms.1.position", "0.0, -0.85, 0.0")
+    assert edited_text(again, path, typed).text == text
+
+
 def test_lost_comments_are_reported() -> None:
     taken, _, lost = edit("twin", plan__floor="")
     assert [line.partition(":")[0] for line in taken if line] == ["floor"]
