@@ -48,8 +48,6 @@ def comparison_sentences(result: RunComparison) -> list[str]:
     for name, arm in result.arms.items():
         sentences += _differing(f"arm {name}", arm.parameters)
         sentences += [_found_words(name, effect) for effect in arm.effects]
-        for effect in arm.effects:
-            sentences += _differing(f"arm {name}, {effect.title}", effect.parameters)
     if result.pair is not None:
         sentences += _differing("inter-base transform", result.pair.parameters)
         if result.pair.distance_mm is not None:
@@ -125,4 +123,12 @@ def _found_words(name: str, effect: EffectComparison) -> str:
     if effect.found_in != "both":
         return f"arm {name}: {effect.title} ({where[0]}) was found in {effect.found_in} only"
     places = where[0] if where[0] == where[1] else f"{where[0]} in a, {where[1]} in b"
-    return f"arm {name}: {effect.title} ({places}) was found in both"
+    return f"arm {name}: {effect.title} ({places}) was found in both; {_size_words(effect.parameters)}"
+
+
+def _size_words(values: Sequence[ValueComparison]) -> str:
+    differing = [f"{value.name} (z = {value.z:+.1f})" for value in values if value.differs]
+    if differing:
+        return f"sizes differ: {', '.join(differing)}"
+    judged = sum(value.z is not None for value in values)
+    return f"{judged} of {len(values)} sizes can be compared, they agree" if judged else "sizes cannot be compared"

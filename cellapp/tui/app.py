@@ -333,11 +333,14 @@ class CellApp(App[None]):
     @on(WorkspaceLoaded)
     def show_loaded(self, event: WorkspaceLoaded) -> None:
         """Draw what was read."""
-        self.workspace = event.workspace
+        before, self.workspace = self.workspace, event.workspace
         if event.workspace.problem:
             self.say(event.workspace.problem, "error")
         elif event.workspace.edited:
             self.say("The profile was edited after this run was planned; the run keeps its own copy.", "warning")
+        elif event.workspace.folder not in (None, before.folder):
+            title = next(entry.title for entry in SCREENS if entry.step == event.workspace.next_step)
+            self.say(f"{event.workspace.folder} is open; next: {title} (key n).")
         self.draw_all()
 
     # -- the job -------------------------------------------------------------------------------------------------------

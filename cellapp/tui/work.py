@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ from cellapp.progress import Listener
 from cellapp.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
+    from cellapp.compensation.targets import Target
     from cellapp.reporting.report_data import ReportData
     from cellapp.results import Result, RunSummary
     from cellapp.run import RunFile
@@ -97,27 +98,24 @@ def discover(folder: Path, propose: int | None = None) -> Job:
     return _on_run("discover" if propose is None else "propose", folder, work)
 
 
-def compensate(folder: Path, targets: Path) -> Job:
-    """Compute commands for the targets of a file."""
+def compensate(folder: Path, targets: Sequence[Target]) -> Job:
+    """Compute commands for targets."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.compensation.targets import load_targets
         from cellapp.pipeline import compensate_run
 
-        return compensate_run(run, load_targets(targets, run.profile))
+        return compensate_run(run, targets)
 
     return _on_run("compensate", folder, work)
 
 
-def push(folder: Path, targets: Path, *, verify: bool, out_of_date: bool = False) -> Job:
+def push(folder: Path, targets: Sequence[Target], *, verify: bool, out_of_date: bool = False) -> Job:
     """Move the arms to compensated targets; with ``verify`` measure them before and after compensation."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.compensation.targets import load_targets
         from cellapp.pipeline import push_run
 
-        listed = load_targets(targets, run.profile)
-        return push_run(run, listed, listener, control, verify=verify, out_of_date=out_of_date, ask=ask)
+        return push_run(run, targets, listener, control, verify=verify, out_of_date=out_of_date, ask=ask)
 
     return _on_run("push", folder, work, moves=True)
 

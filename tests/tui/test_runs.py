@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 import webbrowser
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from cellapp.tui import browser
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.comparison import Comparison
 from cellapp.tui.dialogs.question import Choice
-from tests.run.small_runs import collected_run
+from tests.run.small_runs import collected_run, set_began
 from tests.tui.pilot import PROFILES, SIZES, SMALL, MovingJob, ended, opened, shown_text, until
 
 pytestmark = pytest.mark.fast
@@ -29,9 +28,10 @@ LOGS = Path("logs")
 @pytest.fixture
 def logs() -> Path:
     """Three runs and a broken one."""
-    for name, outcome, measured in (("first", "complete", 4), ("second", "stopped", 2), ("third", "complete", 3)):
+    runs = (("first", "complete", 4), ("second", "stopped", 2), ("third", "complete", 3))
+    for minute, (name, outcome, measured) in enumerate(runs):
         collected_run(LOGS / name, outcome, measured)  # type: ignore[arg-type]
-        time.sleep(0.002)  # the time of creation is stored to the millisecond
+        set_began(LOGS / name, minute)
     (LOGS / "broken").mkdir()
     (LOGS / "broken" / "run.sqlite").write_text("no run")
     return LOGS

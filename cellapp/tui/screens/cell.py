@@ -27,6 +27,7 @@ from cellapp.tui.widgets.cell_findings import (
     devices_of,
 )
 from cellapp.tui.widgets.cell_map import CellMap
+from cellapp.tui.widgets.tabs import explain_tabs, show_next_tab
 from cellapp.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ Which cell is calibrated, what the profile says of it, what its devices say, and
   come first, and the sentence below the table is that of the selected row, in full.
 - *Devices* shows what each device said last. UR controllers are asked again every 5 s while no job runs; `r` asks all.
 - *Profile* is the profile in words, *Map* shows where bases and tracker stand.
-- `w` edits the profile.
+- `w` edits the profile in a form, `+` writes a new one; `t` shows the next tab.
 
 Next: a plan (`2`).
 """
@@ -72,6 +73,7 @@ class CellScreen(DayScreen):
         Binding("r", "refresh_devices", "Ask devices", tooltip="ask every device for its state; nothing moves"),
         Binding("o", "open", "Open profile", tooltip="open a profile by its path"),
         Binding("w", "edit", "Edit profile", tooltip="change the profile in a form"),
+        Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
         Binding("plus", "write", "New profile", key_display="+", tooltip="write a profile in a form"),
     ]
     DEFAULT_CSS = """
@@ -124,6 +126,7 @@ class CellScreen(DayScreen):
         profiles = self.query_one("#profiles", OptionList)
         profiles.add_options([path.stem for path in self._found])
         self.query_one("#cell-words", DataTable).add_columns("what", "in the profile")
+        explain_tabs(self.query_one("#cell-tabs", TabbedContent))
         if self._found:
             profiles.highlighted = 0
         else:
@@ -181,6 +184,10 @@ class CellScreen(DayScreen):
         from cellapp.tui.dialogs.first_run import write_profile
 
         write_profile(self.cell_app)
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        show_next_tab(self.query_one("#cell-tabs", TabbedContent))
 
     # -- doctor and devices --------------------------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ from cellapp.tui.dialogs.new_run import NewRunQuestion
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.cell_map import CellMap
 from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable
+from cellapp.tui.widgets.tabs import explain_tabs, show_next_tab
 from cellapp.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ Which stops the arms will visit, before anything moves.
 - `f` foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect whether the
   plan can show it and from which size on.
 - *Constraints* is what the profile demands, *Above* and *Tracker* show the stops. The sentence below a table is that of
-  the selected row.
+  the selected row; `t` shows the next tab.
 
 Sizes and errors *alone* are for the tracker's noise alone; *with scatter* adds 0.1 mm, what gravity and backlash leave
 in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload let more effects be seen.
@@ -52,6 +53,7 @@ class PlanScreen(DayScreen):
         Binding("g", "plan", "New plan", tooltip="make a new run with a plan"),
         Binding("k", "check", "Check", tooltip="run the safety gate over all stops and ways again; nothing moves"),
         Binding("f", "forecast", "Forecast", tooltip="time, joint ranges, expected errors, effects that can be seen"),
+        Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
     ]
     DEFAULT_CSS = """
     #plan-state, #plan-time, #plan-safety { height: auto; max-height: 3; }
@@ -99,6 +101,10 @@ class PlanScreen(DayScreen):
                 yield CellMap("above", id="side-above")
                 yield CellMap("tracker", id="side-tracker")
 
+    def on_mount(self) -> None:
+        """Explain the tabs."""
+        explain_tabs(self.query_one("#plan-tabs", TabbedContent))
+
     # -- actions -------------------------------------------------------------------------------------------------------
 
     def action_plan(self) -> None:
@@ -128,6 +134,10 @@ class PlanScreen(DayScreen):
         """Foresee what the plan of the open run gives."""
         if folder := self._planned_folder():
             self.start(verbs.forecast_plan(folder))
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        show_next_tab(self.query_one("#plan-tabs", TabbedContent))
 
     def _planned_folder(self) -> Path | None:
         """Folder of the open run with a plan; None with a sentence why there is none."""
@@ -231,7 +241,7 @@ class PlanScreen(DayScreen):
                 text = table.selected_text
             for other in pane.query("CoverageTable, EffectsTable, AccuracyTable").results():
                 assert isinstance(other, CoverageTable | EffectsTable | AccuracyTable)
-                text = other.selected_text
+                text = other.selected_text or _NO_FORECAST
         self.query_one("#plan-detail", Static).update(Text(text))
 
 

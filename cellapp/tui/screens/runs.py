@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 
 REPORT = "report.html"
 """As ``cellapp.run`` names it."""
-_MARK = "●"
+_MARK, _OPEN = "●", "▸"
+_MARKS = "marks"
+"""Key of the column that shows which runs are open and marked; the others have their place as key."""
 _MOST_MARKED = 2
 _BEGAN = 1
 """Column by which the list is sorted at first."""
@@ -42,8 +44,8 @@ HELP = """\
 
 Every run in the folder of runs, newest first. Nothing here changes a run.
 
-- **Enter** opens the run under the cursor; **n** then goes to the step that comes next.
-- **Space** marks a run, **c** compares two marked ones: profile, parameters, errors, effects, verification.
+- **Enter** opens the run under the cursor (▸); **n** then goes to the step that comes next.
+- **Space** marks a run (●), **c** compares two marked ones: profile, parameters, errors, effects, verification.
 - **o** opens the report in a browser; it is written first where there is none.
 - **e** goes on with a run that was interrupted while collecting. It asks, and nothing moves yet.
 - **y** plays the run back through the screen Collect. Nothing moves.
@@ -109,9 +111,9 @@ class RunsScreen(DayScreen):
     def on_mount(self) -> None:
         """Draw the headings."""
         table = self._table
-        table.add_column(" ", key="mark")
-        for place, column in enumerate(self._columns):
-            table.add_column(Text(column.title), key=str(place))
+        table.add_column("  ", key=_MARKS)
+        for place in range(len(self._columns)):
+            table.add_column(self._heading(place), key=str(place))
 
     @property
     def _table(self) -> DataTable[Text]:
@@ -124,6 +126,11 @@ class RunsScreen(DayScreen):
         if not table.row_count:
             return None
         return self._shown.get(str(table.ordered_rows[table.cursor_row].key.value))
+
+    def _heading(self, place: int) -> Text:
+        """Title of a column, with the order where the list is sorted by it."""
+        order = ("▾" if self._reverse else "▴") if place == self._sorted else " "
+        return Text(f"{self._columns[place].title} {order}")
 
     # -- reading -------------------------------------------------------------------------------------------------------
 
@@ -170,7 +177,8 @@ class RunsScreen(DayScreen):
         table.clear()
         for run in chosen:
             style = "dim" if run.problem else ""
-            mark = Text(_MARK if run.run in self._marked else " ")
+            is_open = self.workspace.folder is not None and Path(run.run) == self.workspace.folder
+            mark = Text((_OPEN if is_open else " ") + (_MARK if run.run in self._marked else " "))
             table.add_row(mark, *(Text(cell, style) for cell in run_cells(run, self._columns)), key=run.run)
         if present is not None and present.run in self._shown:
             table.move_cursor(row=table.get_row_index(present.run))
@@ -219,13 +227,16 @@ class RunsScreen(DayScreen):
     @on(DataTable.HeaderSelected)
     def sort_by(self, event: DataTable.HeaderSelected) -> None:
         """Sort by the column whose heading was clicked; a second click turns the order round."""
-        if event.column_key.value != "mark":
+        if event.column_key.value != _MARKS:
             self._sort(int(event.column_key.value or 0), again=True)
 
     def _sort(self, place: int, *, again: bool) -> None:
         turned = again and place == self._sorted
         self._reverse = not self._reverse if turned else self._columns[place].newest_first
         self._sorted = place
+        for column in self._table.ordered_columns:
+            if column.key.value != _MARKS:
+                column.label = self._heading(int(column.key.value or 0))
         self._draw()
         self.say(f"Sorted by {self._columns[place].title}{', largest first' if self._reverse else ''}.")
 

@@ -57,6 +57,7 @@ class DayHeader(Horizontal):
         job.update(job_words(record))
         job.set_classes(f"job {record.state or 'idle'}")
         self.set_class(record.state is not None, "running")
+        self.set_class(workspace.kind == "real", "real")
 
 
 class StepLine(Horizontal):
