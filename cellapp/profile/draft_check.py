@@ -60,14 +60,14 @@ class Checked:
 
 def check_draft(draft: ProfileDraft, path: Path) -> Checked:
     """Judge a draft that is to be written to ``path``; types of arms may also be those that come with the program."""
-    wrong = _wrong_names(draft)
+    wrong = wrong_names(draft)
     return Checked(wrong) if wrong else check_text(draft_to_yaml(draft), path, draft)
 
 
 def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
     """Judge the text of a profile for ``path``, as ``load_profile`` does; ``draft`` holds its fields."""
     fields = tuple(fields_of(draft))
-    wrong = _wrong_names(draft)
+    wrong = wrong_names(draft)
     if wrong:
         return Checked(wrong)
     try:
@@ -112,8 +112,8 @@ def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[A
         raise InputError(f"{dotted((*at, *details['loc']))}: {value_message(details)}; correct it first") from None
 
 
-def _wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
-    """Names of arms that are empty or given twice: as keys they could not even be written."""
+def wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
+    """Return names of arms that are empty or given twice: as keys they cannot even be written."""
     counts = Counter(arm.name for arm in draft.arms)
     words = {0: "missing; each arm needs a name, such as left", 2: "given twice; each arm needs a name of its own"}
     return tuple(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -67,17 +67,24 @@ def edited_text(text: str, path: Path, draft: ProfileDraft) -> EditedText:
 def _edit_arms(document: CommentedMap, arms: Sequence[ArmDraft]) -> None:
     """Remove, rename and add arms; where the kind of driver changes, remove keys that the new kind does not have."""
     listed = document.setdefault("arms", CommentedMap())
-    for name in [name for name in listed if name not in {arm.source for arm in arms}]:
-        del listed[name]
-    for index, arm in enumerate(arms):
-        if arm.source in listed and arm.source != arm.name:
-            listed.insert(index, arm.name, listed.pop(arm.source))
-            effects = document.get("plant", {}).get("effects", {})
-            if arm.source in effects:
-                effects.insert(0, arm.name, effects.pop(arm.source))
+    names = {arm.source: arm.name for arm in arms if arm.source}
+    _rename_keys(listed, names)
+    _rename_keys(document.get("plant", {}).get("effects"), names)  # the hidden physics belongs to its arm
+    for arm in arms:
         section = listed.setdefault(arm.name, CommentedMap())
         if section.get("driver", {}).get("kind") != arm.kind:
             _drop_keys(section.get("driver"), driver_keys(arm.kind, ARMS))
+
+
+def _rename_keys(section: CommentedMap | None, names: Mapping[str, str]) -> None:
+    """Give keys their new names, all at once as two may change places; remove those that have none."""
+    if not isinstance(section, CommentedMap):
+        return
+    order = list(section)
+    moved = {old: section.pop(old) for old in order if names.get(old) != old}
+    for place, old in enumerate(name for name in order if name in names):
+        if old in moved:
+            section.insert(place, names[old], moved[old])
 
 
 def _with_notes(text: str, path: Path, old: ProfileDraft, draft: ProfileDraft) -> str:

@@ -375,7 +375,7 @@ class ProfileForm(Question[Path]):
             if sentences and not await self._agreed("\n".join(sentences)):
                 self.notify("Nothing was saved.")
                 return
-            self._opened = await asyncio.to_thread(save, opened, draft, new.text)
+            self._opened = await asyncio.to_thread(save, opened, draft, new)
         except InputError as error:
             self.notify(str(error), severity="error", timeout=10.0)
             return
