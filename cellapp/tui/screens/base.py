@@ -78,7 +78,7 @@ class DayScreen(Screen[None]):
         self.cell_app.say(text, severity)
 
     def on_resize(self, event: Resize) -> None:
-        """Draw a sentence instead of the body where the terminal is too small; Textual calls a subclass's method, too."""
+        """Draw a sentence instead of the body where the terminal is too small; a subclass's method runs, too."""
         self.set_class(event.size.width < _LEAST[0] or event.size.height < _LEAST[1], "-too-small")
 
     def on_screen_resume(self) -> None:
