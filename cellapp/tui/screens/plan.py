@@ -157,6 +157,8 @@ class PlanScreen(DayScreen):
         from cellapp.results import PlanCheckResult, PlanForecastResult
 
         tabs = self.query_one("#plan-tabs", TabbedContent)
+        if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self._folder:
+            return  # another run was opened meanwhile
         if isinstance(result, PlanCheckResult):
             self._check = result
             if result.refused:
