@@ -92,7 +92,7 @@ Tied = tuple[RunFile, CellDiscovery, Proposal]
 
 @pytest.fixture(scope="module")
 def searched(plan: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CellDiscovery]:
-    """Both arms have backlash, which this run cannot distinguish from unsettled measurements. No test may write to it."""
+    """Both arms have backlash, which this run cannot distinguish from unsettled measurements; not to be written to."""
     folder = tmp_path_factory.mktemp("searched") / "run"
     with measured_run(folder, {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
         return folder, calibrated_and_searched(run)
