@@ -179,7 +179,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
             index = self._index
             target = self._edits.targets[index]
             others = self._edits.without(index).targets
-            form = TargetForm(target, typed_texts(target), others, self.workspace.profile)
+            form = TargetForm(f"Target {target.name}", target, typed_texts(target), others, self.workspace.profile)
             self.app.push_screen(form, lambda typed: self._take(index, typed))
 
     def action_add(self) -> None:
@@ -190,10 +190,11 @@ Points to which the calibrated arms are sent. The list that the profile names is
             return
         arm = next(iter(profile.arms))
         texts = {"name": f"{arm}-01", "arm": arm, "position": "", "rpy": "0 deg, 0 deg, 0 deg", "tolerance": ""}
-        if targets:
-            like = targets[self._index]
+        like = targets[self._index] if targets else None
+        if like is not None:
             texts = {**typed_texts(like), "name": new_name(like.name, targets)}
-        self.app.push_screen(TargetForm(None, texts, targets, profile), lambda typed: self._take(len(targets), typed))
+        form = TargetForm("New target", like, texts, targets, profile)
+        self.app.push_screen(form, lambda typed: self._take(len(targets), typed))
 
     def _take(self, index: int, target: Target | None) -> None:
         if target is not None and self._edits.targets[index : index + 1] != (target,):
