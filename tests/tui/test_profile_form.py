@@ -15,7 +15,7 @@ from cellapp.model.nominal import pose_matrix
 from cellapp.profile import load_profile
 from cellapp.profile.starters import copy_starter
 from cellapp.tui.app import CellApp
-from cellapp.tui.dialogs.first_run import Welcome, edit_profile, offer_first_run, write_profile
+from cellapp.tui.dialogs.first_run import Welcome, edit_profile, offer_first_run
 from cellapp.tui.dialogs.points import PointsDialog
 from cellapp.tui.dialogs.question import Choice
 from cellapp.tui.plots import ChartPlot
@@ -31,7 +31,9 @@ TWIN = Path("profiles/twin.yaml")
 
 @pytest.fixture
 def app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CellApp:
-    """The application in an empty folder."""
+    """The application in an empty folder; what waits for a rest in typing waits a moment only."""
+    for module in ("screens.profile_form", "dialogs.points"):
+        monkeypatch.setattr(f"cellapp.tui.{module}._PAUSE_S", 0.01)
     monkeypatch.chdir(tmp_path)
     return CellApp(Path("profiles"))
 
@@ -103,7 +105,6 @@ async def asked(pilot: Pilot[None], app: CellApp, *words: str) -> None:
 
 async def test_enter_in_an_empty_folder_opens_the_twin(app: CellApp) -> None:
     async with app.run_test(size=SMALL) as pilot:
-        assert offer_first_run(app)
         await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
         await pilot.pause()
         for answer in ("Try the simulated twin (t)", "Write a profile for my cell (w)", "Open a profile elsewhere (o)"):
@@ -118,10 +119,9 @@ async def test_enter_in_an_empty_folder_opens_the_twin(app: CellApp) -> None:
 async def test_what_cannot_be_written_or_edited_gets_a_sentence(app: CellApp) -> None:
     Path("profiles").write_text("a file", "utf-8")
     async with app.run_test(size=SMALL) as pilot:
+        await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
         edit_profile(app, Path("nothing.yaml"))
         assert app.message == "nothing.yaml: file not found; give the path of a profile"
-        assert offer_first_run(app)
-        await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
         await pilot.press("t")
         await until(pilot, lambda: "profiles" in app.message and "give" in app.message, "the sentence")
 
@@ -144,7 +144,8 @@ ANSWERS = {
 
 async def test_a_new_cell_is_written_with_what_the_form_asks_for(app: CellApp) -> None:
     async with app.run_test(size=(120, 40)) as pilot:
-        write_profile(app)
+        await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
+        await pilot.press("w")
         await until(pilot, lambda: isinstance(app.screen, ProfileForm), "the form")
         await shown(pilot, app, "9 fields to correct")
         await pilot.press("f4")  # from the name to the first problem of the left arm
@@ -196,14 +197,14 @@ async def test_undo_steps_by_field_and_a_problem_stands_beside_its_field(with_tw
         assert problem(app, "arms.0.position") == ""
 
 
-async def test_saving_asks_and_keeps_every_comment(with_twin: CellApp) -> None:
+async def test_saving_asks_and_overwrites_nothing_silently(with_twin: CellApp) -> None:
     app = with_twin
     before = TWIN.read_text("utf-8")
     async with app.run_test(size=SMALL) as pilot:
         await edit(pilot, app)
         await fill(pilot, app, "plan.stops", "120")
         await pilot.press("ctrl+s")
-        await asked(pilot, app, "Saving changes profiles/twin.yaml: lines taken out 1, put in 1.")
+        await asked(pilot, app, "Saving changes profiles/twin.yaml: 1 line taken out, 1 line put in.")
         await pilot.press("enter")  # the first answer: not
         await until(pilot, lambda: isinstance(app.screen, ProfileForm), "the form")
         assert TWIN.read_text("utf-8") == before
@@ -211,13 +212,7 @@ async def test_saving_asks_and_keeps_every_comment(with_twin: CellApp) -> None:
         await asked(pilot, app)
         await pilot.press("s")
         await shown(pilot, app, "· saved ·")
-    assert TWIN.read_text("utf-8") == before.replace("stops: 400", "stops: 120")
-
-
-async def test_a_file_that_others_changed_is_not_overwritten_silently(with_twin: CellApp) -> None:
-    app = with_twin
-    async with app.run_test(size=SMALL) as pilot:
-        await edit(pilot, app)
+        assert TWIN.read_text("utf-8") == before.replace("stops: 400", "stops: 120")
         await fill(pilot, app, "plan.floor", "")
         TWIN.write_text(TWIN.read_text("utf-8") + "# a colleague\n", "utf-8")
         await pilot.press("ctrl+s")

@@ -27,11 +27,12 @@ from cellapp.tui.widgets.cell_findings import (
     devices_of,
 )
 from cellapp.tui.widgets.cell_map import CellMap
+from cellapp.tui.widgets.tabs import explain_tabs, show_next_tab
 from cellapp.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.profile import Profile
-    from cellapp.results import DoctorResult, Result
+    from cellapp.results import DoctorResult, Result, StopsResult
 
 _REFRESH_S = 5.0
 """Time between two questions to the devices: slow enough for any controller, fast enough to see a stop released."""
@@ -48,7 +49,7 @@ Which cell is calibrated, what the profile says of it, what its devices say, and
   come first, and the sentence below the table is that of the selected row, in full.
 - *Devices* shows what each device said last. UR controllers are asked again every 5 s while no job runs; `r` asks all.
 - *Profile* is the profile in words, *Map* shows where bases and tracker stand.
-- `w` edits the profile.
+- `w` edits the profile in a form, `+` writes a new one; `t` shows the next tab.
 
 Next: a plan (`2`).
 """
@@ -72,6 +73,7 @@ class CellScreen(DayScreen):
         Binding("r", "refresh_devices", "Ask devices", tooltip="ask every device for its state; nothing moves"),
         Binding("o", "open", "Open profile", tooltip="open a profile by its path"),
         Binding("w", "edit", "Edit profile", tooltip="change the profile in a form"),
+        Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
         Binding("plus", "write", "New profile", key_display="+", tooltip="write a profile in a form"),
     ]
     DEFAULT_CSS = """
@@ -100,6 +102,7 @@ class CellScreen(DayScreen):
         self._written_ns = 0
         self._states: dict[str, DeviceState] = {}
         self._probing = False
+        self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
 
     def body(self) -> ComposeResult:
         with Horizontal():
@@ -124,6 +127,7 @@ class CellScreen(DayScreen):
         profiles = self.query_one("#profiles", OptionList)
         profiles.add_options([path.stem for path in self._found])
         self.query_one("#cell-words", DataTable).add_columns("what", "in the profile")
+        explain_tabs(self.query_one("#cell-tabs", TabbedContent))
         if self._found:
             profiles.highlighted = 0
         else:
@@ -181,6 +185,10 @@ class CellScreen(DayScreen):
         from cellapp.tui.dialogs.first_run import write_profile
 
         write_profile(self.cell_app)
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        show_next_tab(self.query_one("#cell-tabs", TabbedContent))
 
     # -- doctor and devices --------------------------------------------------------------------------------------------
 
@@ -262,6 +270,11 @@ class CellScreen(DayScreen):
             self._list(workspace.profile_path)
         if workspace.profile is not self._profile:
             self._show_profile(workspace.profile)
+        drawn = (workspace.profile, workspace.stops)
+        if drawn != self._drawn:
+            self._drawn = drawn
+            for plot in self.query(CellMap):
+                plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)
         self._draw_doctor()
         self._draw_devices()
         self._draw_detail()
@@ -273,8 +286,6 @@ class CellScreen(DayScreen):
         self._profile = profile
         words = self.query_one("#cell-words", DataTable)
         words.clear()
-        for drawn in self.query(CellMap):
-            drawn.show_cell(profile)
         for row in () if profile is None else (*cell_words(profile), *constraint_words(profile)):
             words.add_row(*map(Text, row))
         if changed:

@@ -18,6 +18,7 @@ from textual.message import Message
 from textual.widgets import Static
 
 from cellapp.errors import CellappError
+from cellapp.reporting.charts import Chart
 from cellapp.reporting.charts_collection import (
     drift_chart,
     live_drift_chart,
@@ -54,8 +55,8 @@ _NOT_COLLECTED = "Nothing was collected yet in this run: b begins."
 _PLOTS = ("residuals", "errors", "drift")
 _TALL = 50
 """Lines of a terminal that has room for one line for each part of a day."""
-_PLOTTING_S = 0.5
-"""Shortest time between two drawings of the plots: a stop takes seconds, and drawing plots delays keys."""
+_PLOTTING_S = 0.2
+"""Time between the drawings of two plots: a stop takes seconds, and a plot of a large screen some 10 ms."""
 
 
 class StoredLog(Message):
@@ -111,10 +112,10 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     CollectScreen #state { height: auto; max-height: 4; padding: 0 1; background: $panel; }
     CollectScreen.-tall #state { padding: 1 1; max-height: 6; }
     CollectScreen.-low #suspicions { max-height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
-    CollectScreen #state.running { background: $success-muted; color: $text-success; }
-    CollectScreen #state.waiting { background: $warning-muted; color: $text-warning; }
+    CollectScreen #state.running { background: $success-muted; color: $foreground; }
+    CollectScreen #state.waiting { background: $warning-muted; color: $foreground; }
     CollectScreen #state.halted { background: $error; color: white; text-style: bold; }
-    CollectScreen #state.replay { background: $accent-muted; color: $text-accent; }
+    CollectScreen #state.replay { background: $accent-muted; color: $foreground; }
     CollectScreen #arms { height: auto; }
     CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
@@ -125,7 +126,9 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     CollectScreen.-low #plots ChartPlot.chosen { display: block; }
     CollectScreen.-tall #plots { display: block; }
     CollectScreen #plots ChartPlot { padding-right: 1; }
-    CollectScreen.-wide #plots { layout: vertical; dock: right; width: 45%; display: block; padding-left: 1; }
+    CollectScreen.-wide #plots {
+        layout: vertical; dock: right; width: 45%; height: 100%; display: block; padding-left: 1;
+    }
     CollectScreen.-wide #plots ChartPlot { display: block; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
     CollectScreen.-wide.plots #plots { width: 65%; }
@@ -138,7 +141,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         super().__init__()
         self.add_class("log")
         self._plot = 0
-        self._plotted: tuple[object, ...] = ()
+        self._plotted: dict[str, tuple[object, ...]] = {}
         self._plot_waits = False
         self._tabled: Workspace | None = None
         self._opened: Path | None = None
@@ -325,16 +328,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         self.query_one(TrackerPanel).tracker = record.tracker
         self.query_one(ProgressBars).parts = parts_of(record)
         self._draw_suspicions(record)
-        if running and self._plotted:
-            self._plot_soon(record)
-        else:
-            self._draw_plots(record)
-
-    def _plot_soon(self, record: JobRecord) -> None:
-        """Draw the plots a little later, once for all that happens until then."""
-        if not self._plot_waits:
-            self._plot_waits = True
-            self.set_timer(_PLOTTING_S, partial(self._draw_plots, record))
+        self._draw_plots(record)
 
     def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
         """A job was begun: its log is what people look at."""
@@ -384,19 +378,31 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
 
     def _draw_plots(self, record: JobRecord) -> None:
-        """Draw the plots whose data are new: those of the job, else those that the run stores."""
-        self._plot_waits = False
-        collection = self.workspace.collection
-        reports = [report for arm in record.stops.values() for report in arm]
-        state = (record.name, len(reports), len(record.references), id(collection))
-        if state == self._plotted:
+        """Draw the plots whose data are new; while a job runs, one at a time, because drawing delays keys."""
+        if self._plot_waits:
             return
-        self._plotted = state
-        arms = self._arm_names(record)
-        self.query_one("#residuals", ChartPlot).chart = live_residual_chart(reports, arms)
-        self.query_one("#errors", ChartPlot).chart = standard_error_chart(reports, arms)
-        drift = live_drift_chart(record.references)
-        if not record.references and collection is not None:
-            drift = drift_chart(collection.references, collection.drift_limit_mm)
-        self.query_one("#drift", ChartPlot).chart = drift
-        self.set_class(all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot)), "unplotted")
+        state = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace)
+        for name in (name for name in _PLOTS if self._plotted.get(name) != state):
+            self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
+            self._plotted[name] = state
+            if record.state is not None:
+                self._plot_waits = True
+                self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
+                break
+        empty = all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot))
+        self.set_class(empty, "unplotted")
+
+    def _draw_next_plot(self, record: JobRecord) -> None:
+        self._plot_waits = False
+        self._draw_plots(record)
+
+    def _chart(self, name: str, record: JobRecord) -> Chart:
+        """A chart of the job; drift, where it measured no reference, of what the run stores."""
+        collection = self.workspace.collection
+        if name == "drift":
+            if record.references or collection is None:
+                return live_drift_chart(record.references)
+            return drift_chart(collection.references, collection.drift_limit_mm)
+        reports = [report for arm in record.stops.values() for report in arm]
+        draw = live_residual_chart if name == "residuals" else standard_error_chart
+        return draw(reports, self._arm_names(record))

@@ -29,9 +29,9 @@ from cellapp.profile.draft_fields import (
     TRACKER_FIELDS,
     FormField,
 )
-from cellapp.profile.draft_file import NewText, OpenProfile, before_saving, changed_on_disk, new_text, save
+from cellapp.profile.draft_file import OpenProfile, before_saving, changed_on_disk, new_text, save
 from cellapp.profile.starters import arm_type_files
-from cellapp.reporting.charts_placement import placement_chart
+from cellapp.reporting.charts import Chart
 from cellapp.tui.dialogs.points import PointsDialog
 from cellapp.tui.dialogs.question import Answer, Choice, Question
 from cellapp.tui.plots import ChartPlot
@@ -44,11 +44,11 @@ _PAUSE_S = 0.2
 
 
 class Judged(Message):
-    """The draft was judged by the profile's rules; ``words`` says why where it could not be."""
+    """The draft was judged by the profile's rules; ``chart`` is its map, None where it could not be read."""
 
-    def __init__(self, draft: ProfileDraft, new: NewText | None, words: str = "") -> None:
+    def __init__(self, draft: ProfileDraft, problems: tuple[FieldProblem, ...], chart: Chart | None = None) -> None:
         super().__init__()
-        self.draft, self.new, self.words = draft, new, words
+        self.draft, self.problems, self.chart = draft, problems, chart
 
 
 class ProfileForm(Question[Path]):
@@ -63,14 +63,15 @@ class ProfileForm(Question[Path]):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+s", "save", "Save", priority=True),
         Binding("escape", "close", "Close"),
+        Binding("f10", "close", show=False),  # while a job runs, Escape stops it
         Binding("ctrl+z", "undo", "Undo", priority=True),
         Binding("ctrl+y", "redo", "Redo", show=False, priority=True),
-        Binding("f2", "points", "Base from points"),
+        Binding("f2", "points", "Points", tooltip="the base of this arm from tracker points"),
         Binding("f3", "map", "Map"),
-        Binding("f4", "next_problem", "Next problem"),
-        Binding("f6", "next_section", "Section"),
-        Binding("f7", "add_arm", "Add arm"),
-        Binding("f8", "remove_arm", "Remove arm"),
+        Binding("f4", "next_problem", "Problem", tooltip="the next field to correct"),
+        Binding("f6", "next_section", "Section", tooltip="the next section"),
+        Binding("f7", "add_arm", "+Arm", tooltip="add an arm"),
+        Binding("f8", "remove_arm", "-Arm", tooltip="remove this arm"),
     ]
     DEFAULT_CSS = """
     ProfileForm { align: left top; background: $background; }
@@ -112,7 +113,7 @@ class ProfileForm(Question[Path]):
                     yield TabPane(title, VerticalScroll(can_focus=False), id=f"section-{name}")
             yield ChartPlot(id="form-map")
         yield Static("", id="form-help", markup=False)
-        yield Footer()
+        yield Footer(compact=True)
 
     def _titles(self) -> dict[str, str]:
         """Sections and their titles."""
@@ -270,10 +271,14 @@ class ProfileForm(Question[Path]):
 
     @work(thread=True, exclusive=True, group="judge")
     def _judge_draft(self, opened: OpenProfile, draft: ProfileDraft) -> None:
+        from cellapp.reporting.charts_placement import placement_chart  # loads scipy: not in the thread of the keys
+
         try:
-            self.post_message(Judged(draft, new_text(opened, draft)))
+            checked = new_text(opened, draft).checked
         except InputError as error:
-            self.post_message(Judged(draft, None, str(error)))
+            self.post_message(Judged(draft, (FieldProblem("", "", str(error)),)))
+        else:
+            self.post_message(Judged(draft, checked.problems, placement_chart(checked.bases, checked.tracker)))
 
     @on(Judged)
     def show_judged(self, event: Judged) -> None:
@@ -281,11 +286,10 @@ class ProfileForm(Question[Path]):
         if event.draft is not self._draft:
             return
         self._judged = event.draft
-        checked = None if event.new is None else event.new.checked
-        self._problems = (FieldProblem("", "", event.words),) if checked is None else checked.problems
+        self._problems = event.problems
         self._draw_problems()
-        if checked is not None:
-            self.query_one(ChartPlot).chart = placement_chart(checked.bases, checked.tracker)
+        if event.chart is not None:
+            self.query_one(ChartPlot).chart = event.chart
         self._draw_titles()
         self._draw_help()
 
@@ -371,7 +375,7 @@ class ProfileForm(Question[Path]):
             if sentences and not await self._agreed("\n".join(sentences)):
                 self.notify("Nothing was saved.")
                 return
-            self._opened = await asyncio.to_thread(save, opened, draft, new.text)
+            self._opened = await asyncio.to_thread(save, opened, draft, new)
         except InputError as error:
             self.notify(str(error), severity="error", timeout=10.0)
             return

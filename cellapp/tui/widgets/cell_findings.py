@@ -71,7 +71,7 @@ def device_state(name: str, findings: Sequence[Finding], asked: datetime) -> Dev
     worst = min(own, key=lambda finding: _ORDER[finding.status])
     told = next((finding for finding in own if finding.device is not None), own[0])
     _, serial, state, temperatures = device_words(told)
-    if worst.status != "ok":
+    if worst.status == "failed":
         state = worst.text
     return DeviceState(name, worst.status, serial, state, temperatures, asked)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from textual.app import ComposeResult
 from textual.containers import Horizontal
@@ -17,14 +16,12 @@ from cellapp.tui.screens import SCREENS
 from cellapp.tui.widgets.stop import StopButton
 from cellapp.tui.workspace import Step, StepState, Workspace
 
-if TYPE_CHECKING:
-    from cellapp.results import CellKind
-
-_BADGES: Mapping[CellKind, str] = {
+_BADGES: Mapping[str, str] = {
     "none": " NO ARMS ",
     "simulated": " SIMULATED ",
     "emulated": " EMULATED ",
     "real": " REAL ARMS ",
+    "replay": " REPLAY ",
 }
 _MARKS: Mapping[StepState, str] = {"open": " ", "next": "▸", "done": "✓", "out of date": "!"}
 
@@ -45,18 +42,21 @@ class DayHeader(Horizontal):
     def show(self, workspace: Workspace, record: JobRecord) -> None:
         """Draw what is open and what runs."""
         where = f"{profile_name(workspace)} · {'no run' if workspace.folder is None else workspace.folder}"
-        drawn = (workspace.kind, where, job_words(record), record.state)
+        replays = record.name.startswith("replay") and record.state is not None
+        kind = "replay" if replays else workspace.kind
+        drawn = (kind, where, job_words(record), record.state)
         if drawn == self._drawn:
             return
         self._drawn = drawn
         badge = self.query_one(".badge", Static)
-        badge.update(_BADGES[workspace.kind])
-        badge.set_classes(f"badge {workspace.kind}")
+        badge.update(_BADGES[kind])
+        badge.set_classes(f"badge {kind}")
         self.query_one(".where", Static).update(where)
         job = self.query_one(".job", Static)
         job.update(job_words(record))
         job.set_classes(f"job {record.state or 'idle'}")
         self.set_class(record.state is not None, "running")
+        self.set_class(kind == "real", "real")
 
 
 class StepLine(Horizontal):

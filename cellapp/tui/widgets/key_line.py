@@ -17,7 +17,11 @@ class KeyLine(Static):
     """Keys and what they do, in as many lines as they need, at most two."""
 
     DEFAULT_CSS = """
-    KeyLine { dock: bottom; height: auto; max-height: 2; width: 1fr; background: $footer-background; }
+    KeyLine {
+        dock: bottom; height: auto; max-height: 2; width: 1fr;
+        background: $footer-background; color: $footer-foreground;
+        link-style: none; link-color: $footer-foreground; link-background: $footer-background;
+    }
     """
 
     def __init__(self) -> None:

@@ -20,10 +20,12 @@ class _RowTable(DataTable[Text]):
     """A table of which the row under the cursor has a sentence."""
 
     COLUMNS: ClassVar[tuple[str, ...]]
+    TIP: ClassVar[str]
 
     def on_mount(self) -> None:
         """Make the columns."""
         self.cursor_type = "row"
+        self.tooltip = self.TIP
         self._texts: list[str] = []
         self.add_columns(*self.COLUMNS)
 
@@ -47,10 +49,10 @@ class PairsTable(_RowTable):
     """Names with words."""
 
     COLUMNS = ("what", "how")
+    TIP = "The selected row stands below in full"
 
     def show(self, rows: Sequence[tuple[str, str]]) -> None:
         """Draw names with words."""
-        self.tooltip = "The selected row stands below in full"
         self.draw([((name, words), f"{name}: {words}") for name, words in rows])
 
 
@@ -58,12 +60,12 @@ class CoverageTable(_RowTable):
     """The used part of each joint's range as a bar."""
 
     COLUMNS = ("arm", "joint", "allowed range, used part", "share", "largest gap")
+    TIP = "Full: the part of the allowed range that stops use"
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
         """Draw the joints of all arms."""
         from cellapp.reporting.plan_text import coverage_bar
 
-        self.tooltip = "Full: the part of the allowed range that stops use"
         rows = []
         for name, arm in arms.items():
             for one in arm.coverage:
@@ -82,12 +84,12 @@ class EffectsTable(_RowTable):
     """For each effect whether the plan can show it."""
 
     COLUMNS = ("arm", "visible", "from mm", "scatter", "effect")
+    TIP = "Smallest rms displacement of the SMR that would be seen: tracker alone, and with 0.1 mm scatter"
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
         """Draw the effects of all arms, those that cannot be seen first."""
         from cellapp.reporting.plan_text import effect_sentence, effect_title
 
-        self.tooltip = "Smallest rms displacement of the SMR that would be seen: tracker alone, and with 0.1 mm scatter"
         entries = [(name, one) for name, arm in arms.items() for one in arm.effects]
         entries.sort(key=lambda entry: entry[1].visible)
         rows = []
@@ -103,12 +105,12 @@ class AccuracyTable(_RowTable):
     """Expected standard errors."""
 
     COLUMNS = ("arm", "standard error of", "tracker alone", "0.1 mm scatter", "unit")
+    TIP = "Standard errors that the planned stops will give"
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
         """Draw predicted positions and parameters of all arms."""
         from cellapp.reporting.plan_text import accuracy_table
 
-        self.tooltip = "Standard errors that the planned stops will give"
         rows = []
         for name, arm in arms.items():
             for cells in accuracy_table(name, arm).text_rows():
