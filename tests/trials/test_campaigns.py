@@ -28,7 +28,7 @@ from drivers.arms.protocol import ArmState
 from tests.twin import PROFILES
 
 STOPS = 30
-SEEDS = (*range(32), 33, 34, 39, 45)
+SEEDS = (*range(32), 33, 34, 39, 45, 47)
 """In the first 32 every kind of fault strikes; in the others, faults whose bad handling must be found strike again."""
 
 
