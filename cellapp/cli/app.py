@@ -261,11 +261,12 @@ def compensate(folder: RunFolder, targets: TargetsPath, json_file: JsonOption = 
     """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
     from cellapp.compensation.targets import load_targets
     from cellapp.pipeline import compensate_run
-    from cellapp.reporting.run_tables import refusal_sentences
+    from cellapp.reporting.run_tables import predicted_tolerance_tables, refusal_sentences
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         result = compensate_run(opened, load_targets(targets, opened.profile))
         refused = refusal_sentences(result)
+        job.show(predicted_tolerance_tables(result))
         job.say(f"{len(result.targets) - len(refused)} of {len(result.targets)} targets compensated")
         job.say(*refused, *result.notes)
         job.result(result)

@@ -7,11 +7,12 @@ compensated one. Of all inverse solutions the nearest to home is taken that the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cellapp.compensation.targets import Target
+from cellapp.compensation.tolerance import predicted_verdict
 from cellapp.errors import InputError
 from cellapp.kinematics.inverse import solve_pose
 from cellapp.kinematics.transforms import Array, rotation_zyx
@@ -48,6 +49,9 @@ class Command:
         Where the SMR should be measured [m]: the target relative to the calibrated and to the nominal base.
     refusal : str
         Why the target is not commanded; empty if it is.
+    uncertainty_mm : float or None
+        Standard uncertainty [mm] of a coordinate of the SMR at the compensated command; None where the target was
+        refused or the model states none.
     """
 
     target: Target
@@ -56,6 +60,7 @@ class Command:
     expected_M: Array | None
     nominal_M: Array | None
     refusal: str
+    uncertainty_mm: float | None = None
 
 
 def compensate(profile: Profile, model: CellModel, targets: Sequence[Target]) -> tuple[Command, ...]:
@@ -125,9 +130,16 @@ def compensate_result(commands: Sequence[Command], notes: Sequence[str] = ()) ->
             TargetCommand(
                 name=command.target.name,
                 arm=command.target.arm,
+                position=command.target.position,
+                rpy=command.target.rpy,
+                tolerance_mm=command.target.tolerance_mm,
                 refusal=command.refusal,
                 q_nominal=None if command.q_nominal is None else tuple(command.q_nominal.tolist()),
                 q_compensated=None if command.q_compensated is None else tuple(command.q_compensated.tolist()),
+                uncertainty_mm=command.uncertainty_mm,
+                verdict=""
+                if command.refusal
+                else predicted_verdict(command.uncertainty_mm, command.target.tolerance_mm),
             )
             for command in commands
         ),
@@ -158,10 +170,16 @@ def _compensate_arm(profile: Profile, model: CellModel, name: str, targets: Sequ
             )
             if not refusal:
                 command = Command(target, q, q_compensated, expected_M[k], nominal_M[k], "")
+                command = replace(command, uncertainty_mm=_uncertainty_mm(arm, q_compensated))
                 break
             command = Command(target, None, None, None, None, refusal)
         commands.append(command)
     return commands
+
+
+def _uncertainty_mm(arm: ArmModel, q: Array) -> float | None:
+    """Standard uncertainty [mm] of a predicted coordinate at ``q`` (N,); None where the model states none."""
+    return float(arm.uncertainty(q[None])[0]) * 1e3 or None
 
 
 def _nearest_first(solutions: Array, home: Array) -> np.ndarray:

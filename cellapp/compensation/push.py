@@ -12,6 +12,7 @@ from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.motion import Confirm, MotionRefused, Mover
 from cellapp.collection.supervision import hold_while_paused, reacting
 from cellapp.compensation.compensate import Command, with_approach
+from cellapp.compensation.tolerance import measured_verdict
 from cellapp.control import JobControl
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
@@ -95,12 +96,17 @@ def _push_target(
             break
         if off is not None:
             errors_mm[kind] = off * 1e3
+    target = command.target
     return MeasuredTarget(
-        name=command.target.name,
-        arm=command.target.arm,
+        name=target.name,
+        arm=target.arm,
+        position=target.position,
+        rpy=target.rpy,
+        tolerance_mm=target.tolerance_mm,
         nominal_mm=errors_mm.get("nominal"),
         compensated_mm=errors_mm.get("compensated"),
         note=note,
+        verdict=measured_verdict(errors_mm.get("compensated"), target.tolerance_mm),
     )
 
 

@@ -12,7 +12,7 @@ from cellapp.calibration.arm_identification import identify_with_excess
 from cellapp.calibration.parameters import ParameterSet
 from cellapp.calibration.weights import whitener
 from cellapp.discovery.terms import ModelTerms
-from cellapp.effects import EFFECTS, EffectColumn, EffectContext, Law, MeasurementConditions
+from cellapp.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.effects.modulation import with_modulations
 from cellapp.effects.smooth import with_prior
 from cellapp.kinematics.transforms import Array
@@ -49,7 +49,7 @@ class ArmData:
     true_q : array, shape (n, N), or None
         Joint positions with the offsets of known effects [rad]; None is the controller's positions.
     cache : dict
-        Columns that were computed before.
+        Columns that were computed before, by effect, law and names; None for all names.
     """
 
     profile: Profile
@@ -62,7 +62,7 @@ class ArmData:
     prior_sigma: Mapping[str, float]
     start: Mapping[tuple[str, str], float] = field(default_factory=dict)
     true_q: Array | None = None
-    cache: dict[tuple[str, str], list[EffectColumn]] = field(default_factory=dict)
+    cache: dict[tuple[str, str, tuple[str, ...] | None], list[EffectColumn]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> ArmData:
@@ -95,23 +95,32 @@ class ArmData:
     def at(self, model: ArmModel) -> ArmData:
         """The same readings, with effects evaluated at the geometry and the true joint positions of ``model``."""
         true_q = model.true_joints(self.readings.q, conditions=self.conditions) if model.effects else None
+        kept = {key: columns for key, columns in self.cache.items() if _depends_on_angles_only(key[0], columns)}
+        here = replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache=kept)
+        return here.beginning_at(model)
+
+    def beginning_at(self, model: ArmModel) -> ArmData:
+        """The same readings and columns; the next fit begins from the effects' values in ``model``."""
         values = {
             (term.slug, name): value
             for term in model.effects
             for name, value in zip(term.names, term.values.tolist(), strict=True)
         }
-        return replace(self, model=replace(model, effects=(), network=None), start=values, true_q=true_q, cache={})
+        return replace(self, start=values)
 
     def columns(self, slug: str, law: Law, names: Sequence[str] | None = None) -> list[EffectColumn]:
         """Columns of a law, all or those of ``names`` in that order."""
-        key = (slug, f"{law.name} {sorted(law.constants.items())}")
-        if names is None:
-            if key not in self.cache:
+        described = f"{law.name} {sorted(law.constants.items())}"
+        key = (slug, described, None if names is None else tuple(names))
+        if key not in self.cache:
+            if names is None:
                 self.cache[key] = EFFECTS[slug].columns(self.context, law)
-            return self.cache[key]
-        source = self.cache.get(key) or EFFECTS[slug].columns(self.context, law, frozenset(names))
-        by_name = {column.name: column for column in source}
-        return [by_name[name] for name in names]
+            else:
+                whole = self.cache.get((slug, described, None))
+                some = whole or EFFECTS[slug].columns(self.context, law, frozenset(names))
+                by_name = {column.name: column for column in some}
+                self.cache[key] = [by_name[name] for name in names]
+        return self.cache[key]
 
     def term_columns(self, terms: ModelTerms) -> tuple[EffectColumn, ...]:
         """Columns of some terms, one term after the other: of the law, then of its free part."""
@@ -121,6 +130,11 @@ class ArmData:
             found += columns[: len(term.names)]
             found += map(with_prior, columns[len(term.names) :], term.modulation_sd)
         return tuple(found)
+
+
+def _depends_on_angles_only(slug: str, columns: Sequence[EffectColumn]) -> bool:
+    """Whether columns are the same at every geometry: offsets of joints that follow measured joint angles."""
+    return EFFECTS[slug].variables == {DriverVariable.JOINT_ANGLE} and all(one.joint is not None for one in columns)
 
 
 def whitening(sigma: Array) -> Array:

@@ -32,6 +32,9 @@ _WEIGHING_ROUNDS = 3
 """Rounds of fitting and estimating the excess variance at most: the fit depends on its root only, and weakly."""
 _EXCESS_CHANGE = 0.02
 """Relative change of the excess variance below which its estimate has converged: weights then change by 1 %."""
+_SAME_COLUMNS = 1e-3
+"""Steps of a fit [m at arm's length] up to which the effects' columns are kept: they change by about as
+much, relatively, an effect of 0.3 mm by 0.3 um."""
 _DRAW_SEED = 0xD4A7
 """Beside the profile's seed: the draws of parameters are then independent of all other draws."""
 
@@ -264,9 +267,12 @@ def mean_variance(sigma: Array) -> float:
 
 
 def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
-    """Fit terms with weights of their own; effects are evaluated at the geometry that this finds."""
+    """Fit terms with weights of their own; effects are evaluated at the geometry that this finds, or very near it."""
     here = reweighted(data, terms)
-    here = here.at(fit_terms(here, terms).model)
+    fit = fit_terms(here, terms)
+    if sum(fit.identification.steps) <= _SAME_COLUMNS:
+        return here.beginning_at(fit.model), fit
+    here = here.at(fit.model)
     return here, fit_terms(here, terms)
 
 

@@ -18,8 +18,7 @@ from cellapp.results import (
 )
 
 TIME_RESTS_ON = (
-    "speeds and accelerations of the profile, its averaging time, 1 s to turn to each SMR and 0.2 s of rest; persons,"
-    " waits and repeats beyond the second are not in it"
+    "the profile's speeds and averaging time, 1 s to find each SMR, 0.2 s of rest; waits and persons are not counted"
 )
 _MOST_SIZES = 6
 """Parameters of one effect whose smallest sizes are named: those of the first joints."""
@@ -58,14 +57,14 @@ def forecast_sentences(forecast: PlanForecastResult) -> list[str]:
     """Time and what it rests on, what the effects' sizes rest on, notes."""
     noise = ", ".join(f"arm {name} {arm.noise_rms_mm:.3f} mm" for name, arm in forecast.arms.items())
     return [
-        time_sentence(forecast.time),
+        f"{time_sentence(forecast.time)} It rests on {TIME_RESTS_ON}.",
         f"Sizes of effects are for the tracker's noise alone (rms {noise}); scatter of the arms makes them larger.",
         *forecast.notes,
     ]
 
 
 def time_sentence(time: PlannedTime) -> str:
-    """How long collecting takes, on what it is spent, and on what the estimate rests."""
+    """How long collecting takes, and on what it is spent; the estimate rests on ``TIME_RESTS_ON``."""
     parts = (
         ("motions", time.moving_s),
         ("rests", time.resting_s),
@@ -74,7 +73,7 @@ def time_sentence(time: PlannedTime) -> str:
         ("warm-up", time.warm_up_s),
     )
     spent = ", ".join(f"{name} {duration_words(seconds)}" for name, seconds in parts if seconds > 0.0)
-    return f"Collecting takes about {duration_words(time.total_s)} ({spent}). This rests on {TIME_RESTS_ON}."
+    return f"Collecting takes about {duration_words(time.total_s)} ({spent})."
 
 
 def duration_words(seconds: float) -> str:

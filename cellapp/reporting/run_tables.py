@@ -85,7 +85,7 @@ def plan_tables(stops: StopsResult) -> list[Table]:
 
 
 def target_tables(result: CompensateResult) -> list[Table]:
-    """Compensated joint angles [deg] of every target that can be commanded, one table for each arm."""
+    """Compensated joint angles [deg] of every target that can be commanded, one table for each arm; tolerances."""
     tables = []
     for arm in dict.fromkeys(target.arm for target in result.targets):
         commands = {
@@ -98,7 +98,24 @@ def target_tables(result: CompensateResult) -> list[Table]:
             columns = (Column("target"), *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
             rows: list[tuple[Cell, ...]] = [(name, *map(math.degrees, q)) for name, q in commands.items()]
             tables.append(Table(f"Arm {arm}: compensated commands", columns, tuple(rows)))
-    return tables
+    return tables + predicted_tolerance_tables(result)
+
+
+def predicted_tolerance_tables(result: CompensateResult) -> list[Table]:
+    """Whether commands are expected to meet the tolerances; empty if no target has one."""
+    rows: list[tuple[Cell, ...]] = [
+        (target.name, target.arm, target.uncertainty_mm, f"{target.tolerance_mm:g}", target.refusal or target.verdict)
+        for target in result.targets
+        if target.tolerance_mm is not None
+    ]
+    columns = (
+        Column("target"),
+        Column("arm"),
+        number_column("standard uncertainty", ".4f"),
+        number_column("tolerance", ""),
+        Column("tolerance met"),
+    )
+    return [Table("Predicted: targets with a tolerance [mm]", columns, tuple(rows))] if rows else []
 
 
 def refusal_sentences(result: CompensateResult) -> list[str]:

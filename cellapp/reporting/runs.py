@@ -14,7 +14,7 @@ CELL_WORDS: dict[CellKind, str] = {
     "simulated": "simulated",
     "emulated": "emulated",
     "real": "REAL ARMS",
-    "none": "imported",
+    "none": "no arms",
 }
 _MM = ".3f"
 _DATE = len("2026-01-02")
@@ -78,7 +78,7 @@ def run_lines(run: RunSummary) -> list[str]:
     lines = [
         f"profile {run.profile}, {CELL_WORDS[run.cell]}; began {time_words(run.began)},"
         f" changed {time_words(run.changed)} (UTC); {size}",
-        f"stops {stops_words(run)} in {run.sessions} sessions; results: {stages_words(run) or 'none'}",
+        f"stops {stops_words(run)}; {stages_words(run)}",
         *used,
         *(f"{name}: {figures_words(figures)}" for name, figures in run.figures.items()),
     ]
@@ -135,8 +135,15 @@ def session_words(run: RunSummary) -> str:
 
 
 def stages_words(run: RunSummary) -> str:
-    """``calibrate, discover (out of date)``."""
-    return ", ".join(f"{stage.name} (out of date)" if stage.out_of_date else stage.name for stage in run.stages)
+    """Which results hold, and which are out of date and why."""
+    held = [stage.name for stage in run.stages if not stage.out_of_date]
+    reasons: dict[str, list[str]] = {}
+    for stage in run.stages:
+        if stage.out_of_date:
+            reasons.setdefault(stage.out_of_date, []).append(stage.name)
+    parts = [f"results: {', '.join(held)}"] if held else []
+    parts += [f"out of date: {', '.join(names)} ({reason})" for reason, names in reasons.items()]
+    return "; ".join(parts) or "no results"
 
 
 def next_words(run: RunSummary) -> str:

@@ -48,8 +48,6 @@ def comparison_sentences(result: RunComparison) -> list[str]:
     for name, arm in result.arms.items():
         sentences += _differing(f"arm {name}", arm.parameters)
         sentences += [_found_words(name, effect) for effect in arm.effects]
-        for effect in arm.effects:
-            sentences += _differing(f"arm {name}, {effect.title}", effect.parameters)
     if result.pair is not None:
         sentences += _differing("inter-base transform", result.pair.parameters)
         if result.pair.distance_mm is not None:
@@ -57,7 +55,9 @@ def comparison_sentences(result: RunComparison) -> list[str]:
                 f"inter-base transform: the origin of the second base differs by {result.pair.distance_mm:.3f} mm"
             )
     if any(value.z is not None for arm in result.arms.values() for value in arm.parameters):
-        sentences.append("z takes the readings of both runs as independent")
+        sentences.append(
+            "z: difference in combined standard uncertainties u; readings of both runs count as independent"
+        )
     return [*sentences, *result.notes]
 
 
@@ -91,21 +91,23 @@ def _value_tables(title: str, values: Sequence[ValueComparison], shown_in: Shown
         return []
     columns = (
         Column("parameter"),
-        number_column("a", ".5f"),
-        number_column("b", ".5f"),
-        number_column("b - a", "+.5f"),
-        number_column("standard uncertainty", ".5f"),
+        number_column("b - a", "+.4f"),
+        number_column("u(b - a)", ".4f"),
         number_column("z", "+.1f"),
-        Column("unit"),
         Column("differs"),
+        Column("unit"),
+        number_column("a", ".4f"),
+        number_column("b", ".4f"),
     )
     return [Table(title, columns, tuple(_value_row(value, *shown_in(value.unit)) for value in values))]
 
 
 def _value_row(value: ValueComparison, factor: float, unit: str) -> tuple[Cell, ...]:
-    numbers = (value.a, value.b, value.difference, value.combined_standard_uncertainty)
-    shown = (None if number is None else number * factor for number in numbers)
-    return (value.name, *shown, value.z, unit, "yes" if value.differs else "")
+    difference, uncertainty, a, b = (
+        None if number is None else number * factor
+        for number in (value.difference, value.combined_standard_uncertainty, value.a, value.b)
+    )
+    return (value.name, difference, uncertainty, value.z, "yes" if value.differs else "", unit, a, b)
 
 
 def _differing(subject: str, values: Sequence[ValueComparison]) -> Iterator[str]:
@@ -125,4 +127,11 @@ def _found_words(name: str, effect: EffectComparison) -> str:
     if effect.found_in != "both":
         return f"arm {name}: {effect.title} ({where[0]}) was found in {effect.found_in} only"
     places = where[0] if where[0] == where[1] else f"{where[0]} in a, {where[1]} in b"
-    return f"arm {name}: {effect.title} ({places}) was found in both"
+    return f"arm {name}: {effect.title} ({places}) was found in both; {_size_words(effect.parameters)}"
+
+
+def _size_words(values: Sequence[ValueComparison]) -> str:
+    differing = [f"{value.name} (z = {value.z:+.1f})" for value in values if value.differs]
+    if differing:
+        return f"sizes differ: {', '.join(differing)}"
+    return "sizes agree" if any(value.z is not None for value in values) else "sizes cannot be compared"

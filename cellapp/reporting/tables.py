@@ -125,7 +125,10 @@ def merged_words(shares: Mapping[str, float]) -> str:
 
 
 def verification_tables(result: VerifyResult) -> list[Table]:
-    """Errors at new targets before and after compensation; empty if no target was measured with both commands."""
+    """Errors at new targets before and after compensation, and each target with a tolerance.
+
+    Empty if no target was measured with both commands.
+    """
     rows = [
         (f"{name}, {label}", *_error_cells(summary))
         for name, arm in result.arms.items()
@@ -134,7 +137,23 @@ def verification_tables(result: VerifyResult) -> list[Table]:
     if not rows:
         return []
     title = "Targets: measured distance from where they should be [mm]"
-    return [Table(title, (Column("arm, command"), *_ERROR_COLUMNS), tuple(rows))]
+    return [Table(title, (Column("arm, command"), *_ERROR_COLUMNS), tuple(rows)), *_tolerance_tables(result)]
+
+
+def _tolerance_tables(result: VerifyResult) -> list[Table]:
+    rows: list[tuple[Cell, ...]] = [
+        (target.name, target.arm, target.compensated_mm, f"{target.tolerance_mm:g}", target.verdict)
+        for target in result.targets
+        if target.tolerance_mm is not None
+    ]
+    columns = (
+        Column("target"),
+        Column("arm"),
+        number_column("compensated", MM),
+        number_column("tolerance", ""),
+        Column("tolerance met"),
+    )
+    return [Table("Targets with a tolerance [mm]", columns, tuple(rows))] if rows else []
 
 
 def tracker_sentences(result: CalibrateResult) -> list[str]:

@@ -145,6 +145,8 @@ from cellapp.results.targets import (
     CompensateResult,
     MeasuredTarget,
     TargetCommand,
+    TargetRecord,
+    ToleranceVerdict,
     VerifyResult,
 )
 
@@ -262,7 +264,9 @@ __all__ = [
     "StructureKind",
     "StructureTest",
     "TargetCommand",
+    "TargetRecord",
     "TermDescription",
+    "ToleranceVerdict",
     "TrackerBridgeResult",
     "ValueComparison",
     "Verdict",

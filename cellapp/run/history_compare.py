@@ -94,8 +94,11 @@ def _missing(results: RunResults) -> Iterator[str]:
     for name, words in _MISSING.items():
         if getattr(results, name) is None and name not in results.out_of_date:
             yield f"{results.run} {words}"
+    reasons: dict[str, list[str]] = {}
     for stage, reason in results.out_of_date.items():
-        yield f"{results.run}: {stage} is out of date ({reason})"
+        reasons.setdefault(reason, []).append(stage)
+    for reason, stages in reasons.items():
+        yield f"{results.run}: out of date: {', '.join(stages)} ({reason})"
 
 
 # -- profile ----------------------------------------------------------------------------------------------------------

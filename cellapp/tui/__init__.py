@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+
+from cellapp.errors import InputError
 
 
 def run_app(folder: Path = Path("profiles")) -> int:
     """Run the application on the profiles of a folder until the user quits. Returns the exit code of the last job.
 
     0 done (or no job was started), 2 bad input, 3 hardware or unexpected error, 4 stopped and resumable.
+
+    Raises
+    ------
+    InputError
+        If keys cannot be read from a terminal, or it cannot be drawn on.
     """
+    # Textual reads keys from standard input and draws on standard error
+    if not all(stream is not None and stream.isatty() for stream in (sys.__stdin__, sys.__stderr__)):
+        raise InputError(
+            "the terminal application needs a terminal, and standard input or error is none here; 'cellapp run PROFILE'"
+            " does the day unattended, 'cellapp --help' lists all commands"
+        )
     from cellapp.tui.app import CellApp
 
     app = CellApp(folder)

@@ -7,6 +7,7 @@ drawn a few at a time: however many there are, a key is handled at once.
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import threading
 from collections.abc import Iterable, Iterator
@@ -122,6 +123,8 @@ class CellApp(App[None]):
         self.workspace = Workspace()
         self.record = JobRecord()
         self.jobs = JobRunner(self.post_message)
+        self.asked_by: DayScreen | None = None
+        """The screen that asked for the present job; it gets the result, whichever screen is shown then."""
         self.message, self._severity = "", "information"
         self._screens: dict[Step, DayScreen] = {}
         self._commands: list[SystemCommand] = []
@@ -138,6 +141,7 @@ class CellApp(App[None]):
         """Show the first screen of the day, and begin to listen."""
         self.register_theme(HIGH_CONTRAST)
         self.push_screen(self._screen_of("cell"))
+        self.call_after_refresh(self._welcome)
         self.set_interval(_DRAWING_S, self._draw_events)
         self.set_timer(_PRELOAD_AFTER_S, self._preload)
         if threading.current_thread() is threading.main_thread():
@@ -145,11 +149,20 @@ class CellApp(App[None]):
             self._signals.enter_context(watch_signals((*_ENDING, *_PAUSING), self._on_signal, lambda *_: None))
         self.say("Choose a profile on this screen; n goes to the next step, ? explains.")
 
+    def _welcome(self) -> None:
+        """Ask what to begin with where there is no profile."""
+        if not any(self.profiles.glob("*.yaml")):
+            from cellapp.tui.dialogs.first_run import offer_first_run  # 0.7 s that other starts need not wait for
+
+            offer_first_run(self)
+
     @work(thread=True)
     def _preload(self) -> None:
         """Load what screens and jobs will need, so that no key waits for it: scipy alone takes half a second."""
         for module in _LATER:
             importlib.import_module(module)
+        gc.collect()
+        gc.freeze()  # what was loaded stays: passing over it again and again held up keys for up to 0.3 s
         if run := jobs_of_verbs.interrupted_run(self.logs):
             self.post_message(ResumeOffered(run))
 
@@ -303,6 +316,13 @@ class CellApp(App[None]):
         self._load(self.workspace.profile_path, self.workspace.folder)
 
     def _load(self, profile_path: Path | None, folder: Path | None) -> None:
+        job = self.jobs.job
+        if job is not None and job.moves and folder != job.folder:
+            # the header must say of the arms that move whether they are real
+            self.say(
+                f"'{job.name}' moves arms; stop it or wait for its end before something else is opened.", "warning"
+            )
+            return
         self._loads += 1
         self._read(profile_path, folder, self._loads)
 
@@ -315,11 +335,14 @@ class CellApp(App[None]):
     @on(WorkspaceLoaded)
     def show_loaded(self, event: WorkspaceLoaded) -> None:
         """Draw what was read."""
-        self.workspace = event.workspace
+        before, self.workspace = self.workspace, event.workspace
         if event.workspace.problem:
             self.say(event.workspace.problem, "error")
         elif event.workspace.edited:
             self.say("The profile was edited after this run was planned; the run keeps its own copy.", "warning")
+        elif event.workspace.folder not in (None, before.folder):
+            title = next(entry.title for entry in SCREENS if entry.step == event.workspace.next_step)
+            self.say(f"{event.workspace.folder} is open; next: {title} (key n).")
         self.draw_all()
 
     # -- the job -------------------------------------------------------------------------------------------------------
@@ -329,6 +352,7 @@ class CellApp(App[None]):
         if self.jobs.running:
             self.say(f"'{self.record.name}' is still running; stop it or wait for its end.", "warning")
             return False
+        self.asked_by = None
         self.record.begin(job.name)
         self.say(f"{job.name}: started" + ("" if job.folder is None else f" in {job.folder}"))
         self.jobs.start(job)
@@ -402,7 +426,8 @@ class CellApp(App[None]):
             self.exit(return_code=self._code, message=Text(ending.text))
             return
         if not isinstance(message.ending, BaseException | None):
-            self.day_screen.show_result(message.ending)
+            for screen in dict.fromkeys((self.asked_by or self.day_screen, self.day_screen)):
+                screen.show_result(message.ending)
         folder = message.job.folder or self.workspace.folder
         has_run = folder is not None and (folder / RUN_FILE).is_file()
         self._load(self.workspace.profile_path, folder if has_run else self.workspace.folder)

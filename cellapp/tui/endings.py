@@ -47,7 +47,7 @@ def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
 
 def how_to_resume(last: Progress | None, folder: Path | None) -> str:
     """How to go on after a job that ended after the event ``last``; empty if there is nothing to resume."""
-    if last is None or folder is None or (last.job == "plan" and last.done < last.total):
+    if last is None or folder is None or last.job == "replay" or (last.job == "plan" and last.done < last.total):
         return ""
     job = last.job if last.job in ("calibrate", "discover", "push") else "collect"
     command = f"cellapp {job} {shlex.quote(str(folder))} {_RESUMED_BY.get(job, '')}".rstrip()

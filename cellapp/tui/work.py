@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ from cellapp.progress import Listener
 from cellapp.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
+    from cellapp.compensation.targets import Target
     from cellapp.reporting.report_data import ReportData
     from cellapp.results import Result, RunSummary
     from cellapp.run import RunFile
@@ -43,6 +44,7 @@ def check_plan(folder: Path) -> Job:
     """Run the safety gate over the plan of a run again; nothing moves."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        import cellapp.reporting.plan_text  # noqa: F401 - the screen draws with it, and must not wait for it to load
         from cellapp.planning.check import check_plan_run
 
         return check_plan_run(run, listener, control)
@@ -96,27 +98,24 @@ def discover(folder: Path, propose: int | None = None) -> Job:
     return _on_run("discover" if propose is None else "propose", folder, work)
 
 
-def compensate(folder: Path, targets: Path) -> Job:
-    """Compute commands for the targets of a file."""
+def compensate(folder: Path, targets: Sequence[Target]) -> Job:
+    """Compute commands for targets."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.compensation.targets import load_targets
         from cellapp.pipeline import compensate_run
 
-        return compensate_run(run, load_targets(targets, run.profile))
+        return compensate_run(run, targets)
 
     return _on_run("compensate", folder, work)
 
 
-def push(folder: Path, targets: Path, *, verify: bool, out_of_date: bool = False) -> Job:
+def push(folder: Path, targets: Sequence[Target], *, verify: bool, out_of_date: bool = False) -> Job:
     """Move the arms to compensated targets; with ``verify`` measure them before and after compensation."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.compensation.targets import load_targets
         from cellapp.pipeline import push_run
 
-        listed = load_targets(targets, run.profile)
-        return push_run(run, listed, listener, control, verify=verify, out_of_date=out_of_date, ask=ask)
+        return push_run(run, targets, listener, control, verify=verify, out_of_date=out_of_date, ask=ask)
 
     return _on_run("push", folder, work, moves=True)
 
@@ -142,7 +141,7 @@ def replay(folder: Path, speed: float) -> Job:
         with RunFile.open(folder) as run:
             return replay_run(run, listener, control, speed=speed)
 
-    return Job("replay", work, folder)
+    return Job(f"replay x{speed:g}", work, folder)
 
 
 def doctor(profile: Path) -> Job:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import apply, invert
 from cellapp.model.nominal import nominal_arm, pose_matrix
 from cellapp.profile import Pose, load_profile
-from cellapp.profile.survey_points import SurveyPoint
+from cellapp.profile.survey_points import SurveyPoint, points_of_text
 from tests.twin import PROFILES
 
 pytestmark = pytest.mark.fast
@@ -111,3 +112,32 @@ def test_points_by_joints_and_by_coordinates_agree() -> None:
     poses = [surveyed_base(arm, points, TRACKER).pose for points in (by_joints, by_place)]
     assert poses[0].position == pytest.approx(poses[1].position, abs=1e-12)
     assert poses[0].rpy == pytest.approx(TRUE_BASE.rpy, abs=1e-9)
+
+
+def test_the_readme_s_answers_make_a_profile(tmp_path: Path) -> None:
+    readme = (PROFILES.parent / "README.md").read_text("utf-8")
+    (block,) = [part for part in re.findall(r"^```yaml\n(.*?)^```", readme, re.M | re.S) if "points:" in part]
+    result = write_answers(written(tmp_path, block), tmp_path)
+    assert result.path.name == "my-cell.yaml"
+    assert result.notes[0].endswith("; good")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1, 2, 3", "line 1: expected two lists with a semicolon between them"),
+        ("\n1, 2, 3 ; 4, 5", "line 2: tracker"),
+        ("1, 2, x ; 4, 5, 6", r"line 1: base\[2\]: expected a length"),
+        ("0, 0, 0, 0, 0, 900 ; 4, 5, 6", r"line 1: joints\[5\]: 900 rad is more than two turns"),
+    ],
+)
+def test_a_wrong_line_of_points_is_named(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        points_of_text(text)
+
+
+def test_points_are_read_from_lines() -> None:
+    at_base, by_joints = points_of_text("100 mm, 0, -0.2 ; 1, 2, 3\n\n0, -90 deg, 0, 0, 0, 0 ; 4, 5, 6000 mm\n")
+    assert (at_base.base, at_base.joints, at_base.tracker) == ((0.1, 0.0, -0.2), None, (1.0, 2.0, 3.0))
+    assert by_joints.joints == pytest.approx((0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0))
+    assert by_joints.tracker == (4.0, 5.0, 6.0)

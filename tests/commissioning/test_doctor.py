@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from cellapp.collection.cell import build_plant
-from cellapp.commissioning.doctor import LONGEST_PROBE_S, examine
+from cellapp.commissioning.doctor import LONGEST_PROBE_S, examine, examine_run, probe_devices, repeatable_devices
 from cellapp.commissioning.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.errors import HardwareError, InputError
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken
+from cellapp.results import DoctorResult
 from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import UrSample
@@ -150,6 +151,30 @@ def test_a_ready_controller_fails_in_nothing(real: Profile) -> None:
     assert found["arm left: kinematics"] == Finding(
         "arm left: kinematics", "warning", "the controller's own D-H could not be read: not asked"
     )
+
+
+def test_what_a_device_reports_is_a_value_and_no_text(real: Profile, monkeypatch: pytest.MonkeyPatch) -> None:
+    warm = replace(READY, sample=replace(SAMPLE, joints_c=(25.0, 26.0, 27.0, 28.0, 29.0, 30.5)))
+    monkeypatch.setattr("drivers.arms.ur_probe.probe_ur", lambda host, timeout_s: warm)
+    result = examine_run(real)
+    link = next(finding for finding in result.findings if finding.subject == "arm left: link")
+    assert link.device is not None
+    assert (link.device.model, link.device.serial, link.device.state) == ("UR10", "20153012345", "RUNNING, NORMAL")
+    assert link.device.joints_c == (25.0, 26.0, 27.0, 28.0, 29.0, 30.5)
+    again = DoctorResult.from_json(result.to_json(), "doctor")
+    assert again == result
+    assert {finding.subject.split(":")[0] for finding in result.failed} <= {"arm right", "tracker"}
+
+
+def test_only_devices_that_nobody_else_needs_are_asked_again_and_again(
+    real: Profile, twin: Profile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.arms.ur_probe.probe_ur", one_ready)
+    assert repeatable_devices(real) == ("arm left", "arm right")
+    assert repeatable_devices(twin) == ()
+    found = probe_devices(real, ["arm left"]).findings
+    assert {finding.subject.split(":")[0] for finding in found} == {"arm left"}
+    assert not probe_devices(real, []).findings
 
 
 E_SERIES = replace(READY, series="e-Series", software="5.11.1.1108318", safety_status="NORMAL", remote_control=True)

@@ -165,7 +165,9 @@ def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) ->
     refusals = [command.refusal for command in compensate(high, model, TARGETS)]
     assert any("nearer to the floor" in refusal for refusal in refusals)
     entry = json.loads(compensate_result(refused[-1:]).to_json())["targets"]
-    assert entry == [{"name": "it", "arm": "left", "refusal": "out of reach", "q_nominal": None, "q_compensated": None}]
+    place = {"name": "it", "arm": "left", "position": [3.0, 0.0, 0.5], "rpy": [0.0, 0.0, 0.0], "tolerance_mm": None}
+    nothing = {"q_nominal": None, "q_compensated": None, "uncertainty_mm": None, "verdict": ""}
+    assert entry == [{**place, "refusal": "out of reach", **nothing}]
 
 
 @pytest.mark.parametrize("middle", [-1.5 * math.pi, 1.5 * math.pi])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -12,15 +13,17 @@ import pytest
 
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.compensation import push as pushing
-from cellapp.compensation.compensate import Command, compensate
+from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.push import push
-from cellapp.compensation.targets import Target, load_targets
+from cellapp.compensation.targets import Target, load_targets, same_target
 from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
 from cellapp.model import CellModel
 from cellapp.pipeline import push_run
 from cellapp.progress import Cancelled, Progress
-from cellapp.results import ArmVerification, ErrorSummary, MeasuredTarget, VerifyResult
+from cellapp.reporting.run_tables import predicted_tolerance_tables
+from cellapp.reporting.tables import verification_tables
+from cellapp.results import ArmVerification, CompensateResult, ErrorSummary, MeasuredTarget, VerifyResult
 from cellapp.run import RunFile
 from cellapp.run.stages import read_results
 from cellapp.safety.cell_bodies import home_positions
@@ -190,3 +193,37 @@ def test_a_verification_that_does_not_hold_is_reported() -> None:
     assert complaint.startswith(
         "arm left: the mean error at compensated targets is 0.750 mm, at uncompensated ones 0.5"
     )
+
+
+def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, model: CellModel) -> None:
+    """The tracker scatters by some 20 um, so 1 um is never met and 2 mm always."""
+    sizes = (2e-3, 1e-6, None)
+    targets = [target.model_copy(update={"tolerance": size}) for target, size in zip(TARGETS, sizes)]
+    commands = compensate(run.profile, model, (*targets, FAR.model_copy(update={"tolerance": 1e-3})))
+    predicted = compensate_result(commands)
+    wide, narrow, none, far = predicted.targets
+    assert wide.uncertainty_mm is not None
+    assert 0.0 < wide.uncertainty_mm < 0.1
+    assert (wide.verdict, narrow.verdict, none.verdict, far.verdict) == ("in", "out", "", "")
+    assert wide.tolerance_mm == pytest.approx(2.0)
+    assert [row[-1] for row in predicted_tolerance_tables(predicted)[0].rows] == ["in", "out", "out of reach"]
+    found = push(run.profile, model, commands, verify=True)
+    assert [target.verdict for target in found.targets] == ["in", "out", "", ""]
+    (complaint,) = found.complaints()
+    assert complaint.startswith(f"1 of 2 targets with a tolerance are out of it: {TARGETS[1].name} (0.0")
+    assert complaint.endswith(" mm, tolerance 0.001 mm)")
+    assert [row[-1] for row in verification_tables(found)[1].rows] == ["in", "out", ""]
+    assert all(same_target(target, stored) for target, stored in zip(targets, found.targets))
+    assert not same_target(targets[0].model_copy(update={"tolerance": None}), found.targets[0])
+
+
+def test_results_of_earlier_versions_are_read(run: RunFile, commands: tuple[Command, ...]) -> None:
+    new = {"position", "rpy", "tolerance_mm", "uncertainty_mm", "verdict"}
+    content = json.loads(compensate_result(commands[:2]).to_json())
+    content["targets"] = [
+        {key: value for key, value in target.items() if key not in new} for target in content["targets"]
+    ]
+    old = CompensateResult.from_json(json.dumps(content), "old")
+    assert [target.verdict for target in old.targets] == ["", ""]
+    assert predicted_tolerance_tables(old) == []
+    assert not same_target(TARGETS[0], old.targets[0])

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from cellapp.compensation.targets import load_targets
+from cellapp.compensation.target_text import TypedTarget, targets_text, typed_target, typed_texts
+from cellapp.compensation.targets import Target, load_targets
+from cellapp.compensation.tolerance import measured_verdict, predicted_verdict
 from cellapp.errors import InputError
 from tests.twin import PROFILES, small_twin
 
@@ -78,3 +82,104 @@ def test_no_file_a_folder_and_no_text(path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not UTF-8 text"):
         load_targets(path, PROFILE)
+
+
+def test_a_tolerance_with_its_unit(path: Path) -> None:
+    path.write_text(HEAD + GOOD.replace("}", ', tolerance: "0.1 mm"}') + GOOD.replace("one", "two"))
+    one, two = load_targets(path, PROFILE)
+    assert one.tolerance == pytest.approx(1e-4)
+    assert two.tolerance is None
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            GOOD.replace("}", ", tolerance: 2}"),
+            "4: targets.0.tolerance: expected a tolerance above 0 and at",
+        ),
+        (GOOD + GOOD.replace("one, arm: left", "two, arm: middle"), "5: target 'two': no arm 'middle'"),
+        (GOOD + GOOD.replace("[0, 0, 0]", "[0, 0, 90]").replace("one", "two"), "5: targets.1.rpy.2: 90 rad"),
+    ],
+)
+def test_a_refusal_names_the_line(path: Path, text: str, says: str) -> None:
+    path.write_text(HEAD + text)
+    with pytest.raises(InputError, match=re.escape(f"{path}:{says}")):
+        load_targets(path, PROFILE)
+
+
+def test_what_is_written_is_read_again_bit_for_bit(path: Path) -> None:
+    listed = load_targets(PROFILES / "targets" / "twin.yaml", PROFILE)[:3]
+    odd = listed[0].model_copy(
+        update={"name": "- 'ä: #\n", "position": (1e-17, -1.0 / 3.0, 2e-5), "rpy": (math.pi, 0.0, -1e-300)}
+    )
+    tolerances = (1e-4, 0.3e-3, 1.0 / 3e4)
+    targets = (odd, *(t.model_copy(update={"tolerance": size}) for t, size in zip(listed, tolerances)))
+    path.write_text(targets_text(targets), encoding="utf-8")
+    assert load_targets(path, PROFILE) == targets
+    assert "tolerance: 0.1 mm" in path.read_text(encoding="utf-8")
+
+
+ONE = Target(name="one", arm="left", position=(-0.1483, 0.1, 1.0 / 3.0), rpy=(0.1, 0.2, math.pi), tolerance=1e-4)
+
+
+def typed(**texts: str) -> TypedTarget:
+    other = ONE.model_copy(update={"name": "two"})
+    return typed_target({**typed_texts(ONE), **texts}, ONE, [other], PROFILE)
+
+
+def test_fields_that_are_not_touched_keep_their_value() -> None:
+    assert typed() == TypedTarget(ONE, {})
+    changed = typed(position="250 mm, 0, 1").target
+    assert changed == ONE.model_copy(update={"position": (0.25, 0.0, 1.0)})
+    assert typed(tolerance="").target == ONE.model_copy(update={"tolerance": None})
+
+
+@pytest.mark.parametrize(
+    ("field", "text", "says"),
+    [
+        ("position", "250, 0, 1", "x: 250 m is beyond 100 m"),
+        ("position", "1, 2", "z: missing"),
+        ("position", "", "expected"),
+        ("rpy", "0, 90, 0", "pitch: 90 rad is more than two turns"),
+        ("rpy", "0, [1, 0", "pitch: expected an angle"),
+        ("rpy", "0, 3 mm, 0", "pitch: 'mm' is not a unit of angle"),
+        ("tolerance", "0.1", "write '0.1 mm' for mm"),
+        ("tolerance", "100 um", ""),
+        ("tolerance", "-1 mm", "expected a tolerance above 0"),
+        ("tolerance", "3", "write '3 mm' for mm"),
+        ("arm", "middle", "no arm 'middle'; arms are left, right"),
+        ("name", "two", "is listed twice"),
+        ("name", " ", "expected a text, got an empty one"),
+    ],
+)
+def test_a_field_is_judged_while_it_is_typed(field: str, text: str, says: str) -> None:
+    found = typed(**{field: text})
+    if not says:
+        assert found.target is not None
+        return
+    assert found.target is None
+    assert list(found.problems) == [field]
+    assert says in found.problems[field]
+
+
+def test_what_is_predicted_and_what_is_measured() -> None:
+    assert [predicted_verdict(0.01, size) for size in (0.04, 0.0339, 0.006, 0.0059, None)] == [
+        "in",
+        "cannot say",
+        "cannot say",
+        "out",
+        "",
+    ]
+    assert predicted_verdict(None, 0.1) == "cannot say"
+    assert [measured_verdict(0.1, size) for size in (0.1, 0.09, None)] == ["in", "out", ""]
+    assert measured_verdict(None, 0.1) == ""
+
+
+def test_the_bounds_hold_for_errors_of_one_line_and_of_all_directions() -> None:
+    rng = np.random.default_rng(2)
+    normal = rng.standard_normal((200_000, 3))
+    for spread in ([1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]):
+        errors = np.linalg.norm(normal * np.sqrt(3.0 / sum(spread)) * spread, axis=1)
+        assert np.mean(errors <= 3.395) >= 0.949
+    assert np.mean(np.linalg.norm(normal, axis=1) > 0.593) == pytest.approx(0.95, abs=0.003)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from importlib.metadata import PackagePath
+from importlib.metadata import Distribution
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,16 +26,17 @@ def test_the_twin_is_first_and_each_has_a_sentence() -> None:
     assert {starter.name for starter in starters if not starter.has_device} == {"ur10-real", "ur10-real-d", "ur5-real"}
 
 
-class Installed:
+class Installed(Distribution):
     """What pip recorded of an installation: starter profiles, and another package's file of the same name."""
 
     def __init__(self, folder: Path) -> None:
-        self.files = [PackagePath(name) for name in ("other/twin.yaml", "../share/cellapp/profiles/twin.yaml")]
-        for file in self.files:
-            file.dist = self
         self.folder = folder
 
-    def locate_file(self, path: PackagePath) -> Path:
+    def read_text(self, filename: str) -> str | None:
+        names = ("other/twin.yaml", "../share/cellapp/profiles/twin.yaml")
+        return "\n".join(f"{name},," for name in names) if filename == "RECORD" else None
+
+    def locate_file(self, path: str | os.PathLike[str]) -> Path:
         return self.folder / path
 
 
@@ -84,6 +85,17 @@ def test_a_folder_that_cannot_be_made_gets_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "profiles").write_text("a file, not a folder", "utf-8")
     with pytest.raises(InputError, match=r"cannot be (written|reached) \(.+\); give a"):
         write_starter("twin", tmp_path)
+
+
+def test_a_link_stays_a_link_and_permissions_stay(tmp_path: Path) -> None:
+    file, link = tmp_path / "cell.yaml", tmp_path / "link.yaml"
+    file.write_text("old\n", "utf-8")
+    file.chmod(0o640)
+    link.symlink_to(file)
+    write_text(link, "new\n")
+    assert link.is_symlink()
+    assert file.read_text("utf-8") == "new\n"
+    assert file.stat().st_mode & 0o777 == 0o640
 
 
 def test_a_full_disk_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,7 +24,7 @@ from cellapp.results import RunsResult
 from cellapp.run import RunFile, SessionEnd
 from cellapp.run.history import list_runs, resumable, summarise
 from cellapp.run.overview import run_overview
-from tests.run.small_runs import add_stop, collected_run, planned_run
+from tests.run.small_runs import add_stop, collected_run, planned_run, set_began
 from tests.run.spoiled import SPOILED
 
 NEVER_WAITS_S = 5.0
@@ -41,9 +41,9 @@ def names(result: RunsResult) -> list[str]:
 
 @pytest.mark.fast
 def test_every_run_below_a_folder_newest_first_and_nothing_else(tmp_path: Path) -> None:
-    for name in ("b/first", "second", "a/deep/third", ".hidden/run", "one/two/three/too-deep"):
+    for minute, name in enumerate(("b/first", "second", "a/deep/third", ".hidden/run", "one/two/three/too-deep")):
         planned_run(tmp_path / name).close()
-        time.sleep(0.002)  # the time of creation is stored to the millisecond
+        set_began(tmp_path / name, minute)
     (tmp_path / "empty").mkdir()
     (tmp_path / "note.txt").write_text("x")
     (tmp_path / "link").symlink_to(tmp_path / "second")
@@ -107,9 +107,9 @@ def test_a_plan_alone_was_not_interrupted(tmp_path: Path) -> None:
 
 @pytest.mark.fast
 def test_the_newest_interrupted_run_is_offered(tmp_path: Path) -> None:
-    for name, outcome in (("old", "stopped"), ("newer", None), ("newest", "complete")):
+    for minute, (name, outcome) in enumerate((("old", "stopped"), ("newer", None), ("newest", "complete"))):
         collected_run(tmp_path / name, outcome, 4 if outcome == "complete" else 1)  # type: ignore[arg-type]
-        time.sleep(0.002)
+        set_began(tmp_path / name, minute)
     offer = resumable(tmp_path)
     assert offer is not None
     assert Path(offer.run).name == "newer"

@@ -138,8 +138,8 @@ def test_effects_in_one_run_only_and_in_both(finished_run: Path, finished_copy: 
     assert result.arms["left"].verified_mm["compensated"].b_mean_mm is not None
     said = "\n".join(comparison_sentences(result))
     assert "was found in a only" in said
-    assert "was found in both" in said
-    assert f"{finished_copy}: verify is out of date" in said
+    assert "was found in both; sizes differ: " in said
+    assert f"{finished_copy}: out of date: " in said
     assert {effect.found_in for effect in compared(finished_copy, finished_run).arms["left"].effects} == {"b"}
 
 

@@ -189,6 +189,33 @@ async def test_the_whole_day_asks_before_it_begins() -> None:
         assert app.day_screen.STEP == "cell"
 
 
+async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job(folder=Path("here")))
+        app.open_profile(PROFILES / "ur10-ur5.yaml")
+        assert "moves arms" in app.message
+        held.go_on.set()
+        await ended(pilot, app)
+        assert app.workspace.kind == "simulated"
+        app.open_profile(PROFILES / "ur10-ur5.yaml")
+        await until(pilot, lambda: " REAL ARMS " in shown_text(app).splitlines()[0], "the other profile")
+
+
+async def test_an_empty_folder_offers_the_twin(tmp_path: Path) -> None:
+    app = CellApp(tmp_path / "profiles")
+    async with app.run_test(size=SMALL) as pilot:
+        await until(pilot, lambda: "Try the simulated twin" in shown_text(app), "the welcome")
+        await pilot.press("enter")
+        await opened(pilot, app)
+        assert app.workspace.profile is not None
+        assert app.workspace.profile.name == "twin"
+        assert (tmp_path / "profiles" / "twin.yaml").is_file()
+        assert "F5" in app.message
+
+
 async def test_quitting_with_a_job_asks_stops_and_waits_for_its_end() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)

@@ -15,7 +15,7 @@ from cellapp.model.nominal import pose_matrix
 from cellapp.profile import load_profile
 from cellapp.profile.starters import copy_starter
 from cellapp.tui.app import CellApp
-from cellapp.tui.dialogs.first_run import Welcome, edit_profile, offer_first_run, write_profile
+from cellapp.tui.dialogs.first_run import Welcome, edit_profile, offer_first_run
 from cellapp.tui.dialogs.points import PointsDialog
 from cellapp.tui.dialogs.question import Choice
 from cellapp.tui.plots import ChartPlot
@@ -31,7 +31,9 @@ TWIN = Path("profiles/twin.yaml")
 
 @pytest.fixture
 def app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CellApp:
-    """The application in an empty folder."""
+    """The application in an empty folder; what waits for a rest in typing waits a moment only."""
+    for module in ("screens.profile_form", "dialogs.points"):
+        monkeypatch.setattr(f"cellapp.tui.{module}._PAUSE_S", 0.01)
     monkeypatch.chdir(tmp_path)
     return CellApp(Path("profiles"))
 
@@ -49,6 +51,13 @@ def form(app: CellApp) -> ProfileForm:
 
 def row(app: CellApp, field: str) -> FieldRow:
     return next(row for row in form(app).query(FieldRow) if row.field_id == field)
+
+
+async def show(pilot: Pilot[None], app: CellApp, section: str) -> None:
+    """Show a section and wait for its fields."""
+    form(app).query_one(TabbedContent).active = f"section-{section}"
+    name = section.replace("arm-", "arms.").replace("cell", "name")
+    await until(pilot, lambda: any(row.field_id.startswith(name) for row in form(app).query(FieldRow)), section)
 
 
 def text(app: CellApp, field: str) -> str:
@@ -70,6 +79,8 @@ async def shown(pilot: Pilot[None], app: CellApp, words: str) -> None:
 
 async def fill(pilot: Pilot[None], app: CellApp, field: str, value: str) -> None:
     """Replace the text of a field as a paste does."""
+    first, _, rest = field.partition(".")
+    await show(pilot, app, f"arm-{rest[0]}" if first == "arms" else "tracker" if first == "tracker" else "cell")
     row(app, field).input.value = value
     await pilot.pause()
 
@@ -92,10 +103,8 @@ async def asked(pilot: Pilot[None], app: CellApp, *words: str) -> None:
 # -- first run --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", SIZES)
-async def test_enter_in_an_empty_folder_opens_the_twin(app: CellApp, size: tuple[int, int]) -> None:
-    async with app.run_test(size=size) as pilot:
-        assert offer_first_run(app)
+async def test_enter_in_an_empty_folder_opens_the_twin(app: CellApp) -> None:
+    async with app.run_test(size=SMALL) as pilot:
         await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
         await pilot.pause()
         for answer in ("Try the simulated twin (t)", "Write a profile for my cell (w)", "Open a profile elsewhere (o)"):
@@ -107,20 +116,14 @@ async def test_enter_in_an_empty_folder_opens_the_twin(app: CellApp, size: tuple
         assert not offer_first_run(app), "there is a profile now"
 
 
-async def test_a_folder_that_cannot_be_written_gets_a_sentence(app: CellApp) -> None:
+async def test_what_cannot_be_written_or_edited_gets_a_sentence(app: CellApp) -> None:
     Path("profiles").write_text("a file", "utf-8")
     async with app.run_test(size=SMALL) as pilot:
-        assert offer_first_run(app)
         await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
+        edit_profile(app, Path("nothing.yaml"))
+        assert app.message == "nothing.yaml: file not found; give the path of a profile"
         await pilot.press("t")
         await until(pilot, lambda: "profiles" in app.message and "give" in app.message, "the sentence")
-
-
-async def test_a_profile_that_the_form_cannot_edit_gets_a_sentence(app: CellApp) -> None:
-    async with app.run_test(size=SMALL) as pilot:
-        edit_profile(app, Path("nothing.yaml"))
-        await pilot.pause()
-        assert app.message == "nothing.yaml: file not found; give the path of a profile"
 
 
 # -- a new profile ----------------------------------------------------------------------------------------------------
@@ -141,13 +144,14 @@ ANSWERS = {
 
 async def test_a_new_cell_is_written_with_what_the_form_asks_for(app: CellApp) -> None:
     async with app.run_test(size=(120, 40)) as pilot:
-        write_profile(app)
+        await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
+        await pilot.press("w")
         await until(pilot, lambda: isinstance(app.screen, ProfileForm), "the form")
         await shown(pilot, app, "9 fields to correct")
+        await pilot.press("f4")  # from the name to the first problem of the left arm
+        await until(pilot, lambda: "Controller: address" in shown_text(app), "the next problem")
+        assert app.focused is row(app, "arms.0.host").input
         assert "missing; it must be given" in problem(app, "arms.0.host")
-        await pilot.press("f4")  # the first problem after the name: in the section of the left arm
-        await until(pilot, lambda: app.focused is row(app, "arms.0.host").input, "the next problem")
-        assert form(app).query_one(TabbedContent).active == "section-arm-0"
         for field, value in ANSWERS.items():
             await fill(pilot, app, field, value)
         await shown(pilot, app, "hall-3.yaml · not saved · every field holds")
@@ -167,10 +171,19 @@ async def test_a_new_cell_is_written_with_what_the_form_asks_for(app: CellApp) -
 # -- an existing profile ----------------------------------------------------------------------------------------------
 
 
-async def test_a_problem_stands_beside_its_field_while_typing(with_twin: CellApp) -> None:
+async def test_undo_steps_by_field_and_a_problem_stands_beside_its_field(with_twin: CellApp) -> None:
     app = with_twin
     async with app.run_test(size=(160, 40)) as pilot:
         await edit(pilot, app)
+        await pilot.press("down", "end", "backspace", "5", "down", "end", "x")
+        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mmx")
+        await pilot.press("ctrl+z")
+        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mm")
+        await pilot.press("ctrl+z")
+        assert text(app, "plan.stops") == "400"
+        await pilot.press("ctrl+y", "ctrl+y")
+        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mmx")
+        await pilot.press("ctrl+z", "ctrl+z")
         await pilot.press("f6")
         await until(pilot, lambda: app.focused is row(app, "arms.0.name").input, "the section")
         await pilot.press("down", "down", "down", "end", "backspace", "k", "m")
@@ -184,28 +197,14 @@ async def test_a_problem_stands_beside_its_field_while_typing(with_twin: CellApp
         assert problem(app, "arms.0.position") == ""
 
 
-async def test_undo_and_redo_step_by_field(with_twin: CellApp) -> None:
-    app = with_twin
-    async with app.run_test(size=SMALL) as pilot:
-        await edit(pilot, app)
-        await pilot.press("down", "end", "backspace", "5", "down", "end", "x")
-        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mmx")
-        await pilot.press("ctrl+z")
-        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mm")
-        await pilot.press("ctrl+z")
-        assert text(app, "plan.stops") == "400"
-        await pilot.press("ctrl+y", "ctrl+y")
-        assert (text(app, "plan.stops"), text(app, "plan.clearance")) == ("405", "50 mmx")
-
-
-async def test_saving_asks_and_keeps_every_comment(with_twin: CellApp) -> None:
+async def test_saving_asks_and_overwrites_nothing_silently(with_twin: CellApp) -> None:
     app = with_twin
     before = TWIN.read_text("utf-8")
     async with app.run_test(size=SMALL) as pilot:
         await edit(pilot, app)
         await fill(pilot, app, "plan.stops", "120")
         await pilot.press("ctrl+s")
-        await asked(pilot, app, "Saving changes profiles/twin.yaml: lines taken out 1, put in 1.")
+        await asked(pilot, app, "Saving changes profiles/twin.yaml: 1 line taken out, 1 line put in.")
         await pilot.press("enter")  # the first answer: not
         await until(pilot, lambda: isinstance(app.screen, ProfileForm), "the form")
         assert TWIN.read_text("utf-8") == before
@@ -213,13 +212,7 @@ async def test_saving_asks_and_keeps_every_comment(with_twin: CellApp) -> None:
         await asked(pilot, app)
         await pilot.press("s")
         await shown(pilot, app, "· saved ·")
-    assert TWIN.read_text("utf-8") == before.replace("stops: 400", "stops: 120")
-
-
-async def test_a_file_that_others_changed_is_not_overwritten_silently(with_twin: CellApp) -> None:
-    app = with_twin
-    async with app.run_test(size=SMALL) as pilot:
-        await edit(pilot, app)
+        assert TWIN.read_text("utf-8") == before.replace("stops: 400", "stops: 120")
         await fill(pilot, app, "plan.floor", "")
         TWIN.write_text(TWIN.read_text("utf-8") + "# a colleague\n", "utf-8")
         await pilot.press("ctrl+s")
@@ -232,10 +225,11 @@ async def test_a_file_that_others_changed_is_not_overwritten_silently(with_twin:
     assert TWIN.read_text("utf-8").endswith("# a colleague\n")
 
 
-async def test_the_fields_are_those_of_the_driver(with_twin: CellApp) -> None:
+async def test_the_fields_are_those_of_the_arms_and_their_drivers(with_twin: CellApp) -> None:
     app = with_twin
     async with app.run_test(size=SMALL) as pilot:
         await edit(pilot, app)
+        await show(pilot, app, "arm-0")
         assert not row(app, "arms.0.host").display
         await fill(pilot, app, "arms.0.kind", "ur")
         await fill(pilot, app, "tracker.kind", "bridge")
@@ -243,12 +237,7 @@ async def test_the_fields_are_those_of_the_driver(with_twin: CellApp) -> None:
         assert row(app, "tracker.url").display
         assert not row(app, "tracker.address").display
         await shown(pilot, app, "2 fields to correct")
-
-
-async def test_arms_are_added_and_removed(with_twin: CellApp) -> None:
-    app = with_twin
-    async with app.run_test(size=SMALL) as pilot:
-        await edit(pilot, app)
+        await pilot.press("ctrl+z", "ctrl+z")
         await pilot.press("f7")
         await shown(pilot, app, "1 field to correct")
         assert "each arm needs a name" in problem(app, "arms.2.name")
@@ -296,18 +285,20 @@ async def test_a_base_is_found_from_tracker_points(with_twin: CellApp) -> None:
 # -- every size -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", SIZES)
-async def test_stop_and_map_at_every_size(with_twin: CellApp, size: tuple[int, int]) -> None:
+async def test_stop_and_map_at_every_size(with_twin: CellApp) -> None:
     app = with_twin
-    async with app.run_test(size=size) as pilot:
+    async with app.run_test(size=SIZES[-1]) as pilot:
         await edit(pilot, app)
-        assert form(app).query_one(StopButton).region == Region(size[0] - 11, 0, 11, 1)
-        assert ("From above" in shown_text(app)) == (size != SMALL)
-        await pilot.press("f3")
-        await pilot.pause()
-        assert "From above: left at 0.00, 0.85 m" in shown_text(app)
-        await pilot.press("f3", "f6")
-        await until(pilot, lambda: app.focused is row(app, "arms.0.name").input, "the section")
-        await pilot.pause()
-        for label in ("Name", "Arm type", "Base position", "SMR offset", "Home", "Speed"):
-            assert label in shown_text(app)
+        await pilot.press("f6")
+        for size in SIZES:
+            await pilot.resize_terminal(*size)
+            await pilot.pause()
+            assert form(app).query_one(StopButton).region == Region(size[0] - 11, 0, 11, 1)
+            assert ("From above" in shown_text(app)) == (size != SMALL)
+            for label in ("Name", "Arm type", "Base position", "SMR offset", "Home", "Speed"):
+                assert label in shown_text(app)
+            await pilot.press("f3")
+            await pilot.pause()
+            assert "From above: left at 0.00, 0.85 m" in shown_text(app)
+            await pilot.press("f3")
+            await pilot.pause()

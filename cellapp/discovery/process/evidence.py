@@ -22,9 +22,9 @@ from scipy.optimize import minimize
 from cellapp.discovery.process.components import Component
 from cellapp.kinematics.transforms import Array
 
-NEGLIGIBLE_COLUMN = 1e-3
+NEGLIGIBLE_COLUMN = 1e-2
 """Prior variance of a column's signal over that of the noise below which the column is left out: it would change the
-evidence by half of that."""
+log evidence by half of that. All such columns of a measured arm together change it by less than 0.5."""
 _LOG_AMPLITUDE = (-7.0, 5.0)
 """Bounds of the logarithm of an amplitude over its first guess: from a thousandth to 150 times."""
 _LOG_NOISE = (-9.0, 0.5)

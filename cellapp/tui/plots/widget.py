@@ -41,10 +41,9 @@ class ChartPlot(Widget):
         drawn_as = (self.chart, width, height, self.rich_style, self.app.current_theme.dark)
         if drawn_as != self._drawn_as:
             lines = [] if self.chart is None else draw(self.chart, width, height)
+            styles = {ink: self._style(ink) for ink in {ink for line in lines for _, ink in line}}
             self._strips = [
-                Strip([Segment(text, self._style(ink)) for text, ink in line]).adjust_cell_length(
-                    width, self.rich_style
-                )
+                Strip([Segment(text, styles[ink]) for text, ink in line]).adjust_cell_length(width, self.rich_style)
                 for line in lines
             ]
             self._drawn_as = drawn_as

@@ -6,17 +6,23 @@ from typing import TYPE_CHECKING, ClassVar, cast
 
 from textual.app import ComposeResult
 from textual.containers import Vertical
+from textual.events import Resize
 from textual.screen import Screen
-from textual.widgets import Footer, Static
+from textual.widgets import Static
 
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.widgets.header import DayHeader, StepLine
+from cellapp.tui.widgets.key_line import KeyLine
 from cellapp.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.results import Result
     from cellapp.tui.app import CellApp
     from cellapp.tui.jobs import Job
+
+_LEAST = (60, 16)
+"""Columns and lines of a terminal below which tables and plots cannot be read."""
+_TOO_SMALL = "Make the terminal larger, at least 80x24. Jobs go on; STOP and all keys work."
 
 
 class DayScreen(Screen[None]):
@@ -44,10 +50,11 @@ class DayScreen(Screen[None]):
     def compose(self) -> ComposeResult:
         yield DayHeader()
         yield StepLine()
+        yield Static(_TOO_SMALL, classes="too-small", markup=False)
         with Vertical(classes="body"):
             yield from self.body()
         yield Static("", classes="message", markup=False)
-        yield Footer()
+        yield KeyLine()
 
     def body(self) -> ComposeResult:
         """The widgets between header and message."""
@@ -60,15 +67,20 @@ class DayScreen(Screen[None]):
         """Draw the present or the last job."""
 
     def show_result(self, result: Result) -> None:
-        """Draw the result of a job that has just ended while this screen is shown, where the run does not keep it."""
+        """Draw the result of a job that this screen asked for, or that ended while it is shown."""
 
     def start(self, job: Job) -> None:
         """Start a job; a sentence says why where that is not possible."""
-        self.cell_app.start_job(job)
+        if self.cell_app.start_job(job):
+            self.cell_app.asked_by = self
 
     def say(self, text: str, severity: str = "information") -> None:
         """Show a sentence in the message line of every screen."""
         self.cell_app.say(text, severity)
+
+    def on_resize(self, event: Resize) -> None:
+        """Draw a sentence instead of the body where the terminal is too small; a subclass's method runs, too."""
+        self.set_class(event.size.width < _LEAST[0] or event.size.height < _LEAST[1], "-too-small")
 
     def on_screen_resume(self) -> None:
         """Draw what changed while another screen was shown."""

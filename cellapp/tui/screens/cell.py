@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
 from textual import on, work
@@ -15,11 +15,8 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
 
-from cellapp.profile import Profile
-from cellapp.results import DoctorResult, Result
 from cellapp.tui import work as verbs
 from cellapp.tui.dialogs.file_picker import FilePicker
-from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.cell_findings import (
     DevicesTable,
@@ -29,7 +26,13 @@ from cellapp.tui.widgets.cell_findings import (
     device_state,
     devices_of,
 )
+from cellapp.tui.widgets.cell_map import CellMap
+from cellapp.tui.widgets.tabs import explain_tabs, show_next_tab
 from cellapp.tui.workspace import Step, Workspace
+
+if TYPE_CHECKING:
+    from cellapp.profile import Profile
+    from cellapp.results import DoctorResult, Result, StopsResult
 
 _REFRESH_S = 5.0
 """Time between two questions to the devices: slow enough for any controller, fast enough to see a stop released."""
@@ -46,7 +49,7 @@ Which cell is calibrated, what the profile says of it, what its devices say, and
   come first, and the sentence below the table is that of the selected row, in full.
 - *Devices* shows what each device said last. UR controllers are asked again every 5 s while no job runs; `r` asks all.
 - *Profile* is the profile in words, *Map* shows where bases and tracker stand.
-- `w` edits the profile.
+- `w` edits the profile in a form, `+` writes a new one; `t` shows the next tab.
 
 Next: a plan (`2`).
 """
@@ -70,6 +73,8 @@ class CellScreen(DayScreen):
         Binding("r", "refresh_devices", "Ask devices", tooltip="ask every device for its state; nothing moves"),
         Binding("o", "open", "Open profile", tooltip="open a profile by its path"),
         Binding("w", "edit", "Edit profile", tooltip="change the profile in a form"),
+        Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
+        Binding("plus", "write", "New profile", key_display="+", tooltip="write a profile in a form"),
     ]
     DEFAULT_CSS = """
     #profiles { width: 22; height: 1fr; }
@@ -97,6 +102,7 @@ class CellScreen(DayScreen):
         self._written_ns = 0
         self._states: dict[str, DeviceState] = {}
         self._probing = False
+        self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
 
     def body(self) -> ComposeResult:
         with Horizontal():
@@ -111,9 +117,9 @@ class CellScreen(DayScreen):
                     with TabPane("Doctor", id="tab-doctor"):
                         yield _tipped(FindingsTable(id="findings"), "Checks, failed ones first; d asks again")
                     with TabPane("Map", id="tab-map"):
-                        yield ChartPlot(id="cell-map")
+                        yield CellMap("above", id="cell-map")
                 yield Static("", id="cell-detail", markup=False)
-            yield ChartPlot(id="cell-side-map")
+            yield CellMap("above", id="cell-side-map")
 
     def on_mount(self) -> None:
         """List the profiles; the first one is opened."""
@@ -121,10 +127,11 @@ class CellScreen(DayScreen):
         profiles = self.query_one("#profiles", OptionList)
         profiles.add_options([path.stem for path in self._found])
         self.query_one("#cell-words", DataTable).add_columns("what", "in the profile")
+        explain_tabs(self.query_one("#cell-tabs", TabbedContent))
         if self._found:
             profiles.highlighted = 0
         else:
-            self.say(f"No profile is in {self.cell_app.profiles}: press o and give the path of one.", "warning")
+            self.say(f"No profile is in {self.cell_app.profiles}: o opens one by its path, + writes one.", "warning")
         profiles.focus()
         self.set_interval(_REFRESH_S, self._tick)
 
@@ -148,19 +155,40 @@ class CellScreen(DayScreen):
 
     def _open_listed(self, path: Path) -> None:
         """Open a profile from anywhere; it joins the list."""
+        self._list(path)
+        self._open(path)
+
+    def _list(self, path: Path) -> None:
+        """Highlight a profile in the list; it joins the list where it is not there yet."""
+        profiles = self.query_one("#profiles", OptionList)
         if path not in self._found:
             self._found.append(path)
-            self.query_one("#profiles", OptionList).add_option(path.stem)
-        self.query_one("#profiles", OptionList).highlighted = self._found.index(path)
-        self._open(path)
+            profiles.add_option(path.stem)
+        profiles.highlighted = self._found.index(path)
 
     def _open(self, path: Path) -> None:
         if path != self.workspace.profile_path or self.workspace.folder is not None:
             self.cell_app.open_profile(path)
 
     def action_edit(self) -> None:
-        """Edit the profile."""
-        self.say("Edit the profile's YAML file with any editor, then press d: it is read again.")
+        """Edit the profile in a form."""
+        path = self.workspace.profile_path
+        if path is None:
+            self.say("No profile is open: + writes a new one.", "warning")
+        else:
+            from cellapp.tui.dialogs.first_run import edit_profile
+
+            edit_profile(self.cell_app, path)
+
+    def action_write(self) -> None:
+        """Write a new profile in a form."""
+        from cellapp.tui.dialogs.first_run import write_profile
+
+        write_profile(self.cell_app)
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        show_next_tab(self.query_one("#cell-tabs", TabbedContent))
 
     # -- doctor and devices --------------------------------------------------------------------------------------------
 
@@ -218,6 +246,8 @@ class CellScreen(DayScreen):
 
     def show_result(self, result: Result) -> None:
         """Draw the doctor's findings."""
+        from cellapp.results import DoctorResult
+
         if isinstance(result, DoctorResult):
             self._doctor, self._doctor_path, self._doctor_at = result, self._asked_path, datetime.now()
             self._written_ns = _written_ns(self._doctor_path)
@@ -236,23 +266,26 @@ class CellScreen(DayScreen):
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the profile."""
+        if workspace.profile_path is not None:
+            self._list(workspace.profile_path)
         if workspace.profile is not self._profile:
             self._show_profile(workspace.profile)
+        drawn = (workspace.profile, workspace.stops)
+        if drawn != self._drawn:
+            self._drawn = drawn
+            for plot in self.query(CellMap):
+                plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)
         self._draw_doctor()
         self._draw_devices()
         self._draw_detail()
 
     def _show_profile(self, profile: Profile | None) -> None:
-        from cellapp.reporting.charts_map import cell_map_chart
         from cellapp.reporting.profile_words import cell_words, constraint_words
 
         changed = profile is None or self._profile is None or profile != self._profile
         self._profile = profile
         words = self.query_one("#cell-words", DataTable)
         words.clear()
-        chart = None if profile is None else cell_map_chart(profile, ())
-        for plot in self.query(ChartPlot):
-            plot.chart = chart
         for row in () if profile is None else (*cell_words(profile), *constraint_words(profile)):
             words.add_row(*map(Text, row))
         if changed:
@@ -260,7 +293,7 @@ class CellScreen(DayScreen):
             self._states = {name: DeviceState(name) for name in names}
             if self._doctor is not None and self.workspace.profile_path != self._doctor_path:
                 self._doctor = None
-                self.query_one(FindingsTable).show(DoctorResult(findings=()))
+                self.query_one(FindingsTable).show(None)
 
     def _draw_doctor(self) -> None:
         verdict, kind = self._verdict()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -17,6 +18,7 @@ from textual.message import Message
 from textual.widgets import Static
 
 from cellapp.errors import CellappError
+from cellapp.reporting.charts import Chart
 from cellapp.reporting.charts_collection import (
     drift_chart,
     live_drift_chart,
@@ -30,9 +32,11 @@ from cellapp.tui import work as jobs
 from cellapp.tui.dialogs.question import Answer, Choice
 from cellapp.tui.dialogs.save_as import SaveAs
 from cellapp.tui.job_record import ArmRecord, JobRecord, LogRow, level_of
+from cellapp.tui.jobs import Job
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.screens.collect_state import (
+    Headline,
     drift_exceeded,
     headline,
     holds_for_drift,
@@ -51,8 +55,8 @@ _NOT_COLLECTED = "Nothing was collected yet in this run: b begins."
 _PLOTS = ("residuals", "errors", "drift")
 _TALL = 50
 """Lines of a terminal that has room for one line for each part of a day."""
-_PLOTTING_S = 0.5
-"""Shortest time between two drawings of the plots: a stop takes seconds, and drawing plots delays keys."""
+_PLOTTING_S = 0.2
+"""Time between the drawings of two plots: a stop takes seconds, and a plot of a large screen some 10 ms."""
 
 
 class StoredLog(Message):
@@ -107,13 +111,11 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     DEFAULT_CSS = """
     CollectScreen #state { height: auto; max-height: 4; padding: 0 1; background: $panel; }
     CollectScreen.-tall #state { padding: 1 1; max-height: 6; }
-    CollectScreen.-low TrackerPanel, CollectScreen.-low #suspicions {
-        max-height: 1; text-wrap: nowrap; text-overflow: ellipsis;
-    }
-    CollectScreen #state.running { background: $success-muted; color: $text-success; }
-    CollectScreen #state.waiting { background: $warning-muted; color: $text-warning; }
+    CollectScreen.-low #suspicions { max-height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
+    CollectScreen #state.running { background: $success-muted; color: $foreground; }
+    CollectScreen #state.waiting { background: $warning-muted; color: $foreground; }
     CollectScreen #state.halted { background: $error; color: white; text-style: bold; }
-    CollectScreen #state.replay { background: $accent-muted; color: $text-accent; }
+    CollectScreen #state.replay { background: $accent-muted; color: $foreground; }
     CollectScreen #arms { height: auto; }
     CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
@@ -124,10 +126,13 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     CollectScreen.-low #plots ChartPlot.chosen { display: block; }
     CollectScreen.-tall #plots { display: block; }
     CollectScreen #plots ChartPlot { padding-right: 1; }
-    CollectScreen.-wide #plots { layout: vertical; dock: right; width: 45%; display: block; padding-left: 1; }
+    CollectScreen.-wide #plots {
+        layout: vertical; dock: right; width: 45%; height: 100%; display: block; padding-left: 1;
+    }
     CollectScreen.-wide #plots ChartPlot { display: block; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
-    CollectScreen.-wide.plots #plots { width: 100%; }
+    CollectScreen.-wide.plots #plots { width: 65%; }
+    CollectScreen.-wide.plots #log { display: block; }
     CollectScreen.unplotted #plots { display: none; }
     CollectScreen.unplotted.plots #plots { display: block; }
     """
@@ -136,11 +141,13 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         super().__init__()
         self.add_class("log")
         self._plot = 0
-        self._plotted: tuple[object, ...] = ()
+        self._plotted: dict[str, tuple[object, ...]] = {}
         self._plot_waits = False
         self._tabled: Workspace | None = None
         self._opened: Path | None = None
-        self._was_running = False
+        self._job: Job | None = None
+        self._headline: Headline | None = None
+        self._suspicions = 0
 
     def body(self) -> ComposeResult:
         yield Static("", id="state", markup=False)
@@ -309,41 +316,35 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
 
     def show_job(self, record: JobRecord) -> None:
         """Draw what has changed."""
-        running = record.state is not None
-        if running and not self._was_running:
-            self._begin_to_watch(record)
+        running, job = record.state is not None, self.cell_app.jobs.job
+        if job is not None and job is not self._job:
+            self._begin_to_watch(job, record)
         elif self.query_one(LogPane).shows_session:
             self.query_one(LogPane).show_session(record)
-        self._was_running = running
         self._draw_state(record)
+        if not running and (self._job is None or self._job.folder != self.workspace.folder):
+            record = JobRecord()  # the job was about another run
         self._draw_arms(record)
         self.query_one(TrackerPanel).tracker = record.tracker
         self.query_one(ProgressBars).parts = parts_of(record)
         self._draw_suspicions(record)
-        if running and self._plotted:
-            self._plot_soon()
-        else:
-            self._draw_plots()
+        self._draw_plots(record)
 
-    def _plot_soon(self) -> None:
-        """Draw the plots a little later, once for all that happens until then."""
-        if not self._plot_waits:
-            self._plot_waits = True
-            self.set_timer(_PLOTTING_S, self._draw_plots)
-
-    def _begin_to_watch(self, record: JobRecord) -> None:
+    def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
         """A job was begun: its log is what people look at."""
         self.query_one(LogPane).show_session(record)
         if self.has_class("collected"):
             self.action_view("log")
-        if self.cell_app.jobs.job is not None and self.cell_app.jobs.job.folder is not None:
-            self._opened = self.cell_app.jobs.job.folder  # what it stores is heard already
+        self._job = job
+        self._opened = job.folder or self._opened  # what it stores is heard already
 
     def _draw_state(self, record: JobRecord) -> None:
         now = headline(self.workspace, record, self.cell_app.jobs.control.request)
-        state = self.query_one("#state", Static)
-        state.update(Content.assemble((f"{now.word}", "bold"), f"  {now.sentence}"))
-        state.set_classes(now.look)
+        if now != self._headline:
+            self._headline = now
+            state = self.query_one("#state", Static)
+            state.update(Content.assemble((now.word, "bold"), f"  {now.sentence}"))
+            state.set_classes(now.look)
 
     def _draw_arms(self, record: JobRecord) -> None:
         panels = {panel.arm_name: panel for panel in self.query(ArmPanel)}
@@ -364,6 +365,9 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
 
     def _draw_suspicions(self, record: JobRecord) -> None:
         """The newest suspicion in words, and how many there were."""
+        if len(record.suspicions) == self._suspicions:
+            return
+        self._suspicions = len(record.suspicions)
         box = self.query_one("#suspicions", Static)
         box.set_class(bool(record.suspicions), "any")
         if record.suspicions:
@@ -373,20 +377,32 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             arm = "" if newest.arm is None else f", arm {newest.arm}"
             box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
 
-    def _draw_plots(self) -> None:
-        """Draw the plots whose data are new: those of the job, else those that the run stores."""
-        self._plot_waits = False
-        record, collection = self.cell_app.record, self.workspace.collection
-        reports = [report for arm in record.stops.values() for report in arm]
-        state = (record.name, len(reports), len(record.references), id(collection))
-        if state == self._plotted:
+    def _draw_plots(self, record: JobRecord) -> None:
+        """Draw the plots whose data are new; while a job runs, one at a time, because drawing delays keys."""
+        if self._plot_waits:
             return
-        self._plotted = state
-        arms = self._arm_names(record)
-        self.query_one("#residuals", ChartPlot).chart = live_residual_chart(reports, arms)
-        self.query_one("#errors", ChartPlot).chart = standard_error_chart(reports, arms)
-        drift = live_drift_chart(record.references)
-        if not record.references and collection is not None:
-            drift = drift_chart(collection.references, collection.drift_limit_mm)
-        self.query_one("#drift", ChartPlot).chart = drift
-        self.set_class(all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot)), "unplotted")
+        state = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace)
+        for name in (name for name in _PLOTS if self._plotted.get(name) != state):
+            self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
+            self._plotted[name] = state
+            if record.state is not None:
+                self._plot_waits = True
+                self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
+                break
+        empty = all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot))
+        self.set_class(empty, "unplotted")
+
+    def _draw_next_plot(self, record: JobRecord) -> None:
+        self._plot_waits = False
+        self._draw_plots(record)
+
+    def _chart(self, name: str, record: JobRecord) -> Chart:
+        """A chart of the job; drift, where it measured no reference, of what the run stores."""
+        collection = self.workspace.collection
+        if name == "drift":
+            if record.references or collection is None:
+                return live_drift_chart(record.references)
+            return drift_chart(collection.references, collection.drift_limit_mm)
+        reports = [report for arm in record.stops.values() for report in arm]
+        draw = live_residual_chart if name == "residuals" else standard_error_chart
+        return draw(reports, self._arm_names(record))

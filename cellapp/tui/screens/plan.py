@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
 from textual import on
@@ -12,14 +12,17 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
-from cellapp.profile import Profile
-from cellapp.results import PlanCheckResult, PlanForecastResult, Result, StopsResult
 from cellapp.tui import work as verbs
 from cellapp.tui.dialogs.new_run import NewRunQuestion
-from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
+from cellapp.tui.widgets.cell_map import CellMap
 from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable
+from cellapp.tui.widgets.tabs import explain_tabs, show_next_tab
 from cellapp.tui.workspace import Step, Workspace, new_folder
+
+if TYPE_CHECKING:
+    from cellapp.profile import Profile
+    from cellapp.results import PlanCheckResult, PlanForecastResult, Result, StopsResult
 
 HELP = """
 # Plan
@@ -31,7 +34,7 @@ Which stops the arms will visit, before anything moves.
 - `f` foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect whether the
   plan can show it and from which size on.
 - *Constraints* is what the profile demands, *Above* and *Tracker* show the stops. The sentence below a table is that of
-  the selected row.
+  the selected row; `t` shows the next tab.
 
 Sizes and errors *alone* are for the tracker's noise alone; *with scatter* adds 0.1 mm, what gravity and backlash leave
 in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload let more effects be seen.
@@ -50,6 +53,7 @@ class PlanScreen(DayScreen):
         Binding("g", "plan", "New plan", tooltip="make a new run with a plan"),
         Binding("k", "check", "Check", tooltip="run the safety gate over all stops and ways again; nothing moves"),
         Binding("f", "forecast", "Forecast", tooltip="time, joint ranges, expected errors, effects that can be seen"),
+        Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
     ]
     DEFAULT_CSS = """
     #plan-state, #plan-time, #plan-safety { height: auto; max-height: 3; }
@@ -89,13 +93,17 @@ class PlanScreen(DayScreen):
                     with TabPane("Check", id="tab-check"):
                         yield PairsTable(id="refusals")
                     with TabPane("Above", id="tab-above"):
-                        yield ChartPlot(id="plan-above")
+                        yield CellMap("above", id="plan-above")
                     with TabPane("Tracker", id="tab-tracker"):
-                        yield ChartPlot(id="plan-tracker")
+                        yield CellMap("tracker", id="plan-tracker")
                 yield Static("", id="plan-detail", markup=False)
             with Vertical(id="plan-side"):
-                yield ChartPlot(id="side-above")
-                yield ChartPlot(id="side-tracker")
+                yield CellMap("above", id="side-above")
+                yield CellMap("tracker", id="side-tracker")
+
+    def on_mount(self) -> None:
+        """Explain the tabs."""
+        explain_tabs(self.query_one("#plan-tabs", TabbedContent))
 
     # -- actions -------------------------------------------------------------------------------------------------------
 
@@ -127,6 +135,10 @@ class PlanScreen(DayScreen):
         if folder := self._planned_folder():
             self.start(verbs.forecast_plan(folder))
 
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        show_next_tab(self.query_one("#plan-tabs", TabbedContent))
+
     def _planned_folder(self) -> Path | None:
         """Folder of the open run with a plan; None with a sentence why there is none."""
         workspace = self.workspace
@@ -142,7 +154,11 @@ class PlanScreen(DayScreen):
 
     def show_result(self, result: Result) -> None:
         """Draw a check or a forecast."""
+        from cellapp.results import PlanCheckResult, PlanForecastResult
+
         tabs = self.query_one("#plan-tabs", TabbedContent)
+        if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self._folder:
+            return  # another run was opened meanwhile
         if isinstance(result, PlanCheckResult):
             self._check = result
             if result.refused:
@@ -155,9 +171,7 @@ class PlanScreen(DayScreen):
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the constraints, the plan and its maps."""
-        if workspace.profile is not self._profile:
-            self._profile = workspace.profile
-            self._draw_constraints()
+        self._profile = workspace.profile
         stops = workspace.stops
         same_plan = workspace.folder == self._folder and _planned(stops) == _planned(self._stops)
         if not same_plan:
@@ -172,46 +186,53 @@ class PlanScreen(DayScreen):
         from cellapp.reporting.profile_words import constraint_words
 
         rows = [] if self._profile is None else constraint_words(self._profile)
+        if self._forecast is not None:
+            from cellapp.reporting.plan_text import TIME_RESTS_ON, time_sentence
+
+            rows += [("time", time_sentence(self._forecast.time)), ("time rests on", TIME_RESTS_ON)]
+            rows += [("note", note) for note in self._forecast.notes]
         self.query_one("#constraints", PairsTable).show(rows)
 
     def _draw_maps(self, workspace: Workspace) -> None:
-        from cellapp.reporting.charts_map import cell_map_chart
-
         stops = () if workspace.stops is None else workspace.stops.stops
-        profile = workspace.profile
-        above = None if profile is None else cell_map_chart(profile, stops)
-        tracker = None if profile is None else cell_map_chart(profile, stops, "tracker")
-        for key, chart in (("plan", (above, tracker)), ("side", (above, tracker))):
-            self.query_one(f"#{key}-above", ChartPlot).chart = chart[0]
-            self.query_one(f"#{key}-tracker", ChartPlot).chart = chart[1]
+        for drawn in self.query(CellMap):
+            drawn.show_cell(workspace.profile, stops)
 
     def _draw_results(self) -> None:
         """Draw check and forecast, or what to press for them."""
         has_plan = self._stops is not None and bool(self._stops.stops)
+        self._draw_constraints()
         self._draw_check(has_plan=has_plan)
         forecast = self._forecast
         for table in self.query("#coverage, #effects, #accuracy").results():
             assert isinstance(table, CoverageTable | EffectsTable | AccuracyTable)
-            table.show({} if forecast is None else forecast.arms)
+            if forecast is None:
+                table.draw([])
+            else:
+                table.show(forecast.arms)
         words = _NO_FORECAST if has_plan else ""
         if forecast is not None:
             from cellapp.reporting.plan_text import time_sentence
 
             words = " ".join([time_sentence(forecast.time), *forecast.notes])
-        self.query_one("#plan-time", Static).update(words)
+        line = self.query_one("#plan-time", Static)
+        line.update(words)
+        line.display = bool(words)
         self._draw_detail()
 
     def _draw_check(self, *, has_plan: bool) -> None:
-        from cellapp.reporting.plan_text import check_sentences
-
         line, check = self.query_one("#plan-safety", Static), self._check
         if check is None:
             line.update("Checked when it was planned; k checks it again." if has_plan else "")
             line.set_classes("")
+            line.display = has_plan
             self.query_one("#refusals", PairsTable).show([])
             return
+        from cellapp.reporting.plan_text import check_sentences
+
         verdict, *refusals = check_sentences(check)
         line.update(verdict)
+        line.display = True
         line.set_classes("safe" if check.is_safe else "unsafe")
         rows = [
             ("goes via home" if one.via_home else "refused", text)
@@ -230,7 +251,7 @@ class PlanScreen(DayScreen):
                 text = table.selected_text
             for other in pane.query("CoverageTable, EffectsTable, AccuracyTable").results():
                 assert isinstance(other, CoverageTable | EffectsTable | AccuracyTable)
-                text = other.selected_text
+                text = other.selected_text or _NO_FORECAST
         self.query_one("#plan-detail", Static).update(Text(text))
 
 

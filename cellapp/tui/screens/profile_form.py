@@ -29,12 +29,13 @@ from cellapp.profile.draft_fields import (
     TRACKER_FIELDS,
     FormField,
 )
-from cellapp.profile.draft_file import NewText, OpenProfile, before_saving, changed_on_disk, new_text, save
+from cellapp.profile.draft_file import OpenProfile, before_saving, changed_on_disk, new_text, save
 from cellapp.profile.starters import arm_type_files
-from cellapp.reporting.charts_placement import placement_chart
+from cellapp.reporting.charts import Chart
 from cellapp.tui.dialogs.points import PointsDialog
 from cellapp.tui.dialogs.question import Answer, Choice, Question
 from cellapp.tui.plots import ChartPlot
+from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.form_fields import FieldRow
 from cellapp.tui.widgets.stop import StopButton
 
@@ -43,11 +44,11 @@ _PAUSE_S = 0.2
 
 
 class Judged(Message):
-    """The draft was judged by the profile's rules; ``words`` says why where it could not be."""
+    """The draft was judged by the profile's rules; ``chart`` is its map, None where it could not be read."""
 
-    def __init__(self, draft: ProfileDraft, new: NewText | None, words: str = "") -> None:
+    def __init__(self, draft: ProfileDraft, problems: tuple[FieldProblem, ...], chart: Chart | None = None) -> None:
         super().__init__()
-        self.draft, self.new, self.words = draft, new, words
+        self.draft, self.problems, self.chart = draft, problems, chart
 
 
 class ProfileForm(Question[Path]):
@@ -58,17 +59,19 @@ class ProfileForm(Question[Path]):
     opened : OpenProfile
     """
 
+    HORIZONTAL_BREAKPOINTS = DayScreen.HORIZONTAL_BREAKPOINTS
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+s", "save", "Save", priority=True),
         Binding("escape", "close", "Close"),
+        Binding("f10", "close", show=False),  # while a job runs, Escape stops it
         Binding("ctrl+z", "undo", "Undo", priority=True),
         Binding("ctrl+y", "redo", "Redo", show=False, priority=True),
-        Binding("f2", "points", "Base from points"),
+        Binding("f2", "points", "Points", tooltip="the base of this arm from tracker points"),
         Binding("f3", "map", "Map"),
-        Binding("f4", "next_problem", "Next problem"),
-        Binding("f6", "next_section", "Section"),
-        Binding("f7", "add_arm", "Add arm"),
-        Binding("f8", "remove_arm", "Remove arm"),
+        Binding("f4", "next_problem", "Problem", tooltip="the next field to correct"),
+        Binding("f6", "next_section", "Section", tooltip="the next section"),
+        Binding("f7", "add_arm", "+Arm", tooltip="add an arm"),
+        Binding("f8", "remove_arm", "-Arm", tooltip="remove this arm"),
     ]
     DEFAULT_CSS = """
     ProfileForm { align: left top; background: $background; }
@@ -91,7 +94,7 @@ class ProfileForm(Question[Path]):
         self._typing_in = ""
         self._judged: ProfileDraft | None = None
         self._problems: tuple[FieldProblem, ...] = ()
-        self._section = "section-cell"
+        self._section, self._wanted = "section-cell", ""
         self._timer: Timer | None = None
         self._saved: Path | None = None
 
@@ -101,22 +104,35 @@ class ProfileForm(Question[Path]):
         with Horizontal(id="form-top"):
             yield Static("", id="form-title", markup=False)
             yield StopButton()
+        last = len(self._draft.arms) - 1
+        if (self._present_arm() or 0) > last:  # it was removed
+            self._section = f"section-arm-{last}"
         with Horizontal(id="form-body"):
-            last = len(self._draft.arms) - 1
-            if (self._present_arm() or 0) > last:  # it was removed
-                self._section = f"section-arm-{last}"
             with TabbedContent(id="sections", initial=self._section):
-                yield self._pane("cell", "Cell", self._cell_rows())
-                for index, arm in enumerate(self._draft.arms):
-                    yield self._pane(f"arm-{index}", arm.name, self._arm_rows(index, arm))
-                rows = self._rows("tracker", self._draft.tracker, TRACKER_FIELDS)
-                yield self._pane("tracker", "Tracker", rows)
+                for name, title in self._titles().items():
+                    yield TabPane(title, VerticalScroll(can_focus=False), id=f"section-{name}")
             yield ChartPlot(id="form-map")
         yield Static("", id="form-help", markup=False)
-        yield Footer()
+        yield Footer(compact=True)
 
-    def _pane(self, name: str, title: str, rows: Iterator[FieldRow]) -> TabPane:
-        return TabPane(title or "arm", VerticalScroll(*rows, can_focus=False), id=f"section-{name}")
+    def _titles(self) -> dict[str, str]:
+        """Sections and their titles."""
+        arms = {f"arm-{index}": arm.name or "arm" for index, arm in enumerate(self._draft.arms)}
+        return {"cell": "Cell", **arms, "tracker": "Tracker"}
+
+    def _section_rows(self, section: str) -> Iterator[FieldRow]:
+        """The fields of a section; those that its driver does not have are hidden."""
+        if section.startswith("arm-"):
+            index = int(section.removeprefix("arm-"))
+            rows = self._arm_rows(index, self._draft.arms[index])
+        elif section == "tracker":
+            rows = self._rows("tracker", self._draft.tracker, TRACKER_FIELDS)
+        else:
+            rows = self._cell_rows()
+        shown = self._shown_ids()
+        for row in rows:
+            row.display = row.field_id in shown
+            yield row
 
     def _cell_rows(self) -> Iterator[FieldRow]:
         yield FieldRow("name", NAME_FIELD, self._draft.name)
@@ -134,14 +150,25 @@ class ProfileForm(Question[Path]):
             yield FieldRow(f"{prefix}.{form.name}", form, text, choices.get(form.name, ()))
 
     @on(TabbedContent.TabActivated)
-    def begin_section(self, event: TabbedContent.TabActivated) -> None:
-        """Judge what was not judged yet: the form has just been composed."""
+    async def begin_section(self, event: TabbedContent.TabActivated) -> None:
+        """Make the fields of a section when it is first shown: all at once would hold up the keys."""
         self._section = str(event.pane.id)
+        if not event.pane.query(FieldRow):
+            await event.pane.query_one(VerticalScroll).mount(
+                *self._section_rows(self._section.removeprefix("section-"))
+            )
         if self._judged is not self._draft:
-            self._draw_kinds()
             self._judge()
-        if not isinstance(self.focused, Input):
-            event.pane.query(Input).first().focus()
+        self._draw_problems()
+        self._focus_field(event.pane)
+
+    def _focus_field(self, pane: TabPane) -> None:
+        """Go to the field that is wanted, else to the first of the section."""
+        rows = [row for row in pane.query(FieldRow) if row.display]
+        wanted = next((row for row in rows if row.field_id == self._wanted), None)
+        if wanted is not None or self.focused not in [row.input for row in rows]:
+            (wanted or rows[0]).input.focus()
+        self._wanted = ""
 
     # -- editing -------------------------------------------------------------------------------------------------------
 
@@ -244,10 +271,14 @@ class ProfileForm(Question[Path]):
 
     @work(thread=True, exclusive=True, group="judge")
     def _judge_draft(self, opened: OpenProfile, draft: ProfileDraft) -> None:
+        from cellapp.reporting.charts_placement import placement_chart  # loads scipy: not in the thread of the keys
+
         try:
-            self.post_message(Judged(draft, new_text(opened, draft)))
+            checked = new_text(opened, draft).checked
         except InputError as error:
-            self.post_message(Judged(draft, None, str(error)))
+            self.post_message(Judged(draft, (FieldProblem("", "", str(error)),)))
+        else:
+            self.post_message(Judged(draft, checked.problems, placement_chart(checked.bases, checked.tracker)))
 
     @on(Judged)
     def show_judged(self, event: Judged) -> None:
@@ -255,24 +286,26 @@ class ProfileForm(Question[Path]):
         if event.draft is not self._draft:
             return
         self._judged = event.draft
-        checked = None if event.new is None else event.new.checked
-        self._problems = (FieldProblem("", "", event.words),) if checked is None else checked.problems
+        self._problems = event.problems
+        self._draw_problems()
+        if event.chart is not None:
+            self.query_one(ChartPlot).chart = event.chart
+        self._draw_titles()
+        self._draw_help()
+
+    def _draw_problems(self) -> None:
+        """What is wrong, beside the fields that are made."""
         words: dict[str, str] = {}
         for problem in self._problems:
             words.setdefault(problem.field, problem.words)
         for row in self.query(FieldRow):
             row.show_problem(words.get(row.field_id, ""))
-        if checked is not None:
-            self.query_one(ChartPlot).chart = placement_chart(checked.bases, checked.tracker)
-        self._draw_titles()
-        self._draw_help()
 
     def _draw_titles(self) -> None:
         """Name, state and number of problems, above all and on each section."""
         counts = Counter(self._section_of(problem.field) for problem in self._problems)
         sections = self.query_one("#sections", TabbedContent)
-        names = {f"arm-{index}": arm.name or "arm" for index, arm in enumerate(self._draft.arms)}
-        for name, title in {"cell": "Cell", **names, "tracker": "Tracker"}.items():
+        for name, title in self._titles().items():
             mark = f" ({counts[name]})" if counts[name] else ""
             sections.get_tab(f"section-{name}").label = f"{title}{mark}"
         state = "not saved" if self._draft != self._opened.draft else "saved" if self._saved else "unchanged"
@@ -293,9 +326,13 @@ class ProfileForm(Question[Path]):
 
     def _draw_kinds(self) -> None:
         """Show the fields that the chosen kinds of devices have."""
-        shown = {item.id for item in fields_of(self._draft)}
+        shown = self._shown_ids()
         for row in self.query(FieldRow):
-            row.display = row.field_id in shown or row.form is ARM_NAME_FIELD
+            row.display = row.field_id in shown
+
+    def _shown_ids(self) -> set[str]:
+        names = {f"arms.{index}.name" for index in range(len(self._draft.arms))}
+        return names | {item.id for item in fields_of(self._draft)}
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
         """Explain the field; the next key in it is a new step of undo."""
@@ -308,27 +345,23 @@ class ProfileForm(Question[Path]):
 
     def action_next_section(self) -> None:
         """Show the next section."""
-        panes = [pane.id for pane in self.query(TabPane)]
-        sections = self.query_one("#sections", TabbedContent)
-        self._show_section(str(panes[(panes.index(sections.active) + 1) % len(panes)]))
+        panes = [str(pane.id) for pane in self.query(TabPane)]
+        self.query_one("#sections", TabbedContent).active = panes[(panes.index(self._section) + 1) % len(panes)]
 
     def action_next_problem(self) -> None:
         """Go to the next field that has to be corrected."""
-        wrong = {problem.field for problem in self._problems}
-        rows = [row for row in self.query(FieldRow) if row.display]
-        row = self.focused.parent if self.focused is not None else None
-        start = rows.index(row) + 1 if isinstance(row, FieldRow) and row in rows else 0
-        found = next((row for row in (*rows[start:], *rows[:start]) if row.field_id in wrong), None)
-        if found is None:
+        wrong = list(dict.fromkeys(problem.field for problem in self._problems if problem.field))
+        if not wrong:
             self.notify("Every field holds.")
             return
-        self.query_one("#sections", TabbedContent).active = f"section-{self._section_of(found.field_id)}"
-        self.call_after_refresh(found.input.focus)
-
-    def _show_section(self, pane: str) -> None:
-        self.query_one("#sections", TabbedContent).active = pane
-        rows = self.query_one(f"#{pane}", TabPane).query(Input)
-        self.call_after_refresh(rows.first().focus)
+        row = self.focused.parent if self.focused is not None else None
+        here = wrong.index(row.field_id) if isinstance(row, FieldRow) and row.field_id in wrong else -1
+        self._wanted = wrong[(here + 1) % len(wrong)]
+        section = f"section-{self._section_of(self._wanted)}"
+        if section == self._section:
+            self._focus_field(self.query_one(f"#{section}", TabPane))
+        else:
+            self.query_one("#sections", TabbedContent).active = section
 
     # -- saving --------------------------------------------------------------------------------------------------------
 
@@ -342,7 +375,7 @@ class ProfileForm(Question[Path]):
             if sentences and not await self._agreed("\n".join(sentences)):
                 self.notify("Nothing was saved.")
                 return
-            self._opened = await asyncio.to_thread(save, opened, draft, new.text)
+            self._opened = await asyncio.to_thread(save, opened, draft, new)
         except InputError as error:
             self.notify(str(error), severity="error", timeout=10.0)
             return

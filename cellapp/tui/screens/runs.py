@@ -5,6 +5,7 @@ Runs are read and compared in threads; packages for that are loaded there, too.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -33,7 +34,9 @@ if TYPE_CHECKING:
 
 REPORT = "report.html"
 """As ``cellapp.run`` names it."""
-_MARK = "●"
+_MARK, _OPEN = "●", "▸"
+_MARKS = "marks"
+"""Key of the column that shows which runs are open and marked; the others have their place as key."""
 _MOST_MARKED = 2
 _BEGAN = 1
 """Column by which the list is sorted at first."""
@@ -42,8 +45,8 @@ HELP = """\
 
 Every run in the folder of runs, newest first. Nothing here changes a run.
 
-- **Enter** opens the run under the cursor; **n** then goes to the step that comes next.
-- **Space** marks a run, **c** compares two marked ones: profile, parameters, errors, effects, verification.
+- **Enter** opens the run under the cursor (▸); **n** then goes to the step that comes next.
+- **Space** marks a run (●), **c** compares two marked ones: profile, parameters, errors, effects, verification.
 - **o** opens the report in a browser; it is written first where there is none.
 - **e** goes on with a run that was interrupted while collecting. It asks, and nothing moves yet.
 - **y** plays the run back through the screen Collect. Nothing moves.
@@ -67,6 +70,14 @@ class RunsCompared(Message):
     def __init__(self, found: RunComparison | str) -> None:
         super().__init__()
         self.found = found
+
+
+class PageOpened(Message):
+    """A report was opened in a browser, or the sentence says where it is."""
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__()
+        self.sentence = sentence
 
 
 class RunsScreen(DayScreen):
@@ -109,9 +120,9 @@ class RunsScreen(DayScreen):
     def on_mount(self) -> None:
         """Draw the headings."""
         table = self._table
-        table.add_column(" ", key="mark")
-        for place, column in enumerate(self._columns):
-            table.add_column(Text(column.title), key=str(place))
+        table.add_column("  ", key=_MARKS)
+        for place in range(len(self._columns)):
+            table.add_column(self._heading(place), key=str(place))
 
     @property
     def _table(self) -> DataTable[Text]:
@@ -124,6 +135,11 @@ class RunsScreen(DayScreen):
         if not table.row_count:
             return None
         return self._shown.get(str(table.ordered_rows[table.cursor_row].key.value))
+
+    def _heading(self, place: int) -> Text:
+        """Title of a column, with the order where the list is sorted by it."""
+        order = ("▾" if self._reverse else "▴") if place == self._sorted else " "
+        return Text(f"{self._columns[place].title} {order}")
 
     # -- reading -------------------------------------------------------------------------------------------------------
 
@@ -143,7 +159,7 @@ class RunsScreen(DayScreen):
 
         found: RunsResult | str
         try:
-            found = list_runs(folder) if folder.is_dir() else RunsResult(folder=str(folder), runs=())
+            found = list_runs(folder) if os.path.isdir(folder) else RunsResult(folder=str(folder), runs=())
         except CellappError as error:
             found = str(error)
         if not get_current_worker().is_cancelled:  # else a later reading is under way
@@ -170,7 +186,8 @@ class RunsScreen(DayScreen):
         table.clear()
         for run in chosen:
             style = "dim" if run.problem else ""
-            mark = Text(_MARK if run.run in self._marked else " ")
+            is_open = self.workspace.folder is not None and Path(run.run) == self.workspace.folder
+            mark = Text((_OPEN if is_open else " ") + (_MARK if run.run in self._marked else " "))
             table.add_row(mark, *(Text(cell, style) for cell in run_cells(run, self._columns)), key=run.run)
         if present is not None and present.run in self._shown:
             table.move_cursor(row=table.get_row_index(present.run))
@@ -219,13 +236,16 @@ class RunsScreen(DayScreen):
     @on(DataTable.HeaderSelected)
     def sort_by(self, event: DataTable.HeaderSelected) -> None:
         """Sort by the column whose heading was clicked; a second click turns the order round."""
-        if event.column_key.value != "mark":
+        if event.column_key.value != _MARKS:
             self._sort(int(event.column_key.value or 0), again=True)
 
     def _sort(self, place: int, *, again: bool) -> None:
         turned = again and place == self._sorted
         self._reverse = not self._reverse if turned else self._columns[place].newest_first
         self._sorted = place
+        for column in self._table.ordered_columns:
+            if column.key.value != _MARKS:
+                column.label = self._heading(int(column.key.value or 0))
         self._draw()
         self.say(f"Sorted by {self._columns[place].title}{', largest first' if self._reverse else ''}.")
 
@@ -241,11 +261,7 @@ class RunsScreen(DayScreen):
     def open_run(self) -> None:
         """Open the run under the cursor."""
 
-        def open_it(run: RunSummary) -> None:
-            self.cell_app.open_run(Path(run.run), self.workspace.profile_path)
-            self.say(f"{run.run} is open; n: the step that comes next.")
-
-        self._with_run(open_it)
+        self._with_run(lambda run: self.cell_app.open_run(Path(run.run), self.workspace.profile_path))
 
     def action_mark(self) -> None:
         """Mark the run under the cursor, or take its mark away; of three marks the oldest goes."""
@@ -278,6 +294,8 @@ class RunsScreen(DayScreen):
                 self.post_message(RunsCompared(compare_runs(a, b)))
         except CellappError as error:
             self.post_message(RunsCompared(str(error)))
+        except (ValueError, TypeError) as error:  # values that no version of this program stores
+            self.post_message(RunsCompared(f"{first} or {second} holds values that cannot be read ({error})"))
 
     @on(RunsCompared)
     def show_comparison(self, event: RunsCompared) -> None:
@@ -310,7 +328,13 @@ class RunsScreen(DayScreen):
 
     @work(thread=True, group="report in a browser")
     def _open_page(self, page: Path) -> None:
-        self.app.call_from_thread(self.say, open_page(page))
+        self.post_message(PageOpened(open_page(page)))
+
+    @on(PageOpened)
+    def say_opened(self, event: PageOpened) -> None:
+        """Say it twice: the message line may have news of the job that wrote the page."""
+        self.say(event.sentence)
+        self.notify(event.sentence)
 
     def action_resume_run(self) -> None:
         """Offer to go on with the run under the cursor."""

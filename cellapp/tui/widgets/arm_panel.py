@@ -89,10 +89,10 @@ class TrackerPanel(Widget):
     """At which arm the tracker points, the newest point with its uncertainty, the air."""
 
     DEFAULT_CSS = """
-    TrackerPanel { height: auto; max-height: 3; }
+    TrackerPanel { height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
     """
 
-    tracker: reactive[TrackerRecord] = reactive(TrackerRecord, layout=True)
+    tracker: reactive[TrackerRecord] = reactive(TrackerRecord)
 
     def __init__(self) -> None:
         super().__init__(classes="tracker")

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 from textual.widgets import DataTable
 
-from cellapp.profile import Profile
-from cellapp.reporting.profile_words import device_words
-from cellapp.results import DoctorResult, Finding
+if TYPE_CHECKING:
+    from cellapp.profile import Profile
+    from cellapp.results import DoctorResult, Finding
 
 _ORDER = {"failed": 0, "warning": 1, "ok": 2}
 _MARKS = {"failed": "✗ failed", "warning": "! warning", "ok": "✓ ok"}
@@ -27,10 +28,10 @@ class FindingsTable(DataTable[Text]):
         self._texts: list[str] = []
         self.add_columns("status", "what", "found")
 
-    def show(self, result: DoctorResult) -> None:
-        """Draw what was found."""
+    def show(self, result: DoctorResult | None) -> None:
+        """Draw what was found; None: nothing yet."""
         self.clear()
-        findings = sorted(result.findings, key=lambda finding: _ORDER[finding.status])
+        findings = sorted(() if result is None else result.findings, key=lambda finding: _ORDER[finding.status])
         self._texts = [f"{finding.subject}: {finding.text}" for finding in findings]
         for finding in findings:
             self.add_row(_mark(finding.status), Text(finding.subject), Text(finding.text))
@@ -61,6 +62,8 @@ def devices_of(profile: Profile) -> tuple[str, ...]:
 
 def device_state(name: str, findings: Sequence[Finding], asked: datetime) -> DeviceState | None:
     """The state of a device from what was found of it; None where nothing was."""
+    from cellapp.reporting.profile_words import device_words
+
     own = [finding for finding in findings if finding.subject == name or finding.subject.startswith(f"{name}: ")]
     own = [finding for finding in own if finding.subject != f"{name}: SMR"]  # a question of placement, not of devices
     if not own:
@@ -68,7 +71,7 @@ def device_state(name: str, findings: Sequence[Finding], asked: datetime) -> Dev
     worst = min(own, key=lambda finding: _ORDER[finding.status])
     told = next((finding for finding in own if finding.device is not None), own[0])
     _, serial, state, temperatures = device_words(told)
-    if worst.status != "ok":
+    if worst.status == "failed":
         state = worst.text
     return DeviceState(name, worst.status, serial, state, temperatures, asked)
 

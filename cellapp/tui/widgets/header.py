@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from textual.app import ComposeResult
 from textual.containers import Horizontal
@@ -17,20 +16,22 @@ from cellapp.tui.screens import SCREENS
 from cellapp.tui.widgets.stop import StopButton
 from cellapp.tui.workspace import Step, StepState, Workspace
 
-if TYPE_CHECKING:
-    from cellapp.results import CellKind
-
-_BADGES: Mapping[CellKind, str] = {
+_BADGES: Mapping[str, str] = {
     "none": " NO ARMS ",
     "simulated": " SIMULATED ",
     "emulated": " EMULATED ",
     "real": " REAL ARMS ",
+    "replay": " REPLAY ",
 }
 _MARKS: Mapping[StepState, str] = {"open": " ", "next": "▸", "done": "✓", "out of date": "!"}
 
 
 class DayHeader(Horizontal):
     """Badge, profile, run, job, STOP."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._drawn: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
         yield Static(_BADGES["none"], classes="badge", markup=False)
@@ -40,17 +41,22 @@ class DayHeader(Horizontal):
 
     def show(self, workspace: Workspace, record: JobRecord) -> None:
         """Draw what is open and what runs."""
+        where = f"{profile_name(workspace)} · {'no run' if workspace.folder is None else workspace.folder}"
+        replays = record.name.startswith("replay") and record.state is not None
+        kind = "replay" if replays else workspace.kind
+        drawn = (kind, where, job_words(record), record.state)
+        if drawn == self._drawn:
+            return
+        self._drawn = drawn
         badge = self.query_one(".badge", Static)
-        badge.update(_BADGES[workspace.kind])
-        badge.set_classes(f"badge {workspace.kind}")
-        profile = "no profile" if workspace.profile is None else workspace.profile.name
-        self.query_one(".where", Static).update(
-            f"{profile} · {'no run' if workspace.folder is None else workspace.folder}"
-        )
+        badge.update(_BADGES[kind])
+        badge.set_classes(f"badge {kind}")
+        self.query_one(".where", Static).update(where)
         job = self.query_one(".job", Static)
         job.update(job_words(record))
         job.set_classes(f"job {record.state or 'idle'}")
         self.set_class(record.state is not None, "running")
+        self.set_class(kind == "real", "real")
 
 
 class StepLine(Horizontal):
@@ -80,10 +86,15 @@ class StepTab(Static):
     def __init__(self, step: Step) -> None:
         super().__init__("", classes="step", markup=False)
         self.step: Step = step
+        self._drawn: tuple[StepState, bool] | None = None
         self._entry = next(entry for entry in SCREENS if entry.step == step)
 
     def show(self, state: StepState, *, present: bool) -> None:
         """Draw key, title and state."""
+        drawn = (state, present)
+        if drawn == self._drawn:
+            return
+        self._drawn = drawn
         self.update(Content(f"{self._entry.key} {self._entry.title}{_MARKS[state]}"))
         self.set_classes(f"step {state.replace(' ', '-')}{' present' if present else ''}")
         self.tooltip = f"{self._entry.title}: {self._entry.purpose}; {state}. Key {self._entry.key}."
@@ -91,6 +102,11 @@ class StepTab(Static):
     def on_click(self) -> None:
         """Show the screen."""
         self.post_message(self.Chosen(self.step))
+
+
+def profile_name(workspace: Workspace) -> str:
+    """Name of the open profile."""
+    return "no profile" if workspace.profile is None else workspace.profile.name
 
 
 def job_words(record: JobRecord) -> str:

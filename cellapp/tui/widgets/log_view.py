@@ -15,8 +15,10 @@ from textual.scroll_view import ScrollView
 from textual.selection import Selection
 from textual.strip import Strip
 
-from cellapp.tui.job_record import LogRow
+from cellapp.tui.job_record import LEVELS, LogRow
 from cellapp.tui.widgets.log_view_rows import LogFilter, LogLine, LogRows, as_text
+
+_STYLES = (*LEVELS, "marked", "match")
 
 
 class LogView(ScrollView, can_focus=True):
@@ -27,19 +29,12 @@ class LogView(ScrollView, can_focus=True):
     """
 
     ALLOW_SELECT = True
-    COMPONENT_CLASSES: ClassVar[set[str]] = {
-        "log--debug",
-        "log--info",
-        "log--warning",
-        "log--error",
-        "log--marked",
-        "log--match",
-    }
+    COMPONENT_CLASSES: ClassVar[set[str]] = {f"log--{name}" for name in _STYLES}
     DEFAULT_CSS = """
     LogView { height: 1fr; background: $surface; scrollbar-size-horizontal: 0; overflow-x: hidden; }
     LogView:focus { background-tint: $foreground 4%; }
-    LogView > .log--debug { color: $text-muted; }
-    LogView > .log--info { color: $text; }
+    LogView > .log--debug { color: $foreground; text-style: dim; }
+    LogView > .log--info { color: $foreground; }
     LogView > .log--warning { color: $text-warning; }
     LogView > .log--error { color: $text-error; text-style: bold; }
     LogView > .log--marked { background: $primary-muted; }
@@ -68,6 +63,7 @@ class LogView(ScrollView, can_focus=True):
         self._cursor: LogRow | None = None
         self._anchor: LogRow | None = None
         self._marked = range(0)
+        self._styles: dict[str, Style] = {}
         self.tooltip = (
             "The log. Up and down choose a line, with Shift more lines, y copies them; End follows the newest line."
         )
@@ -224,16 +220,22 @@ class LogView(ScrollView, can_focus=True):
             self.rows.arrange(width)
         self._arranged()
 
+    def render_lines(self, crop: Region) -> list[Strip]:
+        """Lines of the view; their styles are asked for once, because that takes as long as drawing a line."""
+        own = self.rich_style
+        self._styles = {name: self.get_component_rich_style(f"log--{name}", partial=True) for name in _STYLES}
+        self._styles.update({level: own + self._styles[level] for level in LEVELS}, own=own)
+        return super().render_lines(crop)
+
     def render_line(self, y: int) -> Strip:
         """One line of the view."""
         place, width = y + self.scroll_offset.y, self.size.width
         line = self.rows.line(place)
         if line is None:
-            return Strip.blank(width, self.rich_style)
-        style = self.get_component_rich_style(f"log--{line.row.level}", partial=True)
-        style = self.rich_style + style
+            return Strip.blank(width, self._styles["own"])
+        style = self._styles[line.row.level]
         if line.number in self._marked:
-            style += self.get_component_rich_style("log--marked", partial=True)
+            style += self._styles["marked"]
         segments = self._with_match(line, style)
         strip = Strip(self._with_selection(segments, place)).adjust_cell_length(width, style)
         return strip.apply_offsets(0, place)
@@ -244,7 +246,7 @@ class LogView(ScrollView, can_focus=True):
         if start < 0:
             return [Segment(line.text, style)]
         end = start + len(self.wanted)
-        found = style + self.get_component_rich_style("log--match", partial=True)
+        found = style + self._styles["match"]
         parts = ((line.text[:start], style), (line.text[start:end], found), (line.text[end:], style))
         return [Segment(text, look) for text, look in parts if text]
 

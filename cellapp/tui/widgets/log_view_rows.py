@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from cellapp.tui.job_record import LEVELS, MOST_LINES, Level, LogRow
 
@@ -14,6 +15,11 @@ MARKS: dict[Level, str] = {"debug": "·", "info": " ", "warning": "!", "error": 
 """One character for each level, beside its colour."""
 _SPARE_ROWS = 500
 """Rows beyond the most that are kept until the oldest ones are dropped, all at once."""
+
+_HEAD, _DATED_HEAD = 11, 17
+"""Characters of time and mark, without and with the date."""
+_LEAST_WIDTH = 8
+"""Characters of a line of text, however narrow the view is."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +85,9 @@ class LogRows:
         """Add newer rows; the oldest are dropped where there are too many."""
         new = list(rows)
         self.rows += new
+        self._append(new)
         if len(self.rows) > MOST_LINES + _SPARE_ROWS:
-            del self.rows[:-MOST_LINES]
-            self.arrange()
-        else:
-            self._append(new)
+            self._drop(len(self.rows) - MOST_LINES)
 
     def arrange(self, width: int | None = None, wanted: LogFilter | None = None) -> None:
         """Filter and lay out all rows again, for another width or filter where one is given."""
@@ -98,7 +102,18 @@ class LogRows:
             if self.filter.passes(row):
                 self.shown.append(row)
                 self._starts.append(self._height)
-                self._height += len(self._texts(row))
+                self._height += len(self._parts(row))
+
+    def _drop(self, count: int) -> None:
+        """Forget the oldest rows; all others stay as they are laid out."""
+        dropped = self.rows[:count]
+        del self.rows[:count]
+        self.counts.subtract(row.level for row in dropped)
+        hidden = sum(self.filter.passes(row) for row in dropped)
+        top = self._starts[hidden] if hidden < len(self._starts) else self._height
+        del self.shown[:hidden]
+        self._starts = [start - top for start in self._starts[hidden:]]
+        self._height -= top
 
     def line(self, y: int) -> LogLine | None:
         """The line at a height; None below the last."""
@@ -110,7 +125,7 @@ class LogRows:
 
     def extent(self, number: int) -> tuple[int, int]:
         """First line and number of lines of a shown row."""
-        return self._starts[number], len(self._texts(self.shown[number]))
+        return self._starts[number], len(self._parts(self.shown[number]))
 
     def lines(self) -> list[str]:
         """The text of all lines."""
@@ -127,10 +142,17 @@ class LogRows:
     def _texts(self, row: LogRow) -> list[str]:
         """The lines of a row: time and mark, then the text, which later lines continue below itself."""
         head = f"{row.at:{'%m-%d ' if self.dated else ''}%H:%M:%S} {MARKS[row.level]} "
-        text = " ".join(row.text.split())
-        room = max(self.width - len(head), 8)
-        parts = [text] if len(text) <= room else textwrap.wrap(text, room) or [""]
-        return [(head if number == 0 else " " * len(head)) + part for number, part in enumerate(parts)]
+        return [(head if number == 0 else " " * len(head)) + part for number, part in enumerate(self._parts(row))]
+
+    def _parts(self, row: LogRow) -> tuple[str, ...]:
+        return _wrapped(row.text, max(self.width - (_DATED_HEAD if self.dated else _HEAD), _LEAST_WIDTH))
+
+
+@lru_cache(maxsize=2 * (MOST_LINES + _SPARE_ROWS))
+def _wrapped(text: str, width: int) -> tuple[str, ...]:
+    """A text in lines of a width; kept, because a filter lays out all rows again at every key."""
+    line = " ".join(text.split())
+    return (line,) if len(line) <= width else tuple(textwrap.wrap(line, width))
 
 
 def as_text(rows: Iterable[LogRow]) -> str:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
 from textual.widgets import DataTable
 
-from cellapp.results import ArmForecast
+if TYPE_CHECKING:
+    from cellapp.results import ArmForecast
 
 _BAR_CELLS = 24
 """Width of the bar of a joint's range: 15 degrees a cell over one turn."""
@@ -19,10 +20,12 @@ class _RowTable(DataTable[Text]):
     """A table of which the row under the cursor has a sentence."""
 
     COLUMNS: ClassVar[tuple[str, ...]]
+    TIP: ClassVar[str]
 
     def on_mount(self) -> None:
         """Make the columns."""
         self.cursor_type = "row"
+        self.tooltip = self.TIP
         self._texts: list[str] = []
         self.add_columns(*self.COLUMNS)
 
@@ -46,10 +49,10 @@ class PairsTable(_RowTable):
     """Names with words."""
 
     COLUMNS = ("what", "how")
+    TIP = "The selected row stands below in full"
 
     def show(self, rows: Sequence[tuple[str, str]]) -> None:
         """Draw names with words."""
-        self.tooltip = "The selected row stands below in full"
         self.draw([((name, words), f"{name}: {words}") for name, words in rows])
 
 
@@ -57,12 +60,12 @@ class CoverageTable(_RowTable):
     """The used part of each joint's range as a bar."""
 
     COLUMNS = ("arm", "joint", "allowed range, used part", "share", "largest gap")
+    TIP = "Full: the part of the allowed range that stops use"
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
         """Draw the joints of all arms."""
         from cellapp.reporting.plan_text import coverage_bar
 
-        self.tooltip = "Full: the part of the allowed range that stops use"
         rows = []
         for name, arm in arms.items():
             for one in arm.coverage:
@@ -80,20 +83,20 @@ class CoverageTable(_RowTable):
 class EffectsTable(_RowTable):
     """For each effect whether the plan can show it."""
 
-    COLUMNS = ("arm", "effect", "visible", "from mm", "scatter mm")
+    COLUMNS = ("arm", "visible", "from mm", "scatter", "effect")
+    TIP = "Smallest rms displacement of the SMR that would be seen: tracker alone, and with 0.1 mm scatter"
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
         """Draw the effects of all arms, those that cannot be seen first."""
         from cellapp.reporting.plan_text import effect_sentence, effect_title
 
-        self.tooltip = "Smallest rms displacement of the SMR that would be seen: tracker alone, and with 0.1 mm scatter"
         entries = [(name, one) for name, arm in arms.items() for one in arm.effects]
         entries.sort(key=lambda entry: entry[1].visible)
         rows = []
         for name, one in entries:
             sizes = (one.smallest_seen_rms_mm, one.with_scatter_rms_mm) if one.visible else (None, None)
             shown = ["" if size is None else f"{size:.3f}" for size in sizes]
-            cells = (name, effect_title(one), "yes" if one.visible else "no", *shown)
+            cells = (name, "yes" if one.visible else "no", *shown, effect_title(one))
             rows.append((cells, f"Arm {name}: {effect_sentence(one)}"))
         self.draw(rows)
 
@@ -102,12 +105,12 @@ class AccuracyTable(_RowTable):
     """Expected standard errors."""
 
     COLUMNS = ("arm", "standard error of", "tracker alone", "0.1 mm scatter", "unit")
+    TIP = "Standard errors that the planned stops will give"
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
         """Draw predicted positions and parameters of all arms."""
         from cellapp.reporting.plan_text import accuracy_table
 
-        self.tooltip = "Standard errors that the planned stops will give"
         rows = []
         for name, arm in arms.items():
             for cells in accuracy_table(name, arm).text_rows():

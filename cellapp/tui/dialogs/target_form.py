@@ -1,0 +1,110 @@
+"""The form of one target, judged while typing by the rules of a target list."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from textual import on
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal
+from textual.events import DescendantFocus
+from textual.widgets import Button, Input, Static
+
+from cellapp.compensation.target_text import FIELDS, TypedTarget, typed_target
+from cellapp.compensation.targets import Target
+from cellapp.profile import Profile
+from cellapp.tui.dialogs.question import Question
+from cellapp.tui.widgets.form_fields import FieldRow
+
+
+class TargetForm(Question[Target]):
+    """Edit a target, or type a new one. Returns it; None where the dialog is closed.
+
+    Parameters
+    ----------
+    before : Target or None
+        The target to edit; None for a new one.
+    texts : mapping
+        What the fields show at first, by name.
+    others : sequence of Target
+        The rest of the list: no two have the same name.
+    profile : Profile
+        Its arms can be chosen.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "take", "Take", priority=True)]
+
+    def __init__(
+        self, before: Target | None, texts: Mapping[str, str], others: Sequence[Target], profile: Profile
+    ) -> None:
+        super().__init__()
+        self._before, self._texts, self._others, self._profile = before, texts, others, profile
+
+    def body(self) -> ComposeResult:
+        title = "New target" if self._before is None else f"Target {self._before.name}"
+        yield Static(title, classes="title", markup=False)
+        for field in FIELDS:
+            choices = tuple(self._profile.arms) if field.name == "arm" else ()
+            row = FieldRow(field.name, field, self._texts[field.name], choices)
+            row.input.tooltip = field.help
+            yield row
+        yield Static("", id="target-help", classes="text", markup=False)
+        with Horizontal(classes="answers"):
+            yield Button("Take (Enter)", id="take", variant="success", compact=True)
+            yield Button("Close", id="close", compact=True)
+
+    def on_mount(self) -> None:
+        """Begin with the first field."""
+        self._judge()
+        self.query(Input).first().focus()
+
+    def _judge(self) -> TypedTarget:
+        """Judge the fields and draw what is wrong beside them."""
+        rows = list(self.query(FieldRow))
+        texts = {row.field_id: row.input.value for row in rows}
+        found = typed_target(texts, self._before, self._others, self._profile)
+        for row in rows:
+            row.show_problem(found.problems.get(row.field_id, ""))
+        focused = self.focused.parent if self.focused is not None else None
+        if isinstance(focused, FieldRow):
+            wrong = found.problems.get(focused.field_id, "")
+            self.query_one("#target-help", Static).update(
+                f"{focused.form.label}: {wrong or focused.form.help}. Escape closes."
+            )
+        return found
+
+    @on(Input.Changed)
+    def judge_text(self, event: Input.Changed) -> None:
+        """Judge what was typed."""
+        event.stop()
+        self._judge()
+
+    def on_descendant_focus(self, event: DescendantFocus) -> None:
+        """Explain the field."""
+        self._judge()
+
+    @on(Input.Submitted)
+    def submit(self, event: Input.Submitted) -> None:
+        """Take the target."""
+        event.stop()
+        self.action_take()
+
+    def action_take(self) -> None:
+        """Close with the target; with something wrong, go there."""
+        found = self._judge()
+        if found.target is not None:
+            self.dismiss(found.target)
+            return
+        wrong = next(row for row in self.query(FieldRow) if row.field_id in found.problems)
+        wrong.input.focus()
+
+    @on(Button.Pressed)
+    def press(self, event: Button.Pressed) -> None:
+        """Take the target or close."""
+        event.stop()
+        if event.button.id == "take":
+            self.action_take()
+        else:
+            self.dismiss(None)
