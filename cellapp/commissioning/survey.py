@@ -14,7 +14,7 @@ from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import Array, zyx_angles
 from cellapp.model.nominal import nominal_arm, pose_matrix
 from cellapp.profile import Arm, Pose
-from cellapp.profile.draft import ProfileDraft, with_text
+from cellapp.profile.draft import SURVEYED, ProfileDraft, with_text
 from cellapp.profile.draft_check import arm_and_tracker_pose
 from cellapp.profile.survey_points import SurveyPoint
 
@@ -61,7 +61,7 @@ def draft_with_surveyed_base(
     position = ", ".join(f"{value:.4f}" for value in found.pose.position)
     rpy = ", ".join(f"{value:.3f} deg" for value in np.degrees(found.pose.rpy))
     draft = with_text(with_text(draft, f"arms.{index}.position", position), f"arms.{index}.rpy", rpy)
-    return with_text(draft, f"arms.{index}.note", f"From tracker points: {found.fit.sentence}."), found
+    return with_text(draft, f"arms.{index}.note", f"{SURVEYED} {found.fit.sentence}."), found
 
 
 def _point_at_base(arm: Arm, number: int, point: SurveyPoint) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ class CandidateLaw:
     columns: tuple[EffectColumn, ...]
     rows: Array
 
-    @property
+    @cached_property
     def blocks(self) -> list[Block]:
         """Columns of each block."""
         found: dict[str, list[int]] = {}

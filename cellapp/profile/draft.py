@@ -26,6 +26,8 @@ from cellapp.profile.messages import KeyPath
 from drivers.arms.registry import ARMS
 from drivers.trackers.registry import TRACKERS
 
+SURVEYED = "From tracker points:"
+"""How the comment begins that says where a base pose comes from."""
 _WIDTH = 118
 """Longest line of YAML with a comment behind it; else the comment stands above."""
 

@@ -48,26 +48,26 @@ class Checked:
     Attributes
     ----------
     bases : mapping
-        Arm -> pose of its base, where that holds.
+        Arm -> pose of its base; None where that does not hold.
     tracker : Pose or None
     """
 
     problems: tuple[FieldProblem, ...]
     profile: Profile | None = None
-    bases: Mapping[str, Pose] = field(default_factory=dict)
+    bases: Mapping[str, Pose | None] = field(default_factory=dict)
     tracker: Pose | None = None
 
 
 def check_draft(draft: ProfileDraft, path: Path) -> Checked:
     """Judge a draft that is to be written to ``path``; types of arms may also be those that come with the program."""
-    wrong = _wrong_names(draft)
+    wrong = wrong_names(draft)
     return Checked(wrong) if wrong else check_text(draft_to_yaml(draft), path, draft)
 
 
 def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
     """Judge the text of a profile for ``path``, as ``load_profile`` does; ``draft`` holds its fields."""
     fields = tuple(fields_of(draft))
-    wrong = _wrong_names(draft)
+    wrong = wrong_names(draft)
     if wrong:
         return Checked(wrong)
     try:
@@ -77,9 +77,8 @@ def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
         return Checked((_at_field(error.place.inside, error.words, draft, fields),))
     except InputError as error:
         return Checked((FieldProblem("", "", str(error)),))
-    poses = {path: _pose(document.data, path) for path in [("tracker", "pose"), *_base_paths(draft)]}
-    tracker = poses.pop(("tracker", "pose"))
-    bases = {path[1]: pose for path, pose in poses.items() if pose is not None}
+    bases = {arm.name: _pose(document.data, ("arms", arm.name, "base")) for arm in draft.arms}
+    tracker = _pose(document.data, ("tracker", "pose"))
     try:
         return Checked((), Profile.model_validate(document.data), bases, tracker)
     except ValidationError as error:
@@ -113,8 +112,8 @@ def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[A
         raise InputError(f"{dotted((*at, *details['loc']))}: {value_message(details)}; correct it first") from None
 
 
-def _wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
-    """Names of arms that are empty or given twice: as keys they could not even be written."""
+def wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
+    """Return names of arms that are empty or given twice: as keys they cannot even be written."""
     counts = Counter(arm.name for arm in draft.arms)
     words = {0: "missing; each arm needs a name, such as left", 2: "given twice; each arm needs a name of its own"}
     return tuple(
@@ -122,10 +121,6 @@ def _wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
         for index, arm in enumerate(draft.arms)
         if not arm.name.strip() or counts[arm.name] > 1
     )
-
-
-def _base_paths(draft: ProfileDraft) -> list[tuple[str, ...]]:
-    return [("arms", arm.name, "base") for arm in draft.arms]
 
 
 def _pose(data: Any, path: Sequence[str]) -> Pose | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import YAMLError
 
 from cellapp.errors import InputError
-from cellapp.profile.draft import PLANT, ArmDraft, ProfileDraft, draft_of, driver_keys, fields_of, needs_plant
+from cellapp.profile.draft import PLANT, SURVEYED, ArmDraft, ProfileDraft, draft_of, driver_keys, fields_of, needs_plant
 from cellapp.profile.draft_fields import FormField, yaml_value
 from cellapp.profile.messages import KeyPath
 from drivers.arms.registry import ARMS
@@ -58,7 +58,7 @@ def edited_text(text: str, path: Path, draft: ProfileDraft) -> EditedText:
     for item in fields_of(draft):
         if item.text.strip() != before.get(item.path, "").strip():
             _set(document, item.path, item.form, item.text.strip())
-    result = _dump(document)
+    result = _with_notes(_dump(document), path, old, draft)
     if needs_plant(draft) and "plant" not in document:
         result += PLANT
     return EditedText(result, tuple(_missing_comments(text, result)))
@@ -67,17 +67,39 @@ def edited_text(text: str, path: Path, draft: ProfileDraft) -> EditedText:
 def _edit_arms(document: CommentedMap, arms: Sequence[ArmDraft]) -> None:
     """Remove, rename and add arms; where the kind of driver changes, remove keys that the new kind does not have."""
     listed = document.setdefault("arms", CommentedMap())
-    for name in [name for name in listed if name not in {arm.source for arm in arms}]:
-        del listed[name]
-    for index, arm in enumerate(arms):
-        if arm.source in listed and arm.source != arm.name:
-            listed.insert(index, arm.name, listed.pop(arm.source))
-            effects = document.get("plant", {}).get("effects", {})
-            if arm.source in effects:
-                effects.insert(0, arm.name, effects.pop(arm.source))
+    names = {arm.source: arm.name for arm in arms if arm.source}
+    _rename_keys(listed, names)
+    _rename_keys(document.get("plant", {}).get("effects"), names)  # the hidden physics belongs to its arm
+    for arm in arms:
         section = listed.setdefault(arm.name, CommentedMap())
         if section.get("driver", {}).get("kind") != arm.kind:
             _drop_keys(section.get("driver"), driver_keys(arm.kind, ARMS))
+
+
+def _rename_keys(section: CommentedMap | None, names: Mapping[str, str]) -> None:
+    """Give keys their new names, all at once as two may change places; remove those that have none."""
+    if not isinstance(section, CommentedMap):
+        return
+    order = list(section)
+    moved = {old: section.pop(old) for old in order if names.get(old) != old}
+    for place, old in enumerate(name for name in order if name in names):
+        if old in moved:
+            section.insert(place, names[old], moved[old])
+
+
+def _with_notes(text: str, path: Path, old: ProfileDraft, draft: ProfileDraft) -> str:
+    """Say above each base that was changed where it comes from now; what was said of a surveyed one goes."""
+    before = {arm.name: (arm.position, arm.rpy) for arm in _renamed(old, draft.arms).arms}
+    arms = _load(text, path)["arms"]
+    lines = text.split("\n")
+    for arm in reversed(draft.arms):  # from the end: the numbers of earlier lines stay
+        section = arms[arm.name]
+        if before.get(arm.name) == (arm.position, arm.rpy) or "base" not in section or section.fa.flow_style():
+            continue
+        line, column = section.lc.key("base")
+        noted = lines[line - 1].strip().startswith(f"# {SURVEYED}")
+        lines[line - noted : line] = [f"{' ' * column}# {arm.note}"] if arm.note else []
+    return "\n".join(lines)
 
 
 def _renamed(old: ProfileDraft, arms: Sequence[ArmDraft]) -> ProfileDraft:

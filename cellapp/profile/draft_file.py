@@ -8,9 +8,9 @@ from pathlib import Path
 
 from cellapp.errors import InputError
 from cellapp.profile.draft import ArmDraft, PlanDraft, ProfileDraft, TrackerDraft, draft_of, draft_to_yaml
-from cellapp.profile.draft_check import Checked, check_draft, check_text
+from cellapp.profile.draft_check import Checked, check_draft, check_text, wrong_names
 from cellapp.profile.files import path_exists, write_new, write_text
-from cellapp.profile.starters import copies, starters_folder
+from cellapp.profile.starters import arm_type_files, copies
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,12 @@ class OpenProfile:
 
 @dataclass(frozen=True)
 class NewText:
-    """What saving would write, with the comments that would go, and its judgement."""
+    """What saving would write, with the comments that would go, and its judgement.
 
-    text: str
+    ``text`` is None where names of arms are missing or given twice: YAML cannot hold them.
+    """
+
+    text: str | None
     lost_comments: tuple[str, ...]
     checked: Checked
 
@@ -73,6 +76,9 @@ def changed_on_disk(opened: OpenProfile) -> bool:
 
 def new_text(opened: OpenProfile, draft: ProfileDraft) -> NewText:
     """Return what saving would write. Raises ``InputError`` if the opened text cannot be edited."""
+    wrong = wrong_names(draft)
+    if wrong:
+        return NewText(None, (), Checked(wrong))
     if opened.text is None:
         return NewText(draft_to_yaml(draft), (), check_draft(draft, opened.path))
     from cellapp.profile.draft_edit import edited_text  # loads ruamel.yaml
@@ -86,6 +92,8 @@ def before_saving(opened: OpenProfile, new: NewText, *, changed: bool) -> tuple[
 
     ``changed`` is what ``changed_on_disk`` says.
     """
+    if new.text is None:
+        return ()
     sentences = []
     if changed and opened.text is None:
         sentences.append(f"{opened.path} exists already; saving replaces it.")
@@ -94,7 +102,7 @@ def before_saving(opened: OpenProfile, new: NewText, *, changed: bool) -> tuple[
     elif opened.text is not None:
         lines = list(difflib.ndiff(opened.text.splitlines(), new.text.splitlines()))
         added, taken = (sum(line.startswith(mark) for line in lines) for mark in "+-")
-        sentences.append(f"Saving changes {opened.path}: lines taken out {taken}, put in {added}.")
+        sentences.append(f"Saving changes {opened.path}: {_lines(taken)} taken out, {_lines(added)} put in.")
     if new.lost_comments:
         sentences.append(f"Comments that go with keys that are no longer there: {'; '.join(new.lost_comments)}.")
     if new.checked.problems:
@@ -102,16 +110,18 @@ def before_saving(opened: OpenProfile, new: NewText, *, changed: bool) -> tuple[
     return tuple(sentences)
 
 
-def save(opened: OpenProfile, draft: ProfileDraft, text: str) -> OpenProfile:
+def save(opened: OpenProfile, draft: ProfileDraft, new: NewText) -> OpenProfile:
     """Write the text of a draft, and beside it the arm types that come with the program and are not there yet.
 
     It overwrites: ``changed_on_disk`` comes before. Raises ``InputError`` if a file cannot be written.
     """
+    if new.text is None:
+        raise InputError(f"{opened.path} cannot be written: {new.checked.problems[0]}")
     folder = opened.path.parent
-    types = {arm.type for arm in draft.arms if not (folder / arm.type).exists()}
-    write_new(copies(sorted(name for name in types if (starters_folder() / name).is_file()), folder))
-    write_text(opened.path, text)
-    return OpenProfile(opened.path, text, replace(draft, arms=tuple(replace(a, source=a.name) for a in draft.arms)))
+    types = {arm.type for arm in draft.arms} & {f"arms/{path.name}" for path in arm_type_files()}
+    write_new(copies(sorted(name for name in types if not path_exists(folder / name)), folder))
+    write_text(opened.path, new.text)
+    return OpenProfile(opened.path, new.text, replace(draft, arms=tuple(replace(a, source=a.name) for a in draft.arms)))
 
 
 def save_new(folder: Path, draft: ProfileDraft, name: str) -> Path:
@@ -128,8 +138,12 @@ def save_new(folder: Path, draft: ProfileDraft, name: str) -> Path:
         raise InputError("\n".join(map(str, new.checked.problems)))
     if path_exists(opened.path):
         raise InputError(f"{opened.path} exists already; nothing was written. Give another name, or move it away")
-    save(opened, draft, new.text)
+    save(opened, draft, new)
     return opened.path
+
+
+def _lines(count: int) -> str:
+    return f"{count} line" if count == 1 else f"{count} lines"
 
 
 def _text(path: Path) -> str | None:

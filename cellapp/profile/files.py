@@ -18,6 +18,7 @@ def write_text(path: Path, text: str) -> None:
     InputError
         If the file cannot be written.
     """
+    path = path.resolve()  # a link stays a link
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from dataclasses import dataclass
-from importlib.metadata import distribution
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from pathlib import Path
 
@@ -39,9 +40,10 @@ def starters_folder() -> Path:
     beside = Path(str(files("cellapp"))).parent / "profiles"
     if (beside / f"{TWIN}.yaml").is_file():
         return beside
-    for file in distribution("cellapp").files or ():
-        if file.match(f"share/cellapp/profiles/{TWIN}.yaml"):
-            return Path(str(file.locate())).resolve().parent
+    with contextlib.suppress(PackageNotFoundError):
+        for file in distribution("cellapp").files or ():
+            if file.match(f"share/cellapp/profiles/{TWIN}.yaml"):
+                return Path(str(file.locate())).resolve().parent
     raise InputError("this installation of cellapp lacks its starter profiles; install it again with pip")
 
 

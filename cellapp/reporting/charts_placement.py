@@ -16,14 +16,15 @@ _OTHER_STYLE = 4
 """Style of what belongs to no arm; as in ``charts_map``."""
 
 
-def placement_chart(bases: Mapping[str, Pose], tracker: Pose | None) -> Chart:
-    """Bases and tracker from above in the cell frame C [m]; a line from each along its x axis."""
+def placement_chart(bases: Mapping[str, Pose | None], tracker: Pose | None) -> Chart:
+    """Bases and tracker from above in the cell frame C [m]; a line from each along its x axis. None: not known yet."""
     axes = (Axis("x", "m"), Axis("y", "m"))
-    lines = [line for style, (name, pose) in enumerate(bases.items()) for line in _frame(name, pose, style)]
+    known = {name: pose for name, pose in bases.items() if pose is not None}
+    lines = [line for style, name in enumerate(bases) if name in known for line in _frame(name, known[name], style)]
     lines += [] if tracker is None else _frame("tracker", tracker, _OTHER_STYLE, "T")
     if not lines:
         return Chart("The cell from above", *axes, (), "No map yet: write positions of bases and tracker.")
-    return Chart("The cell from above", *axes, tuple(lines), _message(bases, tracker), equal=True)
+    return Chart("The cell from above", *axes, tuple(lines), _message(known, tracker), equal=True)
 
 
 def _frame(name: str, pose: Pose, style: int, mark: str = "B") -> list[Series]:

@@ -57,14 +57,14 @@ def forecast_sentences(forecast: PlanForecastResult) -> list[str]:
     """Time and what it rests on, what the effects' sizes rest on, notes."""
     noise = ", ".join(f"arm {name} {arm.noise_rms_mm:.3f} mm" for name, arm in forecast.arms.items())
     return [
-        time_sentence(forecast.time),
+        f"{time_sentence(forecast.time)} It rests on {TIME_RESTS_ON}.",
         f"Sizes of effects are for the tracker's noise alone (rms {noise}); scatter of the arms makes them larger.",
         *forecast.notes,
     ]
 
 
 def time_sentence(time: PlannedTime) -> str:
-    """How long collecting takes, on what it is spent, and on what the estimate rests."""
+    """How long collecting takes, and on what it is spent; the estimate rests on ``TIME_RESTS_ON``."""
     parts = (
         ("motions", time.moving_s),
         ("rests", time.resting_s),
@@ -73,7 +73,7 @@ def time_sentence(time: PlannedTime) -> str:
         ("warm-up", time.warm_up_s),
     )
     spent = ", ".join(f"{name} {duration_words(seconds)}" for name, seconds in parts if seconds > 0.0)
-    return f"Collecting takes about {duration_words(time.total_s)} ({spent}). It rests on {TIME_RESTS_ON}."
+    return f"Collecting takes about {duration_words(time.total_s)} ({spent})."
 
 
 def duration_words(seconds: float) -> str:

@@ -55,7 +55,9 @@ def comparison_sentences(result: RunComparison) -> list[str]:
                 f"inter-base transform: the origin of the second base differs by {result.pair.distance_mm:.3f} mm"
             )
     if any(value.z is not None for arm in result.arms.values() for value in arm.parameters):
-        sentences.append("z takes the readings of both runs as independent")
+        sentences.append(
+            "z: difference in combined standard uncertainties u; readings of both runs count as independent"
+        )
     return [*sentences, *result.notes]
 
 
@@ -89,21 +91,23 @@ def _value_tables(title: str, values: Sequence[ValueComparison], shown_in: Shown
         return []
     columns = (
         Column("parameter"),
-        number_column("a", ".5f"),
-        number_column("b", ".5f"),
-        number_column("b - a", "+.5f"),
-        number_column("standard uncertainty", ".5f"),
+        number_column("b - a", "+.4f"),
+        number_column("u(b - a)", ".4f"),
         number_column("z", "+.1f"),
-        Column("unit"),
         Column("differs"),
+        Column("unit"),
+        number_column("a", ".4f"),
+        number_column("b", ".4f"),
     )
     return [Table(title, columns, tuple(_value_row(value, *shown_in(value.unit)) for value in values))]
 
 
 def _value_row(value: ValueComparison, factor: float, unit: str) -> tuple[Cell, ...]:
-    numbers = (value.a, value.b, value.difference, value.combined_standard_uncertainty)
-    shown = (None if number is None else number * factor for number in numbers)
-    return (value.name, *shown, value.z, unit, "yes" if value.differs else "")
+    difference, uncertainty, a, b = (
+        None if number is None else number * factor
+        for number in (value.difference, value.combined_standard_uncertainty, value.a, value.b)
+    )
+    return (value.name, difference, uncertainty, value.z, "yes" if value.differs else "", unit, a, b)
 
 
 def _differing(subject: str, values: Sequence[ValueComparison]) -> Iterator[str]:
@@ -130,5 +134,4 @@ def _size_words(values: Sequence[ValueComparison]) -> str:
     differing = [f"{value.name} (z = {value.z:+.1f})" for value in values if value.differs]
     if differing:
         return f"sizes differ: {', '.join(differing)}"
-    judged = sum(value.z is not None for value in values)
-    return f"{judged} of {len(values)} sizes can be compared, they agree" if judged else "sizes cannot be compared"
+    return "sizes agree" if any(value.z is not None for value in values) else "sizes cannot be compared"

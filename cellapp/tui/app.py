@@ -123,6 +123,8 @@ class CellApp(App[None]):
         self.workspace = Workspace()
         self.record = JobRecord()
         self.jobs = JobRunner(self.post_message)
+        self.asked_by: DayScreen | None = None
+        """The screen that asked for the present job; it gets the result, whichever screen is shown then."""
         self.message, self._severity = "", "information"
         self._screens: dict[Step, DayScreen] = {}
         self._commands: list[SystemCommand] = []
@@ -355,6 +357,7 @@ class CellApp(App[None]):
         if self.jobs.running:
             self.say(f"'{self.record.name}' is still running; stop it or wait for its end.", "warning")
             return False
+        self.asked_by = None
         self.record.begin(job.name)
         self.say(f"{job.name}: started" + ("" if job.folder is None else f" in {job.folder}"))
         self.jobs.start(job)
@@ -429,7 +432,8 @@ class CellApp(App[None]):
             self.exit(return_code=self._code, message=Text(ending.text))
             return
         if not isinstance(message.ending, BaseException | None):
-            self.day_screen.show_result(message.ending)
+            for screen in dict.fromkeys((self.asked_by or self.day_screen, self.day_screen)):
+                screen.show_result(message.ending)
         folder = message.job.folder or self.workspace.folder
         has_run = folder is not None and (folder / RUN_FILE).is_file()
         self._load(self.workspace.profile_path, folder if has_run else self.workspace.folder)

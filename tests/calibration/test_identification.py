@@ -9,8 +9,9 @@ from scipy.stats import chi2
 from cellapp.calibration import normal_equations
 from cellapp.calibration.arm_identification import identify_with_excess
 from cellapp.calibration.identification import TooFewReadings, identify, start_from_nominal
-from cellapp.calibration.normal_equations import EffectColumns
+from cellapp.calibration.normal_equations import EffectColumns, Observations, with_gradient
 from cellapp.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
+from cellapp.calibration.weights import whitener
 from cellapp.kinematics.chain import JointAngles, jacobian, nominal_geometry, smr_positions
 from drivers.plant import GeometryErrors
 from tests.arms import OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
@@ -194,6 +195,31 @@ def test_effects_are_identified_with_the_geometry():
     assert np.all(np.abs(off) < 5 * found.standard_errors[-3:])
     assert found.standard_errors[-3:].max() < 5e-6
     assert found.scale == pytest.approx(SIGMA, rel=0.1)
+
+
+@pytest.mark.parametrize("weights", ["none", "alike", "different", "covariances"])
+def test_a_gradient_is_that_of_the_normal_equations(weights):
+    rng = np.random.default_rng(14)
+    geometry, q, p_M = measured(UR10, OFF_AXIS, seed=14, n=50)[1:]
+    sigma = rng.uniform(1e-5, 3e-5, 50) * (weights == "different") + 2e-5
+    if weights == "covariances":
+        spread = rng.normal(size=(50, 3, 3)) * 1e-5
+        sigma = spread @ spread.transpose(0, 2, 1) + 1e-10 * np.eye(3)
+    effects = EffectColumns(
+        ("one", "two", "step"), ("rad", "rad", "m"), np.array([1, 0]), np.sin(q[:, 1:3].T), rng.normal(size=(1, 3, 50))
+    )
+    white = None if weights == "none" else whitener(sigma)
+    observations = Observations(JointAngles.of(q), q, p_M.T, white, effects)
+    parameters = paper_set(geometry)
+    near = np.concatenate([geometry.vector()[list(parameters.columns)], np.zeros(3)])
+    values = near + 1e-4 * rng.normal(size=len(near))
+    at_start = normal_equations.normal_equations(geometry, observations, parameters, near, None)
+    wanted = normal_equations.normal_equations(geometry, observations, parameters, values, None)
+    found = with_gradient(at_start, geometry, observations, parameters, values)
+    np.testing.assert_allclose(found.b, wanted.b, rtol=1e-9, atol=1e-12 * np.abs(wanted.b).max())
+    np.testing.assert_allclose(found.residuals, wanted.residuals, atol=1e-15)
+    assert found.cost == pytest.approx(wanted.cost)
+    assert found.A is at_start.A
 
 
 def test_too_few_readings_are_refused_with_the_number_needed():

@@ -15,7 +15,7 @@ from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import apply, invert
 from cellapp.model.nominal import nominal_arm, pose_matrix
 from cellapp.profile import Pose, load_profile
-from cellapp.profile.survey_points import SurveyPoint
+from cellapp.profile.survey_points import SurveyPoint, points_of_text
 from tests.twin import PROFILES
 
 pytestmark = pytest.mark.fast
@@ -120,3 +120,24 @@ def test_the_readme_s_answers_make_a_profile(tmp_path: Path) -> None:
     result = write_answers(written(tmp_path, block), tmp_path)
     assert result.path.name == "my-cell.yaml"
     assert result.notes[0].endswith("; good")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1, 2, 3", "line 1: expected two lists with a semicolon between them"),
+        ("\n1, 2, 3 ; 4, 5", "line 2: tracker"),
+        ("1, 2, x ; 4, 5, 6", r"line 1: base\[2\]: expected a length"),
+        ("0, 0, 0, 0, 0, 900 ; 4, 5, 6", r"line 1: joints\[5\]: 900 rad is more than two turns"),
+    ],
+)
+def test_a_wrong_line_of_points_is_named(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        points_of_text(text)
+
+
+def test_points_are_read_from_lines() -> None:
+    at_base, by_joints = points_of_text("100 mm, 0, -0.2 ; 1, 2, 3\n\n0, -90 deg, 0, 0, 0, 0 ; 4, 5, 6000 mm\n")
+    assert (at_base.base, at_base.joints, at_base.tracker) == ((0.1, 0.0, -0.2), None, (1.0, 2.0, 3.0))
+    assert by_joints.joints == pytest.approx((0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0))
+    assert by_joints.tracker == (4.0, 5.0, 6.0)

@@ -22,7 +22,7 @@ STOPS = 60
 @pytest.fixture(scope="module")
 def design() -> ArmDesign:
     profile = small_twin(STOPS)
-    expected = PlannedReadings(8.0 * np.arange(STOPS), np.full(STOPS, 0.2))
+    expected = PlannedReadings(np.linspace(0.0, 8.0 * STOPS, STOPS), np.full(STOPS, 0.2))
     return arm_designs(profile, plan_stops(profile), expected)["left"]
 
 

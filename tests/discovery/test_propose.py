@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,11 +91,19 @@ Tied = tuple[RunFile, CellDiscovery, Proposal]
 
 
 @pytest.fixture(scope="module")
-def tied(plan: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tied]:
-    """Both arms have backlash, which this run cannot distinguish from unsettled measurements."""
-    folder = tmp_path_factory.mktemp("tied") / "run"
+def searched(plan: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CellDiscovery]:
+    """Both arms have backlash, which this run cannot distinguish from unsettled measurements; not to be written to."""
+    folder = tmp_path_factory.mktemp("searched") / "run"
     with measured_run(folder, {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
-        found = calibrated_and_searched(run)
+        return folder, calibrated_and_searched(run)
+
+
+@pytest.fixture(scope="module")
+def tied(searched: tuple[Path, CellDiscovery], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tied]:
+    """A copy of the searched run, with the proposal in its plan."""
+    folder, found = searched
+    copy = shutil.copytree(folder, tmp_path_factory.mktemp("tied") / "run")
+    with RunFile.open(copy, write=True) as run:
         proposal = proposed(run, found, PROPOSED, EFFORT)
         append_proposed_stops(run, proposal.stops)
         yield run, found, proposal
@@ -191,12 +199,12 @@ def test_the_proposal_is_in_the_plan_until_a_new_one_replaces_it(tied: Tied, pla
 
 
 def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path) -> None:
-    run, _, _ = tied
+    run, found, _ = tied
     readings = {name: run.readings(name) for name in run.arms()}
 
     def fill(copy: RunFile) -> None:
         for name, arm in readings.items():
-            copy.add_readings(name, replace(arm, split=None))
+            copy.add_readings(name, arm)
 
     drivers = with_arms(run.profile, driver=NoDriver())
     placeless = with_arms(drivers, base=None)
@@ -204,7 +212,7 @@ def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path)
         [(run.profile, "no plan"), (drivers, "driver of arms.left is 'none'"), (placeless, "were measured")]
     ):
         with RunFile.create(tmp_path / str(number), profile, fill) as other:
-            proposal = propose_after(other, calibrated_and_searched(other), 4, effort=LITTLE)
+            proposal = propose_after(other, found, 4, effort=LITTLE)
             assert proposal.count == 4
             assert proposal.first_configuration is None
             assert any(says in note for note in proposal.notes)
@@ -230,15 +238,17 @@ def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         append_proposed_stops(run, tied[2].stops)
 
 
-def test_collecting_the_proposed_stops_distinguishes_the_effects(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
-    with measured_run(tmp_path / "run", {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
-        found = calibrated_and_searched(run)
+def test_collecting_the_proposed_stops_distinguishes_the_effects(
+    searched: tuple[Path, CellDiscovery], tmp_path: Path
+) -> None:
+    folder, found = searched
+    with RunFile.open(shutil.copytree(folder, tmp_path / "run"), write=True) as run:
         assert all(len(discovery.accepted[0].answer_set) == 2 for discovery in found.arms.values())
         proposal = proposed(run, found, 3 * PROPOSED, EFFORT)
         append_proposed_stops(run, proposal.stops)
-        held_out = {name: run.readings(name).in_split("validate") for name in plan}
+        held_out = {name: run.readings(name).in_split("validate") for name in run.arms()}
         assert collect_run(run, resume=True).notes[:-1] == ()
-        for name in plan:
+        for name in run.arms():
             readings = run.readings(name)
             assert len(readings) == STOPS + 3 * PROPOSED
             np.testing.assert_array_equal(readings.in_split("validate"), held_out[name])

@@ -14,7 +14,6 @@ from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.remaining_network import needs_network, with_network
 from cellapp.model.network import network_to_json
-from cellapp.planning.plan import plan_stops
 from cellapp.profile import load_profile
 from cellapp.progress import CancelToken
 from cellapp.trials.blind import blind_readings, with_hidden
@@ -33,10 +32,10 @@ def asking(network, kind="mlp"):
 
 
 @pytest.fixture(scope="module")
-def searched():
+def searched(plan):
     """The left arm with compliance: its readings, its calibrated model, and what discovery found."""
     profile = with_hidden(PROFILE.model_copy(update={"seed": 2}), COMPLIANT, 2)
-    readings = blind_readings(profile, plan_stops(profile), 2)["left"]
+    readings = blind_readings(profile, plan, 2)["left"]
     model = calibrate_arm(profile, "left", readings)[0].model
     discovery = discover_arm(profile, "left", model, readings)
     assert discovery.accepted

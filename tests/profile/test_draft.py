@@ -25,7 +25,7 @@ from cellapp.profile.draft import (
     tracker_kinds,
     with_text,
 )
-from cellapp.profile.draft_check import check_draft
+from cellapp.profile.draft_check import check_draft, check_text
 from cellapp.profile.draft_edit import edited_text
 from cellapp.profile.draft_file import blank_draft, changed_on_disk, new_text, open_profile, save, save_new
 from tests.twin import PROFILES
@@ -231,13 +231,52 @@ def test_a_renamed_arm_keeps_its_keys_and_its_hidden_effects(tmp_path: Path) -> 
     assert profile.plant.effects["links"] == old.plant.effects["left"]
 
 
+def test_two_arms_can_change_their_names() -> None:
+    path = PROFILES / "twin.yaml"
+    swapped = changed("twin", arms__0__name="right", arms__1__name="left")
+    text = edited_text(path.read_text("utf-8"), path, swapped).text
+    profile, old = check_text(text, path, swapped).profile, load_profile(path)
+    assert profile is not None
+    assert [*profile.arms] == ["right", "left"]
+    assert (profile.arms["right"], profile.arms["left"]) == (old.arms["left"], old.arms["right"])
+    assert profile.plant is not None
+    assert old.plant is not None
+    assert profile.plant.effects["left"] == old.plant.effects["right"]
+
+
+@pytest.mark.parametrize("name", ["", "right"])
+def test_names_that_yaml_cannot_hold_are_not_written(name: str, tmp_path: Path) -> None:
+    opened = open_profile(save_new(tmp_path, draft(), "twin.yaml"))
+    form = with_text(opened.draft, "arms.0.name", name)
+    new = new_text(opened, form)
+    assert new.text is None
+    with pytest.raises(InputError, match=r"cannot be written: arms\[0\]: (missing|given twice)"):
+        save(opened, form, new)
+    assert not changed_on_disk(opened)
+
+
 def test_arms_can_be_removed_and_added() -> None:
     one = replace(draft(), arms=(draft().arms[0], ArmDraft(**{**vars(draft().arms[1]), "name": "third", "source": ""})))
     path = PROFILES / "ur10-ur5.yaml"
     text = edited_text((PROFILES / "twin.yaml").read_text("utf-8"), PROFILES / "twin.yaml", one).text
     again = draft_of(text, path)
+    assert check_text(text, path, again).problems == (), "hidden effects of the arm that went are gone, too"
     assert [arm.name for arm in again.arms] == ["left", "third"]
     assert again.arms[1].position == draft().arms[1].position
+
+
+def test_a_surveyed_base_says_so_until_it_is_typed_again() -> None:
+    path = PROFILES / "twin.yaml"
+    text = path.read_text("utf-8")
+    words = "From tracker points: 4 points fit to 0.10 mm rms."
+    surveyed = with_text(changed("twin", arms__1__position="0, -0.9, 0"), "arms.1.note", words)
+    noted = edited_text(text, path, surveyed).text
+    assert f"\n    # {words}\n    base: {{position: [0.0, -0.9, 0.0]" in noted
+    assert noted.count("From tracker points") == 1
+    again = edited_text(noted, path, with_text(surveyed, "arms.1.position", "0, -0.8, 0")).text
+    assert again.count("From tracker points") == 1
+    typed = with_text(draft_of(again, path), "arms.1.position", "0.0, -0.85, 0.0")
+    assert edited_text(again, path, typed).text == text
 
 
 def test_lost_comments_are_reported() -> None:
@@ -274,7 +313,7 @@ def test_a_file_that_changed_meanwhile_is_noticed(tmp_path: Path) -> None:
     opened = open_profile(path)
     new = new_text(opened, form)
     assert (new.checked.problems, new.lost_comments) == ((), ())
-    saved = save(opened, form, new.text)
+    saved = save(opened, form, new)
     assert not changed_on_disk(saved)
     assert load_profile(path).plan.stops == 100
     assert path.read_text("utf-8").endswith("# a colleague\n")

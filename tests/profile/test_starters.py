@@ -87,6 +87,17 @@ def test_a_folder_that_cannot_be_made_gets_a_sentence(tmp_path: Path) -> None:
         write_starter("twin", tmp_path)
 
 
+def test_a_link_stays_a_link_and_permissions_stay(tmp_path: Path) -> None:
+    file, link = tmp_path / "cell.yaml", tmp_path / "link.yaml"
+    file.write_text("old\n", "utf-8")
+    file.chmod(0o640)
+    link.symlink_to(file)
+    write_text(link, "new\n")
+    assert link.is_symlink()
+    assert file.read_text("utf-8") == "new\n"
+    assert file.stat().st_mode & 0o777 == 0o640
+
+
 def test_a_full_disk_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "cell.yaml"
     path.write_text("old\n", "utf-8")

@@ -297,6 +297,7 @@ def test_cells_are_chosen_by_name() -> None:
         matrix_cells("nothing")
 
 
+@pytest.mark.usefixtures("judged_here")
 def test_a_matrix_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cells = matrix_cells("stops-60.none") + matrix_cells("stops-60.one")
     cancel = CancelToken()

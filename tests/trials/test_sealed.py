@@ -394,6 +394,7 @@ def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Pat
     assert {target.target for target in result.targets} >= {"visible: exactly its name", "one arm within 5 s"}
 
 
+@pytest.mark.usefixtures("judged_here")
 def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
     judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path
 ) -> None:

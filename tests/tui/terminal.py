@@ -125,16 +125,31 @@ def cellapp(folder: Path, columns: int = 120, rows: int = 40) -> Iterator[Termin
 # -- measurement ------------------------------------------------------------------------------------------------------
 
 
-def key_latencies_s(terminal: Terminal, count: int, pause_s: float) -> list[float]:
-    """Time from a key to its answer on the screen [s]: the jump labels open with a key and close with another."""
+def letters_s(terminal: Terminal, count: int, pause_s: float) -> list[float]:
+    """Time from a letter, typed into the search field of the screen Collect, to its echo on the screen [s]."""
+    terminal.send("3/")
+    terminal.quiet(pause_s)
+    typed, took = "", []
+    for number in range(count):
+        letter = "qwertzuiop"[number % 10]
+        typed += letter
+        sent_s = terminal.send(letter)
+        wanted = typed
+        took.append(terminal.until(lambda text: wanted in text, f"the echo of {wanted}") - sent_s)  # noqa: B023
+        terminal.quiet(pause_s)
+    return took
+
+
+def screens_s(terminal: Terminal, count: int, pause_s: float) -> list[float]:
+    """Time from the key of a screen until it is there [s], the first visit of each left out."""
     took = []
-    for _ in range(count):
-        sent_s = terminal.send("?")
-        took.append(terminal.until(lambda text: "Escape closes" in text, "the help") - sent_s)
-        terminal.quiet(pause_s)
-        sent_s = terminal.send("q")
-        took.append(terminal.until(lambda text: "Escape closes" not in text, "the end of the help") - sent_s)
-        terminal.quiet(pause_s)
+    for number in range(-2, count):
+        for key, words in (("4", "Calibrate"), ("5", "Discover")):
+            sent_s = terminal.send(key)
+            mark = f"b {words}".replace(" ", "\N{NO-BREAK SPACE}")
+            shown_s = terminal.until(lambda text: mark in text or mark[2:] in text.split("\n")[-2], words)  # noqa: B023
+            took += [shown_s - sent_s] if number >= 0 else []
+            terminal.quiet(pause_s)
     return took
 
 
@@ -155,14 +170,14 @@ def main() -> None:
             print(f"first paint after {painted_s:.2f} s")
             terminal.until(lambda text: "SIMULATED" in text, "the profile")
             terminal.quiet(3.0)
-            print("idle:", figures(key_latencies_s(terminal, 20, 0.2)))
-            terminal.send("\x1b[15~")  # F5
+            print("idle, another screen:", figures(screens_s(terminal, 10, 0.2)))
+            terminal.send("1\x1b[15~")  # F5
             terminal.until(lambda text: "unattended" in text, "the question")
             terminal.send("b")
-            terminal.until(lambda text: "collect 1" in text, "collecting")
-            print("collecting:", figures(key_latencies_s(terminal, 20, 0.2)))
+            terminal.until(lambda text: "collect 1" in text.split("\n")[0], "collecting")
+            print("collecting, a letter:", figures(letters_s(terminal, 60, 0.1)))
             terminal.until(lambda text: "discover" in text.split("\n")[0], "discovery")
-            print("discovering:", figures(key_latencies_s(terminal, 20, 0.05)))
+            print("discovering, a letter:", figures(letters_s(terminal, 40, 0.05)))
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ from cellapp.tui.job_record import JobRecord
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.collect_state import headline
 from cellapp.tui.widgets.log_view import LogView
+from cellapp.tui.widgets.progress_bars import ProgressBars
 from cellapp.tui.workspace import Workspace
 from tests.run.small_runs import add_stop, collected_run, planned_run
 from tests.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
@@ -103,10 +104,10 @@ def _no_offers(monkeypatch: pytest.MonkeyPatch) -> None:
         ("running", "pause", "PAUSING", "p or c resumes"),
         ("running", "stop", "STOPPED", "c resumes when the cell is clear; x ends it."),
         ("running", "abort", "ABORTED", "the job ends"),
-        ("paused", "pause", "PAUSED", "because. the arms rest. p or c resumes"),
-        ("suspended", "none", "SUSPENDED", "because. it resumes by itself"),
+        ("paused", "pause", "PAUSED", "because. The arms rest. p or c resumes"),
+        ("suspended", "none", "SUSPENDED", "because. It resumes by itself"),
         ("stopped", "stop", "STOPPED", "because. c resumes when the cell is clear; x ends it."),
-        ("aborted", "abort", "ABORTED", "because. the arms brake and the job ends"),
+        ("aborted", "abort", "ABORTED", "because. The arms brake and the job ends"),
     ],
 )
 def test_each_state_says_what_can_be_done(state: JobState, request_: Request, word: str, sentence: str) -> None:
@@ -162,31 +163,26 @@ async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int])
             assert widget.size.height > 0, name
             assert app.screen.region.contains_region(widget.region), name
         assert app.screen.query_one(LogView).size.height >= 5
-        await finished(pilot, app, held)
-
-
-@pytest.mark.parametrize("size", SIZES)
-async def test_errors_and_drift_are_drawn_with_their_message(size: tuple[int, int]) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=size) as pilot:
-        await show_collect(pilot, app)
-        held = HeldJob(EVERY_KIND)
-        await begun(pilot, app, held)
-        plots = list(app.screen.query(ChartPlot))
-        await until(pilot, lambda: all(plot.chart is not None and not plot.chart.is_empty for plot in plots), "data")
-        seen = ""
-        for _ in plots:
-            await pilot.press("g")
-            await pilot.pause()
-            seen += " ".join(shown_text(app).split())
-        for words in ("Residual of each stop", "Standard error of a prediction", "Drift of the references", "0.034"):
-            assert words in seen, words
+        await see_plots(pilot, app)
         await pilot.press("l")
         assert app.focused is app.screen.query_one(LogView)
         await finished(pilot, app, held)
 
 
-async def test_a_whole_day_shows_the_parts_to_come() -> None:
+async def see_plots(pilot: Pilot[None], app: CellApp) -> None:
+    """Each plot comes into view, with its title and its message."""
+    plots = list(app.screen.query(ChartPlot))
+    await until(pilot, lambda: all(plot.chart is not None and not plot.chart.is_empty for plot in plots), "data")
+    seen = ""
+    for _ in plots:
+        await pilot.press("g")
+        await pilot.pause()
+        seen += " ".join(shown_text(app).split())
+    for words in ("Residual of each stop", "Standard error of a prediction", "Drift of the references", "0.034"):
+        assert words in seen, words
+
+
+async def test_a_whole_day_shows_the_parts_to_come_and_its_present_one_where_lines_are_scarce() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=(200, 60)) as pilot:
         await show_collect(pilot, app)
@@ -196,6 +192,10 @@ async def test_a_whole_day_shows_the_parts_to_come() -> None:
         parts = [line[0] for line in lines if line and line[0] in ("plan", "collect", "calibrate", "discover", "push")]
         assert parts == ["plan", "collect", "calibrate", "discover", "push"]
         assert sum(line[1:3] == ["to", "come"] for line in lines) == 3
+        await pilot.resize_terminal(120, 40)
+        await pilot.pause()
+        assert app.screen.query_one(ProgressBars).size.height == 1
+        assert "part 2 of 5" in shown_text(app)
         await finished(pilot, app, held)
 
 
@@ -207,7 +207,7 @@ async def test_pause_and_stop_change_the_large_word_and_its_sentence() -> None:
         app.start_job(job.job())
         await until(pilot, lambda: "RUNNING" in shown_text(app), "running")
         await pilot.press("p")
-        await until(pilot, lambda: "PAUSED  asked by a person. the arms rest" in shown_text(app), "the pause")
+        await until(pilot, lambda: "PAUSED  asked by a person. The arms rest" in shown_text(app), "the pause")
         await pilot.press("c")
         await until(pilot, lambda: "RUNNING" in shown_text(app), "running again")
         await pilot.press("escape")

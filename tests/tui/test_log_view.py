@@ -107,7 +107,7 @@ MANY = [
 ]
 
 
-async def test_level_keys_show_a_level_and_those_above() -> None:
+async def test_keys_and_clicks_show_a_level_and_those_above() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         view = await shown(pilot, app, MANY)
@@ -116,6 +116,10 @@ async def test_level_keys_show_a_level_and_those_above() -> None:
             assert {row.level for row in view.rows.shown} == set(levels)
             assert view.rows.counts["error"] == 100
         assert "error 100" in shown_text(app)
+        heading = app.screen.query_one(LogHeading)
+        place = shown_text(app).splitlines()[heading.region.y].index("warning")
+        await pilot.click(heading, offset=(place + 1 - heading.region.x, 0))
+        assert view.rows.filter.least == "warning"
 
 
 async def test_it_follows_the_end_unless_somebody_looks_up() -> None:
@@ -198,16 +202,8 @@ async def test_marked_lines_are_copied_and_saved_and_nothing_is_replaced_unasked
         assert (tmp_path / "log.txt").read_text("utf-8") == "kept"
         await pilot.press("enter")
         assert (tmp_path / "log.txt").read_text("utf-8") == as_text(view.rows.shown[1:4])
-
-
-async def test_all_shown_lines_are_saved_where_none_is_marked(tmp_path: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await shown(pilot, app, MANY)
-        await pilot.press("E", "w", "enter")
-        saved = (tmp_path / "log.txt").read_text("utf-8").splitlines()
-        assert len(saved) == 100
-        assert all(" error " in line for line in saved)
+        await pilot.press("end", "w", "enter", "enter")  # no line is marked: all that are shown
+        assert (tmp_path / "log.txt").read_text("utf-8") == as_text(view.rows.shown)
 
 
 async def test_text_selected_with_the_mouse_is_copied() -> None:
@@ -222,13 +218,3 @@ async def test_text_selected_with_the_mouse_is_copied() -> None:
         assert app.clipboard.startswith("first row\n12:00:01")
         assert "second" in app.clipboard
         assert "row" not in app.clipboard.splitlines()[1]
-
-
-async def test_a_click_on_a_level_in_the_heading_shows_it() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        view = await shown(pilot, app, MANY)
-        heading = app.screen.query_one(LogHeading)
-        place = shown_text(app).splitlines()[heading.region.y].index("warning")
-        await pilot.click(heading, offset=(place + 1 - heading.region.x, 0))
-        assert view.rows.filter.least == "warning"

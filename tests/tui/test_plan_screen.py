@@ -71,6 +71,18 @@ async def test_a_plan_is_shown_checked_and_foreseen(planned: Path) -> None:
         assert line(app, "plan-safety").startswith("Safe"), "the reloaded run has the same plan"
 
 
+async def test_a_result_waits_on_its_screen_while_another_one_is_shown(planned: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await shown(pilot, app, planned)
+        await pilot.press("k", "1")
+        await ended(pilot, app)
+        assert app.day_screen.STEP == "cell"
+        await pilot.press("2")
+        await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
+        await until(pilot, lambda: line(app, "plan-safety").startswith("Safe"), "the result of the check")
+
+
 @pytest.mark.parametrize("size", SIZES)
 async def test_a_forecast_fits_every_terminal(
     size: tuple[int, int], planned: Path, forecast: PlanForecastResult

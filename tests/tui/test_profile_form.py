@@ -204,7 +204,7 @@ async def test_saving_asks_and_overwrites_nothing_silently(with_twin: CellApp) -
         await edit(pilot, app)
         await fill(pilot, app, "plan.stops", "120")
         await pilot.press("ctrl+s")
-        await asked(pilot, app, "Saving changes profiles/twin.yaml: lines taken out 1, put in 1.")
+        await asked(pilot, app, "Saving changes profiles/twin.yaml: 1 line taken out, 1 line put in.")
         await pilot.press("enter")  # the first answer: not
         await until(pilot, lambda: isinstance(app.screen, ProfileForm), "the form")
         assert TWIN.read_text("utf-8") == before

@@ -11,12 +11,13 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
-from cellapp.results import RunsResult
-from cellapp.run import history
+from cellapp.results import ReportResult, RunsResult
+from cellapp.run import RunFile, history
 from cellapp.tui import browser
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.comparison import Comparison
 from cellapp.tui.dialogs.question import Choice
+from cellapp.tui.jobs import Job
 from tests.run.small_runs import collected_run, set_began
 from tests.tui.pilot import PROFILES, SIZES, SMALL, MovingJob, ended, opened, shown_text, until
 
@@ -68,7 +69,7 @@ def app_without_offer(monkeypatch: pytest.MonkeyPatch) -> CellApp:
     return CellApp(PROFILES)
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
 async def test_the_newest_run_is_on_top_and_a_broken_one_says_why(
     logs: Path, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
 ) -> None:
@@ -241,6 +242,30 @@ async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, mon
         app.say("")
         await pilot.press("o")
         await until(pilot, lambda: str(page) in app.message, "the path")
+
+
+async def test_a_report_that_is_missing_is_written_then_opened(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with RunFile.open(LOGS / "first", write=True) as run:
+        run.append_stage("calibrate", None, "{}", None)
+    page = LOGS / "first" / "report.html"
+
+    def report(folder: Path) -> Job:
+        return Job("report", lambda *_: ReportResult(run=str(folder), page=str(page)), folder)
+
+    said: list[Path] = []
+
+    def open_page(path: Path) -> str:
+        said.append(path)
+        return "opened"
+
+    monkeypatch.setattr("cellapp.tui.work.report", report)
+    monkeypatch.setattr("cellapp.tui.screens.runs.open_page", open_page)
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app)
+        await go_to(pilot, app, "first")
+        await pilot.press("o")
+        await until(pilot, lambda: said == [page], "the page")
 
 
 async def test_the_screen_answers_while_the_folder_is_read(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,8 +20,10 @@ from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.discovery.search.tuning import apply_step
 from cellapp.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
+from cellapp.effects import EFFECTS
 from cellapp.effects.contradiction import is_contradiction
 from cellapp.effects.data_driven import DataChannel, channels, data_driven_form
+from cellapp.effects.smooth import AMPLITUDE
 from cellapp.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
 
 _MOST_TERMS = 3
@@ -56,12 +58,31 @@ def in_place_of_names(problem: SearchProblem, start: SearchState, best: SearchSt
     """Data-driven terms on the geometry alone, where one of them promises about as much as ``best``; else None.
 
     Several names, or a free function, can imitate one law that the library lacks. ``start`` is the geometry alone.
+    A law of the channel and the variable of a named effect that has a free function of its own replaces nothing.
     """
     if not best.fit.terms:
         return None
     gain = criterion(start.fit) - criterion(best.fit)
-    promised = max((score.value for score in _best_scores(problem, start)), default=-math.inf)
-    return with_data_driven_terms(problem, start) if promised > _PROMISE * gain else None
+    scores = _best_scores(problem, start)
+    if not scores or max(score.value for score in scores) <= _PROMISE * gain:
+        return None
+    if any(_has_free_form(best, number, scores[0]) for number in range(len(best.fit.terms))):
+        return None
+    return with_data_driven_terms(problem, start)
+
+
+def _has_free_form(state: SearchState, number: int, score: LawScore) -> bool:
+    """Whether a named term moves what a data-driven law moves, by the same variable, and has a free function of it.
+
+    Such a law is the effect in a shape that its other laws do not have: a drift to and fro is a drift.
+    """
+    term, form = state.fit.terms[number], data_driven_form(score.candidate.law)
+    if not term.is_library_effect or not any(AMPLITUDE in one.constants for one in EFFECTS[term.slug].forms):
+        return False
+    joint = form.channel.joint
+    moves = {(column.channel, column.index) for column in state.fit.term_columns(number)}
+    own = all(one.joint in (None, joint) for one in form.drivers)
+    return own and moves == {(form.channel.channel, joint)} and EFFECTS[term.slug].variables == form.variables
 
 
 def _with_term(problem: SearchProblem, state: SearchState) -> SearchState | None:

@@ -30,8 +30,8 @@ def offer_first_run(app: CellApp) -> bool:
     if any(app.profiles.glob("*.yaml")):
         return False
     text = (
-        f"There are no profiles in {app.profiles}. A profile describes a cell: its arms, its tracker, where they stand."
-        " The simulated twin needs no hardware: from it, F5 leads to a finished report in a few minutes."
+        f"There are no profiles in the folder {app.profiles}. A profile describes a cell: its arms, its tracker, where"
+        " they stand. The simulated twin needs no hardware: from it, F5 leads to a finished report in a few minutes."
     )
     answers = (
         Answer("twin", "Try the simulated twin", "t", "success"),

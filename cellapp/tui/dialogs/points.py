@@ -46,6 +46,7 @@ class PointsDialog(Question[ProfileDraft]):
         Where the profile is, or will be: types of arms are relative to it.
     """
 
+    DEFAULT_CSS = "PointsDialog TextArea { height: 6; background: $panel; }"
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "use", "Use this pose")]
 
     def __init__(self, draft: ProfileDraft, index: int, path: Path) -> None:
@@ -65,9 +66,7 @@ class PointsDialog(Question[ProfileDraft]):
 
     def on_mount(self) -> None:
         """Begin with the points."""
-        area = self.query_one("#points", TextArea)
-        area.styles.height = 6
-        area.focus()
+        self.query_one("#points", TextArea).focus()
 
     @on(TextArea.Changed)
     def fit_soon(self) -> None:

@@ -67,11 +67,12 @@ class DayScreen(Screen[None]):
         """Draw the present or the last job."""
 
     def show_result(self, result: Result) -> None:
-        """Draw the result of a job that has just ended while this screen is shown, where the run does not keep it."""
+        """Draw the result of a job that this screen asked for, or that ended while it is shown."""
 
     def start(self, job: Job) -> None:
         """Start a job; a sentence says why where that is not possible."""
-        self.cell_app.start_job(job)
+        if self.cell_app.start_job(job):
+            self.cell_app.asked_by = self
 
     def say(self, text: str, severity: str = "information") -> None:
         """Show a sentence in the message line of every screen."""

@@ -32,7 +32,7 @@ from cellapp.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.profile import Profile
-    from cellapp.results import DoctorResult, Result
+    from cellapp.results import DoctorResult, Result, StopsResult
 
 _REFRESH_S = 5.0
 """Time between two questions to the devices: slow enough for any controller, fast enough to see a stop released."""
@@ -102,6 +102,7 @@ class CellScreen(DayScreen):
         self._written_ns = 0
         self._states: dict[str, DeviceState] = {}
         self._probing = False
+        self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
 
     def body(self) -> ComposeResult:
         with Horizontal():
@@ -269,6 +270,11 @@ class CellScreen(DayScreen):
             self._list(workspace.profile_path)
         if workspace.profile is not self._profile:
             self._show_profile(workspace.profile)
+        drawn = (workspace.profile, workspace.stops)
+        if drawn != self._drawn:
+            self._drawn = drawn
+            for plot in self.query(CellMap):
+                plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)
         self._draw_doctor()
         self._draw_devices()
         self._draw_detail()
@@ -280,8 +286,6 @@ class CellScreen(DayScreen):
         self._profile = profile
         words = self.query_one("#cell-words", DataTable)
         words.clear()
-        for drawn in self.query(CellMap):
-            drawn.show_cell(profile)
         for row in () if profile is None else (*cell_words(profile), *constraint_words(profile)):
             words.add_row(*map(Text, row))
         if changed:

@@ -112,10 +112,10 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     CollectScreen #state { height: auto; max-height: 4; padding: 0 1; background: $panel; }
     CollectScreen.-tall #state { padding: 1 1; max-height: 6; }
     CollectScreen.-low #suspicions { max-height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
-    CollectScreen #state.running { background: $success-muted; color: $text-success; }
-    CollectScreen #state.waiting { background: $warning-muted; color: $text-warning; }
+    CollectScreen #state.running { background: $success-muted; color: $foreground; }
+    CollectScreen #state.waiting { background: $warning-muted; color: $foreground; }
     CollectScreen #state.halted { background: $error; color: white; text-style: bold; }
-    CollectScreen #state.replay { background: $accent-muted; color: $text-accent; }
+    CollectScreen #state.replay { background: $accent-muted; color: $foreground; }
     CollectScreen #arms { height: auto; }
     CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }

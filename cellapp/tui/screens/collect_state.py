@@ -14,11 +14,11 @@ Look = Literal["idle", "running", "waiting", "halted", "replay", "done"]
 
 _DOING: dict[JobState, tuple[Look, str]] = {
     "running": ("running", "Escape brakes all arms; p pauses after this stop; x ends it."),
-    "pausing": ("waiting", "the arms rest after this stop. p or c resumes; Escape brakes."),
-    "paused": ("waiting", "the arms rest. p or c resumes; Escape stops; x ends it."),
-    "suspended": ("waiting", "it resumes by itself once the cause is gone. Escape stops; x ends it."),
+    "pausing": ("waiting", "The arms rest after this stop. p or c resumes; Escape brakes."),
+    "paused": ("waiting", "The arms rest. p or c resumes; Escape stops; x ends it."),
+    "suspended": ("waiting", "It resumes by itself once the cause is gone. Escape stops; x ends it."),
     "stopped": ("halted", "c resumes when the cell is clear; x ends it."),
-    "aborted": ("halted", "the arms brake and the job ends; what was measured is kept."),
+    "aborted": ("halted", "The arms brake and the job ends; what was measured is kept."),
 }
 
 
@@ -72,7 +72,7 @@ def headline(workspace: Workspace, record: JobRecord, request: Request) -> Headl
         state = {"pause": "pausing", "stop": "stopped", "abort": "aborted"}[request]  # type: ignore[assignment]
     look, possible = _DOING[state]
     if holds_for_drift(record):
-        possible = "look for a moved tracker, nest or SMR. a accepts the drift and resumes, as c does; x ends it."
+        possible = "Look for a moved tracker, nest or SMR. a accepts the drift and resumes, as c does; x ends it."
     shows_reason = record.reason and state == record.state != "running"
     return Headline(state.upper(), f"{record.reason.rstrip('.')}. {possible}" if shows_reason else possible, look)
 

@@ -157,6 +157,8 @@ class PlanScreen(DayScreen):
         from cellapp.results import PlanCheckResult, PlanForecastResult
 
         tabs = self.query_one("#plan-tabs", TabbedContent)
+        if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self._folder:
+            return  # another run was opened meanwhile
         if isinstance(result, PlanCheckResult):
             self._check = result
             if result.refused:
@@ -169,9 +171,7 @@ class PlanScreen(DayScreen):
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the constraints, the plan and its maps."""
-        if workspace.profile is not self._profile:
-            self._profile = workspace.profile
-            self._draw_constraints()
+        self._profile = workspace.profile
         stops = workspace.stops
         same_plan = workspace.folder == self._folder and _planned(stops) == _planned(self._stops)
         if not same_plan:
@@ -186,6 +186,11 @@ class PlanScreen(DayScreen):
         from cellapp.reporting.profile_words import constraint_words
 
         rows = [] if self._profile is None else constraint_words(self._profile)
+        if self._forecast is not None:
+            from cellapp.reporting.plan_text import TIME_RESTS_ON, time_sentence
+
+            rows += [("time", time_sentence(self._forecast.time)), ("time rests on", TIME_RESTS_ON)]
+            rows += [("note", note) for note in self._forecast.notes]
         self.query_one("#constraints", PairsTable).show(rows)
 
     def _draw_maps(self, workspace: Workspace) -> None:
@@ -196,6 +201,7 @@ class PlanScreen(DayScreen):
     def _draw_results(self) -> None:
         """Draw check and forecast, or what to press for them."""
         has_plan = self._stops is not None and bool(self._stops.stops)
+        self._draw_constraints()
         self._draw_check(has_plan=has_plan)
         forecast = self._forecast
         for table in self.query("#coverage, #effects, #accuracy").results():
@@ -209,7 +215,9 @@ class PlanScreen(DayScreen):
             from cellapp.reporting.plan_text import time_sentence
 
             words = " ".join([time_sentence(forecast.time), *forecast.notes])
-        self.query_one("#plan-time", Static).update(words)
+        line = self.query_one("#plan-time", Static)
+        line.update(words)
+        line.display = bool(words)
         self._draw_detail()
 
     def _draw_check(self, *, has_plan: bool) -> None:
@@ -217,12 +225,14 @@ class PlanScreen(DayScreen):
         if check is None:
             line.update("Checked when it was planned; k checks it again." if has_plan else "")
             line.set_classes("")
+            line.display = has_plan
             self.query_one("#refusals", PairsTable).show([])
             return
         from cellapp.reporting.plan_text import check_sentences
 
         verdict, *refusals = check_sentences(check)
         line.update(verdict)
+        line.display = True
         line.set_classes("safe" if check.is_safe else "unsafe")
         rows = [
             ("goes via home" if one.via_home else "refused", text)

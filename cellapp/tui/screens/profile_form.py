@@ -63,14 +63,15 @@ class ProfileForm(Question[Path]):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+s", "save", "Save", priority=True),
         Binding("escape", "close", "Close"),
+        Binding("f10", "close", show=False),  # while a job runs, Escape stops it
         Binding("ctrl+z", "undo", "Undo", priority=True),
         Binding("ctrl+y", "redo", "Redo", show=False, priority=True),
-        Binding("f2", "points", "Base from points"),
+        Binding("f2", "points", "Points", tooltip="the base of this arm from tracker points"),
         Binding("f3", "map", "Map"),
-        Binding("f4", "next_problem", "Next problem"),
-        Binding("f6", "next_section", "Section"),
-        Binding("f7", "add_arm", "Add arm"),
-        Binding("f8", "remove_arm", "Remove arm"),
+        Binding("f4", "next_problem", "Problem", tooltip="the next field to correct"),
+        Binding("f6", "next_section", "Section", tooltip="the next section"),
+        Binding("f7", "add_arm", "+Arm", tooltip="add an arm"),
+        Binding("f8", "remove_arm", "-Arm", tooltip="remove this arm"),
     ]
     DEFAULT_CSS = """
     ProfileForm { align: left top; background: $background; }
@@ -112,7 +113,7 @@ class ProfileForm(Question[Path]):
                     yield TabPane(title, VerticalScroll(can_focus=False), id=f"section-{name}")
             yield ChartPlot(id="form-map")
         yield Static("", id="form-help", markup=False)
-        yield Footer()
+        yield Footer(compact=True)
 
     def _titles(self) -> dict[str, str]:
         """Sections and their titles."""
@@ -374,7 +375,7 @@ class ProfileForm(Question[Path]):
             if sentences and not await self._agreed("\n".join(sentences)):
                 self.notify("Nothing was saved.")
                 return
-            self._opened = await asyncio.to_thread(save, opened, draft, new.text)
+            self._opened = await asyncio.to_thread(save, opened, draft, new)
         except InputError as error:
             self.notify(str(error), severity="error", timeout=10.0)
             return

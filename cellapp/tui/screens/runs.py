@@ -5,6 +5,7 @@ Runs are read and compared in threads; packages for that are loaded there, too.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -69,6 +70,14 @@ class RunsCompared(Message):
     def __init__(self, found: RunComparison | str) -> None:
         super().__init__()
         self.found = found
+
+
+class PageOpened(Message):
+    """A report was opened in a browser, or the sentence says where it is."""
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__()
+        self.sentence = sentence
 
 
 class RunsScreen(DayScreen):
@@ -150,7 +159,7 @@ class RunsScreen(DayScreen):
 
         found: RunsResult | str
         try:
-            found = list_runs(folder) if folder.is_dir() else RunsResult(folder=str(folder), runs=())
+            found = list_runs(folder) if os.path.isdir(folder) else RunsResult(folder=str(folder), runs=())
         except CellappError as error:
             found = str(error)
         if not get_current_worker().is_cancelled:  # else a later reading is under way
@@ -252,11 +261,7 @@ class RunsScreen(DayScreen):
     def open_run(self) -> None:
         """Open the run under the cursor."""
 
-        def open_it(run: RunSummary) -> None:
-            self.cell_app.open_run(Path(run.run), self.workspace.profile_path)
-            self.say(f"{run.run} is open; n: the step that comes next.")
-
-        self._with_run(open_it)
+        self._with_run(lambda run: self.cell_app.open_run(Path(run.run), self.workspace.profile_path))
 
     def action_mark(self) -> None:
         """Mark the run under the cursor, or take its mark away; of three marks the oldest goes."""
@@ -289,6 +294,8 @@ class RunsScreen(DayScreen):
                 self.post_message(RunsCompared(compare_runs(a, b)))
         except CellappError as error:
             self.post_message(RunsCompared(str(error)))
+        except (ValueError, TypeError) as error:  # values that no version of this program stores
+            self.post_message(RunsCompared(f"{first} or {second} holds values that cannot be read ({error})"))
 
     @on(RunsCompared)
     def show_comparison(self, event: RunsCompared) -> None:
@@ -321,7 +328,13 @@ class RunsScreen(DayScreen):
 
     @work(thread=True, group="report in a browser")
     def _open_page(self, page: Path) -> None:
-        self.app.call_from_thread(self.say, open_page(page))
+        self.post_message(PageOpened(open_page(page)))
+
+    @on(PageOpened)
+    def say_opened(self, event: PageOpened) -> None:
+        """Say it twice: the message line may have news of the job that wrote the page."""
+        self.say(event.sentence)
+        self.notify(event.sentence)
 
     def action_resume_run(self) -> None:
         """Offer to go on with the run under the cursor."""

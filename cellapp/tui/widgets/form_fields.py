@@ -32,7 +32,7 @@ class FieldRow(Horizontal):
     FieldRow { height: 1; }
     FieldRow Label { width: 15; color: $text-muted; }
     FieldRow Input { width: 1fr; min-width: 24; }
-    FieldRow .problem { width: auto; max-width: 55%; padding-left: 1; color: $text-error; text-wrap: nowrap; }
+    FieldRow .problem { width: auto; max-width: 45%; padding-left: 1; color: $text-error; text-wrap: nowrap; }
     FieldRow .problem { text-overflow: ellipsis; }
     FieldRow.wrong Label { color: $text-error; text-style: bold; }
     """

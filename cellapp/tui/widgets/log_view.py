@@ -33,8 +33,8 @@ class LogView(ScrollView, can_focus=True):
     DEFAULT_CSS = """
     LogView { height: 1fr; background: $surface; scrollbar-size-horizontal: 0; overflow-x: hidden; }
     LogView:focus { background-tint: $foreground 4%; }
-    LogView > .log--debug { color: $text-muted; }
-    LogView > .log--info { color: $text; }
+    LogView > .log--debug { color: $foreground; text-style: dim; }
+    LogView > .log--info { color: $foreground; }
     LogView > .log--warning { color: $text-warning; }
     LogView > .log--error { color: $text-error; text-style: bold; }
     LogView > .log--marked { background: $primary-muted; }

@@ -60,7 +60,7 @@ class ProgressBars(Widget):
 
     def watch_parts(self, before: tuple[Part, ...], now: tuple[Part, ...]) -> None:
         """More parts need more lines; all else is only drawn."""
-        if len(before) != len(now):
+        if self._lines(before) != self._lines(now):
             self.refresh(layout=True)
 
     def render(self) -> Content:
@@ -77,8 +77,11 @@ class ProgressBars(Widget):
 
     def get_content_height(self, container: object, viewport: object, width: int) -> int:
         """One line, or one for each part."""
-        is_one_line = self.compact and any(part.progress is not None for part in self.parts)
-        return 1 if is_one_line else len(self.parts)
+        return self._lines(self.parts)
+
+    def _lines(self, parts: tuple[Part, ...]) -> int:
+        is_one_line = self.compact and any(part.progress is not None for part in parts)
+        return 1 if is_one_line else len(parts)
 
 
 def _done(part: Part) -> bool:

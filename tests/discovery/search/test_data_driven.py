@@ -14,6 +14,7 @@ from cellapp.discovery.search.channel_scan import ChannelScan, Families
 from cellapp.discovery.search.data_driven import in_place_of_names, with_data_driven_terms
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.search.state import SearchProblem, SearchState
+from cellapp.discovery.search.stepwise import search
 from cellapp.discovery.terms import UNKNOWN, ModelTerm
 from cellapp.effects import EFFECTS
 from cellapp.effects.data_driven import channels
@@ -95,6 +96,15 @@ def test_an_unknown_law_is_found_and_named_effects_that_imitate_it_go():
     assert instead is not None
     assert instead.fit.terms == found.fit.terms
     assert in_place_of_names(problem, start, start) is None, "nothing was named"
+
+
+@pytest.mark.parametrize(("periods", "slug"), [(0.7, "base_drift"), (3.0, UNKNOWN)])
+def test_a_slow_drift_to_and_fro_keeps_its_name_and_a_sway_has_none(periods, slug):
+    phase = 2.0 * np.pi * periods * np.arange(200) / 200.0 + 0.8
+    shift = 60e-6 * np.sin(phase)[:, None] * np.array([1.0, 0.6, -0.4])
+    data, _ = readings_with(np.zeros_like, lambda p: shift)
+    found = search(data, tuple(slug for slug in EFFECTS if slug != UNKNOWN), CancelToken())
+    assert [term.slug for term in found.fit.terms] == [slug]
 
 
 @pytest.mark.parametrize(("size", "name"), [(2.5, "joint 4|q5"), (1.0, None)])
