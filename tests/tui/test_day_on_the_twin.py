@@ -93,4 +93,4 @@ async def test_from_an_empty_folder_to_a_verified_report() -> None:
     assert results.verify is not None
     assert results.verify.complaints() == []
     for arm in results.verify.arms.values():
-        assert arm.compensated.mean < 0.1 * arm.uncompensated.mean
+        assert arm.compensated_mm.mean < 0.1 * arm.nominal_mm.mean
