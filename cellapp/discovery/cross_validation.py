@@ -1,20 +1,22 @@
 """K-fold cross-validation of a new term on left-out readings, linear about a joint fit.
 
-Each fold is predicted by the least-squares solution of the others (with priors). Its errors follow from the residual of
-the fit to all readings, without another fit: with the hat matrix ``H = X (X^T X + P)^-1 X^T = Q Q^T`` and the
-coordinates o that are left out,
+Each fold is predicted by the least-squares solution of the others (with priors),
 
-    e_o = (I - H_oo)^-1 (y - H y)_o
+    beta = (X_in X_in^T + P)^-1 X_in y_in,
 
-(Cook, Weisberg, Residuals and Influence in Regression, 1982, section 2.2, for one reading at a time).
+from the normal matrix of all readings less that of the fold. The hat matrix of the fit would spare these solutions, but
+I - H is nearly singular where few readings are left: a direction that they do not determine then counts as predicted.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.calibration.linear import solve_psd
-from cellapp.design.information import visible_root
+from cellapp.design.information import SMALLEST
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit
 from cellapp.kinematics.transforms import Array
@@ -28,17 +30,23 @@ def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float
     folds = data.profile.discovery.folds
     generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
     fold = np.tile(generator.permutation(len(data)) % folds, 3)
-    basis, left = fit.projector.basis, fit.projector.project(fit.target)
-    # with M = I - H the new columns B add M B^T (B M B^T)^-1 B M to the hat matrix
-    behind = fit.projector.project(new_rows)
-    root, _ = visible_root(new_rows @ behind.T, np.linalg.norm(new_rows, axis=1))
-    further = behind.T @ root
-    left_with = left - further @ (root.T @ (new_rows @ left))
     gain = 0.0
+    for rows, sign in ((fit.rows, 1.0), (np.concatenate([fit.rows, new_rows]), -1.0)):
+        precision = np.concatenate([fit.precision, np.zeros(len(rows) - len(fit.rows))])
+        for out, solution in _fold_solutions(rows, precision, fit.target, fold, folds):
+            gain += sign * float(np.sum((fit.target[out] - solution @ rows[:, out]) ** 2))
+    return gain
+
+
+def _fold_solutions(
+    rows: Array, precision: Array, target: Array, fold: NDArray[np.intp], folds: int
+) -> Iterator[tuple[NDArray[np.bool_], Array]]:
+    """For each fold the coordinates that are left out, and the parameters (p,) fitted to the others."""
+    scale = 1.0 / np.maximum(np.linalg.norm(rows, axis=1), SMALLEST)
+    X = rows * scale[:, None]
+    gram, moment = X @ X.T + np.diag(precision * scale**2), X @ target
     for k in range(folds):
         out = fold == k
-        complement = np.eye(int(np.count_nonzero(out))) - basis[out] @ basis[out].T
-        gain += float(np.sum(solve_psd(complement, left[out]) ** 2))
-        complement -= further[out] @ further[out].T
-        gain -= float(np.sum(solve_psd(complement, left_with[out]) ** 2))
-    return gain
+        left_out = X[:, out]
+        solution = solve_psd(gram - left_out @ left_out.T, moment - left_out @ target[out])
+        yield out, solution * scale

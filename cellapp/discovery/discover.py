@@ -31,7 +31,7 @@ from cellapp.discovery.search.state import SCORE_MARGIN, SearchResult
 from cellapp.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
 from cellapp.discovery.structure import structure_left
 from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, smoothness_of, without_term
-from cellapp.discovery.verdict import verdict
+from cellapp.discovery.verdict import SAMPLING_ERRORS, verdict
 from cellapp.effects import EFFECTS, MeasurementConditions
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
@@ -142,7 +142,7 @@ def discover_arm(
     cancel = cancel or CancelToken()
     conditions = conditions or measurement_conditions(readings)
     held_out = HeldOut.of(readings, conditions)
-    result = _search_and_refit(profile, model, readings, conditions, cancel, report)
+    result = _without_harm(_search_and_refit(profile, model, readings, conditions, cancel, report), held_out)
     searched, found, fitted_model = result.judged, result.found, result.model
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
     floor_mm = held_out.noise_floor_mm()
@@ -151,6 +151,8 @@ def discover_arm(
     accepted = _accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
+    if result.harmful:
+        word = "unknown effect"  # something is there: the search fitted it, though not by what it is
     # with the descriptions of data-driven terms; where nothing was found the model stays as it was calibrated
     final = replace(fitted_model, effects=tuple(effect.term for effect in accepted))
     if not accepted:
@@ -169,7 +171,7 @@ def discover_arm(
         invisible=invisible,
         not_found=not_found,
         verdict=word,
-        sentence=f"arm {name}: {_without_gross_errors(sentence, result.left_out)}",
+        sentence=f"arm {name}: {_with_what_was_left_out(sentence, result)}",
         model=final,
         stage=held_out.evaluate(final),
         pictures=pictures(found.data, found.fit),
@@ -193,7 +195,8 @@ class _Searched:
     """The outcome of a search, and the model fitted to all readings.
 
     ``judged`` holds the searched readings; ``found`` those of the final fit. ``fitted`` is the number of all readings
-    if not all were searched, ``left_out`` are the configurations of gross errors.
+    if not all were searched, ``left_out`` are the configurations of gross errors, ``harmful`` the effects that were
+    found but predict held-out readings worse than geometry alone.
     """
 
     judged: SearchResult
@@ -201,6 +204,7 @@ class _Searched:
     model: ArmModel
     fitted: int | None
     left_out: tuple[int, ...] = ()
+    harmful: tuple[str, ...] = ()
 
 
 def _search_and_refit(
@@ -252,8 +256,34 @@ def _search_rows(
     return _Searched(to_all, to_all, fitted_model, len(rows))
 
 
-def _without_gross_errors(sentence: str, left_out: tuple[int, ...]) -> str:
-    """The sentence of the verdict, with the readings that were left out."""
+def _without_harm(result: _Searched, held_out: HeldOut) -> _Searched:
+    """The result, without its terms where they predict held-out readings worse than geometry alone does.
+
+    Few readings can be fitted by effects that are not there. The rise must be more than the sampling of an rms error
+    over n readings, whose relative standard error is ``1 / sqrt(6 n)``.
+    """
+    found = result.found
+    if not found.fit.terms or not len(held_out):
+        return result
+    allowed = 1.0 + SAMPLING_ERRORS / math.sqrt(6.0 * len(held_out))
+    if held_out.rms_mm(result.model) <= allowed * held_out.rms_mm(found.geometry_only.model):
+        return result
+    bare = found.without_terms()
+    return replace(
+        result,
+        judged=bare,
+        found=bare,
+        model=with_posterior(bare.data, bare.fit),
+        harmful=tuple(dict.fromkeys(term.slug for term in found.fit.terms)),
+    )
+
+
+def _with_what_was_left_out(sentence: str, result: _Searched) -> str:
+    """The sentence of the verdict, with effects that did harm, and with the readings that were left out."""
+    if result.harmful:
+        titles = ", ".join(EFFECTS[slug].title if slug != UNKNOWN else "a data-driven term" for slug in result.harmful)
+        sentence = f"{sentence}; {titles} made held-out errors larger and was left out: measure more stops"
+    left_out = result.left_out
     if not left_out:
         return sentence
     named = ", ".join(map(str, left_out[:_MOST_LISTED])) + (", ..." if len(left_out) > _MOST_LISTED else "")

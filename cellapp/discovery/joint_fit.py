@@ -292,7 +292,7 @@ def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
             if abs(found.scale - 1.0) <= _EXCESS_CHANGE:
                 break
         return data
-    sigma, excess = data.sigma, mean_variance(data.sigma) - mean_variance(data.stated)
+    sigma, excess = data.stated, -1.0
     for _ in range(_WEIGHING_ROUNDS):
         found, _ = _identify(replace(data, sigma=sigma), terms)
         before, excess = excess, excess_variance(found.residuals, data.stated, found.degrees_of_freedom)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,8 +40,8 @@ def test_the_gain_is_that_of_fits_to_the_other_folds(signal):
     rows, new = rng.normal(size=(12, 3 * READINGS)), rng.normal(size=(3, 3 * READINGS))
     precision = np.concatenate([np.zeros(6), rng.uniform(1.0, 500.0, 6)])
     target = rng.normal(size=3 * READINGS) + signal * new[0]
-    data = Data(profile=SimpleNamespace(seed=SEED, discovery=SimpleNamespace(folds=FOLDS)))
-    fit = SimpleNamespace(projector=NuisanceProjector.of(rows, precision), target=target)
+    data: Any = Data(profile=SimpleNamespace(seed=SEED, discovery=SimpleNamespace(folds=FOLDS)))
+    fit: Any = SimpleNamespace(projector=NuisanceProjector.of(rows, precision), target=target)
     fold = np.tile(np.random.default_rng([SEED, _FOLD_SEED]).permutation(READINGS) % FOLDS, 3)
     before = left_out_square(rows, precision, target, fold)
     after = left_out_square(np.concatenate([rows, new]), np.concatenate([precision, np.zeros(3)]), target, fold)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit, refit
@@ -148,6 +148,11 @@ class SearchResult:
         """Effects of the library that the final model does not have."""
         taken = {term.slug for term in self.fit.terms}
         return [slug for slug in EFFECTS if slug not in taken and slug != UNKNOWN]
+
+    def without_terms(self) -> SearchResult:
+        """This result with the geometry alone: everything that was added counts as dropped."""
+        dropped = (*self.dropped, *(term.slug for term in self.fit.terms))
+        return replace(self, fit=self.geometry_only, reviews=(), dropped=dropped)
 
     @property
     def contradictions(self) -> tuple[str, ...]:
