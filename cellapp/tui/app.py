@@ -133,6 +133,7 @@ class CellApp(App[None]):
         self._patience_s = patience_s
         self._signals = contextlib.ExitStack()
         self._leaving = False
+        self._ended: str | None = None
         self._code = 0
 
     # -- begin and end -------------------------------------------------------------------------------------------------
@@ -335,14 +336,18 @@ class CellApp(App[None]):
     @on(WorkspaceLoaded)
     def show_loaded(self, event: WorkspaceLoaded) -> None:
         """Draw what was read."""
-        before, self.workspace = self.workspace, event.workspace
-        if event.workspace.problem:
-            self.say(event.workspace.problem, "error")
-        elif event.workspace.edited:
+        before, now = self.workspace, event.workspace
+        self.workspace = now
+        ended, self._ended = self._ended, None
+        title = next(entry.title for entry in SCREENS if entry.step == now.next_step)
+        if now.problem:
+            self.say(now.problem, "error")
+        elif now.edited and not (before.edited and before.folder == now.folder):
             self.say("The profile was edited after this run was planned; the run keeps its own copy.", "warning")
-        elif event.workspace.folder not in (None, before.folder):
-            title = next(entry.title for entry in SCREENS if entry.step == event.workspace.next_step)
-            self.say(f"{event.workspace.folder} is open; next: {title} (key n).")
+        elif ended is None and now.folder not in (None, before.folder):
+            self.say(f"{now.folder} is open; next: {title} (key n).")
+        elif ended and ended == self.message and now.folder is not None:
+            self.message = f"{ended} Next: {title} (key n)."
         self.draw_all()
 
     # -- the job -------------------------------------------------------------------------------------------------------
@@ -421,6 +426,7 @@ class CellApp(App[None]):
         self.record.end()
         ending = ending_of(message, self.record.latest)
         self._code = ending.code
+        self._ended = ending.text if ending.code == 0 else ""
         self.say(ending.text, ending.severity)
         if self._leaving:  # the shell keeps what the screen can no longer show
             self.exit(return_code=self._code, message=Text(ending.text))

@@ -35,8 +35,8 @@ async def until(pilot: Pilot[None], holds: Callable[[], Any], what: str, wait_s:
                 await pilot.pause()
                 await asyncio.sleep(0.005)  # the job's thread needs the processor, too
     except TimeoutError:
-        said = app.message if isinstance(app, CellApp) else ""
-        pytest.fail(f"never came: {what}; the message is: {said}")
+        assert isinstance(app, CellApp)
+        pytest.fail(f"never came: {what}; the message is: {app.message}; the screen:\n{shown_text(app)}")
 
 
 async def opened(pilot: Pilot[None], app: CellApp) -> None:

@@ -1,0 +1,164 @@
+"""Faults of an emulated cell while the terminal application collects: shown in words, recovered by keys, nothing lost.
+
+Emulated controllers and the tracker bridge stand behind the same drivers as real ones. What a person does at the
+machine, such as releasing a protective stop at the pendant, the test does at the emulator; the program never does it.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import socket
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from textual.pilot import Pilot
+
+from cellapp.pipeline import new_planned_run
+from cellapp.profile import load_profile
+from cellapp.run import RunFile
+from cellapp.trials.storm_cell import StormCell, emulated_cell
+from cellapp.tui.app import CellApp
+from tests.tui.pilot import shown_text, until
+from tests.tui.terminal import Terminal, cellapp
+from tests.twin import PROFILES
+
+STOPS = 12
+PACE = 10.0
+"""Seconds of the cell for each real one: enough of a motion is left to strike."""
+HOSTS = {"127.0.0.2": "127.0.83.2", "127.0.0.3": "127.0.83.3"}  # the ports are fixed, so nobody else's addresses
+_SPLITS = {"stops": STOPS, "identify": 1, "train": 0, "validate": 1, "pair_identify": 1, "pair_validate": 1}
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the profile of the wire and a planned run of it, ``logs/day``."""
+    folder = tmp_path_factory.mktemp("wire")
+    for name in ("arms", "targets"):
+        shutil.copytree(PROFILES / name, folder / "profiles" / name)
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        port = server.getsockname()[1]
+    text = (PROFILES / "twin-rtde.yaml").read_text("utf-8").replace("127.0.0.1:50960", f"127.0.0.1:{port}")
+    for before, now in HOSTS.items():
+        text = text.replace(before, now)
+    for key, size in _SPLITS.items():
+        text, found = re.subn(rf"^  {key}: .*$", f"  {key}: {size}", text, flags=re.MULTILINE)
+        assert found == 1, key
+    profile = folder / "profiles" / "twin-rtde.yaml"
+    profile.write_text(text, "utf-8")
+    new_planned_run(load_profile(profile), folder / "logs" / "day").close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cell(planned: Path) -> Iterator[StormCell]:
+    with emulated_cell(load_profile(planned / "profiles" / "twin-rtde.yaml"), PACE) as emulated:
+        yield emulated
+
+
+@pytest.fixture
+def day(planned: Path, cell: StormCell, tmp_path: Path) -> Path:
+    """A copy of profile and run, with the emulated cell in order; its folder."""
+    cell.repair()
+    shutil.copytree(planned, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def words(app: CellApp) -> str:
+    return " ".join(shown_text(app).split()).lower()
+
+
+async def says(pilot: Pilot[None], app: CellApp, *texts: str) -> None:
+    """Wait until the screen says all of this, wherever its lines break."""
+    await until(pilot, lambda: all(text.lower() in words(app) for text in texts), f"{texts}")
+
+
+async def both_move(pilot: Pilot[None], cell: StormCell) -> None:
+    await until(pilot, lambda: all(one["moving"] for one in cell.status().values()), "both arms move")
+
+
+async def at_rest(pilot: Pilot[None], cell: StormCell) -> None:
+    await until(pilot, lambda: not any(one["moving"] for one in cell.status().values()), "the arms rest")
+
+
+async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(day: Path, cell: StormCell) -> None:
+    app = CellApp(Path("profiles"))
+    async with app.run_test(size=(120, 40)) as pilot:
+        await says(pilot, app, "EMULATED")
+        await pilot.press("7")
+        await says(pilot, app, "day", "0/12")
+        await pilot.press("enter")
+        await says(pilot, app, "logs/day is open; next: Collect (key n)")
+        await pilot.press("n")
+        await says(pilot, app, "READY, 12 stops", "b begins")
+        await pilot.press("b")
+        await says(pilot, app, "Begin to collect?", "the arms are emulated")
+        await pilot.press("b")
+        await both_move(pilot, cell)
+
+        for _ in range(4):  # collecting tries each measurement twice, then waits, and tries twice again
+            cell.tracker_fault("beam")
+        await says(pilot, app, "SUSPENDED", "it resumes by itself")
+        assert "something covers it" in words(app)
+        await says(pilot, app, "RUNNING")
+
+        await both_move(pilot, cell)
+        cell.control("left", "protective", "now")
+        await says(pilot, app, "STOPPED", "protective stop", "c resumes when the cell is clear")
+        await at_rest(pilot, cell)
+        await pilot.press("c")
+        await says(pilot, app, "STOPPED", "protective stop")
+        assert cell.status()["left"]["safety_mode"] == "PROTECTIVE_STOP", "only a person releases it"
+        moves = {name: one["moves"] for name, one in cell.status().items()}
+        cell.control("left", "release")
+        assert {name: one["moves"] for name, one in cell.status().items()} == moves
+        await pilot.press("c")
+        await both_move(pilot, cell)
+
+        cell.control("right", "drop", "rtde", "rst")
+        await says(pilot, app, "STOPPED", "right", "c resumes when the cell is clear")
+        await at_rest(pilot, cell)
+        await pilot.press("c")
+        await says(pilot, app, "COMPLETE, 12 stops")
+    with RunFile.open(day / "logs" / "day") as run:
+        assert len(run.stops_done()) == STOPS
+        (session,) = run.sessions()
+        assert session.outcome == "complete"
+
+
+def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(day: Path, cell: StormCell) -> None:
+    with cellapp(day) as terminal:
+        shows(terminal, "EMULATED")
+        terminal.send("7")
+        shows(terminal, "0/12")
+        terminal.send("\r")
+        shows(terminal, "next: Collect")
+        terminal.send("n")
+        shows(terminal, "READY, 12 stops")
+        terminal.send("b")
+        shows(terminal, "Begin to collect?")
+        terminal.send("b")
+        shows(terminal, "collect 2/12")
+        terminal.hang_up()
+        assert terminal.process.wait(60.0) == 4
+    assert cell.wait_at_rest(0.0), "the program waits for the arms"
+    with RunFile.open(day / "logs" / "day") as run:
+        done = len(run.stops_done())
+        assert 2 <= done < STOPS
+    with cellapp(day) as terminal:
+        shows(terminal, "Go on with the last run?", f"{STOPS - done} stops left")
+        terminal.send("o")
+        shows(terminal, f"INTERRUPTED, {done} of 12 stops", "e measures")
+        terminal.send("e")
+        shows(terminal, "Resume?")
+        terminal.send("b")
+        shows(terminal, "COMPLETE, 12 stops")
+        terminal.send("q")
+        assert terminal.process.wait(60.0) == 0
+
+
+def shows(terminal: Terminal, *texts: str) -> None:
+    """Wait until the terminal shows all of this."""
+    terminal.until(lambda shown: all(text in " ".join(shown.split()) for text in texts), f"{texts}")
