@@ -27,7 +27,7 @@ def offer_whole_day(app: CellApp) -> None:
     """Plan, collect, calibrate, discover, push and verify in a new run."""
     profile, path = app.workspace.file_profile, app.workspace.profile_path
     if profile is None or path is None:
-        app.say(app.workspace.problem or NO_PROFILE, "warning")
+        app.say(NO_PROFILE, "warning")
         return
     folder, cell = new_folder(profile), Workspace(path, profile)
     arms = arms_words(cell)

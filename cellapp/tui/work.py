@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from cellapp.run import RunFile
 
 
+VERIFY = "verify"
+"""Name of a push that measures: only its result says whether a verification held."""
+
+
 def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job:
     """Plan, collect, calibrate, discover, compensate, verify, report.
 
@@ -125,7 +129,7 @@ def push(folder: Path, targets: Sequence[Target], *, verify: bool, out_of_date: 
 
         return push_run(run, targets, listener, control, verify=verify, out_of_date=out_of_date, ask=ask)
 
-    return _on_run("push", folder, work, moves=True)
+    return _on_run(VERIFY if verify else "push", folder, work, moves=True)
 
 
 def report(folder: Path) -> Job:

@@ -112,7 +112,7 @@ class PlanScreen(DayScreen):
         """Ask for the folder, then make a new run."""
         profile, path = self.workspace.file_profile, self.workspace.profile_path
         if profile is None or path is None:
-            self.say(self.workspace.problem or NO_PROFILE, "warning")
+            self.say(NO_PROFILE, "warning")
             return
         if self.cell_app.jobs.running:
             self.say("A job is running; plan when it has ended.", "warning")
