@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -61,11 +61,11 @@ _PLOTTING_S = 0.2
 
 
 class StoredLog(Message):
-    """The log that a run stores was read."""
+    """The log that a run stores was read, or the sentence why not."""
 
-    def __init__(self, folder: Path, rows: list[LogRow]) -> None:
+    def __init__(self, folder: Path, rows: Sequence[LogRow], problem: str = "") -> None:
         super().__init__()
-        self.folder, self.rows = folder, rows
+        self.folder, self.rows, self.problem = folder, rows, problem
 
 
 class CollectScreen(DayScreen):
@@ -282,7 +282,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             with RunFile.open(folder) as run:
                 lines = run_log(run).lines
         except CellappError as error:
-            self.app.call_from_thread(self.say, str(error), "warning")
+            self.post_message(StoredLog(folder, (), str(error)))
             return
         rows = [
             LogRow(datetime.fromisoformat(line.written).astimezone(), level_of(line.level), line.text) for line in lines
@@ -295,7 +295,9 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         pane = self.query_one(LogPane)
         if event.folder != self.workspace.folder or self.cell_app.jobs.running:
             return
-        if event.rows:
+        if event.problem:
+            self.say(event.problem, "warning")
+        elif event.rows:
             pane.show_stored(f"Log stored in {event.folder.name}", event.rows)
         else:
             pane.show_session(self.cell_app.record)

@@ -197,7 +197,7 @@ class RunsScreen(DayScreen):
         if run is not None:
             lines = run_lines(run)
         elif self._found.runs:
-            lines = [f"none of {len(self._found.runs)} runs passes the filter; Escape empties it"]
+            lines = [f"none of {len(self._found.runs)} runs passes the filter; / changes it"]
         else:
             lines = runs_sentences(self._found)
         self.query_one("#about", Static).update("\n".join(lines))

@@ -1,0 +1,50 @@
+"""What is said of a job that is done: the report of a day, whether its verification held, the command's exit code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cellapp.results import ErrorSummary, Result, VerifyResult, WholeRunResult
+from cellapp.results.targets import ArmVerification, MeasuredTarget
+from cellapp.tui import work
+from cellapp.tui.endings import ending_of
+from cellapp.tui.jobs import Job, JobEnded
+
+pytestmark = pytest.mark.fast
+
+RUN = Path("logs/monday")
+SMALL_MM, LARGE_MM = (ErrorSummary(mean=mm, rms=mm, std=0.0, max=mm, n=3) for mm in (0.1, 2.0))
+TARGETS = (MeasuredTarget(name="t1", arm="left", nominal_mm=None, compensated_mm=None, note=""),)
+HELD = VerifyResult(arms={"left": ArmVerification(nominal_mm=LARGE_MM, compensated_mm=SMALL_MM)}, targets=TARGETS)
+WORSE = VerifyResult(arms={"left": ArmVerification(nominal_mm=SMALL_MM, compensated_mm=LARGE_MM)}, targets=TARGETS)
+
+
+def ended(name: str, result: Result | None) -> tuple[str, int]:
+    job = Job(name, lambda listener, control, ask: result, RUN)
+    ending = ending_of(JobEnded(job, result), None)
+    return ending.text, ending.code
+
+
+@pytest.mark.parametrize(
+    ("verify", "words", "code"),
+    [(HELD, "the verification held", 0), (None, "nothing was verified", 0), (WORSE, "verification: arm left", 1)],
+)
+def test_a_day_names_its_report_and_says_whether_the_verification_held(
+    verify: VerifyResult | None, words: str, code: int
+) -> None:
+    text, exit_code = ended("run", WholeRunResult(run=str(RUN), verify=verify))
+    assert words in text
+    assert str(RUN / "report.html") in text
+    assert exit_code == code
+
+
+def test_only_a_push_that_measured_is_judged() -> None:
+    assert ended(work.push(RUN, (), verify=True).name, WORSE)[1] == 1
+    assert "the verification held" in ended(work.push(RUN, (), verify=True).name, HELD)[0]
+    assert ended(work.push(RUN, (), verify=False).name, VerifyResult(arms={}, targets=TARGETS))[1] == 0
+
+
+def test_other_jobs_name_their_run() -> None:
+    assert ended("plan", None) == (f"plan: done; the run is in {RUN}.", 0)
