@@ -40,7 +40,7 @@ async def test_a_day_speaks_of_the_chosen_profile_and_not_of_the_run_that_is_ope
         app.workspace = beside_a_simulated_run(app)
         await pilot.press("f5")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question", 5.0)
-        await until(pilot, lambda: "REAL ARMS WILL MOVE" in shown_text(app), "whose arms", 5.0)
+        await until(pilot, lambda: "; REAL ARMS" in shown_text(app), "whose arms", 5.0)
         await pilot.press("b")
         await until(pilot, lambda: " REAL ARMS " in shown_text(app).splitlines()[0], "the badge")
         assert app.jobs.running
