@@ -35,6 +35,8 @@ ON_THE_WIRE = tuple(
     )
 )
 """Tests with sockets, fixed addresses and real waits: one process does all of them, one after the other."""
+GIVES_WAY = 5
+"""Niceness of a process that computes: it gets a quarter of a core that both want."""
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
@@ -44,13 +46,24 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep a module's tests in one process, where they share fixtures, and all tests on the wire in the same one."""
+    """Keep a module's tests in one process, where they share fixtures, and all tests on the wire in the first one."""
     if not hasattr(config, "workerinput"):
         return
+    items.sort(key=lambda item: not is_on_the_wire(item))
     for item in items:
-        on_the_wire = any(item.path.is_relative_to(place) for place in ON_THE_WIRE)
-        group = "on the wire" if on_the_wire else item.path.relative_to(TESTS).as_posix()
+        group = "on the wire" if is_on_the_wire(item) else item.path.relative_to(TESTS).as_posix()
         item.add_marker(pytest.mark.xdist_group(group))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Let a process that computes give way to the one whose devices send heartbeats, which begins with those."""
+    if hasattr(item.config, "workerinput") and hasattr(os, "nice") and not is_on_the_wire(item):
+        os.nice(max(0, GIVES_WAY - os.nice(0)))
+
+
+def is_on_the_wire(item: pytest.Item) -> bool:
+    """Whether a test needs sockets, fixed addresses or real waits."""
+    return any(item.path.is_relative_to(place) for place in ON_THE_WIRE)
 
 
 # an example that takes long, on a busy computer, is no fault

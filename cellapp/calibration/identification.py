@@ -48,6 +48,9 @@ _LEAST_WEIGHT = 1e-3
 _SAME_JACOBIAN = 1e-3
 """Change of the parameters [m at arm's length] up to which the normal matrix of many effects is kept: it changes by
 about as much, relatively. The gradient is that of the present values, so that the solution is the same."""
+_MANY_EFFECTS = 200
+"""Columns of effects from which the normal matrix is kept: those of smooth functions, which priors hold. The lines of a
+law without priors may be nearly singular with few readings, and another matrix then leads elsewhere."""
 _SMALLEST = 1e-300
 """Keeps a variance above zero."""
 _TRACKER_M = 1e-5
@@ -364,7 +367,7 @@ class _Problem:
 
     def moved(self, point: _Estimate, step: Array) -> _Estimate:
         values = point.values + step
-        if self.robust != "none" or self.effect_count <= len(self.parameters.columns):
+        if self.robust != "none" or self.effect_count < _MANY_EFFECTS:
             return replace(self._estimate(values, point.weights, point.precision), variance=point.variance)
         normal = with_gradient(point.normal, self.start, self.observations, self.parameters, values)
         moved_m = point.moved_m + float(np.max(np.abs(step * normal.scale)))

@@ -19,8 +19,10 @@ _COLUMNS = (
     Column("state"),
     Column("measured", unit="mm"),
     *(number_column(axis, ".1f", "mm") for axis in ("x", "y", "z")),
-    *(number_column(angle, ".2f", "deg") for angle in ("roll", "pitch", "yaw")),
+    *(number_column(angle, ".2f", "°") for angle in ("roll", "pitch", "yaw")),
 )
+COLUMN_GROUPS = (5, 8, 11)
+"""How many columns a narrow place can show without parting a position or a rotation."""
 
 
 def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
@@ -29,7 +31,13 @@ def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
 
 
 def target_words(target: Target, results: RunResults | None) -> str:
-    """What the run says about one target, in sentences."""
+    """Where one target is, and what the run says about it."""
+    x, y, z = (f"{value * 1e3:.1f}" for value in target.position)
+    roll, pitch, yaw = (f"{math.degrees(angle):.2f}" for angle in target.rpy)
+    return f"{_result_words(target, results)}\nx {x}, y {y}, z {z} mm; roll {roll}, pitch {pitch}, yaw {yaw} deg"
+
+
+def _result_words(target: Target, results: RunResults | None) -> str:
     command, measured = _command(target, results), _measured(target, results)
     if command is None and measured is None:
         return f"{target.name}: not compensated yet as it is now."

@@ -516,7 +516,7 @@ BAD = [
     (newer, "compare done collected", ["written by a newer cellapp (schema 99"]),
     (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-plan, "]),
     (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
-    (None, "push done twin.yaml", ["twin.yaml: "]),
+    (None, "push done twin.yaml", ["twin.yaml:7: schema: "]),
     (None, "export planned --csv out.csv", ["holds no readings yet"]),
     (None, "replay planned", ["there are no readings to play back"]),
     (None, "replay nothing", ["nothing: run folder not found"]),

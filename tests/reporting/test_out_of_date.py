@@ -43,8 +43,8 @@ def assert_no_verification(page: Page) -> None:
     assert "Targets: measured distance from where they should be [mm]" not in page.texts
 
 
-def test_a_verification_of_an_earlier_model_is_not_presented_as_holding(changing: RunFile) -> None:
-    assert f"Arm {LEFT}, verified" in page_of(changing).texts
+def test_a_verification_of_an_earlier_model_is_not_presented_as_holding(changing: RunFile, whole_page: Page) -> None:
+    assert f"Arm {LEFT}, verified" in whole_page.texts
     store_discovery(changing, discovery(LEFT, RIGHT))
     page = page_of(changing)
     assert_no_verification(page)

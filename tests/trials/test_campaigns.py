@@ -28,8 +28,8 @@ from drivers.arms.protocol import ArmState
 from tests.twin import PROFILES
 
 STOPS = 30
-CAMPAIGNS = 32
-"""The first in which every kind of fault strikes."""
+SEEDS = (*range(32), 33, 34, 39, 45, 47)
+"""In the first 32 every kind of fault strikes; in the others, faults whose bad handling must be found strike again."""
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def bench() -> Bench:
 
 @pytest.fixture(scope="module")
 def campaigns(bench: Bench) -> list[Campaign]:
-    return [run_campaign(bench, seed)[0] for seed in range(CAMPAIGNS)]
+    return [run_campaign(bench, seed)[0] for seed in SEEDS]
 
 
 def failures(bench: Bench, *seeds: int) -> set[str]:

@@ -19,8 +19,6 @@ from cellapp.trials.league.tables import league_sentences, league_tables
 from cellapp.trials.league.trial import CURVE_ROWS, LeagueResult, league_trials, results_of
 from cellapp.trials.processes import in_processes
 
-pytestmark = pytest.mark.fast
-
 ROOT = Path(__file__).parents[2]
 DATA, PROFILES = ROOT / "tests" / "fixtures", ROOT / "profiles"
 
@@ -40,6 +38,7 @@ def draw(ur5: Entrant) -> LeagueDraw:
     return run_draw(DrawTask(ur5, 100, seed=0))
 
 
+@pytest.mark.fast
 def test_motions_are_derived_before_rows_are_drawn(ur5: Entrant) -> None:
     step = ur5.readings.step
     assert step is not None
@@ -47,6 +46,7 @@ def test_motions_are_derived_before_rows_are_drawn(ur5: Entrant) -> None:
     assert np.all(ur5.readings.approach[1:] != 0)
 
 
+@pytest.mark.fast
 def test_held_out_rows_are_all_others_and_those_of_the_authors_apart(ur5: Entrant) -> None:
     drawn = draw_rows(ur5, 300, seed=3)
     assert {group: len(rows) for group, rows in drawn.held_out.items()} == {"all": 720, "others": 700, "published": 20}
@@ -60,6 +60,7 @@ def test_held_out_rows_are_all_others_and_those_of_the_authors_apart(ur5: Entran
     assert len(everything.learned) == 1000
 
 
+@pytest.mark.fast
 def test_of_a_series_without_held_out_rows_a_fifth_is_held_out(series_c: Entrant) -> None:
     drawn = draw_rows(series_c, "all", seed=0)
     assert (len(drawn.learned), len(drawn.judged)) == (2218, 555)
@@ -67,6 +68,7 @@ def test_of_a_series_without_held_out_rows_a_fifth_is_held_out(series_c: Entrant
     assert len(draw_rows(series_c, 300, seed=0).judged) == 2473
 
 
+@pytest.mark.fast
 def test_the_learning_curve_is_judged_on_the_same_rows(series_c: Entrant) -> None:
     drawn = [draw_rows(series_c, rows, 5, CURVE_ROWS[-1]) for rows in CURVE_ROWS]
     assert [len(one.learned) for one in drawn] == list(CURVE_ROWS)
@@ -75,6 +77,7 @@ def test_the_learning_curve_is_judged_on_the_same_rows(series_c: Entrant) -> Non
         assert not set(one.learned) & set(one.judged)
 
 
+@pytest.mark.fast
 def test_what_is_not_there_is_said(ur5: Entrant, series_c: Entrant, tmp_path: Path) -> None:
     for entrant, rows in ((ur5, 1001), (series_c, 2773)):
         with pytest.raises(InputError, match=rf"--rows: series {entrant.name} has \d+ rows to learn from; ask for"):
@@ -136,13 +139,17 @@ def test_bars_are_held_against_means_over_draws(draw: LeagueDraw) -> None:
     ]
 
 
-def test_the_league_in_tables_and_json(ur5: Entrant) -> None:
-    result = league_trials(["UR5"], [60], 2, data=DATA, profiles=PROFILES)
+def test_the_league_in_tables_and_json(draw: LeagueDraw, monkeypatch: pytest.MonkeyPatch) -> None:
+    def as_drawn(task: DrawTask) -> LeagueDraw:
+        return draw.model_copy(update={"seed": task.seed})
+
+    monkeypatch.setattr("cellapp.trials.league.trial.run_draw", as_drawn)
+    result = league_trials(["UR5"], [100], 2, jobs=1, data=DATA, profiles=PROFILES)
     assert LeagueResult.from_json(result.to_json(), "league") == result
-    assert [(one.rows, one.seed) for one in result.draws] == [(60, 0), (60, 1)]
-    assert [line.held_out for line in result.lines] == [960, 940, 20]
+    assert [(one.rows, one.seed) for one in result.draws] == [(100, 0), (100, 1)]
+    assert [line.held_out for line in result.lines] == [920, 900, 20]
     text = markdown(league_tables(result), league_sentences(result))
-    assert "| UR5 | 60 | 20 published |" in text
+    assert "| UR5 | 100 | 20 published |" in text
     assert "| 0.155 |" in text
     assert "graph neural network" in text
 
@@ -167,6 +174,7 @@ def test_stated_intervals_hold_new_readings_where_the_model_is_right(ur5: Entran
     assert np.mean(within) == pytest.approx(0.95, abs=0.02)
 
 
+@pytest.mark.fast
 def test_processes_do_every_task_once_and_a_cancelled_job_begins_none() -> None:
     tasks = range(-5, 0)
     for jobs in (1, 2):

@@ -24,8 +24,9 @@ class TargetForm(Question[Target]):
 
     Parameters
     ----------
+    title : str
     before : Target or None
-        The target to edit; None for a new one.
+        A field that still shows what this target has keeps that value to the last bit.
     texts : mapping
         What the fields show at first, by name.
     others : sequence of Target
@@ -37,14 +38,19 @@ class TargetForm(Question[Target]):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "take", "Take", priority=True)]
 
     def __init__(
-        self, before: Target | None, texts: Mapping[str, str], others: Sequence[Target], profile: Profile
+        self,
+        title: str,
+        before: Target | None,
+        texts: Mapping[str, str],
+        others: Sequence[Target],
+        profile: Profile,
     ) -> None:
         super().__init__()
-        self._before, self._texts, self._others, self._profile = before, texts, others, profile
+        self._title, self._before, self._texts = title, before, texts
+        self._others, self._profile = others, profile
 
     def body(self) -> ComposeResult:
-        title = "New target" if self._before is None else f"Target {self._before.name}"
-        yield Static(title, classes="title", markup=False)
+        yield Static(self._title, classes="title", markup=False)
         for field in FIELDS:
             choices = tuple(self._profile.arms) if field.name == "arm" else ()
             row = FieldRow(field.name, field, self._texts[field.name], choices)

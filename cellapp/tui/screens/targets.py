@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -12,6 +13,7 @@ from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
+from textual.events import Resize
 from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 from textual.worker import get_current_worker
@@ -24,7 +26,7 @@ from cellapp.reporting.charts_accuracy import target_chart
 from cellapp.reporting.page_tables import target_tables as measured_tables
 from cellapp.reporting.run_tables import target_tables
 from cellapp.reporting.tables import verification_tables
-from cellapp.reporting.target_list import stale_model, target_list, target_words
+from cellapp.reporting.target_list import COLUMN_GROUPS, stale_model, target_list, target_words
 from cellapp.results import Result, RunResults, VerifyResult
 from cellapp.tui import work
 from cellapp.tui.dialogs.file_picker import FilePicker
@@ -41,6 +43,8 @@ from cellapp.tui.workspace import Step, Workspace
 _NOT_MEASURED = "Nothing was computed yet: b compensates, v pushes and verifies."
 _WIDEST = 26
 """Letters of a cell of the list; the sentence below the list is whole."""
+_BESIDE = 6
+"""Columns of the terminal beside the list: padding and a scroll bar."""
 _STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
 
 
@@ -96,7 +100,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
     TargetsScreen #list { padding: 0; }
     TargetsScreen #about-list { height: auto; }
     TargetsScreen TargetGrid { height: 1fr; }
-    TargetsScreen #about-target { height: auto; max-height: 3; }
+    TargetsScreen #about-target { height: auto; max-height: 4; }
     TargetsScreen.-narrow #second-plot { display: none; }
     """
 
@@ -112,7 +116,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
         with TabbedContent(id="targets"):
             with TabPane("List", id="list"):
                 yield Static("", id="about-list", markup=False)
-                grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True, fixed_columns=1)
+                grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
                 grid.tooltip = "Enter edits, + adds, - removes, Ctrl+Z undoes, w saves"
                 yield grid
                 yield Static("", id="about-target", classes="muted", markup=False)
@@ -179,7 +183,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
             index = self._index
             target = self._edits.targets[index]
             others = self._edits.without(index).targets
-            form = TargetForm(target, typed_texts(target), others, self.workspace.profile)
+            form = TargetForm(f"Target {target.name}", target, typed_texts(target), others, self.workspace.profile)
             self.app.push_screen(form, lambda typed: self._take(index, typed))
 
     def action_add(self) -> None:
@@ -190,10 +194,11 @@ Points to which the calibrated arms are sent. The list that the profile names is
             return
         arm = next(iter(profile.arms))
         texts = {"name": f"{arm}-01", "arm": arm, "position": "", "rpy": "0 deg, 0 deg, 0 deg", "tolerance": ""}
-        if targets:
-            like = targets[self._index]
+        like = targets[self._index] if targets else None
+        if like is not None:
             texts = {**typed_texts(like), "name": new_name(like.name, targets)}
-        self.app.push_screen(TargetForm(None, texts, targets, profile), lambda typed: self._take(len(targets), typed))
+        form = TargetForm("New target", like, texts, targets, profile)
+        self.app.push_screen(form, lambda typed: self._take(len(targets), typed))
 
     def _take(self, index: int, target: Target | None) -> None:
         if target is not None and self._edits.targets[index : index + 1] != (target,):
@@ -317,6 +322,12 @@ Points to which the calibrated arms are sent. The list that the profile names is
         self._draw_tables()
         self._draw_plots()
 
+    @on(Resize)
+    def draw_for_size(self) -> None:
+        """Draw as many columns as there is room for."""
+        if self._drawn is not None:
+            self._draw_list()
+
     def _draw_list(self) -> None:
         """Draw all rows; the cursor stays in its line."""
         results, edits = self._results, self._edits
@@ -327,11 +338,13 @@ Points to which the calibrated arms are sent. The list that the profile names is
         table, grid = target_list(edits.targets, results), self._grid
         row = grid.cursor_row
         grid.clear(columns=True)
+        rows = [[_cut(cell) for cell in cells] for cells in table.text_rows()]
+        shown = _fitting([max(map(len, column)) for column in zip(table.headings, *rows)], self.size.width - _BESIDE)
         sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in table.columns]
-        for heading, side in zip(table.headings, sides, strict=True):
+        for heading, side in zip(table.headings[:shown], sides):
             grid.add_column(Text(heading, justify=side))
-        for cells in table.text_rows():
-            grid.add_row(*(Text(_cut(cell), justify=side) for cell, side in zip(cells, sides, strict=True)))
+        for cells in rows:
+            grid.add_row(*(Text(cell, justify=side) for cell, side in zip(cells[:shown], sides)))
         grid.move_cursor(row=row)
         self._draw_target()
 
@@ -365,6 +378,12 @@ Points to which the calibrated arms are sent. The list that the profile names is
             name = names[(self._arm + place) % len(names)]
             arm = results.calibrate.arms.get(name)
             plot.chart = target_chart(name, results.verify, None if arm is None else arm.tracker_mm)
+
+
+def _fitting(widths: Sequence[int], room: int) -> int:
+    """How many columns fit whole; the sentence below the list says what the others would."""
+    fitting = [count for count in COLUMN_GROUPS if sum(widths[:count]) + 2 * count <= room]
+    return max(fitting, default=COLUMN_GROUPS[0])
 
 
 def _cut(text: str) -> str:
