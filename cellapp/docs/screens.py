@@ -15,6 +15,7 @@ from cellapp.errors import InputError
 if TYPE_CHECKING:
     from textual.pilot import Pilot
 
+    from cellapp.tui.app import CellApp
 
 SIZE = (120, 40)
 """Columns and lines of a usual terminal."""
