@@ -15,6 +15,7 @@ from cellapp.errors import InputError
 from cellapp.pipeline import new_planned_run
 from cellapp.profile import load_profile
 from cellapp.run import RunFile
+from cellapp.run.sqlite_file import connect
 from cellapp.tui.app import CellApp
 from tests.tui.pilot import SMALL, ended, opened, shown_text, until
 from tests.twin import write_profile
@@ -118,7 +119,10 @@ async def test_a_full_disk_holds_the_reading_until_a_person_freed_it(
         await says(pilot, app, "COMPLETE, 30 stops")
 
 
-async def test_a_run_in_which_another_program_works_is_refused_and_can_be_tried_again(app: CellApp) -> None:
+async def test_a_run_in_which_another_program_works_is_refused_and_can_be_tried_again(
+    app: CellApp, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connect, "__defaults__", (0.2,))  # the lock is waited for, usually 10 s
     async with app.run_test(size=SMALL) as pilot:
         await open_day(pilot, app)
         with closing(sqlite3.connect(DAY / "run.sqlite")) as other:

@@ -23,8 +23,8 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable, TabbedContent, TabPane
 
-from cellapp.docs.screens import settle
 from cellapp.tui.app import CellApp
+from cellapp.tui.pictures import settle
 from cellapp.tui.screens import SCREENS
 from tests.tui.pilot import PROFILES, SIZES, WAIT_S, opened, shown_text, until
 
