@@ -22,7 +22,6 @@ from textual import on, work
 from textual.app import App, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.css.query import NoMatches
-from textual.message import Message
 from textual.screen import Screen
 from textual.widgets import Static
 
@@ -33,9 +32,10 @@ from cellapp.tui.dialogs.jump import Jump
 from cellapp.tui.dialogs.motion import MotionQuestion
 from cellapp.tui.dialogs.palette import Palette
 from cellapp.tui.dialogs.question import Answer, Choice, Reading
-from cellapp.tui.endings import STOPPED, UNEXPECTED, ending_of
+from cellapp.tui.endings import STOPPED, UNEXPECTED, ending_of, forget_terminal
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
+from cellapp.tui.messages import LeaveAsked, ResumeOffered, WorkspaceLoaded
 from cellapp.tui.offers import offer_to_resume, offer_whole_day
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
@@ -44,7 +44,7 @@ from cellapp.tui.widgets.header import DayHeader, StepLine, StepTab
 from cellapp.tui.workspace import RUN_FILE, Step, Workspace, load_workspace
 
 if TYPE_CHECKING:
-    from cellapp.results import RunSummary
+    pass
 
 _REQUESTS = ("stop", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
@@ -68,34 +68,6 @@ _LATER = (
 )
 _MOST_TAKEN = 300
 """Events that are taken in at a time: each takes some microseconds."""
-
-
-def forget_terminal() -> None:
-    """Let drawing go nowhere: the terminal was closed, and a write to it would fail."""
-    nowhere = os.open(os.devnull, os.O_RDWR)
-    for stream in range(3):
-        os.dup2(nowhere, stream)
-    os.close(nowhere)
-
-
-class LeaveAsked(Message):
-    """The terminal was closed, or the system ends this program."""
-
-
-class WorkspaceLoaded(Message):
-    """Profile and run were read."""
-
-    def __init__(self, workspace: Workspace) -> None:
-        super().__init__()
-        self.workspace = workspace
-
-
-class ResumeOffered(Message):
-    """A run was found that was interrupted while collecting."""
-
-    def __init__(self, run: RunSummary) -> None:
-        super().__init__()
-        self.run = run
 
 
 class CellApp(App[None]):
