@@ -194,7 +194,8 @@ class CellApp(App[None]):
         if not self.jobs.running:
             self.exit(return_code=self._code)
         elif not self._leaving:
-            text = f"'{self.record.name}' is in progress. Brake all arms, end it and quit?"
+            brake = "Brake all arms, end it" if self.jobs.control.has_brakes else "End it"
+            text = f"'{self.record.name}' is in progress. {brake} and quit?"
             answers = (Answer("stay", "Continue", "n"), Answer("leave", "Stop and quit", "y", "error"))
             self.push_screen(Choice("Quit?", text, answers), lambda answer: self._leave(answer == "leave"))
 
@@ -318,15 +319,17 @@ class CellApp(App[None]):
         self._load(self.workspace.profile_path, self.workspace.folder)
 
     def _load(self, profile_path: Path | None, folder: Path | None) -> None:
-        job = self.jobs.job
-        if job is not None and job.moves and folder != job.folder:
-            # the header must say of the arms that move whether they are real
-            self.say(
-                f"'{job.name}' moves arms; stop it or wait for its end before something else is opened.", "warning"
-            )
+        if self._hides_moving_arms(folder):
+            text = f"'{self.record.name}' moves arms; stop it or wait for its end before something else is opened."
+            self.say(text, "warning")
             return
         self._loads += 1
         self._read(profile_path, folder, self._loads)
+
+    def _hides_moving_arms(self, folder: Path | None) -> bool:
+        """Whether a job moves arms of another run: the header must say of those whether they are real."""
+        job = self.jobs.job
+        return job is not None and job.moves and folder != job.folder
 
     @work(thread=True)
     def _read(self, profile_path: Path | None, folder: Path | None, number: int) -> None:
@@ -338,6 +341,8 @@ class CellApp(App[None]):
     def show_loaded(self, event: WorkspaceLoaded) -> None:
         """Draw what was read."""
         before, now = self.workspace, event.workspace
+        if self._hides_moving_arms(now.folder):
+            return  # it was asked for before the job began, whose run is read at its end
         self.workspace = now
         ended, self._ended = self._ended, None
         title = next(entry.title for entry in SCREENS if entry.step == now.next_step)
@@ -353,12 +358,13 @@ class CellApp(App[None]):
 
     # -- the job -------------------------------------------------------------------------------------------------------
 
-    def start_job(self, job: Job) -> bool:
-        """Start a job; whether it was started."""
+    def start_job(self, job: Job, cell: Workspace | None = None) -> bool:
+        """Start a job, which uses ``cell`` where that is not what is open; whether it was started."""
         if self.jobs.running:
             self.say(f"'{self.record.name}' is still running; stop it or wait for its end.", "warning")
             return False
         self.asked_by = None
+        self.workspace = cell or self.workspace
         self.record.begin(job.name)
         self.say(f"{job.name}: started" + ("" if job.folder is None else f" in {job.folder}"))
         self.jobs.start(job)
@@ -391,7 +397,8 @@ class CellApp(App[None]):
             self.say("Stopped, not paused. c: resume when the cell is clear; x: abort.", "warning")
         elif self.jobs.possible("pause"):
             control.pause()
-            self.say("Pausing: the arms rest after the present stop. p or c: resume; Escape: stop.", "warning")
+            rests = "the arms rest after the present stop" if control.has_brakes else "the job waits where it can"
+            self.say(f"Pausing: {rests}. p or c: resume; Escape: stop.", "warning")
 
     def action_resume(self) -> None:
         """Let a paused or stopped job continue."""
@@ -402,13 +409,16 @@ class CellApp(App[None]):
     def action_abort(self) -> None:
         """Brake all arms now and end the job."""
         if self.jobs.possible("abort"):
+            arms = self.jobs.control.has_brakes
             self.jobs.control.abort()
             self._refuse_motion()
-            self.say("Aborting: all arms brake, the job ends.", "error")
+            self.say("Aborting: all arms brake, the job ends." if arms else "Aborting at the next step.", "error")
 
     @on(MotionAsked)
     def ask_before_motion(self, message: MotionAsked) -> None:
         """Show the first motion and ask for the profile's name."""
+        if self.jobs.control.request not in ("none", "pause"):
+            return  # a person stopped the job before the question was shown, which answered it
         profile = self.workspace.profile
         name = "move" if profile is None else profile.name
         self.push_screen(MotionQuestion(message.words, name), lambda allowed: message.answer(bool(allowed)))
@@ -489,7 +499,8 @@ class CellApp(App[None]):
         """A new state of the job in the message line."""
         state, reason = self.record.state, self.record.reason
         if state is not None and reason:
-            self.message = f"{state.upper()}: {reason}"
+            # what a replay plays back is no state of these arms
+            self.message = f"{self.record.name}: {reason}" if self.record.is_replay else f"{state.upper()}: {reason}"
             self._severity = "information" if state == "running" else "warning"
             self._draw_message()
         self.refresh_bindings()

@@ -7,13 +7,20 @@ import shlex
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cellapp.control import Aborted
-from cellapp.errors import CellappError, HardwareError
+from cellapp.errors import CellappError, CheckFailed, HardwareError
 from cellapp.progress import Cancelled, Progress
-from cellapp.tui.jobs import JobEnded
+from cellapp.tui.jobs import Job, JobEnded
+from cellapp.tui.work import VERIFY
+
+if TYPE_CHECKING:
+    from cellapp.results import Result
 
 ERROR_LOG = "error.log"
+REPORT_FILE = "report.html"
+"""As ``cellapp.run`` names it."""
 STOPPED = 4
 UNEXPECTED = 3
 """Exit codes: stopped and resumable; an unexpected error, after which somebody must look at the cell."""
@@ -33,9 +40,9 @@ class Ending:
 
 def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
     """The end of a job in words; ``last`` is its newest event."""
-    name, folder, ending = ended.job.name, ended.job.folder, ended.ending
+    folder, ending = ended.job.folder, ended.ending
     if not isinstance(ending, BaseException):
-        return Ending(f"{name}: done" + ("" if folder is None else f"; the run is in {folder}") + ".", "information", 0)
+        return _done(ended.job, ending)
     resume = how_to_resume(last, folder)
     if isinstance(ending, Cancelled):
         word = "Aborted" if isinstance(ending, Aborted) else "Stopped"
@@ -44,6 +51,35 @@ def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
         more = f"; then {resume}." if resume and isinstance(ending, HardwareError) else ""
         return Ending(f"{ending}{more}", "error", ending.exit_code)
     return Ending(_unexpected(ending, folder), "error", UNEXPECTED)
+
+
+def _done(job: Job, result: Result | None) -> Ending:
+    """The end of a job that did all it was to do; with the exit code of the command where a check did not hold."""
+    from cellapp.results import WholeRunResult  # 0.1 s, which a start need not wait for
+
+    where = "" if job.folder is None else f"; the run is in {job.folder}"
+    complaints, held = _checks(result, verifies=job.name == VERIFY)
+    if job.folder is not None and isinstance(result, WholeRunResult):
+        where = f"; the report is {job.folder / REPORT_FILE}"
+    if complaints:
+        return Ending(f"{job.name}: {'; '.join(complaints)}{where}.", "error", CheckFailed.exit_code)
+    return Ending(f"{job.name}: done{held}{where}.", "information", 0)
+
+
+def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
+    """What did not hold, and what is said of the verification if all did."""
+    from cellapp.results import CollectResult, VerifyResult, WholeRunResult
+
+    collected = result if isinstance(result, CollectResult) else None
+    verified = result if verifies and isinstance(result, VerifyResult) else None
+    is_day = isinstance(result, WholeRunResult)
+    if isinstance(result, WholeRunResult):
+        collected, verified = result.collect, result.verify
+    missing = [] if collected is None else collected.complaints()
+    wrong = [] if verified is None else verified.complaints()
+    unverified = "; nothing was verified, the profile names no targets" if is_day else ""
+    held = unverified if verified is None else "; the verification held"
+    return [*missing, *(f"verification: {text}" for text in wrong)], held
 
 
 def how_to_resume(last: Progress | None, folder: Path | None) -> str:

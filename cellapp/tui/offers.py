@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from cellapp.tui import work
 from cellapp.tui.dialogs.question import Answer, Choice
-from cellapp.tui.workspace import Workspace, new_folder
+from cellapp.tui.workspace import NO_PROFILE, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.results import RunSummary
@@ -25,16 +25,16 @@ def arms_words(workspace: Workspace) -> str:
 
 def offer_whole_day(app: CellApp) -> None:
     """Plan, collect, calibrate, discover, push and verify in a new run."""
-    profile, path = app.workspace.profile, app.workspace.profile_path
+    profile, path = app.workspace.file_profile, app.workspace.profile_path
     if profile is None or path is None:
-        app.say("No profile is open: choose one on the screen Cell (key 1).", "warning")
+        app.say(NO_PROFILE, "warning")
         return
-    folder = new_folder(profile)
-    arms = arms_words(app.workspace)
+    folder, cell = new_folder(profile), Workspace(path, profile)
+    arms = arms_words(cell)
     text = f"Plan, collect, calibrate, discover, push and verify with '{profile.name}' into {folder}; {arms}."
 
     def begin(answer: str | None) -> None:
-        if answer == "begin" and app.start_job(work.whole_day(path, folder)):
+        if answer == "begin" and app.start_job(work.whole_day(path, folder, profile), cell):
             app.action_show("collect")
 
     app.push_screen(Choice("Everything, unattended?", text, BEGIN), begin)

@@ -12,17 +12,29 @@ from cellapp.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
     from cellapp.compensation.targets import Target
+    from cellapp.profile import Profile
     from cellapp.reporting.report_data import ReportData
     from cellapp.results import Result, RunSummary
     from cellapp.run import RunFile
 
 
-def whole_day(profile: Path, folder: Path) -> Job:
-    """Plan, collect, calibrate, discover, compensate, verify, report."""
+VERIFY = "verify"
+"""Name of a push that measures: only its result says whether a verification held."""
+
+
+def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job:
+    """Plan, collect, calibrate, discover, compensate, verify, report.
+
+    ``agreed`` is what a person was asked about; the job refuses a file that holds something else by now.
+    """
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.errors import InputError
         from cellapp.pipeline import run_whole
+        from cellapp.profile import load_profile
 
+        if agreed is not None and load_profile(profile) != agreed:
+            raise InputError(f"{profile} was edited since it was read; it is read again now, then F5 asks again")
         return run_whole(profile, folder, listener, control, ask=ask)
 
     return Job("run", work, folder, moves=True)
@@ -117,7 +129,7 @@ def push(folder: Path, targets: Sequence[Target], *, verify: bool, out_of_date: 
 
         return push_run(run, targets, listener, control, verify=verify, out_of_date=out_of_date, ask=ask)
 
-    return _on_run("push", folder, work, moves=True)
+    return _on_run(VERIFY if verify else "push", folder, work, moves=True)
 
 
 def report(folder: Path) -> Job:

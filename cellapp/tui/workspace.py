@@ -46,6 +46,8 @@ class Workspace:
         Why profile or run cannot be used, in a sentence; empty if they can.
     edited : bool
         The file of the profile was changed since the run was planned from it.
+    beside_run : Profile or None
+        Where a run is open, what ``profile_path`` holds now: perhaps another cell than that of the run.
     """
 
     profile_path: Path | None = None
@@ -57,6 +59,12 @@ class Workspace:
     stops: StopsResult | None = None
     problem: str = ""
     edited: bool = False
+    beside_run: Profile | None = None
+
+    @property
+    def file_profile(self) -> Profile | None:
+        """What ``profile_path`` holds: a new run is planned from it, whichever run is open."""
+        return self.profile if self.folder is None else self.beside_run
 
     @property
     def kind(self) -> CellKind:
@@ -89,6 +97,11 @@ class Workspace:
         if states[self.next_step] in ("open", "done"):
             states[self.next_step] = "next"
         return states
+
+
+NO_PROFILE = "No profile is open: choose one on the screen Cell (key 1)."
+NO_RUN = "No run is open: plan one (key 2), or open one on the screen Runs (key 7)."
+"""What screens say where there is nothing to work on."""
 
 
 def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
@@ -125,6 +138,7 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
             collection_state(run),
             planned_stops(run),
             edited=profile is not None and profile.name == run.profile.name and profile != run.profile,
+            beside_run=profile,
         )
 
 

@@ -21,7 +21,7 @@ class Comparison(Question[None]):
     def body(self) -> ComposeResult:
         yield Static("Two runs compared", classes="title", markup=False)
         yield TablesView("The runs do not differ.")
-        yield Static("Up, down scroll; y copies, w saves; Escape closes.", classes="muted", markup=False)
+        yield Static(f"Up, down scroll; y copies, w saves; {self.closing_key} closes.", classes="muted", markup=False)
 
     def on_mount(self) -> None:
         """Draw, and scroll with the keys at once."""

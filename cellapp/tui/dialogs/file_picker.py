@@ -86,7 +86,7 @@ class FilePicker(Question[Path]):
         text = str(self._start) + (os.sep if self._start.is_dir() and str(self._start) != os.sep else "")
         yield Input(text, suggester=PathSuggester(self._wanted), id="path", compact=True)
         yield OptionList(id="found", markup=False, compact=True)
-        yield Static("Tab completes, Enter opens, Escape closes.", id="why", classes="text", markup=False)
+        yield Static(f"Tab completes, Enter opens, {self.closing_key} closes.", id="why", classes="text", markup=False)
         with Horizontal(classes="answers"):
             yield Button("Open", id="open", variant="success", compact=True)
             yield Button("Close", id="close", compact=True)
@@ -154,4 +154,4 @@ class FilePicker(Question[Path]):
             self.dismiss(path)
             return
         kind = "folder" if self._folder else "file"
-        self.query_one("#why", Static).update(f"{path}: no such {kind}. Tab completes, Escape closes.")
+        self.query_one("#why", Static).update(f"{path}: no such {kind}. Tab completes, {self.closing_key} closes.")

@@ -33,7 +33,9 @@ class NewRunQuestion(Question[Path]):
         field = Input(str(self._folder), id="folder", compact=True)
         field.tooltip = "Folder of the new run; it must not exist, or be empty"
         yield field
-        yield Static("Folder of the new run. Enter plans, Escape closes.", id="why", classes="text", markup=False)
+        yield Static(
+            f"Folder of the new run. Enter plans, {self.closing_key} closes.", id="why", classes="text", markup=False
+        )
         with Horizontal(classes="answers"):
             yield Button("Plan", id="plan", variant="success", compact=True)
             yield Button("Close", id="close", compact=True)

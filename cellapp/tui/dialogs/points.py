@@ -62,7 +62,7 @@ class PointsDialog(Question[ProfileDraft]):
         yield Static("No points yet.", id="fit", classes="text", markup=False)
         with Horizontal(classes="answers"):
             yield Button("Use this pose (Ctrl+S)", id="use", variant="success", compact=True, disabled=True)
-            yield Button("Close (Esc)", id="close", compact=True)
+            yield Button(f"Close ({self.closing_key[:3]})", id="close", compact=True)
 
     def on_mount(self) -> None:
         """Begin with the points."""

@@ -20,9 +20,17 @@ A = TypeVar("A")
 
 
 class Question(ModalScreen[A]):
-    """A dialog with STOP in the upper right corner. Escape closes it without an answer while no job runs."""
+    """A dialog with STOP in the upper right corner.
 
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "dismiss(None)", "Close", show=False)]
+    F10 closes it without an answer; so does Escape while no job runs, else Escape stops the job.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,f10", "dismiss(None)", "Close", show=False)]
+
+    @property
+    def closing_key(self) -> str:
+        """The key that closes the dialog now."""
+        return "F10" if self.app.check_action("stop", ()) else "Escape"
 
     def compose(self) -> ComposeResult:
         yield StopCorner()
@@ -100,4 +108,4 @@ class Reading(Question[None]):
     def body(self) -> ComposeResult:
         with VerticalScroll(classes="reading"):
             yield Static(Markdown(self._text))  # Textual's own makes a widget of each line, which takes seconds
-        yield Static("Up, down, Page Up, Page Down scroll; Escape closes.", classes="text", markup=False)
+        yield Static(f"Up, down, Page Up, Page Down scroll; {self.closing_key} closes.", classes="text", markup=False)

@@ -38,7 +38,7 @@ class SaveAs(Question[Path]):
     def body(self) -> ComposeResult:
         yield Static(f"Save {self._what} as", classes="title", markup=False)
         yield Input(str(self._proposed), suggester=PathSuggester(_anything), id="path", compact=True)
-        yield Static("Tab completes, Enter saves, Escape closes.", id="why", classes="text", markup=False)
+        yield Static(f"Tab completes, Enter saves, {self.closing_key} closes.", id="why", classes="text", markup=False)
         with Horizontal(classes="answers"):
             yield Button("Save", id="save", variant="success", compact=True)
             yield Button("Close", id="close", compact=True)

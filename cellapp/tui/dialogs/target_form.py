@@ -77,7 +77,7 @@ class TargetForm(Question[Target]):
         if isinstance(focused, FieldRow):
             wrong = found.problems.get(focused.field_id, "")
             self.query_one("#target-help", Static).update(
-                f"{focused.form.label}: {wrong or focused.form.help}. Escape closes."
+                f"{focused.form.label}: {wrong or focused.form.help}. {self.closing_key} closes."
             )
         return found
 

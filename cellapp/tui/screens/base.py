@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, cast
 
 from textual.app import ComposeResult
@@ -13,7 +14,7 @@ from textual.widgets import Static
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.widgets.header import DayHeader, StepLine
 from cellapp.tui.widgets.key_line import KeyLine
-from cellapp.tui.workspace import Step, Workspace
+from cellapp.tui.workspace import NO_RUN, Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.results import Result
@@ -73,6 +74,12 @@ class DayScreen(Screen[None]):
         """Start a job; a sentence says why where that is not possible."""
         if self.cell_app.start_job(job):
             self.cell_app.asked_by = self
+
+    def open_folder(self) -> Path | None:
+        """Folder of the run that is open; without one, a sentence says what to do."""
+        if self.workspace.folder is None:
+            self.say(NO_RUN, "warning")
+        return self.workspace.folder
 
     def say(self, text: str, severity: str = "information") -> None:
         """Show a sentence in the message line of every screen."""

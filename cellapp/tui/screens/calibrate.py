@@ -27,17 +27,18 @@ from cellapp.tui import work
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.tables import TablesView
+from cellapp.tui.widgets.tabs import show_next_tab
 from cellapp.tui.workspace import Step, Workspace
 
 _EMPTY = "Not calibrated yet. Collect first (key 3), then b calibrates."
 
 
 class DataRead(Message):
-    """The readings and models of the run were read; None where there is nothing to draw."""
+    """The readings and models of the run of a workspace were read; None where there is nothing to draw."""
 
-    def __init__(self, data: ReportData | None) -> None:
+    def __init__(self, workspace: Workspace, data: ReportData | None) -> None:
         super().__init__()
-        self.data = data
+        self.workspace, self.data = workspace, data
 
 
 class CalibrateScreen(DayScreen):
@@ -94,10 +95,8 @@ The step after this one is Discover (5).
 
     def action_begin(self) -> None:
         """Calibrate the run that is open."""
-        if self.workspace.folder is None:
-            self.say("No run is open: plan one (key 2), or open one on the screen Runs (key 7).", "warning")
-        else:
-            self.start(work.calibrate(self.workspace.folder))
+        if folder := self.open_folder():
+            self.start(work.calibrate(folder))
 
     def action_other_arm(self) -> None:
         """Show the next arm."""
@@ -118,9 +117,7 @@ The step after this one is Discover (5).
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
-        tabs = self.query_one("#calibration", TabbedContent)
-        names = [pane.id or "" for pane in tabs.query(TabPane)]
-        tabs.active = names[(names.index(tabs.active) + 1) % len(names)]
+        show_next_tab(self.query_one("#calibration", TabbedContent))
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
@@ -148,12 +145,13 @@ The step after this one is Discover (5).
 
     @in_thread(thread=True, exclusive=True)
     def _read(self, workspace: Workspace) -> None:
-        self.post_message(DataRead(work.report_data(workspace.folder)))
+        self.post_message(DataRead(workspace, work.report_data(workspace.folder)))
 
     def on_data_read(self, event: DataRead) -> None:
-        """Draw the plots of what was read."""
-        self._data = event.data
-        self._draw_plots()
+        """Draw the plots of what was read, unless something else was opened meanwhile."""
+        if event.workspace is self._drawn:
+            self._data = event.data
+            self._draw_plots()
 
     def _draw_plots(self) -> None:
         if self._data is None or not self._data.held_out:

@@ -29,10 +29,11 @@ from cellapp.reporting.collection_text import collection_tables
 from cellapp.run import RunFile
 from cellapp.run.overview import run_log
 from cellapp.tui import work as jobs
-from cellapp.tui.dialogs.question import Answer, Choice
+from cellapp.tui.dialogs.question import Choice
 from cellapp.tui.dialogs.save_as import SaveAs
 from cellapp.tui.job_record import ArmRecord, JobRecord, LogRow, level_of
 from cellapp.tui.jobs import Job
+from cellapp.tui.offers import BEGIN, arms_words
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.screens.collect_state import (
@@ -212,15 +213,14 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         if kind == "real" and not accept_drift:
             self.start(job)
             return
-        moves = "REAL ARMS WILL MOVE, after one more question" if kind == "real" else f"the arms are {kind}"
+        moves = arms_words(self.workspace) + (", after one more question" if kind == "real" else "")
         text = f"Measure {what}. In {folder}; {moves}. Escape stops at any time; what is measured is kept."
-        answers = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
 
         def begin(answer: str | None) -> None:
             if answer == "begin":
                 self.start(job)
 
-        self.app.push_screen(Choice(title, text, answers), begin)
+        self.app.push_screen(Choice(title, text, BEGIN), begin)
 
     # -- views ---------------------------------------------------------------------------------------------------------
 

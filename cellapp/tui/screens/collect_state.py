@@ -8,7 +8,7 @@ from typing import Literal
 from cellapp.control import Request
 from cellapp.progress import JobState
 from cellapp.tui.job_record import JobRecord, within_limit
-from cellapp.tui.workspace import Workspace
+from cellapp.tui.workspace import NO_PROFILE, NO_RUN, Workspace
 
 Look = Literal["idle", "running", "waiting", "halted", "replay", "done"]
 
@@ -88,10 +88,9 @@ def _of_replay(record: JobRecord, state: JobState, request: Request) -> Headline
 
 def _of_run(workspace: Workspace) -> Headline:
     if workspace.profile is None:
-        return Headline("NO CELL", "No profile is open: choose one on the screen Cell (key 1).", "idle")
+        return Headline("NO CELL", NO_PROFILE, "idle")
     if workspace.folder is None:
-        text = "No run is open: plan one (key 2), or open one on the screen Runs (key 7)."
-        return Headline("NO RUN", text, "idle")
+        return Headline("NO RUN", NO_RUN, "idle")
     left, measured = stops_left(workspace), stops_measured(workspace)
     if not left:
         word = f"COMPLETE, {measured} stops" if measured else "NO PLAN"

@@ -19,7 +19,9 @@ from cellapp.tui.dialogs.question import Choice
 from cellapp.tui.offers import BEGIN, arms_words
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
+from cellapp.tui.screens.collect_state import stops_left
 from cellapp.tui.widgets.tables import TablesView
+from cellapp.tui.widgets.tabs import show_next_tab
 from cellapp.tui.workspace import Step, Workspace
 
 _EMPTY = "Nothing was searched yet. Calibrate first (key 4), then b searches for missing effects."
@@ -83,20 +85,17 @@ The handbook explains each effect: key **h**.
 
     def action_begin(self) -> None:
         """Search the run that is open."""
-        if self._has_run():
-            assert self.workspace.folder is not None
-            self.start(work.discover(self.workspace.folder))
+        if folder := self.open_folder():
+            self.start(work.discover(folder))
 
     def action_propose(self) -> None:
         """Search, then plan further stops."""
-        if self._has_run():
-            assert self.workspace.folder is not None
-            self.start(work.discover(self.workspace.folder, _PROPOSED))
+        if folder := self.open_folder():
+            self.start(work.discover(folder, _PROPOSED))
 
     def action_collect(self) -> None:
         """Ask, then measure what is planned and not measured yet."""
-        folder, stops = self.workspace.folder, self.workspace.stops
-        left = 0 if stops is None else sum(not stop.measured for stop in stops.stops)
+        folder, left = self.workspace.folder, stops_left(self.workspace)
         if folder is None or left == 0:
             self.say("No stop is left to measure: m proposes further ones.", "warning")
             return
@@ -108,11 +107,6 @@ The handbook explains each effect: key **h**.
                 self.cell_app.action_show("collect")
 
         self.app.push_screen(Choice("Collect?", text, BEGIN), begin)
-
-    def _has_run(self) -> bool:
-        if self.workspace.folder is None:
-            self.say("No run is open: plan one (key 2), or open one on the screen Runs (key 7).", "warning")
-        return self.workspace.folder is not None
 
     def action_other_arm(self) -> None:
         """Show the next arm."""
@@ -127,9 +121,7 @@ The handbook explains each effect: key **h**.
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
-        tabs = self.query_one("#discovery", TabbedContent)
-        names = [pane.id or "" for pane in tabs.query(TabPane)]
-        tabs.active = names[(names.index(tabs.active) + 1) % len(names)]
+        show_next_tab(self.query_one("#discovery", TabbedContent))
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 

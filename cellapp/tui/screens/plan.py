@@ -18,7 +18,7 @@ from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.cell_map import CellMap
 from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable
 from cellapp.tui.widgets.tabs import explain_tabs, show_next_tab
-from cellapp.tui.workspace import Step, Workspace, new_folder
+from cellapp.tui.workspace import NO_PROFILE, Step, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.profile import Profile
@@ -41,6 +41,7 @@ in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload 
 
 Next: collect (`3`).
 """
+_NO_RUN = "No run is open: plan one with g, or open one on the screen Runs (7)."
 _NO_FORECAST = "Not foreseen yet: f computes time, joint ranges, expected errors and visible effects."
 
 
@@ -109,9 +110,9 @@ class PlanScreen(DayScreen):
 
     def action_plan(self) -> None:
         """Ask for the folder, then make a new run."""
-        profile, path = self.workspace.profile, self.workspace.profile_path
+        profile, path = self.workspace.file_profile, self.workspace.profile_path
         if profile is None or path is None:
-            self.say("No profile is open: choose one on the screen Cell (key 1).", "warning")
+            self.say(NO_PROFILE, "warning")
             return
         if self.cell_app.jobs.running:
             self.say("A job is running; plan when it has ended.", "warning")
@@ -143,7 +144,7 @@ class PlanScreen(DayScreen):
         """Folder of the open run with a plan; None with a sentence why there is none."""
         workspace = self.workspace
         if workspace.folder is None:
-            self.say("No run is open: plan one with g, or open one on the screen Runs (7).", "warning")
+            self.say(_NO_RUN, "warning")
         elif workspace.stops is None or not workspace.stops.stops:
             self.say("This run has no plan: its readings were imported. Plan a new run with g.", "warning")
         else:
@@ -263,10 +264,10 @@ def _planned(stops: StopsResult | None) -> tuple[object, ...]:
 def _state_words(workspace: Workspace) -> str:
     """How much is planned and measured, or what to do."""
     if workspace.profile is None:
-        return workspace.problem or "No profile is open: choose one on the screen Cell (1)."
+        return workspace.problem or NO_PROFILE
     overview = workspace.overview
     if workspace.folder is None or overview is None:
-        return workspace.problem or "No run is open: plan one with g, or open one on the screen Runs (7)."
+        return workspace.problem or _NO_RUN
     stops = () if workspace.stops is None else workspace.stops.stops
     if not stops:
         return "This run has no plan: its readings were imported. g plans a new run."

@@ -63,7 +63,7 @@ class ProfileForm(Question[Path]):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+s", "save", "Save", priority=True),
         Binding("escape", "close", "Close"),
-        Binding("f10", "close", show=False),  # while a job runs, Escape stops it
+        Binding("f10", "close", "Close", show=False),  # while a job runs, Escape stops it
         Binding("ctrl+z", "undo", "Undo", priority=True),
         Binding("ctrl+y", "redo", "Redo", show=False, priority=True),
         Binding("f2", "points", "Points", tooltip="the base of this arm from tracker points"),

@@ -25,6 +25,7 @@ from cellapp.reporting.runs import run_lines, runs_sentences
 from cellapp.results import ReportResult, Result, RunsResult
 from cellapp.tui import work as jobs_of_verbs
 from cellapp.tui.browser import open_page
+from cellapp.tui.endings import REPORT_FILE
 from cellapp.tui.offers import offer_replay, offer_to_resume
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.workspace import Step, Workspace
@@ -32,8 +33,6 @@ from cellapp.tui.workspace import Step, Workspace
 if TYPE_CHECKING:
     from cellapp.results import RunComparison, RunSummary
 
-REPORT = "report.html"
-"""As ``cellapp.run`` names it."""
 _MARK, _OPEN = "●", "▸"
 _MARKS = "marks"
 """Key of the column that shows which runs are open and marked; the others have their place as key."""
@@ -260,7 +259,6 @@ class RunsScreen(DayScreen):
     @on(DataTable.RowSelected)
     def open_run(self) -> None:
         """Open the run under the cursor."""
-
         self._with_run(lambda run: self.cell_app.open_run(Path(run.run), self.workspace.profile_path))
 
     def action_mark(self) -> None:
@@ -311,7 +309,7 @@ class RunsScreen(DayScreen):
         """Open the report; write it first where there is none."""
 
         def report(run: RunSummary) -> None:
-            page = Path(run.run) / REPORT
+            page = Path(run.run) / REPORT_FILE
             if page.is_file():
                 self._open_page(page)
             elif any(stage.name == "calibrate" for stage in run.stages):

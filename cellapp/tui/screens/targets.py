@@ -27,7 +27,7 @@ from cellapp.reporting.page_tables import target_tables as measured_tables
 from cellapp.reporting.run_tables import target_tables
 from cellapp.reporting.tables import verification_tables
 from cellapp.reporting.target_list import COLUMN_GROUPS, stale_model, target_list, target_words
-from cellapp.results import Result, RunResults, VerifyResult
+from cellapp.results import RunResults
 from cellapp.tui import work
 from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.dialogs.question import Answer, Choice
@@ -36,9 +36,10 @@ from cellapp.tui.dialogs.target_form import TargetForm
 from cellapp.tui.offers import BEGIN, arms_words
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
-from cellapp.tui.screens.targets_state import NO_PROFILE, TargetEdits, listed_path, new_name, why_not
+from cellapp.tui.screens.targets_state import TargetEdits, listed_path, new_name, why_not
 from cellapp.tui.widgets.tables import TablesView
-from cellapp.tui.workspace import Step, Workspace
+from cellapp.tui.widgets.tabs import show_next_tab
+from cellapp.tui.workspace import NO_PROFILE, Step, Workspace
 
 _NOT_MEASURED = "Nothing was computed yet: b compensates, v pushes and verifies."
 _WIDEST = 26
@@ -110,7 +111,6 @@ Points to which the calibrated arms are sent. The list that the profile names is
         self._drawn: Workspace | None = None
         self._opened_for: Path | None = None
         self._arm = 0
-        self._verifying = False
 
     def body(self) -> ComposeResult:
         with TabbedContent(id="targets"):
@@ -276,16 +276,10 @@ Points to which the calibrated arms are sent. The list that the profile names is
 
         def begin(answer: str | None) -> None:
             if answer == "begin":
-                self._verifying = verify
                 self.start(work.push(folder, targets, verify=verify, out_of_date=bool(stale)))
 
         title = "Push and verify?" if verify else "Push?"
         self.app.push_screen(Choice(title, text, _STALE if stale else BEGIN), begin)
-
-    def show_result(self, result: Result) -> None:
-        """Say what a verification complains about; the run keeps the rest."""
-        if isinstance(result, VerifyResult) and self._verifying and (complaints := result.complaints()):
-            self.say(f"verification: {'; '.join(complaints)}", "error")
 
     # -- tabs and plots ------------------------------------------------------------------------------------------------
 
@@ -298,8 +292,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
     def action_next_tab(self) -> None:
         """Show the next tab."""
         tabs = self.query_one("#targets", TabbedContent)
-        names = [pane.id or "" for pane in tabs.query(TabPane)]
-        tabs.active = names[(names.index(tabs.active) + 1) % len(names)]
+        show_next_tab(tabs)
         if tabs.active == "list":
             self._grid.focus()
 

@@ -10,9 +10,8 @@ from typing import Self
 
 from cellapp.compensation.targets import Target, set_problem
 from cellapp.profile import Profile
-from cellapp.tui.workspace import Workspace
+from cellapp.tui.workspace import NO_PROFILE, NO_RUN, Workspace
 
-NO_PROFILE = "No profile is open: choose one on the screen Cell (key 1)."
 EMPTY = "No targets: i opens a list (YAML), + adds a target."
 
 
@@ -105,7 +104,7 @@ def why_not(workspace: Workspace, targets: Sequence[Target]) -> str:
     if workspace.profile is None:
         return NO_PROFILE
     if workspace.folder is None or workspace.results is None:
-        return "No run is open: plan one (key 2), or open one on the screen Runs (key 7)."
+        return NO_RUN
     if workspace.results.calibrate is None:
         return "This run is not calibrated yet: collect (key 3), then calibrate (key 4)."
     if not targets:
