@@ -59,9 +59,9 @@ def docs(
 
 def _draw(job: Job, topic: str, profile: Path, run: Path | None, out: Path | None) -> None:
     from cellapp.docs.handbook import write_figures
-    from cellapp.docs.screens import write_screens
     from cellapp.profile import load_profile
     from cellapp.results import DocsResult
+    from cellapp.tui.pictures import write_screens
 
     if out is None:
         raise InputError(f"docs: '{topic}' needs --out DIR, the folder to draw them in")

@@ -26,7 +26,7 @@ def run_app(folder: Path = Path("profiles")) -> int:
         )
     from cellapp.tui.app import CellApp
 
-    app = CellApp(folder)
+    app = CellApp(folder, ends_process=True)
     app.run()
     app.wait_for_job()
     return app.return_code or 0

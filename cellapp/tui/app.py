@@ -9,7 +9,9 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
+import os
 import threading
+import time
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -20,7 +22,6 @@ from textual import on, work
 from textual.app import App, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.css.query import NoMatches
-from textual.message import Message
 from textual.screen import Screen
 from textual.widgets import Static
 
@@ -31,9 +32,10 @@ from cellapp.tui.dialogs.jump import Jump
 from cellapp.tui.dialogs.motion import MotionQuestion
 from cellapp.tui.dialogs.palette import Palette
 from cellapp.tui.dialogs.question import Answer, Choice, Reading
-from cellapp.tui.endings import UNEXPECTED, ending_of
+from cellapp.tui.endings import STOPPED, UNEXPECTED, ending_of, forget_terminal
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
+from cellapp.tui.messages import LeaveAsked, ResumeOffered, WorkspaceLoaded
 from cellapp.tui.offers import offer_to_resume, offer_whole_day
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
@@ -42,14 +44,17 @@ from cellapp.tui.widgets.header import DayHeader, StepLine, StepTab
 from cellapp.tui.workspace import RUN_FILE, Step, Workspace, load_workspace
 
 if TYPE_CHECKING:
-    from cellapp.results import RunSummary
+    pass
 
 _REQUESTS = ("stop", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
 _ALWAYS = ("stop", "abort")
 """Actions that an open dialog does not hide."""
 _ENDING = available("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+_CLOSED = available("SIGHUP")
 _PAUSING = available("SIGTSTP")
+_LAST_WORDS_S = 5.0
+"""After the end of the job, for leaving the screen; usually some 0.1 s."""
 _DRAWING_S = 0.1
 """Time between two drawings of a running job: people read no faster, and keys are answered between them."""
 _PRELOAD_AFTER_S = 0.3
@@ -65,26 +70,6 @@ _MOST_TAKEN = 300
 """Events that are taken in at a time: each takes some microseconds."""
 
 
-class LeaveAsked(Message):
-    """The terminal was closed, or the system ends this program."""
-
-
-class WorkspaceLoaded(Message):
-    """Profile and run were read."""
-
-    def __init__(self, workspace: Workspace) -> None:
-        super().__init__()
-        self.workspace = workspace
-
-
-class ResumeOffered(Message):
-    """A run was found that was interrupted while collecting."""
-
-    def __init__(self, run: RunSummary) -> None:
-        super().__init__()
-        self.run = run
-
-
 class CellApp(App[None]):
     """The application.
 
@@ -96,6 +81,8 @@ class CellApp(App[None]):
         Folder of the runs.
     patience_s : float
         How long quitting waits for a job to stop before the program ends without it.
+    ends_process : bool
+        Whether a signal that ends the program ends the process even where the screen cannot be left.
     """
 
     TITLE = "cellapp"
@@ -117,8 +104,11 @@ class CellApp(App[None]):
         Binding("ctrl+q", "quit", show=False, priority=True),
     ]
 
-    def __init__(self, profiles: Path, logs: Path = Path("logs"), patience_s: float = 60.0) -> None:
+    def __init__(
+        self, profiles: Path, logs: Path = Path("logs"), patience_s: float = 60.0, *, ends_process: bool = False
+    ) -> None:
         super().__init__()
+        self._ends_process = ends_process
         self.profiles, self.logs = profiles, logs
         self.workspace = Workspace()
         self.record = JobRecord()
@@ -182,11 +172,22 @@ class CellApp(App[None]):
         control = self.jobs.control
         if number in _ENDING:
             control.leave()
+            if number in _CLOSED:
+                forget_terminal()
             self.post_message(LeaveAsked())
+            if self._ends_process:
+                threading.Thread(target=self._end_process, name="end", daemon=True).start()
         elif control.request == "pause":
             control.resume()
         else:
             control.pause()
+
+    def _end_process(self) -> None:
+        """End the program where Textual cannot: once a write to a closed terminal failed, it waits for ever."""
+        running = self.jobs.running
+        self.wait_for_job()
+        time.sleep(_LAST_WORDS_S)
+        os._exit(STOPPED if running else self._code)
 
     async def action_quit(self) -> None:
         """Quit; with a job in progress, ask first, stop it and wait for its end."""

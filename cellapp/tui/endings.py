@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import traceback
 from dataclasses import dataclass
@@ -100,3 +101,11 @@ def _unexpected(error: BaseException, folder: Path | None) -> str:
     except OSError as failure:
         return f"{what}: {error}. Its traceback could not be written to {path}: {failure.strerror}."
     return f"{what}; its traceback is in {path}. Measured data are kept."
+
+
+def forget_terminal() -> None:
+    """Let drawing go nowhere: the terminal was closed, and a write to it would fail."""
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for stream in range(3):
+        os.dup2(nowhere, stream)
+    os.close(nowhere)

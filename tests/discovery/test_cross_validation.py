@@ -1,4 +1,4 @@
-"""Errors of left-out readings from the hat matrix are those of fits to the other readings."""
+"""The gain of a term on left-out readings is that of fits to the other readings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.design.information import NuisanceProjector
 from cellapp.discovery.cross_validation import _FOLD_SEED, cross_validated_gain
 
 pytestmark = pytest.mark.fast
@@ -41,7 +40,7 @@ def test_the_gain_is_that_of_fits_to_the_other_folds(signal):
     precision = np.concatenate([np.zeros(6), rng.uniform(1.0, 500.0, 6)])
     target = rng.normal(size=3 * READINGS) + signal * new[0]
     data: Any = Data(profile=SimpleNamespace(seed=SEED, discovery=SimpleNamespace(folds=FOLDS)))
-    fit: Any = SimpleNamespace(projector=NuisanceProjector.of(rows, precision), target=target)
+    fit: Any = SimpleNamespace(rows=rows, precision=precision, target=target)
     fold = np.tile(np.random.default_rng([SEED, _FOLD_SEED]).permutation(READINGS) % FOLDS, 3)
     before = left_out_square(rows, precision, target, fold)
     after = left_out_square(np.concatenate([rows, new]), np.concatenate([precision, np.zeros(3)]), target, fold)

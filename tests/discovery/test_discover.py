@@ -17,10 +17,10 @@ from cellapp.discovery.result import arm_result, discover_result
 from cellapp.effects import EFFECTS, MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.model import CellModel
-from cellapp.pipeline import discover_run
+from cellapp.pipeline import calibrate_run, discover_run
 from cellapp.profile import load_profile
 from cellapp.run import Readings, RunFile, import_csv
-from cellapp.run.stages import read_results
+from cellapp.run.stages import CALIBRATION_FILE, read_results
 from cellapp.trials.blind import Noise, blind_readings, with_hidden
 from drivers.plant import suggest
 from tests.discovery.searched import calibrated_and_searched
@@ -73,6 +73,25 @@ def discovered(folder, plan, effects, **seeds):
 
 def names(discovery):
     return {finding.term.slug for finding in discovery.accepted}
+
+
+def test_an_effect_that_makes_held_out_errors_larger_is_left_out_and_said(tmp_path, plan):
+    """The approach of the held-out stops is recorded with the wrong sign: the backlash of the others then does harm."""
+    with measured_run(tmp_path / "run", plan, {"left": {"backlash": {"play": PLAY}}}) as run:
+        calibrate_run(run)
+        model, readings = CellModel.load(run.folder / CALIBRATION_FILE).arms["left"], run.readings("left")
+        as_recorded = discover_arm(run.profile, "left", model, readings)
+        approach = readings.approach.copy()
+        approach[readings.in_split("validate")] *= -1
+        found = discover_arm(run.profile, "left", model, replace(readings, approach=approach))
+    assert names(as_recorded) == {"backlash"}
+    assert found.accepted == ()
+    assert found.model.effects == ()
+    assert found.after.rms == pytest.approx(found.before.rms)
+    assert found.verdict == "unknown effect"
+    assert "backlash" in found.sentence
+    assert "made held-out errors larger" in found.sentence
+    assert "dropped in review: backlash" in found.steps[-1].what
 
 
 def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan):

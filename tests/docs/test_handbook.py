@@ -28,6 +28,7 @@ from cellapp.docs.scene import Scene, joint_offset, smr_shift
 from cellapp.effects import EFFECTS
 from cellapp.errors import InputError
 from cellapp.profile import load_profile
+from cellapp.tui.screens import SCREENS
 
 pytestmark = pytest.mark.fast
 
@@ -46,7 +47,8 @@ def scene() -> Scene:
 def test_every_effect_has_a_section_and_a_figure() -> None:
     assert set(effect_sections()) == set(EFFECTS)
     assert set(FIGURES) == set(EFFECTS)
-    assert {path.stem for path in (DOCS / "figures").iterdir()} == set(EFFECTS)
+    drawn = {path.stem for path in (DOCS / "figures").iterdir()}
+    assert {stem for stem in drawn if not stem.startswith("screen-")} == set(EFFECTS)
 
 
 @pytest.mark.parametrize("slug", EFFECTS)
@@ -130,12 +132,29 @@ def test_the_command_draws_the_figures(tmp_path: Path) -> None:
     assert {path.stem for path in (tmp_path / "new").iterdir()} == set(EFFECTS)
 
 
+def test_the_command_draws_every_screen(finished_run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "new"
+    ended = CliRunner().invoke(
+        app, ["docs", "screens", "--profile", str(TWIN), "--run", str(finished_run), "--out", str(out), "--json", "-"]
+    )
+    assert ended.exit_code == 0
+    paths = [out / f"screen-{entry.step}.svg" for entry in SCREENS]
+    assert json.loads(ended.stdout)["files"] == [str(path) for path in paths]
+    texts = {path.stem: path.read_text("utf-8").replace("&#160;", " ") for path in paths}
+    assert not any("@font-face" in text or len(text) > 150_000 for text in texts.values())
+    assert "REPLAY x100, nothing moves, PAUSED" in texts["screen-collect"]
+    assert "No readings yet" not in texts["screen-collect"], "each plot has its turn, however fast stops come"
+    assert "held-out errors [mm]" in texts["screen-calibrate"]
+    with pytest.raises(InputError, match="--run belongs to 'screens'"):
+        CliRunner().invoke(app, ["docs", "figures", "--run", "x"], catch_exceptions=False)
+
+
 def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'sorcery' is not a topic; topics are effects, discovery, joint_compliance"):
+    with pytest.raises(InputError, match="'sorcery' is not a topic; topics are effects, discovery, terminal, joint"):
         topic_text("sorcery")
     for arguments, words in (
         (["docs", "figures"], "needs --out DIR"),
-        (["docs", "backlash", "--out", str(tmp_path)], "--out belongs to 'figures'"),
+        (["docs", "backlash", "--out", str(tmp_path)], "--out belongs to 'figures' and 'screens'"),
     ):
         assert words in str(CliRunner().invoke(app, arguments).exception)
     (tmp_path / "file").write_text("", encoding="utf-8")

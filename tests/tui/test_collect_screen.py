@@ -12,6 +12,7 @@ from textual.pilot import Pilot
 from cellapp.control import Request
 from cellapp.progress import (
     AirReport,
+    Detail,
     JobState,
     LogReport,
     MeasurementBegun,
@@ -43,25 +44,23 @@ pytestmark = pytest.mark.fast
 Q0 = (0.5,) * 6
 Q1 = (-1.0, 0.25, 1.0, 1.5, -0.5, 2.0)
 WARM = (31.2, 31.3, 31.4, 31.5, 31.6, 31.7)
+EVERY_DETAIL: tuple[Detail, ...] = (
+    LogReport("info", "the weather station answers"),
+    MotionBegun(3, {"left": Q0, "right": Q0}, {"left": Q1, "right": Q1}, 4.2),
+    MotionEnded(3, {"left": Q1, "right": Q1}, {"left": WARM}),
+    MeasurementBegun(3, "left"),
+    PointMeasured(3, "left", Q1, (1.234567, -0.5, 0.25), 0.0123, 21.25),
+    AirReport(21.25, 1013.0, 44.0),
+    PointMissed(3, "right", "the beam was broken"),
+    *(StopReport(stop, "left", 0.05 + 0.01 * stop, 0.2 / (stop + 1), {}) for stop in range(4)),
+    Suspicion("loose SMR", "fasten the SMR of the left arm", "left"),
+    ReferenceReport({"arm left": 0.01}, 0.1),
+    ReferenceReport({"arm left": 0.034}, 0.1),
+    MotionBegun(None, {"right": Q1}, {"right": Q0}, 3.0),
+)
 EVERY_KIND = (
     Progress("plan", 30, 30, "done"),
-    *(
-        Progress("collect", 4, 30, "stop 5", 7200.0, detail)
-        for detail in (
-            LogReport("info", "the weather station answers"),
-            MotionBegun(3, {"left": Q0, "right": Q0}, {"left": Q1, "right": Q1}, 4.2),
-            MotionEnded(3, {"left": Q1, "right": Q1}, {"left": WARM}),
-            MeasurementBegun(3, "left"),
-            PointMeasured(3, "left", Q1, (1.234567, -0.5, 0.25), 0.0123, 21.25),
-            AirReport(21.25, 1013.0, 44.0),
-            PointMissed(3, "right", "the beam was broken"),
-            *(StopReport(stop, "left", 0.05 + 0.01 * stop, 0.2 / (stop + 1), {}) for stop in range(4)),
-            Suspicion("loose SMR", "fasten the SMR of the left arm", "left"),
-            ReferenceReport({"arm left": 0.01}, 0.1),
-            ReferenceReport({"arm left": 0.034}, 0.1),
-            MotionBegun(None, {"right": Q1}, {"right": Q0}, 3.0),
-        )
-    ),
+    *(Progress("collect", 4, 30, "stop 5", 7200.0, detail) for detail in EVERY_DETAIL),
 )
 
 

@@ -23,8 +23,8 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable, TabbedContent, TabPane
 
-from cellapp.docs.screens import settle
 from cellapp.tui.app import CellApp
+from cellapp.tui.pictures import settle
 from cellapp.tui.screens import SCREENS
 from tests.tui.pilot import PROFILES, SIZES, WAIT_S, opened, shown_text, until
 
@@ -32,6 +32,8 @@ SNAPSHOTS = Path(__file__).parent / "snapshots"
 UPDATE = os.environ.get("CELLAPP_UPDATE_SNAPSHOTS", "") not in ("", "0")
 _PLOT = re.compile("[\u2800-\u28ff]")
 _PART_OF_BLOCK = re.compile("[▏▎▍▌▋▊▉]")
+_SAME = 4
+"""Looks at a screen, each after a pause, that must find the same."""
 _NUMBER = re.compile(r"\W*\d[\d.,/]*( ?[a-zA-Z%°]{1,4})?")
 """A cell that is a number, perhaps with a unit; a longer text is repeated in full below its table."""
 _SPAN = re.compile(r"\d+(\.\d+)? (s|min|h)\b *")
@@ -71,14 +73,26 @@ async def test_every_screen_looks_as_it_did_and_cuts_no_number(size: tuple[int, 
         for entry in SCREENS:
             await pilot.press(entry.key)
             await settle(pilot)
-            differences += difference(f"{entry.step}-{size_name(size)}.txt", shown_text(app))
+            differences += difference(f"{entry.step}-{size_name(size)}.txt", await final_text(pilot, app))
             for tab in app.screen.query(TabPane).results():
                 app.screen.query_one(TabbedContent).active = tab.id or ""
-                await pilot.pause()
+                await final_text(pilot, app)
                 cut += [f"{entry.step}, {tab.id}: {text}" for text in numbers_cut(app)]
             cut += [f"{entry.step}: {text}" for text in numbers_cut(app)]
     assert not differences, "\n".join([*differences, "if this was wanted, write them anew as this module says"])
     assert not cut, "\n".join(cut)
+
+
+async def final_text(pilot: Pilot[None], app: CellApp) -> str:
+    """The screen once nothing changes any more: a table is as wide as its headings until it is idle."""
+    seen: list[str] = []
+
+    def same_twice() -> bool:
+        seen.append(shown_text(app))
+        return len(seen) > _SAME and len(set(seen[-_SAME:])) == 1
+
+    await until(pilot, same_twice, "a screen that rests")
+    return seen[-1]
 
 
 def difference(name: str, shown: str) -> list[str]:

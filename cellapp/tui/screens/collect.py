@@ -384,9 +384,11 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         if self._plot_waits:
             return
         state = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace)
-        for name in (name for name in _PLOTS if self._plotted.get(name) != state):
+        oldest_first = (*(name for name in _PLOTS if name not in self._plotted), *self._plotted)
+        for name in (name for name in oldest_first if self._plotted.get(name) != state):
             self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
-            self._plotted[name] = state
+            self._plotted.pop(name, None)
+            self._plotted[name] = state  # now the newest
             if record.state is not None:
                 self._plot_waits = True
                 self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))

@@ -15,6 +15,7 @@ from cellapp.errors import InputError
 if TYPE_CHECKING:
     from textual.pilot import Pilot
 
+    from cellapp.tui.app import CellApp
 
 SIZE = (120, 40)
 """Columns and lines of a usual terminal."""
@@ -24,6 +25,8 @@ _WAIT_S = 300.0
 _LOOK_S = 0.05
 """How often it is looked whether a replay is far enough."""
 _FONT = re.compile(r"@font-face \{.*?\}\s*", re.DOTALL)
+_PLOTS_S = 1.0
+"""The screen Collect draws its plots one after the other, so that keys are answered between them."""
 _SETTLED = 3
 """Screens that read something in a thread draw it a message later, and that may begin another reading."""
 
@@ -39,7 +42,7 @@ def write_screens(profile: Path, run: Path | None, folder: Path, size: tuple[int
     Parameters
     ----------
     profile : Path
-        A profile; where ``run`` is given, the screens show the run's own.
+        A profile; where ``run`` is given, that from which it was planned.
     run : Path or None
         Folder of the run.
     folder : Path
@@ -82,8 +85,8 @@ async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> d
             if run is None:
                 app.open_profile(profile)
             else:
-                app.open_run(run)
-            for entry in SCREENS:
+                app.open_run(run, profile)
+            for entry in sorted(SCREENS, key=lambda entry: entry.step == "collect"):  # a replay leaves a message
                 app.action_show(entry.step)
                 await settle(pilot)
                 if run is not None and entry.step == "collect":
@@ -91,7 +94,7 @@ async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> d
                 svg = app.export_screenshot(title=f"cellapp: {entry.title}")
                 pictures[screen_file(entry.step)] = _without_fonts(svg)
                 await _end_job(app, pilot)
-    return pictures
+    return {screen_file(entry.step): pictures[screen_file(entry.step)] for entry in SCREENS}
 
 
 async def _replay_half(app: CellApp, pilot: Pilot[None], run: Path) -> None:
@@ -105,6 +108,7 @@ async def _replay_half(app: CellApp, pilot: Pilot[None], run: Path) -> None:
         while app.jobs.running and min(map(len, app.record.stops.values()), default=0) < half:
             await asyncio.sleep(_LOOK_S)
     app.action_pause()
+    await asyncio.sleep(_PLOTS_S)
     await settle(pilot)
 
 

@@ -1,0 +1,32 @@
+"""Messages that other threads send to the application."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from textual.message import Message
+
+from cellapp.tui.workspace import Workspace
+
+if TYPE_CHECKING:
+    from cellapp.results import RunSummary
+
+
+class LeaveAsked(Message):
+    """The terminal was closed, or the system ends this program."""
+
+
+class WorkspaceLoaded(Message):
+    """Profile and run were read."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        super().__init__()
+        self.workspace = workspace
+
+
+class ResumeOffered(Message):
+    """A run was found that was interrupted while collecting."""
+
+    def __init__(self, run: RunSummary) -> None:
+        super().__init__()
+        self.run = run
