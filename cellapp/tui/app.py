@@ -31,12 +31,12 @@ from cellapp.tui.dialogs.handbook import Handbook
 from cellapp.tui.dialogs.jump import Jump
 from cellapp.tui.dialogs.motion import MotionQuestion
 from cellapp.tui.dialogs.palette import Palette
-from cellapp.tui.dialogs.question import Answer, Choice, Reading
-from cellapp.tui.endings import STOPPED, UNEXPECTED, ending_of, forget_terminal
+from cellapp.tui.dialogs.question import Reading
+from cellapp.tui.endings import STOPPED, UNEXPECTED, ending_of, forget_terminal, left_behind
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
 from cellapp.tui.messages import LeaveAsked, ResumeOffered, WorkspaceLoaded
-from cellapp.tui.offers import offer_to_resume, offer_whole_day
+from cellapp.tui.offers import offer_to_quit, offer_to_resume, offer_whole_day
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.themes import HIGH_CONTRAST
@@ -194,10 +194,7 @@ class CellApp(App[None]):
         if not self.jobs.running:
             self.exit(return_code=self._code)
         elif not self._leaving:
-            brake = "Brake all arms, end it" if self.jobs.control.has_brakes else "End it"
-            text = f"'{self.record.name}' is in progress. {brake} and quit?"
-            answers = (Answer("stay", "Continue", "n"), Answer("leave", "Stop and quit", "y", "error"))
-            self.push_screen(Choice("Quit?", text, answers), lambda answer: self._leave(answer == "leave"))
+            offer_to_quit(self, self._leave)
 
     @on(LeaveAsked)
     def leave_at_once(self) -> None:
@@ -219,11 +216,7 @@ class CellApp(App[None]):
 
     def _quit_without_job(self) -> None:
         if self.jobs.running:
-            words = (
-                f"'{self.record.name}' did not stop within {self._patience_s:.0f} s; cellapp ended without it. Check"
-                " the cell before you start again; the run keeps the measured data."
-            )
-            self.exit(return_code=UNEXPECTED, message=Text(words))
+            self.exit(return_code=UNEXPECTED, message=Text(left_behind(self.record.name, self._patience_s)))
 
     # -- screens -------------------------------------------------------------------------------------------------------
 
@@ -496,10 +489,9 @@ class CellApp(App[None]):
             self._say_state()
 
     def _say_state(self) -> None:
-        """A new state of the job in the message line."""
+        """A new state of the job in the message line; what a replay plays back is no state of these arms."""
         state, reason = self.record.state, self.record.reason
         if state is not None and reason:
-            # what a replay plays back is no state of these arms
             self.message = f"{self.record.name}: {reason}" if self.record.is_replay else f"{state.upper()}: {reason}"
             self._severity = "information" if state == "running" else "warning"
             self._draw_message()

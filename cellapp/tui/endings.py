@@ -91,6 +91,14 @@ def how_to_resume(last: Progress | None, folder: Path | None) -> str:
     return f"go on here with the key of that step, or with: {command}"
 
 
+def left_behind(name: str, patience_s: float) -> str:
+    """What a person must know of a job that did not stop before the program ended."""
+    return (
+        f"'{name}' did not stop within {patience_s:.0f} s; cellapp ended without it. Check the cell before you start"
+        " again; the run keeps the measured data."
+    )
+
+
 def _unexpected(error: BaseException, folder: Path | None) -> str:
     """Write the traceback of an unexpected error into the run's folder and return one sentence about it."""
     what = f"Unexpected {type(error).__name__} in the program"

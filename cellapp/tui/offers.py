@@ -1,7 +1,8 @@
-"""Questions that the application asks before it begins something larger. Each begins nothing by itself."""
+"""Questions that the application asks before it begins something larger, or ends. Each begins nothing by itself."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,14 @@ def offer_whole_day(app: CellApp) -> None:
             app.action_show("collect")
 
     app.push_screen(Choice("Everything, unattended?", text, BEGIN), begin)
+
+
+def offer_to_quit(app: CellApp, leave: Callable[[bool], None]) -> None:
+    """Ask whether to stop the job that is in progress and quit; ``leave`` takes the answer."""
+    brake = "Brake all arms, end it" if app.jobs.control.has_brakes else "End it"
+    answers = (Answer("stay", "Continue", "n"), Answer("leave", "Stop and quit", "y", "error"))
+    question = Choice("Quit?", f"'{app.record.name}' is in progress. {brake} and quit?", answers)
+    app.push_screen(question, lambda answer: leave(answer == "leave"))
 
 
 def offer_to_resume(app: CellApp, run: RunSummary) -> None:

@@ -56,7 +56,6 @@ def check_plan(folder: Path) -> Job:
     """Run the safety gate over the plan of a run again; nothing moves."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        import cellapp.reporting.plan_text  # noqa: F401 - the screen draws with it, and must not wait for it to load
         from cellapp.planning.check import check_plan_run
 
         return check_plan_run(run, listener, control)

@@ -13,9 +13,11 @@ from cellapp.errors import InputError
 from cellapp.profile import load_profile
 from cellapp.progress import ignore
 from cellapp.tui import work
-from cellapp.tui.app import CellApp, MotionAsked, WorkspaceLoaded
+from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.motion import MotionQuestion
 from cellapp.tui.dialogs.question import Choice, Reading
+from cellapp.tui.jobs import MotionAsked
+from cellapp.tui.messages import WorkspaceLoaded
 from cellapp.tui.workspace import Workspace
 from tests.tui.pilot import PROFILES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
 
