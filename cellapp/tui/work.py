@@ -204,7 +204,7 @@ def report_data(folder: Path | None) -> ReportData | None:
     try:
         with RunFile.open(folder) as run:
             data = read_report_data(run)
-    except CellappError:
+    except (CellappError, OSError, ValueError, TypeError):  # the last three: values of a damaged or foreign file
         return None  # the screen says what is missing
     for arm in data.held_out.values():
         _ = arm.errors_mm  # computed here, not while drawing

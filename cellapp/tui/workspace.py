@@ -119,7 +119,10 @@ def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
     try:
         return _with_run(profile_path, profile, folder)
     except CellappError as error:
-        return Workspace(profile_path, profile, problem=f"{problem}; {error}" if problem else str(error))
+        why = str(error)
+    except (OSError, ValueError, TypeError) as error:  # whatever a damaged or foreign file may contain
+        why = f"{folder} holds values that this cellapp cannot read ({str(error).partition(chr(10))[0]})"
+    return Workspace(profile_path, profile, problem=f"{problem}; {why}" if problem else why)
 
 
 def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) -> Workspace:

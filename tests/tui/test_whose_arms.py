@@ -18,7 +18,7 @@ from cellapp.tui.dialogs.motion import MotionQuestion
 from cellapp.tui.dialogs.question import Choice, Reading
 from cellapp.tui.jobs import MotionAsked
 from cellapp.tui.messages import WorkspaceLoaded
-from cellapp.tui.workspace import Workspace
+from cellapp.tui.workspace import Workspace, load_workspace
 from tests.tui.pilot import PROFILES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
 
 pytestmark = pytest.mark.fast
@@ -102,3 +102,14 @@ async def test_a_dialog_names_the_key_that_closes_it_while_escape_stops() -> Non
         assert held.control.request == "none"
         held.go_on.set()
         await ended(pilot, app)
+
+
+def test_values_that_no_version_stores_are_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def damaged(profile_path: Path, profile: object, folder: Path) -> Workspace:
+        raise ValueError("stop 3: not a number\nwith more lines")
+
+    monkeypatch.setattr("cellapp.tui.workspace._with_run", damaged)
+    found = load_workspace(PROFILES / "twin.yaml", Path("logs/old"))
+    assert found.problem == "logs/old holds values that this cellapp cannot read (stop 3: not a number)"
+    assert found.folder is None
+    assert found.profile is not None

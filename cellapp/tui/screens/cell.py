@@ -15,6 +15,7 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
 
+from cellapp.errors import CellappError
 from cellapp.tui import work as verbs
 from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.screens.base import DayScreen
@@ -233,8 +234,14 @@ class CellScreen(DayScreen):
     @work(thread=True, group="probe")
     def _probe(self, profile: Profile, names: Collection[str]) -> None:
         from cellapp.commissioning.doctor import probe_devices
+        from cellapp.results import DoctorResult, Finding
 
-        self.post_message(DevicesProbed(profile, probe_devices(profile, names)))
+        try:
+            result = probe_devices(profile, names)
+        except (CellappError, OSError, ValueError) as error:  # an answer that no driver foresees must not end all
+            failed = [Finding(subject=name, status="failed", text=f"could not be asked: {error}") for name in names]
+            result = DoctorResult(findings=tuple(failed))
+        self.post_message(DevicesProbed(profile, result))
 
     @on(DevicesProbed)
     def show_probed(self, event: DevicesProbed) -> None:
