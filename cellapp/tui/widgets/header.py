@@ -42,7 +42,7 @@ class DayHeader(Horizontal):
     def show(self, workspace: Workspace, record: JobRecord) -> None:
         """Draw what is open and what runs."""
         where = f"{profile_name(workspace)} · {'no run' if workspace.folder is None else workspace.folder}"
-        replays = record.name.startswith("replay") and record.state is not None
+        replays = record.is_replay and record.state is not None
         kind = "replay" if replays else workspace.kind
         drawn = (kind, where, job_words(record), record.state)
         if drawn == self._drawn:
