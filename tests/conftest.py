@@ -20,50 +20,6 @@ from cellapp.pipeline import calibrate_run, discover_run, new_planned_run, push_
 from tests.twin import PROFILES, finished_twin
 
 FEW_TARGETS = 2
-TESTS = Path(__file__).parent
-ON_THE_WIRE = tuple(
-    TESTS / place
-    for place in (
-        "commissioning",
-        "drivers/arms",
-        "drivers/emulators",
-        "drivers/sensors",
-        "drivers/trackers",
-        "collection/test_controllers.py",
-        "trials/test_storm.py",
-        "tui/test_stop_on_the_wire.py",
-    )
-)
-"""Tests with sockets, fixed addresses and real waits: one process does all of them, one after the other."""
-GIVES_WAY = 5
-"""Niceness of a process that computes: it gets a quarter of a core that both want."""
-
-
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Two processes for a run of all tests: one mostly waits for emulators, the other computes. None for a part."""
-    return 2 if config.args_source == pytest.Config.ArgsSource.TESTPATHS else 0
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep a module's tests in one process, where they share fixtures, and all tests on the wire in the first one."""
-    if not hasattr(config, "workerinput"):
-        return
-    items.sort(key=lambda item: not is_on_the_wire(item))
-    for item in items:
-        group = "on the wire" if is_on_the_wire(item) else item.path.relative_to(TESTS).as_posix()
-        item.add_marker(pytest.mark.xdist_group(group))
-
-
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Let a process that computes give way to the one whose devices send heartbeats, which begins with those."""
-    if hasattr(item.config, "workerinput") and hasattr(os, "nice") and not is_on_the_wire(item):
-        os.nice(max(0, GIVES_WAY - os.nice(0)))
-
-
-def is_on_the_wire(item: pytest.Item) -> bool:
-    """Whether a test needs sockets, fixed addresses or real waits."""
-    return any(item.path.is_relative_to(place) for place in ON_THE_WIRE)
 
 
 # an example that takes long, on a busy computer, is no fault

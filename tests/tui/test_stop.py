@@ -219,7 +219,7 @@ async def test_a_closed_terminal_brakes_the_arms_and_ends_the_program(number: in
 
 async def braked_by_signal(number: int) -> float:
     """Send this process a signal during a job; return how long it took until the arms braked [s]."""
-    moving = MovingJob()
+    moving, before = MovingJob(), signal.getsignal(number)
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await started(pilot, app, moving)
@@ -228,7 +228,7 @@ async def braked_by_signal(number: int) -> float:
         assert await asyncio.to_thread(moving.braked.wait, WAIT_S)
         await until(pilot, lambda: app.return_code is not None, "the end of the application")
     assert app.return_code == 4
-    assert signal.getsignal(number) is signal.SIG_DFL
+    assert signal.getsignal(number) is before
     return moving.brakes[0][1] - sent_s
 
 

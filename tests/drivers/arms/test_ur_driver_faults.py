@@ -234,6 +234,7 @@ def test_the_other_arm_goes_on_when_one_link_breaks(unconnected: EmulatorProcess
         began_s = time.monotonic()
         for driver in (left, right):
             driver.start_move(AWAY, SPEED * 0.2, ACCELERATION)
+        until(lambda: float(np.abs(left.state().q - HOME).max()) > 0.02, "the left arm moves")
         inject(emulator, "left", "rst")
         np.testing.assert_allclose(right.wait_settled(PATIENT_S).q, AWAY, atol=1e-6)
         with pytest.raises(LinkLost):
