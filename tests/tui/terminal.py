@@ -1,8 +1,4 @@
-"""The program in a real terminal: a pseudo terminal whose screen is kept by pyte. POSIX only.
-
-``python -m tests.tui.terminal`` measures the first paint and the time from a key to its answer, while nothing runs,
-while a simulated cell collects, and while discovery searches.
-"""
+"""The program in a real terminal: a pseudo terminal whose screen is kept by pyte. POSIX only."""
 
 from __future__ import annotations
 
@@ -11,13 +7,10 @@ import fcntl
 import os
 import pty
 import select
-import shutil
 import signal
-import statistics
 import struct
 import subprocess
 import sys
-import tempfile
 import termios
 import threading
 import time
@@ -120,65 +113,3 @@ def cellapp(folder: Path, columns: int = 120, rows: int = 40) -> Iterator[Termin
         yield terminal
     finally:
         terminal.close()
-
-
-# -- measurement ------------------------------------------------------------------------------------------------------
-
-
-def letters_s(terminal: Terminal, count: int, pause_s: float) -> list[float]:
-    """Time from a letter, typed into the search field of the screen Collect, to its echo on the screen [s]."""
-    terminal.send("3/")
-    terminal.quiet(pause_s)
-    typed, took = "", []
-    for number in range(count):
-        letter = "qwertzuiop"[number % 10]
-        typed += letter
-        sent_s = terminal.send(letter)
-        wanted = typed
-        took.append(terminal.until(lambda text: wanted in text, f"the echo of {wanted}") - sent_s)  # noqa: B023
-        terminal.quiet(pause_s)
-    return took
-
-
-def screens_s(terminal: Terminal, count: int, pause_s: float) -> list[float]:
-    """Time from the key of a screen until it is there [s], the first visit of each left out."""
-    took = []
-    for number in range(-2, count):
-        for key, words in (("4", "Calibrate"), ("5", "Discover")):
-            sent_s = terminal.send(key)
-            mark = f"b {words}".replace(" ", "\N{NO-BREAK SPACE}")
-            shown_s = terminal.until(lambda text: mark in text or mark[2:] in text.split("\n")[-2], words)  # noqa: B023
-            took += [shown_s - sent_s] if number >= 0 else []
-            terminal.quiet(pause_s)
-    return took
-
-
-def figures(took_s: list[float]) -> str:
-    """Median, 95th percentile and maximum in milliseconds."""
-    ordered = sorted(took_s)
-    p95 = ordered[max(int(0.95 * len(ordered)) - 1, 0)]
-    return f"median {statistics.median(ordered) * 1e3:.0f} ms, 95 % {p95 * 1e3:.0f} ms, max {ordered[-1] * 1e3:.0f} ms"
-
-
-def main() -> None:
-    """Print what the README states."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        shutil.copytree(ROOT / "profiles", folder / "profiles")
-        with cellapp(folder) as terminal:
-            painted_s = terminal.until(lambda text: "STOP" in text, "the first screen") - terminal.began_s
-            print(f"first paint after {painted_s:.2f} s")
-            terminal.until(lambda text: "SIMULATED" in text, "the profile")
-            terminal.quiet(3.0)
-            print("idle, another screen:", figures(screens_s(terminal, 10, 0.2)))
-            terminal.send("1\x1b[15~")  # F5
-            terminal.until(lambda text: "unattended" in text, "the question")
-            terminal.send("b")
-            terminal.until(lambda text: "collect 1" in text.split("\n")[0], "collecting")
-            print("collecting, a letter:", figures(letters_s(terminal, 60, 0.1)))
-            terminal.until(lambda text: "discover" in text.split("\n")[0], "discovery")
-            print("discovering, a letter:", figures(letters_s(terminal, 40, 0.05)))
-
-
-if __name__ == "__main__":
-    main()
