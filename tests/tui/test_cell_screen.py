@@ -42,7 +42,7 @@ def device_rows(app: CellApp) -> list[list[str]]:
     return [[str(cell) for cell in table.get_row_at(row)] for row in range(table.row_count)]
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
 async def test_a_profile_stands_in_words_and_the_doctor_has_one_line(size: tuple[int, int]) -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=size) as pilot:
