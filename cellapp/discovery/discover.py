@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -31,7 +31,7 @@ from cellapp.discovery.search.state import SCORE_MARGIN, SearchResult
 from cellapp.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
 from cellapp.discovery.structure import structure_left
 from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, smoothness_of, without_term
-from cellapp.discovery.verdict import SAMPLING_ERRORS, verdict
+from cellapp.discovery.verdict import sampling_allowance, verdict
 from cellapp.effects import EFFECTS, MeasurementConditions
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
@@ -259,13 +259,12 @@ def _search_rows(
 def _without_harm(result: _Searched, held_out: HeldOut) -> _Searched:
     """The result, without its terms where they predict held-out readings worse than geometry alone does.
 
-    Few readings can be fitted by effects that are not there. The rise must be more than the sampling of an rms error
-    over n readings, whose relative standard error is ``1 / sqrt(6 n)``.
+    Few readings can be fitted by effects that are not there. The rise must be more than sampling explains.
     """
     found = result.found
     if not found.fit.terms or not len(held_out):
         return result
-    allowed = 1.0 + SAMPLING_ERRORS / math.sqrt(6.0 * len(held_out))
+    allowed = sampling_allowance(len(held_out))
     if held_out.rms_mm(result.model) <= allowed * held_out.rms_mm(found.geometry_only.model):
         return result
     bare = found.without_terms()
@@ -281,13 +280,19 @@ def _without_harm(result: _Searched, held_out: HeldOut) -> _Searched:
 def _with_what_was_left_out(sentence: str, result: _Searched) -> str:
     """The sentence of the verdict, with effects that did harm, and with the readings that were left out."""
     if result.harmful:
-        titles = ", ".join(EFFECTS[slug].title if slug != UNKNOWN else "a data-driven term" for slug in result.harmful)
-        sentence = f"{sentence}; {titles} made held-out errors larger and was left out: measure more stops"
+        sentence = (
+            f"{sentence}; {_titles(result.harmful)} made held-out errors larger and was left out: measure more stops"
+        )
     left_out = result.left_out
     if not left_out:
         return sentence
     named = ", ".join(map(str, left_out[:_MOST_LISTED])) + (", ..." if len(left_out) > _MOST_LISTED else "")
     return f"{sentence}; {len(left_out)} readings with gross errors were left out (configurations {named})"
+
+
+def _titles(slugs: Sequence[str]) -> str:
+    """Titles of effects, joined by commas."""
+    return ", ".join(EFFECTS[slug].title if slug != UNKNOWN else "a data-driven term" for slug in slugs)
 
 
 def _gap_steps(
@@ -299,8 +304,7 @@ def _gap_steps(
         GapStep(step.what, step.slug, held_out.rms_mm(step.model)) for step in found.steps if step.model is not None
     ]
     if found.dropped:
-        titles = [EFFECTS[slug].title if slug != UNKNOWN else "a data-driven term" for slug in found.dropped]
-        steps.append(GapStep(f"dropped in review: {', '.join(titles)}", "", after_mm))
+        steps.append(GapStep(f"dropped in review: {_titles(found.dropped)}", "", after_mm))
     if fitted is not None:
         steps.append(GapStep(f"fitted to all {fitted} readings", "", after_mm))
     return tuple(steps)

@@ -15,7 +15,7 @@ from cellapp.results import RemainingStructure, Verdict
 _FLOOR = 1.05
 """Held-out rms error over the noise floor up to which the gap counts as closed: the twin's plan of a hundred held-out
 stops scatters it by 4 %."""
-SAMPLING_ERRORS = 2.5
+_SAMPLING_ERRORS = 2.5
 """Standard errors of the held-out rms by which it may pass the floor: a chance of 0.6 %."""
 
 
@@ -68,10 +68,17 @@ def _left(
     return f"readings scatter {scatter.ratio:.2f} times as stated {without}: repeatability or noise; {gap}"
 
 
+def sampling_allowance(held_out: int) -> float:
+    """Factor by which the rms error of n held-out readings may pass another one by sampling alone.
+
+    The rms of 3 n coordinates has a relative standard error of ``1 / sqrt(6 n)``.
+    """
+    return 1.0 + _SAMPLING_ERRORS / math.sqrt(6.0 * max(held_out, 1))
+
+
 def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: Scatter) -> bool:
     """Whether the held-out error is at the noise floor, or what is left may be the stated noise."""
-    # the rms of 3 n coordinates has a relative standard error of 1 / sqrt(6 n)
-    sampling = 1.0 + SAMPLING_ERRORS / math.sqrt(6.0 * max(held_out, 1))
+    sampling = sampling_allowance(held_out)
     return (
         after_mm <= floor_mm * _FLOOR
         or scatter.p_value > FLOOR_CHANCE

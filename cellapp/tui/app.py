@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from rich.text import Text
 from textual import on, work
@@ -35,16 +35,13 @@ from cellapp.tui.dialogs.question import Reading
 from cellapp.tui.endings import STOPPED, UNEXPECTED, ending_of, forget_terminal, left_behind
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
-from cellapp.tui.messages import LeaveAsked, ResumeOffered, WorkspaceLoaded
+from cellapp.tui.messages import LeaveAsked, ResumeOffered, Severity, WorkspaceLoaded
 from cellapp.tui.offers import offer_to_quit, offer_to_resume, offer_whole_day
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.themes import HIGH_CONTRAST
 from cellapp.tui.widgets.header import DayHeader, StepLine, StepTab
-from cellapp.tui.workspace import RUN_FILE, Step, Workspace, load_workspace
-
-if TYPE_CHECKING:
-    pass
+from cellapp.tui.workspace import Step, Workspace, holds_run, load_workspace
 
 _REQUESTS = ("stop", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
@@ -115,7 +112,8 @@ class CellApp(App[None]):
         self.jobs = JobRunner(self.post_message)
         self.asked_by: DayScreen | None = None
         """The screen that asked for the present job; it gets the result, whichever screen is shown then."""
-        self.message, self._severity = "", "information"
+        self.message = ""
+        self._severity: Severity = "information"
         self._screens: dict[Step, DayScreen] = {}
         self._commands: list[SystemCommand] = []
         self._drawn = -1
@@ -307,10 +305,6 @@ class CellApp(App[None]):
         """Open a run; its own profile is used."""
         self._load(profile_path, folder)
 
-    def reload(self) -> None:
-        """Read profile and run again."""
-        self._load(self.workspace.profile_path, self.workspace.folder)
-
     def _load(self, profile_path: Path | None, folder: Path | None) -> None:
         if self._hides_moving_arms(folder):
             text = f"'{self.record.name}' moves arms; stop it or wait for its end before something else is opened."
@@ -439,17 +433,15 @@ class CellApp(App[None]):
             for screen in dict.fromkeys((self.asked_by or self.day_screen, self.day_screen)):
                 screen.show_result(message.ending)
         folder = message.job.folder or self.workspace.folder
-        has_run = folder is not None and (folder / RUN_FILE).is_file()
-        self._load(self.workspace.profile_path, folder if has_run else self.workspace.folder)
+        self._load(self.workspace.profile_path, folder if holds_run(folder) else self.workspace.folder)
         self.refresh_bindings()
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
-    def say(self, text: str, severity: str = "information") -> None:
+    def say(self, text: str, severity: Severity = "information") -> None:
         """Show a sentence in the message line of every screen and keep it in the log."""
         self.message, self._severity = text, severity
-        level = {"information": "info", "warning": "warning", "error": "error"}[severity]
-        self.record.note(text, level)  # type: ignore[arg-type]
+        self.record.note(text, "info" if severity == "information" else severity)
         self._draw_message()
         self.refresh_bindings()
 

@@ -13,6 +13,7 @@ from cellapp.control import Aborted
 from cellapp.errors import CellappError, CheckFailed, HardwareError
 from cellapp.progress import Cancelled, Progress
 from cellapp.tui.jobs import Job, JobEnded
+from cellapp.tui.messages import Severity
 from cellapp.tui.work import VERIFY
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ class Ending:
     """How a job ended: a sentence, how serious it is, the exit code of the program that quits then."""
 
     text: str
-    severity: str
+    severity: Severity
     code: int
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from textual.message import Message
 
@@ -10,6 +10,9 @@ from cellapp.tui.workspace import Workspace
 
 if TYPE_CHECKING:
     from cellapp.results import RunSummary
+
+Severity = Literal["information", "warning", "error"]
+"""How serious a sentence is; the words of Textual."""
 
 
 class LeaveAsked(Message):

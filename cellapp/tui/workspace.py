@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from cellapp.profile import Profile
     from cellapp.results import CellKind, CollectionResult, OverviewResult, RunResults, StopsResult
 
-RUN_FILE = "run.sqlite"
-"""As ``cellapp.run`` names it; that package is loaded when a run is opened."""
-
 Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "runs"]
 STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "runs")
 StepState = Literal["open", "next", "done", "out of date"]
@@ -102,6 +99,13 @@ class Workspace:
 NO_PROFILE = "No profile is open: choose one on the screen Cell (key 1)."
 NO_RUN = "No run is open: plan one (key 2), or open one on the screen Runs (key 7)."
 """What screens say where there is nothing to work on."""
+
+
+def holds_run(folder: Path | None) -> bool:
+    """Whether a folder holds a run file."""
+    from cellapp.run.sqlite_file import FILE_NAME
+
+    return folder is not None and (folder / FILE_NAME).is_file()
 
 
 def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:

@@ -81,7 +81,7 @@ async def test_a_profile_that_was_edited_meanwhile_is_said_and_the_run_goes_on(a
     async with app.run_test(size=SMALL) as pilot:
         await open_day(pilot, app)
         profile.write_text(profile.read_text("utf-8").replace("averaging: 1.0", "averaging: 2.0"), "utf-8")
-        app.reload()
+        app.open_run(DAY, profile)
         await says(pilot, app, "The profile was edited after this run was planned; the run keeps its own copy.")
         await collect(pilot, app)
         await says(pilot, app, "COMPLETE, 30 stops")
@@ -92,10 +92,10 @@ async def test_a_profile_that_was_broken_meanwhile_is_said_with_file_and_line(ap
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
         profile.write_text(profile.read_text("utf-8").replace("clearance: ", "clearence: "), "utf-8")
-        app.reload()
+        app.open_profile(profile)
         await says(pilot, app, "profiles/twin.yaml", "clearence")
         profile.write_text(profile.read_text("utf-8").replace("clearence: ", "clearance: "), "utf-8")
-        app.reload()
+        app.open_profile(profile)
         await until(pilot, lambda: app.workspace.profile is not None, "the mended profile")
 
 

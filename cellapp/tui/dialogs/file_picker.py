@@ -57,6 +57,30 @@ def completions(text: str, wanted: Callable[[Path], bool]) -> list[str]:
     return found[:_MOST_SHOWN]
 
 
+class PathField(Input):
+    """A field for a path, which it completes.
+
+    Parameters
+    ----------
+    text : str
+        The path to begin with.
+    wanted : callable
+        Whether a file may be chosen.
+    """
+
+    def __init__(self, text: str, wanted: Callable[[Path], bool]) -> None:
+        super().__init__(text, suggester=PathSuggester(wanted), id="path", compact=True)
+        self._wanted = wanted
+
+    def complete(self) -> None:
+        """Complete as far as all candidates agree."""
+        found = completions(self.value, self._wanted)
+        if found:
+            self.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
+            self.cursor_position = len(self.value)
+        self.focus()
+
+
 class FilePicker(Question[Path]):
     """Ask for a path. Returns it; None where the dialog is closed.
 
@@ -68,8 +92,6 @@ class FilePicker(Question[Path]):
         The folder or file at which to begin.
     wanted : callable
         Which files are listed.
-    folder : bool
-        Whether a folder is asked for.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -77,14 +99,14 @@ class FilePicker(Question[Path]):
         Binding("down", "into_list", "List", show=False),
     ]
 
-    def __init__(self, title: str, start: Path, wanted: Callable[[Path], bool], *, folder: bool = False) -> None:
+    def __init__(self, title: str, start: Path, wanted: Callable[[Path], bool]) -> None:
         super().__init__()
-        self._title, self._start, self._wanted, self._folder = title, start, wanted, folder
+        self._title, self._start, self._wanted = title, start, wanted
 
     def body(self) -> ComposeResult:
         yield Static(self._title, classes="title", markup=False)
         text = str(self._start) + (os.sep if self._start.is_dir() and str(self._start) != os.sep else "")
-        yield Input(text, suggester=PathSuggester(self._wanted), id="path", compact=True)
+        yield PathField(text, self._wanted)
         yield OptionList(id="found", markup=False, compact=True)
         yield Static(f"Tab completes, Enter opens, {self.closing_key} closes.", id="why", classes="text", markup=False)
         with Horizontal(classes="answers"):
@@ -110,12 +132,7 @@ class FilePicker(Question[Path]):
 
     def action_complete(self) -> None:
         """Complete as far as all candidates agree; the only one whole."""
-        field = self.query_one("#path", Input)
-        found = completions(field.value, self._wanted)
-        if found:
-            field.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
-            field.cursor_position = len(field.value)
-        field.focus()
+        self.query_one(PathField).complete()
 
     def action_into_list(self) -> None:
         """Go to the list below the field."""
@@ -149,9 +166,7 @@ class FilePicker(Question[Path]):
 
     def _open(self) -> None:
         path = Path(self.query_one("#path", Input).value.strip()).expanduser()
-        right = path.is_dir() if self._folder else path.is_file()
-        if right:
+        if path.is_file():
             self.dismiss(path)
             return
-        kind = "folder" if self._folder else "file"
-        self.query_one("#why", Static).update(f"{path}: no such {kind}. Tab completes, {self.closing_key} closes.")
+        self.query_one("#why", Static).update(f"{path}: no such file. Tab completes, {self.closing_key} closes.")

@@ -13,6 +13,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.screen import ModalScreen
 from textual.widgets import Button, Static
+from textual.widgets.button import ButtonVariant
 
 from cellapp.tui.widgets.stop import StopCorner
 
@@ -49,7 +50,7 @@ class Answer:
     value: str
     label: str
     key: str
-    variant: str = "default"
+    variant: ButtonVariant = "default"
 
 
 class Choice(Question[str]):
@@ -77,7 +78,7 @@ class Choice(Question[str]):
         with Horizontal(classes="answers"):
             for answer in self._answers:
                 label = f"{answer.label} ({answer.key})"
-                yield Button(label, id=answer.value, variant=answer.variant, compact=True)  # type: ignore[arg-type]
+                yield Button(label, id=answer.value, variant=answer.variant, compact=True)
 
     def on_mount(self) -> None:
         """Let each answer be given by its key."""

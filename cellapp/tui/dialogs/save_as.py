@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import ClassVar
 
@@ -12,7 +11,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.widgets import Button, Input, Static
 
-from cellapp.tui.dialogs.file_picker import PathSuggester, completions
+from cellapp.tui.dialogs.file_picker import PathField
 from cellapp.tui.dialogs.question import Question
 
 
@@ -37,7 +36,7 @@ class SaveAs(Question[Path]):
 
     def body(self) -> ComposeResult:
         yield Static(f"Save {self._what} as", classes="title", markup=False)
-        yield Input(str(self._proposed), suggester=PathSuggester(_anything), id="path", compact=True)
+        yield PathField(str(self._proposed), _anything)
         yield Static(f"Tab completes, Enter saves, {self.closing_key} closes.", id="why", classes="text", markup=False)
         with Horizontal(classes="answers"):
             yield Button("Save", id="save", variant="success", compact=True)
@@ -49,12 +48,7 @@ class SaveAs(Question[Path]):
 
     def action_complete(self) -> None:
         """Complete as far as all candidates agree."""
-        field = self.query_one("#path", Input)
-        found = completions(field.value, _anything)
-        if found:
-            field.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
-            field.cursor_position = len(field.value)
-        field.focus()
+        self.query_one(PathField).complete()
 
     @on(Input.Submitted)
     def submit(self, event: Input.Submitted) -> None:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cellapp.results import Result
     from cellapp.tui.app import CellApp
     from cellapp.tui.jobs import Job
+    from cellapp.tui.messages import Severity
 
 _LEAST = (60, 16)
 """Columns and lines of a terminal below which tables and plots cannot be read."""
@@ -81,7 +82,7 @@ class DayScreen(Screen[None]):
             self.say(NO_RUN, "warning")
         return self.workspace.folder
 
-    def say(self, text: str, severity: str = "information") -> None:
+    def say(self, text: str, severity: Severity = "information") -> None:
         """Show a sentence in the message line of every screen."""
         self.cell_app.say(text, severity)
 
