@@ -13,6 +13,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, StrictFloat, field_validator, model_validator
 
 from cellapp.profile.collection import Collection
+from cellapp.profile.obstacles import Obstacles
+from cellapp.profile.plan import Plan
 from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from drivers.quantities import (
@@ -183,24 +185,6 @@ class Sensors(Section):
     air: Annotated[AirSensorSettings, OneOf(AIR_SENSORS)] | None = None
 
 
-class Plan(Section):
-    """Number of stops and what keeps them safe. ``floor`` is the height in C below which no body may reach."""
-
-    stops: Annotated[int, Field(strict=True, ge=1, le=100_000)] = 400
-    clearance: Annotated[CellLength, Field(ge=0.0)] = 0.05
-    floor: CellLength = 0.0
-    ceiling: CellLength | None = None
-    """Height in C above which no body may reach; None: no ceiling."""
-    reserve: Annotated[int, Field(strict=True, ge=0, le=10_000)] = 0
-    """Further stops, planned after the others; each replaces one that could not be measured."""
-    ranges: tuple[tuple[Turn, Turn], ...] | None = None
-    """Joint ranges to draw from, for all arms; None: the limits of each arm, at most one turn."""
-
-    def reserves(self, total: int) -> range:
-        """Return the numbers of the reserve stops in a plan of ``total`` stops: they follow the asked ones."""
-        return range(min(self.stops, total), min(self.stops + self.reserve, total))
-
-
 class Splits(Section):
     """Number of stops for each use; ``rest`` is all that remain. Those of the pair are drawn from all common stops."""
 
@@ -296,6 +280,7 @@ class Profile(Section):
     arms: Annotated[dict[str, Arm], Field(min_length=1)]
     tracker: Tracker
     sensors: Sensors = Sensors()
+    obstacles: Obstacles = Field(default_factory=dict)
     plan: Plan = Plan()
     splits: Splits = Splits()
     calibration: Calibration = Calibration()
@@ -317,6 +302,9 @@ class Profile(Section):
         self._check_plant()
         if self.collection.air.temperature is not None and self.sensors.air is None:
             raise ValueError("collection.air: limits of the air need a weather station; add 'sensors.air'")
+        for name, obstacle in self.obstacles.items():
+            if obstacle.arm is not None and obstacle.arm not in self.arms:
+                raise ValueError(f"obstacles.{name}.arm: unknown arm; arms are {', '.join(self.arms)}")
         for name, arm in self.arms.items():
             if arm.driver.has_device:
                 needed = {

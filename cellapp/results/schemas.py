@@ -17,6 +17,7 @@ from cellapp.results.collection import (
 )
 from cellapp.results.commissioning import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
 from cellapp.results.discovery import DiscoverResult
+from cellapp.results.plan_design import PlanDesignResult, ViewResult
 from cellapp.results.planning import PlanCheckResult, PlanForecastResult
 from cellapp.results.run import (
     DocsResult,
@@ -34,6 +35,8 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     PlanResult,
     PlanCheckResult,
     PlanForecastResult,
+    PlanDesignResult,
+    ViewResult,
     CollectResult,
     CollectionResult,
     ReplayResult,
