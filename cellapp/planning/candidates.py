@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,20 +11,19 @@ from numpy.typing import NDArray
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.joint_draws import JointDraws, draw_joints
-from cellapp.planning.plan import joint_ranges
+from cellapp.planning.joint_draws import GROUP, draw_joints, joint_ranges
+from cellapp.planning.shortage import shortage
+from cellapp.planning.usable import Usable, usable
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
-from cellapp.safety.bodies import place
-from cellapp.safety.gate import CellBodies, TrackerField, clear_alone, visible
+from cellapp.safety.gate import CellBodies
 
-Mask = NDArray[np.bool_]
-_OBLIQUE_WEIGHT = 0.25
+_OBLIQUE_SHARE = 0.25
 """Share that is kept of the configurations beyond the incidence of full accuracy: they tell the same of the arm with a
 worse measurement, but effects of the incidence need some."""
-_MOST_DRAWS = 1_000_000
+_MOST_DRAWS = 800_000
 _MOST_DRAWS_PER_CANDIDATE = 400
-"""Draws after which the search ends: three times what a candidate takes in the twin cell, some seconds."""
+"""Draws after which the search ends: four times what a candidate takes in the twin cell, some seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,72 +57,73 @@ def draw_pool(
     rng: np.random.Generator,
     cancel: CancelToken | None = None,
 ) -> CandidatePool:
-    """``count`` candidates of an arm, fewer where they are rare.
+    """``count`` candidates of an arm in random order, fewer where they are rare.
 
-    Each is uniform in the joint space of the plan, restricted to configurations that are visible and clear; of those
-    with an incidence above ``plan.incidence`` a quarter is kept.
+    Each is uniform in the joint ranges of the plan, restricted to configurations that are visible and clear; of those
+    with an incidence above ``plan.incidence`` a quarter is kept. About one in three has its first joints, or its
+    wrist, in common with another candidate; no two are equal.
 
     Raises
     ------
     InputError
-        If fewer are found than the plan has stops.
+        If fewer are found than the plan has stops; the message says which constraint excludes them.
     Cancelled
     """
+
+    def keep(incidence: Array) -> NDArray[np.bool_]:
+        lucky = rng.random(len(incidence)) < _OBLIQUE_SHARE
+        return np.asarray(lucky | (incidence <= profile.plan.incidence))
+
     cancel = cancel or CancelToken()
-    if cell.field is None:
-        raise InputError(f"plan: arm {name}: the cell has no tracker; give tracker.pose")
-    arm, ranges = cell.arms[name], joint_ranges(cell, profile, name)
-    rejected: dict[str, int] = {}
-    found: list[Array] = []
-    incidences: list[Array] = []
-    drawn = 0
-    least = min(count, profile.plan.stops + profile.plan.reserve)
-    while sum(map(len, found)) < count and drawn < max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE):
+    found: list[Usable] = []
+    drawn = number = 0
+    for batch in _usable_draws(cell, profile, name, rng, keep=keep):
         cancel.check()
-        draws = draw_joints(arm, cell.field.T_C_M, ranges, rng)
-        drawn += draws.cosine.size
-        q, incidence = _seen(cell.field, arm.acceptance, draws, rejected)
-        kept = (incidence <= profile.plan.incidence) | (rng.random(len(q)) < _OBLIQUE_WEIGHT)
-        q, incidence = _kept(q, incidence, kept, "incidence", rejected)
-        q, incidence = _kept(q, incidence, visible(cell, name, q), "beam", rejected)
-        q, incidence = _kept(q, incidence, clear_alone(cell, place(arm, q)), "bodies", rejected)
-        found.append(q)
-        incidences.append(incidence)
-    if sum(map(len, found)) < least:
-        counts = ", ".join(f"{constraint} {number}" for constraint, number in rejected.items() if number)
-        raise InputError(
-            f"plan: arm {name}: only {sum(map(len, found))} of {least} usable configurations in {drawn} draws; excluded"
-            f" by {counts}"
-        )
-    return CandidatePool(np.concatenate(found)[:count], np.concatenate(incidences)[:count], drawn, rejected)
+        found.append(batch)
+        drawn, number = drawn + batch.drawn, number + len(batch.q)
+        if number >= count or drawn >= max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE):
+            break
+    if number < min(count, profile.plan.stops + profile.plan.reserve):
+        raise InputError(shortage(cell, profile, name, number, drawn))
+    rejected = sum((Counter(batch.rejected) for batch in found), Counter())
+    order = rng.permutation(number)[:count]
+    return CandidatePool(
+        q=np.concatenate([batch.q for batch in found])[order],
+        incidence=np.concatenate([batch.incidence for batch in found])[order],
+        drawn=drawn,
+        rejected={constraint: rejected[constraint] for constraint in found[0].rejected},
+    )
 
 
-def _seen(field: TrackerField, acceptance: float, draws: JointDraws, rejected: dict[str, int]) -> tuple[Array, Array]:
-    """Configurations (n, N) [rad] in the tracker's field of view that face it, and their incidence (n,) [rad]."""
-    ok = np.ones(draws.cosine.shape, dtype=bool)
-    for constraint, mask in _sight_constraints(field, acceptance, draws):
-        before = int(ok.sum())
-        ok &= mask
-        rejected[constraint] = rejected.get(constraint, 0) + before - int(ok.sum())
-    return draws.q(ok), np.arccos(np.minimum(draws.cosine[ok], 1.0))
+def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator) -> Iterator[Array]:
+    """Usable configurations (N,) [rad] of an arm without end, independent and uniform in the joint ranges of the plan.
+
+    Raises
+    ------
+    InputError
+        If none is found in many draws; the message says which constraint excludes them.
+    """
+    fruitless = 0
+    for batch in _usable_draws(cell, profile, name, rng, group=1):
+        yield from batch.q
+        fruitless = 0 if len(batch.q) else fruitless + batch.drawn
+        if fruitless >= _MOST_DRAWS:
+            raise InputError(shortage(cell, profile, name, 0, fruitless))
 
 
-def _sight_constraints(field: TrackerField, acceptance: float, draws: JointDraws) -> list[tuple[str, Mask]]:
-    low, high = field.distance
-    left, right = field.azimuth
-    span = [math.sin(angle) for angle in field.elevation]
-    z = draws.smr_M[2]
-    azimuth = np.arctan2(draws.smr_M[1], draws.smr_M[0])
-    return [
-        ("range", (draws.distance >= low) & (draws.distance <= high)),
-        ("azimuth", np.mod(azimuth - left, 2.0 * math.pi) <= right - left),
-        ("elevation", (z >= span[0] * draws.distance) & (z <= span[1] * draws.distance)),
-        ("facing", draws.cosine > math.cos(max(0.0, acceptance - math.radians(3.0)))),
-    ]
-
-
-def _kept(
-    q: Array, incidence: Array, ok: NDArray[np.bool_], constraint: str, rejected: dict[str, int]
-) -> tuple[Array, Array]:
-    rejected[constraint] = rejected.get(constraint, 0) + len(q) - int(ok.sum())
-    return q[ok], incidence[ok]
+def _usable_draws(
+    cell: CellBodies,
+    profile: Profile,
+    name: str,
+    rng: np.random.Generator,
+    *,
+    group: int = GROUP,
+    keep: Callable[[Array], NDArray[np.bool_]] | None = None,
+) -> Iterator[Usable]:
+    """Usable configurations, draw by draw, without end."""
+    if cell.field is None:
+        raise InputError(f"plan: arm {name}: the cell has no tracker that could see its SMR; give tracker.pose")
+    ranges = joint_ranges(cell, profile, name)
+    while True:
+        draws = draw_joints(cell.arms[name], cell.field.T_C_M, ranges, rng, group)
+        yield usable(cell, cell.field, name, draws, keep)

@@ -7,20 +7,24 @@ group of first joints is combined with each of a group of wrists: the trigonomet
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.errors import InputError
 from cellapp.kinematics.chain import Geometry, frame_poses
 from cellapp.kinematics.transforms import Array
+from cellapp.profile import Profile
 from cellapp.safety.bodies import ArmBodies
+from cellapp.safety.gate import CellBodies
+from cellapp.safety.visibility import Sight
 
-_GROUP = 16
-"""First joints, and wrists, in a group: some 256 configurations, of which about three are usable in the twin cell. So
-few candidates have the same first joints that they are as good as independent."""
-_GROUPS = 48
-"""Groups drawn at once: what is computed from them fits in the cache."""
+GROUP = 16
+"""First joints, and wrists, in a group: 256 configurations, of which two to four are usable in the twin cell."""
+_DRAWS = 12_288
+"""Configurations drawn at once: what is computed from them fits in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,19 +37,13 @@ class JointDraws:
         Positions of the first s joints [rad].
     wrist : array, shape (b, w, N - s)
         Positions of the other joints [rad].
-    smr_M : array, shape (3, b, m, w)
-        SMR centre in the tracker frame M [m].
-    distance : array, shape (b, m, w)
-        From the tracker [m].
-    cosine : array, shape (b, m, w)
-        Cosine of the incidence: of the angle between the SMR's viewing direction and that to the tracker.
+    sight : Sight
+        Their SMRs as the tracker sees them; its arrays have the shape (b, m, w), that of the positions (3, b, m, w).
     """
 
     first: Array
     wrist: Array
-    smr_M: Array
-    distance: Array
-    cosine: Array
+    sight: Sight
 
     def q(self, chosen: NDArray[np.bool_]) -> Array:
         """The configurations ``chosen`` (b, m, w) as (n, N) [rad], in the order of ``array[chosen]``."""
@@ -53,13 +51,17 @@ class JointDraws:
         return np.concatenate([self.first[group, i], self.wrist[group, k]], axis=1)
 
 
-def draw_joints(arm: ArmBodies, T_C_M: Array, ranges: Array, rng: np.random.Generator) -> JointDraws:
+def draw_joints(
+    arm: ArmBodies, T_C_M: Array, ranges: Array, rng: np.random.Generator, group: int = GROUP
+) -> JointDraws:
     """Draw configurations uniformly from ``ranges`` (N, 2) [rad]; the tracker stands at ``T_C_M`` (4, 4).
 
-    Every configuration is uniform; only those of a group depend on each other, as they share joint positions.
+    Every configuration is uniform. The ``group ** 2`` of one group share positions of first joints and wrists; with a
+    group of one all are independent.
     """
     split = max(1, arm.geometry.joints // 2)
-    first, wrist = _uniform(ranges[:split], rng), _uniform(ranges[split:], rng)
+    groups = max(1, _DRAWS // group**2)
+    first, wrist = (_uniform(part, groups, group, rng) for part in (ranges[:split], ranges[split:]))
     R, o = _end_poses(replace(arm.geometry, rows=arm.geometry.rows[:split]), first)
     identity = Geometry(np.zeros(6), arm.geometry.rows[split:], arm.geometry.tool)
     R_wrist, o_wrist = _end_poses(identity, wrist)
@@ -74,13 +76,13 @@ def draw_joints(arm: ArmBodies, T_C_M: Array, ranges: Array, rng: np.random.Gene
     distance = np.sqrt(smr_M[0] ** 2 + smr_M[1] ** 2 + smr_M[2] ** 2)
     towards = tracker @ normal.transpose(0, 2, 1)
     towards -= np.einsum("bwa,bwa->bw", smr, normal)[:, None]
-    return JointDraws(first, wrist, smr_M, distance, towards / distance)
+    return JointDraws(first, wrist, Sight(smr_M, distance, towards / distance))
 
 
-def _uniform(ranges: Array, rng: np.random.Generator) -> Array:
-    """Uniform positions (b, m, s) [rad] of s joints; one in each group where they cannot move."""
-    group = _GROUP if np.any(ranges[:, 1] > ranges[:, 0]) else 1
-    return rng.uniform(ranges[:, 0], ranges[:, 1], size=(_GROUPS, group, len(ranges)))
+def _uniform(ranges: Array, groups: int, group: int, rng: np.random.Generator) -> Array:
+    """Uniform positions (groups, group, s) [rad] of s joints; one in each group where no joint can move."""
+    different = group if np.any(ranges[:, 1] > ranges[:, 0]) else 1
+    return rng.uniform(ranges[:, 0], ranges[:, 1], size=(groups, different, len(ranges)))
 
 
 def _end_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
@@ -88,3 +90,26 @@ def _end_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
     b, m, joints = q.shape
     rotations, origins = frame_poses(geometry, q.reshape(-1, joints))
     return rotations[-1].reshape(b, m, 3, 3), origins[-1].reshape(b, m, 3)
+
+
+def joint_ranges(cell: CellBodies, profile: Profile, name: str) -> Array:
+    """Ranges from which the joint positions of an arm are drawn, lowest and highest, shape (N, 2) [rad].
+
+    Raises
+    ------
+    InputError
+        If a range of the plan is outside the arm's limits.
+    """
+    limits = cell.arms[name].limits
+    if profile.plan.ranges is None:  # poses repeat after one turn of a joint: stay as near to zero as the limits allow
+        middle = np.clip(0.0, limits[:, 0] + math.pi, limits[:, 1] - math.pi)
+        return np.stack(
+            [np.maximum(limits[:, 0], middle - math.pi), np.minimum(limits[:, 1], middle + math.pi)], axis=1
+        )
+    low, high = np.array(profile.plan.ranges).T
+    ranges = np.stack([np.maximum(low, limits[:, 0]), np.minimum(high, limits[:, 1])], axis=1)
+    for j in np.flatnonzero(ranges[:, 0] > ranges[:, 1]):
+        raise InputError(
+            f"plan.ranges: joint {j + 1}: no part of [{low[j]:g}, {high[j]:g}] rad is inside the limits of arm {name}"
+        )
+    return ranges
