@@ -1,0 +1,46 @@
+"""What the doctor says about obstacles: how near each is at home, what stands on it, what covers a mounted one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from cellapp.kinematics.transforms import Array
+from cellapp.safety.covers import cover
+from cellapp.safety.gate import CellBodies
+from cellapp.safety.standing import Standing, standings
+from drivers.findings import Finding
+
+
+def obstacle_findings(cell: CellBodies, homes: Mapping[str, Array]) -> Iterator[Finding]:
+    """Yield a finding for each obstacle of the cell, and for each that is mounted on an arm."""
+    found = list(standings(cell, homes))
+    for obstacle in cell.obstacles:
+        yield _standing(cell, obstacle.name, [one for one in found if one.obstacle == obstacle.name])
+    for name, arm in cell.arms.items():
+        for obstacle in arm.mounted:
+            capsules = cover(obstacle)
+            count = len(capsules.radius)
+            text = f"on the flange of arm {name}"
+            if capsules.excess > 0.0:
+                text += (
+                    f"; checks use {count} {'capsule' if count == 1 else 'capsules'} around it, which reach up to"
+                    f" {1e3 * capsules.excess:.0f} mm out of it"
+                )
+            yield Finding(f"obstacle {obstacle.name}", "ok", text)
+
+
+def _standing(cell: CellBodies, name: str, beside: list[Standing]) -> Finding:
+    near = [one for one in beside if not one.moving >= one.asked]
+    words = [f"at home arm {one.arm} is {1e3 * one.moving:.0f} mm away" for one in beside if one not in near]
+    words += [
+        f"arm {one.arm} stands on it: its base and first link are not checked against it"
+        for one in beside
+        if one.base < cell.clearance
+    ]
+    if not near:
+        return Finding(f"obstacle {name}", "ok", "; ".join(words))
+    refused = [
+        f"at home arm {one.arm} is {1e3 * one.moving:.0f} mm away, {1e3 * one.asked:.0f} mm asked" for one in near
+    ]
+    advice = f"change obstacles.{name}, arms.*.home, arms.*.base or plan.clearance"
+    return Finding(f"obstacle {name}", "failed", "; ".join([*refused, *words, advice]))
