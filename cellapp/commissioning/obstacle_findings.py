@@ -30,17 +30,12 @@ def obstacle_findings(cell: CellBodies, homes: Mapping[str, Array]) -> Iterator[
 
 
 def _standing(cell: CellBodies, name: str, beside: list[Standing]) -> Finding:
-    near = [one for one in beside if not one.moving >= one.asked]
-    words = [f"at home arm {one.arm} is {1e3 * one.moving:.0f} mm away" for one in beside if one not in near]
-    words += [
-        f"arm {one.arm} stands on it: its base and first link are not checked against it"
-        for one in beside
-        if one.base < cell.clearance
-    ]
-    if not near:
-        return Finding(f"obstacle {name}", "ok", "; ".join(words))
-    refused = [
-        f"at home arm {one.arm} is {1e3 * one.moving:.0f} mm away, {1e3 * one.asked:.0f} mm asked" for one in near
-    ]
-    advice = f"change obstacles.{name}, arms.*.home, arms.*.base or plan.clearance"
-    return Finding(f"obstacle {name}", "failed", "; ".join([*refused, *words, advice]))
+    homes = ", ".join(f"arm {one.arm} {1e3 * one.moving:.0f} mm" for one in beside)
+    words = [f"distance at home: {homes}"]
+    on_it = [one.arm for one in beside if one.base < cell.clearance]
+    if on_it:
+        words.append(f"{', '.join(on_it)} on or beside it: base and first link are not checked against it")
+    refused = [f"arm {one.arm} must keep {1e3 * one.asked:.0f} mm" for one in beside if not one.moving >= one.asked]
+    if refused:
+        words += [*refused, f"change obstacles.{name}, arms.*.home, arms.*.base or plan.clearance"]
+    return Finding(f"obstacle {name}", "failed" if refused else "ok", "; ".join(words))

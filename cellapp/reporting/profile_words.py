@@ -74,13 +74,13 @@ def constraint_words(profile: Profile) -> list[tuple[str, str]]:
     plan, tracker = profile.plan, profile.tracker
     reserve = f", and {plan.reserve} in reserve" if plan.reserve else ""
     ceiling = "" if plan.ceiling is None else f", ceiling at {plan.ceiling:.3f} m"
-    from_obstacles = f", from {len(profile.obstacles)} obstacles" if profile.obstacles else ""
+    obstacles = f", from {len(profile.obstacles)} obstacles" if profile.obstacles else ""
     low, high = (math.degrees(angle) for angle in tracker.elevation)
     words = [
         ("stops", f"{plan.stops} of each arm{reserve}, seed {profile.seed}"),
         (
             "clearance",
-            f"{1e3 * plan.clearance:.0f} mm between arms and from the floor at {plan.floor:.3f} m{ceiling}{from_obstacles}",
+            f"{1e3 * plan.clearance:.0f} mm between arms{obstacles} and from the floor at {plan.floor:.3f} m{ceiling}",
         ),
         (
             "tracker",

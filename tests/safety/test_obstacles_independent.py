@@ -21,7 +21,7 @@ from cellapp.safety.obstacles import Obstacle
 from cellapp.safety.shapes import RoundedBox
 from cellapp.trials.collision_check import CollisionCheck
 from tests.safety.test_obstacles import crowded, random_segments
-from tests.twin import PROFILES
+from tests.twin import PROFILES, small_twin
 
 pytestmark = pytest.mark.fast
 
@@ -208,7 +208,21 @@ def test_motions_that_the_gate_admits_collide_with_nothing(folder: Path) -> None
     found = list(check.collisions(motions, np.random.default_rng(0), timings=1, samples=60))
     met = {name for one in found for name in (one.first, one.second)}
     assert {"table", "ring", "drum", "gripper"} <= met
-    assert any(one.first.startswith("left") and one.second.startswith("right") for one in found)
+
+
+def test_arms_that_reach_for_each_other_are_seen_to_collide() -> None:
+    pytest.importorskip("coal")
+    profile = small_twin(plan={"floor": -5.0, "clearance": 0.0})
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    turns = np.arange(-math.pi, math.pi, math.pi / 2)
+    stops = [
+        {"left": np.array([a, 0.0, *homes["left"][2:]]), "right": np.array([b, 0.0, *homes["right"][2:]])}
+        for a in turns
+        for b in turns
+    ]
+    found = list(CollisionCheck(profile).collisions([(q, q) for q in stops], np.random.default_rng(0), samples=1))
+    assert [one.motion for one in found] == [k for k, q in enumerate(stops) if refuse_stop(cell, q)]
+    assert [(one.first[:4], one.second[:5]) for one in found] == [("left", "right")]
 
 
 def test_stops_that_the_gate_refuses_for_a_collision_collide(folder: Path) -> None:
