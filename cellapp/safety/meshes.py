@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
+from cellapp.safety.shapes import distance_of_boxes
 
 _LARGEST_BYTES = 100_000_000
 """Two million triangles in a binary file; drawings of parts have some ten thousand."""
@@ -41,6 +42,10 @@ class Mesh:
     def half(self) -> Array:
         """Half the sizes of the bounding box, shape (3,) [m]."""
         return np.asarray(np.abs(self.vertices).max(axis=0))
+
+    def lower_bound(self, start: Array, end: Array) -> Array:
+        """Distances (...) [m] of the boxes about segments with ends (..., 3) from the bounding box."""
+        return distance_of_boxes(self.half, start, end)
 
     def segment_distance(self, start: Array, end: Array) -> Array:
         """Distances (t,) [m] of segments with ends (t, 3); zero where they meet the solid, NaN where an end is NaN."""
