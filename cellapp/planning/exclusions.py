@@ -52,7 +52,7 @@ _ADVICE: Mapping[str, str] = {
     FLOOR: "check plan.floor and arms.*.base, or ask for a smaller plan.clearance",
     CEILING: "check plan.ceiling and arms.*.base, or ask for a smaller plan.clearance",
     OWN_BEAM: "move the tracker, or fix the SMR farther from the arm's axes (smr.offset)",
-    OWN_BODIES: "widen arms.*.limits or plan.ranges, or check the capsules of the arm's type",
+    OWN_BODIES: "check arms.*.limits, plan.ranges and the capsules of the arm's type",
     MOUNTED: "mount it behind the SMR, or turn smr.normal away from it",
 }
 
@@ -160,8 +160,7 @@ def _extent(field: TrackerField, one: _Examined, sight: Sight, rows: NDArray[np.
     """What is seen at ``rows`` against what is allowed, and by how much the nearest of them misses."""
     if not rows.any():
         return "it excludes none"
-    nearest = float(np.min(one.missed[rows]))
-    by = f"the nearest misses by {nearest:.0f} {one.unit}" if math.isfinite(nearest) else "it hides the SMR"
+    by = _by_how_much(one, rows)
     if one.name == RANGE:
         seen, allowed = sight.distance[rows], np.array(field.distance)
         return f"the SMR is {_span(seen, '.2f')} m from the tracker, allowed are {_span(allowed, '.4g')} m; {by}"
@@ -172,8 +171,20 @@ def _extent(field: TrackerField, one: _Examined, sight: Sight, rows: NDArray[np.
         allowed = np.degrees(field.azimuth if one.name == AZIMUTH else field.elevation)
         return f"the SMR is seen at {_span(seen, '.0f')} deg, allowed are {_span(allowed, '.4g')} deg; {by}"
     if one.name == FACING:
-        return f"the SMR looks away from the tracker; the nearest misses its acceptance by {nearest:.0f} {one.unit}"
+        return f"the SMR looks away from the tracker; {by}"
     return by
+
+
+def _by_how_much(one: _Examined, rows: NDArray[np.bool_]) -> str:
+    """How much the nearest of ``rows`` misses; where others do not miss, the nearest says nothing, and half of them."""
+    nearest, half = float(np.min(one.missed[rows])), float(np.median(one.missed[rows]))
+    if not math.isfinite(nearest):
+        return "it hides the SMR"
+    return (
+        f"half miss by {half:.0f} {one.unit} or more"
+        if one.holds.any()
+        else f"the nearest misses by {nearest:.0f} {one.unit}"
+    )
 
 
 def _span(values: Array, number_format: str) -> str:
