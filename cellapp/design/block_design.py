@@ -1,4 +1,4 @@
-"""Choice of n of m candidate blocks of rows (stops of three coordinates each): A- and I-optimal, nearly minimax.
+"""Choice of n of m candidates (blocks of three rows each): optimal for parameters, for predictions, nearly minimax.
 
 With whitened rows x_i (3, p) of each candidate and prior information P, a design D has the covariance
 C = (P + sum_{i in D} x_i^T x_i)^-1. It is judged by
@@ -6,32 +6,44 @@ C = (P + sum_{i in D} x_i^T x_i)^-1. It is judged by
     J(C) = a ln mean_k (s_k / r_k) + b ln mean_j u_j + c ln (mean_j u_j^h)^(1/h),
 
 s_k the standard errors of the wanted parameters and r_k those of a random design of the same size, u_j the standard
-uncertainties of predictions at points of the workspace; a high power h stands for the worst point. J is linearised at
-a design: dJ = tr(W dC), W positive semidefinite, which is the A- or L-criterion that greedy choice and exchange reduce
-(Fedorov, Theory of Optimal Experiments, 1972). Adding a candidate x changes it by
+uncertainties of predictions at points of the workspace; the high power h stands for the worst point. At a given
+design dJ = tr(W dC) with W positive semidefinite: an L-criterion, which greedy choice and exchange reduce (Fedorov,
+Theory of Optimal Experiments, 1972, chapter 2). A candidate x that is added changes it by
 
     tr(C W) - tr(C' W) = tr((I + V)^-1 U),    V = x C x^T,    U = x C W C x^T    (both 3 by 3),
 
-removing one by tr((I - V)^-1 U). V and U of all candidates follow each change of the design by products with matrices
-of rank three (Woodbury), at a cost of O(p) each; they are computed afresh from time to time against rounding.
+one that is removed by -tr((I - V)^-1 U). V and U of many candidates follow every change of the design by products
+with matrices of rank three (Woodbury), O(p) for each. Both are computed afresh, and W is taken anew, from time to time.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
+from cellapp.calibration.linear import inverse_psd
 from cellapp.kinematics.transforms import Array
 
-_WORST_POWER = 12.0
+WORST_POWER = 12.0
+"""h: with it the largest of some hundred uncertainties decides, and those within a few per cent of it count too."""
+Rows = NDArray[np.intp]
+"""Numbers of candidates."""
 
 
-@dataclass(frozen=True)
-class DesignErrors:
-    """Errors of a design: mean ratio of standard errors, mean and largest uncertainty of predictions."""
+class Shares(NamedTuple):
+    """Exponents a, b, c of the three errors in the criterion."""
+
+    parameters: float = 1.0
+    mean: float = 1.0
+    worst: float = 1.0
+
+
+class DesignErrors(NamedTuple):
+    """Mean ratio of standard errors to those of reference; mean and largest uncertainty of a prediction."""
 
     parameters: float
     mean: float
@@ -45,138 +57,146 @@ class Criterion:
     Attributes
     ----------
     reference : array, shape (k,)
-        Standard errors of the first k parameters with a random design.
+        Standard errors of the first k of p parameters with a random design; the others are nuisance parameters.
     points : array, shape (s, 3, p)
         Derivatives of predictions by the parameters.
-    shares : (float, float, float)
-        Exponents a, b, c of the three errors.
+    shares : Shares
     """
 
     reference: Array
     points: Array
-    shares: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    power: float = _WORST_POWER
+    shares: Shares = field(default_factory=Shares)
 
     def errors(self, covariance: Array) -> DesignErrors:
-        parameters, points = self._errors(covariance)
-        return DesignErrors(float(np.mean(parameters)), float(np.mean(points)), float(points.max()))
+        """The three errors of a design with a covariance (p, p)."""
+        ratios, points = self._parts(covariance)
+        return DesignErrors(float(np.mean(ratios)), float(np.mean(points)), float(points.max()))
 
     def value(self, covariance: Array) -> float:
-        """J."""
-        parameters, points = self._errors(covariance)
-        a, b, c = self.shares
-        worst = np.log(points.max()) + np.log(np.mean((points / points.max()) ** self.power)) / self.power
-        return float(a * np.log(np.mean(parameters)) + b * np.log(np.mean(points)) + c * worst)
+        """J; the difference of two designs does not depend on units."""
+        ratios, points = self._parts(covariance)
+        largest = points.max()
+        worst = math.log(largest) + math.log(np.mean((points / largest) ** WORST_POWER)) / WORST_POWER
+        terms = (math.log(np.mean(ratios)), math.log(np.mean(points)), worst)
+        return sum(share * term for share, term in zip(self.shares, terms, strict=True))
 
     def weights(self, covariance: Array) -> Array:
         """W = dJ / dC (p, p)."""
-        parameters, points = self._errors(covariance)
-        a, b, c = self.shares
-        # d s = dC_kk / (2 s) and d u = tr(F dC F^T) / (2 u)
-        W = np.zeros_like(covariance)
-        k = len(self.reference)
-        of_parameters = a / (2.0 * parameters.sum() * parameters * self.reference**2)
-        high = (points / points.max()) ** (self.power - 1.0)
-        of_points = (b / points.sum() + c * high / (high @ points)) / (2.0 * points)
+        ratios, points = self._parts(covariance)
+        high = (points / points.max()) ** (WORST_POWER - 1.0)
+        # ds = dC_kk / (2 s) of a standard error, du = tr(F dC F^T) / (2 u) of a prediction
+        by_point = (self.shares.mean / points.sum() + self.shares.worst * high / (high @ points)) / (2.0 * points)
         rows = self.points.reshape(-1, len(covariance))
-        W = (rows * np.repeat(of_points, 3)[:, None]).T @ rows
-        W[np.arange(k), np.arange(k)] += of_parameters
-        return W
+        W = (rows * np.repeat(by_point, 3)[:, None]).T @ rows
+        wanted = np.arange(len(self.reference))
+        W[wanted, wanted] += self.shares.parameters / (2.0 * ratios.sum() * ratios * self.reference**2)
+        return np.asarray(W)
 
-    def _errors(self, covariance: Array) -> tuple[Array, Array]:
-        k = len(self.reference)
-        parameters = np.sqrt(np.diag(covariance)[:k]) / self.reference
+    def _parts(self, covariance: Array) -> tuple[Array, Array]:
+        """Ratios (k,) of standard errors, uncertainties (s,) of predictions."""
+        ratios = np.sqrt(np.diag(covariance)[: len(self.reference)]) / self.reference
         rows = self.points.reshape(-1, len(covariance))
-        squares = np.einsum("rp,rp->r", rows @ covariance, rows).reshape(-1, 3).sum(axis=1)
-        return parameters, np.sqrt(squares)
+        squares = np.einsum("rp,rp->r", rows @ covariance, rows)
+        return ratios, np.sqrt(squares.reshape(-1, 3).sum(axis=1))
+
+
+def information_of(rows: Array) -> Array:
+    """Information matrix (p, p) of blocks of rows (n, 3, p)."""
+    flat = rows.reshape(-1, rows.shape[2])
+    return np.asarray(flat.T @ flat)
+
+
+def reference_errors(rows: Array, count: int, prior: Array, wanted: int) -> Array:
+    """Standard errors (wanted,) of a design with the mean information of ``count`` random candidates ``rows``."""
+    covariance = inverse_psd(prior + information_of(rows) * (count / max(len(rows), 1)))
+    return np.asarray(np.sqrt(np.diag(covariance)[:wanted]))
 
 
 @dataclass(eq=False)
-class Tracked:
-    """Some candidates with V and U while the design changes."""
+class _Tracked:
+    """Candidates with V and U (3, 3, s) while the design changes."""
 
     rows: Array
-    variance: Array
-    value: Array
+    V: Array
+    U: Array
 
     @classmethod
-    def of(cls, rows: Array, covariance: Array, weighted: Array) -> Tracked:
-        m, _, p = rows.shape
-        flat = rows.reshape(-1, p)
-        variance = np.matmul((flat @ covariance).reshape(m, 3, p), rows.transpose(0, 2, 1))
-        value = np.matmul((flat @ weighted).reshape(m, 3, p), rows.transpose(0, 2, 1))
-        return cls(rows, variance.transpose(1, 2, 0).copy(), value.transpose(1, 2, 0).copy())
+    def of(cls, rows: Array, C: Array, CWC: Array) -> _Tracked:
+        flat, by_column = rows.reshape(-1, rows.shape[2]), rows.transpose(0, 2, 1)
+        V, U = ((flat @ matrix).reshape(rows.shape) @ by_column for matrix in (C, CWC))
+        return cls(rows, np.ascontiguousarray(V.transpose(1, 2, 0)), np.ascontiguousarray(U.transpose(1, 2, 0)))
+
+    def follow(self, G: Array, H: Array, K: Array, S: Array) -> None:
+        """C became C - G K G^T; H = C W G and S = G^T W G with the C before."""
+        flat = self.rows.reshape(-1, self.rows.shape[2]) @ np.concatenate([G, H], axis=1)
+        both = np.ascontiguousarray(flat.reshape(-1, 3, 6).transpose(1, 2, 0))
+        xG, xH = both[:, :3], both[:, 3:]
+        xGK = np.einsum("acm,cd->adm", xG, K)
+        B = np.einsum("acm,cd->adm", xH, K) - 0.5 * np.einsum("acm,cd->adm", xGK, S @ K)
+        half = np.einsum("acm,bcm->abm", xG, B)
+        self.V -= np.einsum("acm,bcm->abm", xGK, xG)
+        self.U -= half + half.transpose(1, 0, 2)
+
+
+def _trace_of_solution(V: Array, U: Array, sign: float) -> Array:
+    """tr((I + sign V)^-1 U) (s,) of symmetric matrices (3, 3, s), by cofactors."""
+    a, d, f = (1.0 + sign * V[i, i] for i in range(3))
+    b, c, e = sign * V[0, 1], sign * V[0, 2], sign * V[1, 2]
+    first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
+    total = first * U[0, 0] + (a * f - c * c) * U[1, 1] + (a * d - b * b) * U[2, 2]
+    total += 2.0 * (second * U[0, 1] + third * U[0, 2] + (b * c - a * e) * U[1, 2])
+    return np.asarray(total / (a * first + b * second + c * third))
+
+
+class BlockDesign:
+    """A design that changes by one candidate at a time.
+
+    Parameters
+    ----------
+    information : array, shape (p, p)
+        Prior information with that of the candidates in the design; positive definite.
+    weights : array, shape (p, p)
+        W.
+    """
+
+    def __init__(self, information: Array, weights: Array) -> None:
+        self.information = information.copy()
+        self.covariance = inverse_psd(information)
+        self._CWC = self.covariance @ weights @ self.covariance
+        self._tracked = _Tracked.of(np.empty((0, 3, len(information))), self.covariance, self._CWC)
+
+    def track(self, rows: Array) -> None:
+        """Follow the gains and losses of candidates ``rows`` (s, 3, p) from now on, in place of those before."""
+        self._tracked = _Tracked.of(rows, self.covariance, self._CWC)
 
     def gains(self) -> Array:
-        return _trace_solve(self.variance, self.value, 1.0)
+        """What the criterion tr(C W) would lose by each tracked candidate that is added (s,)."""
+        return _trace_of_solution(self._tracked.V, self._tracked.U, 1.0)
+
+    def gains_of(self, rows: Array) -> Array:
+        """The same of other candidates ``rows`` (s, 3, p)."""
+        other = _Tracked.of(rows, self.covariance, self._CWC)
+        return _trace_of_solution(other.V, other.U, 1.0)
 
     def losses(self) -> Array:
-        return _trace_solve(self.variance, self.value, -1.0)
+        """What it would gain by each tracked candidate that is removed (s,); valid for those in the design."""
+        return _trace_of_solution(self._tracked.V, self._tracked.U, -1.0)
 
-    def update(self, G: Array, H: Array, K: Array, S: Array) -> None:
-        """C' = C - G K G^T."""
-        m, _, p = self.rows.shape
-        both = (self.rows.reshape(-1, p) @ np.concatenate([G, H], axis=1)).reshape(m, 3, 6).transpose(1, 2, 0)
-        both = np.ascontiguousarray(both)
-        P, Q = both[:, :3], both[:, 3:]
-        PK = np.einsum("acm,cd->adm", P, K)
-        B = np.einsum("acm,cd->adm", Q, K) - 0.5 * np.einsum("acm,cd->adm", PK, S @ K)
-        self.variance -= np.einsum("acm,bcm->abm", PK, P)
-        half = np.einsum("acm,bcm->abm", P, B)
-        self.value -= half + half.transpose(1, 0, 2)
+    def add(self, row: Array) -> None:
+        """Add a candidate ``row`` (3, p)."""
+        self._change(row, 1.0)
 
+    def remove(self, row: Array) -> None:
+        """Remove a candidate ``row`` (3, p) of the design."""
+        self._change(row, -1.0)
 
-def _trace_solve(V: Array, U: Array, sign: float) -> Array:
-    """tr((I + sign V)^-1 U) of symmetric matrices (3, 3, m)."""
-    a, b, c = 1.0 + sign * V[0, 0], sign * V[0, 1], sign * V[0, 2]
-    d, e, f = 1.0 + sign * V[1, 1], sign * V[1, 2], 1.0 + sign * V[2, 2]
-    A, B, Cc = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * A + b * B + c * Cc
-    total = A * U[0, 0] + (a * f - c * c) * U[1, 1] + (a * d - b * b) * U[2, 2]
-    total += 2.0 * (B * U[0, 1] + Cc * U[0, 2] + (b * c - a * e) * U[1, 2])
-    return total / det
-
-
-def inverse(M: Array) -> Array:
-    scale = 1.0 / np.sqrt(np.diag(M))
-    factor, failed = lapack.dpotrf(M * scale * scale[:, None], lower=1)
-    if failed:
-        raise np.linalg.LinAlgError
-    low = np.tril(lapack.dpotri(factor, lower=1)[0])
-    return (low + np.tril(low, -1).T) * scale * scale[:, None]
-
-
-@dataclass(eq=False)
-class Design:
-    information: Array
-    W: Array
-    C: Array = field(init=False)
-    A: Array = field(init=False)
-    tracked: list[Tracked] = field(default_factory=list)
-
-    def __post_init__(self):
-        self.refresh()
-
-    def refresh(self, W=None):
-        if W is not None:
-            self.W = W
-        self.C = inverse(self.information)
-        self.A = self.C @ self.W @ self.C
-        self.tracked = []
-
-    def track(self, rows):
-        t = Tracked.of(rows, self.C, self.A)
-        self.tracked.append(t)
-        return t
-
-    def change(self, x, sign):
-        G, H = self.C @ x.T, self.A @ x.T
-        V, S = x @ G, x @ H
-        K = sign * np.linalg.inv(np.eye(3) + sign * V)
-        for t in self.tracked:
-            t.update(G, H, K, S)
-        self.information += sign * (x.T @ x)
+    def _change(self, row: Array, sign: float) -> None:
+        G, H = self.covariance @ row.T, self._CWC @ row.T
+        S = row @ H
+        K: Array = sign * np.linalg.inv(np.eye(3) + sign * (row @ G))
+        self._tracked.follow(G, H, K, S)
         GK = G @ K
-        HG = H @ GK.T
-        self.C -= GK @ G.T
-        self.A -= HG + HG.T - GK @ S @ GK.T
+        half = H @ GK.T
+        self.information += sign * (row.T @ row)
+        self.covariance -= GK @ G.T
+        self._CWC -= half + half.T - GK @ S @ GK.T

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.calibration.parameters import (
     EXPECTED_SCATTER_M,
@@ -204,8 +203,10 @@ def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterat
 
 def _potential_terms(context: EffectContext) -> tuple[_EffectPart, Array] | None:
     """Periodic errors of several cycles a turn of each joint that moves the SMR."""
-    waves = frozenset(f"{w}{n}q{j + 1}" for j in range(context.joints) for n in POTENTIAL_CYCLES for w in ("cos", "sin"))
-    return next(_sized(TRANSMISSION_ERROR, EFFECTS[TRANSMISSION_ERROR].law("lines"), context, POTENTIAL_M, waves), None)
+    joints = range(1, context.joints + 1)
+    waves = frozenset(f"{wave}{n}q{j}" for j in joints for n in POTENTIAL_CYCLES for wave in ("cos", "sin"))
+    law = EFFECTS[TRANSMISSION_ERROR].law("lines")
+    return next(_sized(TRANSMISSION_ERROR, law, context, POTENTIAL_M, waves), None)
 
 
 def _sized(
@@ -259,6 +260,23 @@ def _growth(angle: Array, full_accuracy: float) -> Array:
     return 1.0 + _INCIDENCE_GROWTH * np.maximum(angle - full_accuracy, 0.0) / _INCIDENCE_SCALE
 
 
+def even_conditions(
+    profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
+) -> MeasurementConditions:
+    """``drawn_conditions`` in which no stop is better off than another: only signs of steps and of times are drawn.
+
+    Steps have their rms size, times their rms distance from the middle of the run. A choice among stops would else
+    prefer those with large steps at the beginning or at the end of the run, which the plan then changes.
+    """
+    drawn = drawn_conditions(profile, name, q, others, rng)
+    half = 0.5 * _SECONDS_A_STOP * profile.plan.stops
+    time_s = half * (1.0 + rng.choice((-1.0, 1.0), len(q)) / math.sqrt(3.0))
+    step = drawn.step
+    if profile.plan.steps and step is not None:
+        step = np.sign(step) * math.sqrt(float(np.mean(np.square(profile.plan.steps))))
+    return replace(drawn, step=step, time_s=time_s, order=_places(time_s))
+
+
 def drawn_conditions(
     profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
 ) -> MeasurementConditions:
@@ -283,10 +301,13 @@ def drawn_conditions(
         step=step,
         dwell_s=rng.choice(plan.dwell, n),
         time_s=time_s,
-        order=np.argsort(np.argsort(time_s)).astype(np.float64),
+        order=_places(time_s),
         payload_kg=np.full(n, profile.arms[name].payload.mass),
         other_moment_M=moment,
         other_q=other_q,
     )
 
 
+def _places(time_s: Array) -> Array:
+    """Places (n,) in the order of time, from 0."""
+    return np.argsort(np.argsort(time_s, kind="stable")).astype(np.float64)
