@@ -16,6 +16,9 @@ from cellapp.design.block_design import BlockDesign, Criterion, Rows, informatio
 from cellapp.kinematics.transforms import Array
 from cellapp.progress import CancelToken
 
+_SMALLEST_BATCH = 20
+"""Stops of a batch of the first choice: with fewer the fresh subset costs more than the choice."""
+
 
 @dataclass(frozen=True)
 class Effort:
@@ -26,7 +29,7 @@ class Effort:
     subset : int
         Candidates that are looked at together, drawn anew for every batch.
     batches : int
-        Batches in which the first choice is made, of at least ``batch`` stops.
+        Batches in which the first choice is made, of at least 20 stops.
     batch : int
         Exchanges with the same subset.
     exchanges : int
@@ -40,7 +43,7 @@ class Effort:
 
     subset: int = 1000
     batches: int = 20
-    batch: int = 20
+    batch: int = 40
     exchanges: int = 800
     passes: int = 6
     ordered: int = 400
@@ -114,7 +117,7 @@ def _greedy(
 ) -> Rows:
     """Stop after stop the largest gain among a subset."""
     free = np.ones(len(candidates), dtype=bool)
-    size = max(effort.batch, -(-count // effort.batches))
+    size = max(_SMALLEST_BATCH, -(-count // effort.batches))
     while (chosen := np.flatnonzero(~free)).size < count:
         cancel.check()
         subset = _drawn(free, max(effort.subset, 2 * size), rng)
