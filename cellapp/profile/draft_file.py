@@ -121,7 +121,12 @@ def save(opened: OpenProfile, draft: ProfileDraft, new: NewText) -> OpenProfile:
     types = {arm.type for arm in draft.arms} & {f"arms/{path.name}" for path in arm_type_files()}
     write_new(copies(sorted(name for name in types if not path_exists(folder / name)), folder))
     write_text(opened.path, new.text)
-    return OpenProfile(opened.path, new.text, replace(draft, arms=tuple(replace(a, source=a.name) for a in draft.arms)))
+    stored = replace(
+        draft,
+        arms=tuple(replace(one, source=one.name) for one in draft.arms),
+        obstacles=tuple(replace(one, source=one.name) for one in draft.obstacles),
+    )
+    return OpenProfile(opened.path, new.text, stored)
 
 
 def save_new(folder: Path, draft: ProfileDraft, name: str) -> Path:
