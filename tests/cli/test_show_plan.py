@@ -51,7 +51,7 @@ def test_a_plan_that_is_refused_ends_with_1(tmp_path: Path, capsys: pytest.Captu
     out = tmp_path / "out.json"
     code, said, complaint = called(capsys, "show", tmp_path / "run", "plan", "--check", "--json", out)
     assert code == 1
-    assert "stop 1: arm left: comes nearer to the floor" in said
+    assert "stop 1: arm left: collides with the floor" in said
     assert "Not safe" in complaint
     assert read_json(out)["refused"]
 
