@@ -134,11 +134,21 @@ def floor_too_high(profile: Profile) -> Profile:
     return profile.model_copy(update={"plan": profile.plan.model_copy(update={"floor": 0.5})})
 
 
-@pytest.mark.parametrize("spoilt", [behind_its_back, arms_cannot_turn_round, looking_into_the_wrist, floor_too_high])
-def test_where_nothing_can_be_seen_planning_ends_in_words(spoilt: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("spoilt", "cause"),
+    [
+        (behind_its_back, "tracker.azimuth excludes all draws"),
+        (arms_cannot_turn_round, "viewing direction .* excludes all draws: it looks away from the tracker"),
+        (looking_into_the_wrist, "viewing direction .* excludes all draws"),
+        (floor_too_high, "'floor' excludes all draws"),
+    ],
+)
+def test_where_nothing_can_be_seen_planning_ends_in_words(
+    spoilt: Any, cause: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     profile = spoilt(small_twin(3))
-    monkeypatch.setattr("cellapp.planning.plan._MOST_BATCHES", 20)
-    with pytest.raises(InputError, match="arm left: the tracker sees none of 80000 random configurations"):
+    monkeypatch.setattr("cellapp.planning.candidates._MOST_DRAWS", 20_000)
+    with pytest.raises(InputError, match=f"arm left: none of 24576 random configurations .*{cause}"):
         plan_stops(profile)
 
 
