@@ -40,6 +40,8 @@ class Outlined:
 
     name: str
     p_C: Array
+    moves: bool = False
+    """Whether it is fixed to a flange."""
 
 
 def outlined_obstacles(profile: Profile) -> list[Outlined]:
@@ -64,7 +66,7 @@ def placed_obstacles(
         points = surface_points(one)
         if frame is not None and len(points):
             T_C_O = frame @ pose_matrix(Pose(position=one.pose.position, rpy=one.pose.rpy))
-            found.append(Outlined(name, apply(T_C_O, points)))
+            found.append(Outlined(name, apply(T_C_O, points), one.fixed_to == "flange"))
     return found
 
 
@@ -145,13 +147,13 @@ class Blocked:
 def blocked_directions(obstacles: Iterable[Outlined], T_C_M: Array, p_C: Array) -> list[Blocked]:
     """Obstacles that stand between the tracker and some of the points (n, 3), or would at their elevations.
 
-    A table below all beams blocks none. Obstacles farther than every point are left out.
+    A table below all beams blocks none. Obstacles farther than every point, and those that move, are left out.
     """
     if not len(p_C):
         return []
     elevation, reach = seen_from(p_C, T_C_M, "tracker")[:, 1], np.linalg.norm(p_C - T_C_M[:3, 3], axis=1).max()
     found = []
-    for one in obstacles:
+    for one in (one for one in obstacles if not one.moves):
         azimuth, up = seen_from(one.p_C, T_C_M, "tracker").T
         nearest = float(np.linalg.norm(one.p_C - T_C_M[:3, 3], axis=1).min())
         if up.max() > elevation.min() and up.min() < elevation.max() and nearest < reach:

@@ -107,6 +107,7 @@ def test_what_is_mounted_on_a_flange_is_drawn_where_the_arm_stands_at_home() -> 
     assert base is not None
     assert np.allclose(found["foot"], base.position, atol=0.01)
     assert 0.3 < np.linalg.norm(found["knob"] - found["foot"]) < 2.0
+    assert "knob" not in cell_map_chart(profile, stops()).message, "what moves blocks no direction for all stops"
 
 
 def test_a_body_behind_the_tracker_is_in_one_piece() -> None:
