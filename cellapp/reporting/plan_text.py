@@ -28,10 +28,10 @@ def check_sentences(check: PlanCheckResult) -> list[str]:
     """The verdict first, then every refusal."""
     refusals = [refusal_sentence(one) for one in check.refused]
     if check.is_safe:
-        detours = f"; {len(refusals)} ways go via home" if refusals else ""
+        detours = f"; {len(refusals)} ways take a detour" if refusals else ""
         kept = f"{check.stops} stops and {check.ways} ways keep their clearance"
         return [f"Safe: {kept}, the tracker sees every SMR{detours}.", *refusals]
-    bad = sum(not one.via_home for one in check.refused)
+    bad = sum(not one.is_avoided for one in check.refused)
     return [f"Not safe: {bad} of {check.stops} stops and {check.ways} ways are refused.", *refusals]
 
 
@@ -41,7 +41,9 @@ def refusal_sentence(one: PlanRefusal) -> str:
     if one.what != "way":
         return f"{stop}: {one.reason}; plan again, or change base, limits or clearance in the profile"
     before = "home" if one.before is None else f"stop {one.before + 1}"
-    after = "the arms go via home" if one.via_home else "no way via home is free either: the stop would be left out"
+    after = "no way via home is free either: the stop would be left out"
+    if one.is_avoided:
+        after = f"the arms go {one.detour or 'via home'}"
     return f"from {before} to {stop}: {one.reason}; {after}"
 
 
