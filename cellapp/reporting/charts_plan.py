@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from cellapp.errors import InputError
+from cellapp.planning.joint_draws import joint_ranges
+from cellapp.profile import Profile
 from cellapp.reporting.charts import Array, Axis, Chart, bar_chart, enumerated, mm, series
 from cellapp.reporting.plan_text import duration_words
 from cellapp.results import (
     ArmDesign,
     FactorCorrelation,
     PlanDesignResult,
+    PlannedStop,
     PlannedTime,
     PlanQuality,
     TravelTime,
 )
+from cellapp.safety.cell_bodies import cell_bodies
 
 MOST_CORRELATION = 0.1
 """Largest correlation of a factor that can be chosen which a plan is meant to have."""
@@ -54,10 +61,10 @@ def _information_message(name: str, arm: ArmDesign) -> str:
     early = next((one for one in arm.by_stops if 4 * one.stops >= designed.stops), None)
     sentences = [f"Arm {name}: {designed.stops} stops give {_errors(designed)}"]
     if equal:
-        sentences.append(f"they tell as much as random stops: {enumerated(equal)}")
+        sentences.append(f"They tell as much as random stops: {enumerated(equal)}")
     if early is not None and early.stops < designed.stops:
-        sentences.append(f"after {early.stops} stops {_errors(early)}")
-    return "; ".join(sentences) + "."
+        sentences.append(f"After {early.stops} stops {_errors(early)}")
+    return ". ".join(sentences) + "."
 
 
 def _errors(quality: PlanQuality) -> str:
@@ -65,6 +72,19 @@ def _errors(quality: PlanQuality) -> str:
 
 
 # -- joints -----------------------------------------------------------------------------------------------------------
+
+
+def coverage_charts(profile: Profile, stops: Sequence[PlannedStop]) -> tuple[Chart, ...]:
+    """The joint ranges of every arm with the stops in them; none where the profile does not describe the cell."""
+    try:
+        cell = cell_bodies(profile)
+        allowed = {name: joint_ranges(cell, profile, name) for name in cell.arms}
+    except InputError:
+        return ()
+    return tuple(
+        coverage_chart(name, ranges, np.array([stop.q[name] for stop in stops]).reshape(-1, len(ranges)))
+        for name, ranges in allowed.items()
+    )
 
 
 def coverage_chart(name: str, allowed: Array, q: Array) -> Chart:

@@ -31,8 +31,8 @@ def test_errors_fall_with_the_stops_beside_random_ones() -> None:
     assert (random_mean.x[0], random_mean.y[0]) == (400, 0.01)
     assert random_worst.y[0] > worst.y[-1]
     assert chart.message == (
-        "Arm left: 400 stops give 0.0070 mm on average, 0.021 mm at the worst point; they tell as much as random stops:"
-        " 840 in parameters, 640 in mean error and 1280 in worst error; after 100 stops 0.014 mm on average, 0.042 mm"
+        "Arm left: 400 stops give 0.0070 mm on average, 0.021 mm at the worst point. They tell as much as random stops:"
+        " 840 in parameters, 640 in mean error and 1280 in worst error. After 100 stops 0.014 mm on average, 0.042 mm"
         " at the worst point."
     )
 

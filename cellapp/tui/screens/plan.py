@@ -6,22 +6,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
-from textual import on
+from textual import on, work
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
+from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
 from cellapp.tui import work as verbs
 from cellapp.tui.dialogs.new_run import NewRunQuestion
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.cell_map import CellMap
-from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable
+from cellapp.tui.widgets.charts_view import ChartsView
+from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable, StopsTable
 from cellapp.tui.widgets.tabs import explain_tabs, show_next_tab
 from cellapp.tui.workspace import NO_PROFILE, Step, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.profile import Profile
+    from cellapp.reporting.charts import Chart
     from cellapp.results import PlanCheckResult, PlanForecastResult, Result, StopsResult
 
 HELP = """
@@ -33,8 +36,9 @@ Which stops the arms will visit, before anything moves.
 - `k` runs the safety gate again over every stop and every way of the open run's plan.
 - `f` foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect whether the
   plan can show it and from which size on.
-- *Constraints* is what the profile demands, *Above* and *Tracker* show the stops. The sentence below a table is that of
-  the selected row; `t` shows the next tab.
+- *Limits* is what the profile demands, *Design* what the stops tell beside random ones; *Stops* lists them, *Above* and
+  *Tracker* show them with obstacles and what these hide. The sentence below a table is that of the selected row; `t`
+  shows the next tab.
 
 Sizes and errors *alone* are for the tracker's noise alone; *with scatter* adds 0.1 mm, what gravity and backlash leave
 in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload let more effects be seen.
@@ -42,7 +46,15 @@ in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload 
 Next: collect (`3`).
 """
 _NO_RUN = "No run is open: plan one with g, or open one on the screen Runs (7)."
-_NO_FORECAST = "Not foreseen yet: f computes time, joint ranges, expected errors and visible effects."
+_NO_FORECAST = "Not foreseen yet: f computes time, expected errors and visible effects."
+
+
+class ChartsMade(Message):
+    """The charts of a run's plan were made."""
+
+    def __init__(self, workspace: Workspace, charts: tuple[Chart, ...]) -> None:
+        super().__init__()
+        self.workspace, self.charts = workspace, charts
 
 
 class PlanScreen(DayScreen):
@@ -54,6 +66,7 @@ class PlanScreen(DayScreen):
         Binding("g", "plan", "New plan", tooltip="make a new run with a plan"),
         Binding("k", "check", "Check", tooltip="run the safety gate over all stops and ways again; nothing moves"),
         Binding("f", "forecast", "Forecast", tooltip="time, joint ranges, expected errors, effects that can be seen"),
+        Binding("space", "mark", "Mark", tooltip="mark the selected stop, in the tab Stops"),
         Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
     ]
     DEFAULT_CSS = """
@@ -83,8 +96,12 @@ class PlanScreen(DayScreen):
                 yield Static("", id="plan-safety", markup=False)
                 yield Static("", id="plan-time", markup=False)
                 with TabbedContent(id="plan-tabs", initial="tab-constraints"):
-                    with TabPane("Constraints", id="tab-constraints"):
+                    with TabPane("Limits", id="tab-constraints"):
                         yield PairsTable(id="constraints")
+                    with TabPane("Design", id="tab-design"):
+                        yield ChartsView(_NO_RUN, id="plan-design")
+                    with TabPane("Stops", id="tab-stops"):
+                        yield StopsTable(id="stops")
                     with TabPane("Joints", id="tab-joints"):
                         yield CoverageTable(id="coverage")
                     with TabPane("Effects", id="tab-effects"):
@@ -136,9 +153,21 @@ class PlanScreen(DayScreen):
         if folder := self._planned_folder():
             self.start(verbs.forecast_plan(folder))
 
+    def action_mark(self) -> None:
+        """Mark the selected stop."""
+        self.query_one(StopsTable).mark()
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Stops can be marked where they are listed."""
+        return action != "mark" or self.query_one("#plan-tabs", TabbedContent).active == "tab-stops"
+
     def action_next_tab(self) -> None:
         """Show the next tab."""
-        show_next_tab(self.query_one("#plan-tabs", TabbedContent))
+        tabs = self.query_one("#plan-tabs", TabbedContent)
+        show_next_tab(tabs)
+        if tabs.active_pane is not None:
+            for content in tabs.active_pane.query("DataTable, ChartsView"):
+                content.focus()
 
     def _planned_folder(self) -> Path | None:
         """Folder of the open run with a plan; None with a sentence why there is none."""
@@ -198,6 +227,23 @@ class PlanScreen(DayScreen):
         stops = () if workspace.stops is None else workspace.stops.stops
         for drawn in self.query(CellMap):
             drawn.show_cell(workspace.profile, stops)
+        self.query_one(StopsTable).show(stops, workspace.ways)
+        self._make_charts(workspace)
+
+    @work(thread=True, exclusive=True, group="charts")
+    def _make_charts(self, workspace: Workspace) -> None:
+        """Make the charts of the design: the mathematics that they need takes half a second to load."""
+        from cellapp.reporting.plan_section import design_charts_of
+
+        stops = () if workspace.stops is None else workspace.stops.stops
+        if workspace.profile is not None and stops:
+            self.post_message(ChartsMade(workspace, design_charts_of(workspace.profile, stops, workspace.design)))
+
+    @on(ChartsMade)
+    async def show_charts(self, event: ChartsMade) -> None:
+        """Draw the charts of the design, unless another run was opened meanwhile."""
+        if event.workspace.stops is self._stops:
+            await self.query_one("#plan-design", ChartsView).show(event.charts)
 
     def _draw_results(self) -> None:
         """Draw check and forecast, or what to press for them."""
@@ -250,6 +296,8 @@ class PlanScreen(DayScreen):
         if pane is not None:
             for table in pane.query(PairsTable).results():
                 text = table.selected_text
+            for stops in pane.query(StopsTable).results():
+                text = stops.selected_text
             for other in pane.query("CoverageTable, EffectsTable, AccuracyTable").results():
                 assert isinstance(other, CoverageTable | EffectsTable | AccuracyTable)
                 text = other.selected_text or _NO_FORECAST

@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
+from textual.coordinate import Coordinate
 from textual.widgets import DataTable
 
 if TYPE_CHECKING:
-    from cellapp.results import ArmForecast
+    from cellapp.planning.planned_stops import PlannedStops
+    from cellapp.results import ArmForecast, PlannedStop
 
 _BAR_CELLS = 24
 """Width of the bar of a joint's range: 15 degrees a cell over one turn."""
@@ -54,6 +56,50 @@ class PairsTable(_RowTable):
     def show(self, rows: Sequence[tuple[str, str]]) -> None:
         """Draw names with words."""
         self.draw([((name, words), f"{name}: {words}") for name, words in rows])
+
+
+class StopsTable(_RowTable):
+    """The stops in their order, and which of them a person marked."""
+
+    COLUMNS = ("stop", "marked", "kept", "state", "part", "how")
+    TIP = "Space marks the selected stop"
+
+    def __init__(self, *, id: str) -> None:
+        super().__init__(id=id)
+        self._stops: Sequence[PlannedStop] = ()
+        self.marked: set[int] = set()
+
+    def show(self, stops: Sequence[PlannedStop], ways: PlannedStops | None) -> None:
+        """Draw the stops of another plan; marks go with the plan before."""
+        if stops == self._stops:
+            return
+        self._stops = stops
+        self.marked.clear()
+        self.draw([_stop_row(stop, ways) for stop in stops])
+
+    def mark(self) -> None:
+        """Mark the selected stop, or take its mark away; then go to the next one."""
+        if self.cursor_row >= len(self._stops):
+            return
+        stop = self._stops[self.cursor_row].configuration
+        self.marked ^= {stop}
+        self.update_cell_at(Coordinate(self.cursor_row, 1), Text("●" if stop in self.marked else ""))
+        self.action_cursor_down()
+
+
+def _stop_row(stop: PlannedStop, ways: PlannedStops | None) -> tuple[tuple[str, ...], str]:
+    """Cells and sentence of one stop, counted from 1."""
+    from cellapp.reporting.plan_text import stop_words
+
+    number, state = stop.configuration + 1, "measured" if stop.measured else "planned"
+    joints = "; ".join(
+        f"arm {name} " + ", ".join(f"{math.degrees(angle):.0f}" for angle in q) + " deg" for name, q in stop.q.items()
+    )
+    if ways is None:
+        return (str(number), "", "", state, "", ""), f"Stop {number}: {joints}."
+    kept, how = bool(ways.frozen[stop.configuration]), stop_words(ways, stop.configuration)
+    cells = (str(number), "", "kept" if kept else "", state, str(ways.block[stop.configuration] + 1), how)
+    return cells, f"Stop {number}: {joints}. {how[:1].upper()}{how[1:]}."
 
 
 class CoverageTable(_RowTable):
