@@ -18,13 +18,16 @@ from cellapp.profile.obstacles import (
     BoxObstacle,
     CapsuleObstacle,
     CylinderObstacle,
+    MeshObstacle,
     SphereObstacle,
 )
 from cellapp.safety.bodies import ArmBodies
 from cellapp.safety.covers import cover
-from cellapp.safety.gate import CellBodies, TrackerField
+from cellapp.safety.gate import BEAM_RADIUS, CellBodies, TrackerField
+from cellapp.safety.meshes import load_mesh
 from cellapp.safety.obstacles import Obstacle
 from cellapp.safety.shapes import Cylinder, RoundedBox, Shape
+from cellapp.safety.standing import standings
 
 
 def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
@@ -35,7 +38,8 @@ def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
     Raises
     ------
     InputError
-        If the profile lacks the pose of an arm's base or of the tracker, or the mesh of an obstacle cannot be used.
+        If the profile lacks the pose of an arm's base or of the tracker, the mesh of an obstacle cannot be used, or an
+        obstacle contains the tracker's head or a part of an arm at home.
     """
     tracker = profile.tracker
     T_C_M = None if tracker.pose is None else pose_matrix(tracker.pose)
@@ -54,7 +58,9 @@ def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
     if T_C_M is not None:
         field = TrackerField(T_C_M, tracker.azimuth, tracker.elevation, tracker.distance)
     ceiling = math.inf if profile.plan.ceiling is None else profile.plan.ceiling
-    return CellBodies(arms, field, profile.plan.clearance, profile.plan.floor, ceiling, tuple(placed))
+    cell = CellBodies(arms, field, profile.plan.clearance, profile.plan.floor, ceiling, tuple(placed))
+    _check_obstacles(profile, cell)
+    return cell
 
 
 def home_positions(profile: Profile) -> dict[str, np.ndarray]:
@@ -84,24 +90,54 @@ def _arm_bodies(arm: Arm, geometry: Geometry, mounted: Sequence[Obstacle]) -> Ar
     )
 
 
+def _check_obstacles(profile: Profile, cell: CellBodies) -> None:
+    """Refuse obstacles that stand where the tracker's head or an arm at home is: their pose or size is wrong."""
+    if cell.field is not None:
+        head = cell.field.T_C_M[None, :3, 3]
+        for obstacle in cell.obstacles:
+            if not obstacle.gaps(head, head, 0.0, np.inf)[0] > BEAM_RADIUS:
+                raise InputError(
+                    f"profile {profile.name}: obstacles.{obstacle.name}.pose: the tracker's head, tracker.pose, is"
+                    " inside it or touches it, so that every beam would end there; correct one of them"
+                )
+    homes = {name: q for name, q in home_positions(profile).items() if q.shape == (cell.arms[name].geometry.joints,)}
+    for standing in standings(cell, homes):
+        if standing.moving < 0.0:
+            raise InputError(
+                f"profile {profile.name}: obstacles.{standing.obstacle}.pose: arm {standing.arm} at home reaches"
+                f" {-1e3 * standing.moving:.0f} mm into it; correct its pose or size, arms.{standing.arm}.home or .base"
+            )
+
+
 def _obstacles(profile: Profile, bases: dict[str, Array]) -> tuple[list[Obstacle], dict[str, list[Obstacle]]]:
     """Obstacles that stand in the cell, poses in C; and arm -> those on its flange, poses in F. ``bases``: T_C_B."""
     placed: list[Obstacle] = []
     mounted: dict[str, list[Obstacle]] = {}
     for name, entry in profile.obstacles.items():
-        shape = _shape(name, entry)
         roll, pitch, yaw = entry.pose.rpy
-        obstacle = Obstacle(name, shape, transform(rotation_zyx(yaw, pitch, roll), entry.pose.position))
+        pose = transform(rotation_zyx(yaw, pitch, roll), entry.pose.position)
+        shape, centre = _shape(f"profile {profile.name}: obstacles.{name}", entry)
+        obstacle = Obstacle(name, shape, pose @ transform(np.eye(3), centre))
         if entry.arm is None:
             placed.append(obstacle)
         elif entry.fixed_to == "base":
-            placed.append(Obstacle(name, shape, bases[entry.arm] @ obstacle.pose, base_of=entry.arm))
+            placed.append(Obstacle(name, shape, bases[entry.arm] @ obstacle.pose, entry.arm))
         else:
             mounted.setdefault(entry.arm, []).append(obstacle)
     return placed, mounted
 
 
-def _shape(name: str, entry: AnyObstacle) -> Shape:
+def _shape(key: str, entry: AnyObstacle) -> tuple[Shape, Array]:
+    """The solid of an obstacle, and where the frame of its pose has the solid's centre, (3,) [m]."""
+    if isinstance(entry, MeshObstacle):
+        try:
+            return load_mesh(entry.file, entry.scale)
+        except InputError as error:
+            raise InputError(f"{key}.file: {error}") from None
+    return _primitive(entry), np.zeros(3)
+
+
+def _primitive(entry: BoxObstacle | CylinderObstacle | CapsuleObstacle | SphereObstacle) -> Shape:
     match entry:
         case BoxObstacle():
             return RoundedBox(0.5 * np.array(entry.size))
@@ -111,5 +147,3 @@ def _shape(name: str, entry: AnyObstacle) -> Shape:
             return RoundedBox(np.array([0.0, 0.0, 0.5 * entry.length]), entry.radius)
         case SphereObstacle():
             return RoundedBox(np.zeros(3), entry.radius)
-        case _:
-            raise InputError(f"obstacles.{name}.shape: meshes")

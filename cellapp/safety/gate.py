@@ -31,7 +31,7 @@ from cellapp.safety.gaps_between_arms import gap_at_rest, gap_on_paths
 from cellapp.safety.obstacles import Obstacle, beam_gaps, box_about
 from cellapp.safety.paths import STRIDE, SampledPath, sample_path
 
-_BEAM_RADIUS = 0.02
+BEAM_RADIUS = 0.02
 """Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""
 _SELF_CLEARANCE = 0.01
 """Clearance of an arm from itself [m]; smaller than from others, as its shape is known better than its base."""
@@ -200,12 +200,12 @@ def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] |
     rows = np.flatnonzero(seen)
     if len(rows):
         bodies = bodies.take(rows)
-        free = beam_clearance(tracker, bodies.smr, bodies, own=True) > _BEAM_RADIUS
-        free &= ~mounted_hides(tracker, bodies, _BEAM_RADIUS)
-        free &= beam_gaps(cell.obstacles, tracker, bodies.smr, _BEAM_RADIUS) > _BEAM_RADIUS
+        free = beam_clearance(tracker, bodies.smr, bodies, own=True) > BEAM_RADIUS
+        free &= ~mounted_hides(tracker, bodies, BEAM_RADIUS)
+        free &= beam_gaps(cell.obstacles, tracker, bodies.smr, BEAM_RADIUS) > BEAM_RADIUS
         for other, other_q in (others or {}).items():
             other_bodies = place(cell.arms[other], other_q[rows])
-            free &= beam_clearance(tracker, bodies.smr, other_bodies, own=False) > _BEAM_RADIUS
+            free &= beam_clearance(tracker, bodies.smr, other_bodies, own=False) > BEAM_RADIUS
         seen[rows] = free
     return seen
 
