@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from cellapp.errors import InputError
 from cellapp.kinematics.chain import flange_poses
 from cellapp.kinematics.transforms import Array, apply, invert
 from cellapp.model.nominal import nominal_arm, pose_matrix
@@ -21,6 +22,7 @@ from cellapp.profile.obstacles import (
     SphereObstacle,
 )
 from cellapp.reporting.charts import Series, series
+from cellapp.safety.meshes import load_mesh
 
 View = Literal["above", "tracker"]
 
@@ -83,7 +85,11 @@ def surface_points(obstacle: AnyObstacle) -> Array:
         case SphereObstacle():
             return _sphere(obstacle.radius)
         case MeshObstacle():
-            return np.empty((0, 3))
+            try:
+                mesh, centre = load_mesh(obstacle.file, obstacle.scale)
+            except InputError:  # a map without it is better than none; planning says what is wrong
+                return np.empty((0, 3))
+            return mesh.vertices + centre
 
 
 def _circle(radius: float) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,16 @@ def test_points_span_the_shape(obstacle: dict[str, Any], extent: tuple[float, fl
     points = surface_points(READ.validate_python({"one": obstacle})["one"])
     assert np.allclose(points.max(axis=0) - points.min(axis=0), extent)
     assert np.allclose(points.mean(axis=0), 0.0, atol=0.05)
+
+
+def test_a_mesh_is_drawn_as_its_hull_and_a_missing_one_is_left_out(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((1000.0, 2000.0, 3000.0)).export(tmp_path / "box.stl")
+    mesh = {"shape": "mesh", "file": str(tmp_path / "box.stl"), "scale": 0.001}
+    points = surface_points(READ.validate_python({"guard": mesh})["guard"])
+    assert np.allclose(np.ptp(points, axis=0), (1.0, 2.0, 3.0))
+    missing = with_obstacles(guard={**mesh, "file": "nowhere.stl"})
+    assert named(cell_map_chart(missing, stops()), "obstacles") is None
 
 
 def test_an_outline_stands_where_the_profile_says() -> None:
