@@ -227,8 +227,14 @@ class PlanScreen(DayScreen):
         stops = () if workspace.stops is None else workspace.stops.stops
         for drawn in self.query(CellMap):
             drawn.show_cell(workspace.profile, stops)
-        self.query_one(StopsTable).show(stops, workspace.ways)
+        self._draw_stops()
         self._make_charts(workspace)
+
+    def _draw_stops(self) -> None:
+        """List the stops where they are seen: thousands take half a second."""
+        if self.query_one("#plan-tabs", TabbedContent).active == "tab-stops":
+            stops = () if self._stops is None else self._stops.stops
+            self.query_one(StopsTable).show(stops, self.workspace.ways)
 
     @work(thread=True, exclusive=True, group="charts")
     def _make_charts(self, workspace: Workspace) -> None:
@@ -282,8 +288,7 @@ class PlanScreen(DayScreen):
         line.display = True
         line.set_classes("safe" if check.is_safe else "unsafe")
         rows = [
-            ("goes via home" if one.via_home else "refused", text)
-            for one, text in zip(check.refused, refusals, strict=True)
+            ("detour" if one.is_avoided else "refused", text) for one, text in zip(check.refused, refusals, strict=True)
         ]
         self.query_one("#refusals", PairsTable).show(rows or [("safe", verdict)])
 
@@ -291,6 +296,7 @@ class PlanScreen(DayScreen):
     @on(TabbedContent.TabActivated)
     def _draw_detail(self) -> None:
         """The selected row of the table in front, in full."""
+        self._draw_stops()
         pane = self.query_one("#plan-tabs", TabbedContent).active_pane
         text = ""
         if pane is not None:

@@ -67,13 +67,14 @@ class StopsTable(_RowTable):
     def __init__(self, *, id: str) -> None:
         super().__init__(id=id)
         self._stops: Sequence[PlannedStop] = ()
+        self._ways: PlannedStops | None = None
         self.marked: set[int] = set()
 
     def show(self, stops: Sequence[PlannedStop], ways: PlannedStops | None) -> None:
-        """Draw the stops of another plan; marks go with the plan before."""
-        if stops == self._stops:
+        """Draw the stops of a plan, unless they stand there already; marks go with the plan before."""
+        if stops is self._stops or (stops == self._stops and _same_ways(ways, self._ways)):
             return
-        self._stops = stops
+        self._stops, self._ways = stops, ways
         self.marked.clear()
         self.draw([_stop_row(stop, ways) for stop in stops])
 
@@ -85,6 +86,13 @@ class StopsTable(_RowTable):
         self.marked ^= {stop}
         self.update_cell_at(Coordinate(self.cursor_row, 1), Text("●" if stop in self.marked else ""))
         self.action_cursor_down()
+
+
+def _same_ways(one: PlannedStops | None, other: PlannedStops | None) -> bool:
+    """Whether two plans with the same joint positions say the same of their stops; other ways come with other stops."""
+    if one is None or other is None:
+        return one is other
+    return bool((one.frozen == other.frozen).all() and (one.block == other.block).all())
 
 
 def _stop_row(stop: PlannedStop, ways: PlannedStops | None) -> tuple[tuple[str, ...], str]:
@@ -99,7 +107,8 @@ def _stop_row(stop: PlannedStop, ways: PlannedStops | None) -> tuple[tuple[str, 
         return (str(number), "", "", state, "", ""), f"Stop {number}: {joints}."
     kept, how = bool(ways.frozen[stop.configuration]), stop_words(ways, stop.configuration)
     cells = (str(number), "", "kept" if kept else "", state, str(ways.block[stop.configuration] + 1), how)
-    return cells, f"Stop {number}: {joints}. {how[:1].upper()}{how[1:]}."
+    words = f"{how}; kept when others are designed anew" if kept else how
+    return cells, f"Stop {number}: {joints}. {words[:1].upper()}{words[1:]}."
 
 
 class CoverageTable(_RowTable):
