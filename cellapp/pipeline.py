@@ -33,7 +33,7 @@ from cellapp.discovery.result import discover_result, proposal_result
 from cellapp.errors import InputError
 from cellapp.exports.geometry import geometry_export
 from cellapp.model import CellModel
-from cellapp.planning.plan import plan_run
+from cellapp.planning.method import plan_run
 from cellapp.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken, Listener, ignore, with_eta

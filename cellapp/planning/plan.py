@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from cellapp.kinematics.transforms import Array
 from cellapp.planning.candidates import random_configurations
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.run import RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import CellBodies, refuse_motion, refuse_stop, visible
 
@@ -24,38 +23,45 @@ _PROGRESS_EVERY = 10
 """Stops between two progress reports."""
 
 
-def plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> dict[str, Array]:
-    """Plan the stops of a run and store them. Returns arm -> q (stops, N) [rad].
-
-    Raises
-    ------
-    InputError
-        If not enough stops can be reached.
-    """
-    plans = plan_stops(run.profile, listener, cancel)
-    run.write_plan(plans)
-    return plans
-
-
 def plan_stops(profile: Profile, listener: Listener = ignore, cancel: CancelToken | None = None) -> dict[str, Array]:
     """Stops for all arms, arm -> q (stops + reserve, N) [rad], drawn with the profile's seed.
 
     Configurations are uniform in joint space, restricted to those where the tracker sees the SMR and the arm is clear
     of the floor and of itself. Their order is random, so that drift in time is not confounded with joint positions. A
     pair of configurations becomes the next stop if both arms can move there at any relative speed.
+
+    Raises
+    ------
+    InputError
+        If not enough stops can be reached.
+    """
+    wanted = profile.plan.stops + profile.plan.reserve
+    return further_stops(profile, home_positions(profile), wanted, (), listener, cancel)
+
+
+def further_stops(
+    profile: Profile,
+    here: Mapping[str, Array],
+    wanted: int,
+    more_seed: Sequence[int] = (),
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> dict[str, Array]:
+    """As ``plan_stops``, arm -> q (wanted, N) [rad], from where the arms are (arm -> (N,) [rad]) to their homes.
+
+    ``more_seed`` beside the profile's seed gives other stops than those that are there already.
     """
     cancel = cancel or CancelToken()
     cell = cell_bodies(profile)
-    rng = np.random.default_rng([profile.seed, 0x9A7])
+    rng = np.random.default_rng([profile.seed, 0x9A7, *more_seed])
     drawn = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
-    homes: Mapping[str, Array] = home_positions(profile)
-    wanted = profile.plan.stops + profile.plan.reserve
+    homes = home_positions(profile)
     stops: list[Mapping[str, Array]] = []
     for number in range(1, wanted + 1):
         cancel.check()
         if (number - 1) % _PROGRESS_EVERY == 0:
             listener(Progress("plan", number - 1, wanted))
-        q, refusal = _next_stop(cell, drawn, stops[-1] if stops else homes, homes if number == wanted else None)
+        q, refusal = _next_stop(cell, drawn, stops[-1] if stops else here, homes if number == wanted else None)
         if q is None:
             raise InputError(
                 f"plan: stop {number} of {wanted} not found in {_TRIES_PER_STOP} tries; the last was refused:"

@@ -74,7 +74,7 @@ class PlannedStops:
             dwell_s={name: rest[chosen] for name, rest in self.dwell_s.items()},
             legs=tuple(
                 self.legs[row] if row == before + 1 else ()
-                for before, row in zip([-1, *chosen[:-1].tolist()], chosen.tolist(), strict=True)
+                for before, row in zip([-1, *chosen.tolist()], chosen.tolist())
             ),
             block=self.block[chosen],
             repeat_of=place[self.repeat_of[chosen]],
@@ -107,7 +107,7 @@ def joined(first: PlannedStops, second: PlannedStops) -> PlannedStops:
         q=both(first.q, second.q),
         approach_from=both(first.approach_from, second.approach_from),
         dwell_s=both(first.dwell_s, second.dwell_s),
-        legs=(*first.legs, *(((), *second.legs[1:]) if len(first) and len(second) else second.legs)),
+        legs=(*first.legs, *(((), *second.legs[1:]) if min(len(first), len(second)) > 0 else second.legs)),
         block=np.concatenate([first.block, second.block]),
         repeat_of=np.concatenate([first.repeat_of, later]),
         frozen=np.concatenate([first.frozen, second.frozen]),

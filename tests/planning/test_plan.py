@@ -11,7 +11,8 @@ import pytest
 
 from cellapp.collection.cell import open_cell
 from cellapp.errors import InputError
-from cellapp.planning.plan import plan_run, plan_stops
+from cellapp.planning.method import plan_run
+from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
 from cellapp.progress import Cancelled, CancelToken, Progress
 from cellapp.run import RunFile
@@ -176,7 +177,7 @@ def test_a_plan_is_stored_reported_and_cancelled(tmp_path: Any) -> None:
     with RunFile.create(tmp_path / "run", profile) as run:
         plans = plan_run(run, heard.append)
         for name, q in run.read_plan().items():
-            np.testing.assert_array_equal(q, plans[name])
+            np.testing.assert_array_equal(q, plans.q[name])
     assert [(event.done, event.total) for event in heard] == [(0, 12), (10, 12), (12, 12)]
     token = CancelToken()
     with pytest.raises(Cancelled):
