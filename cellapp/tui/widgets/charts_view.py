@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from textual.containers import ItemGrid, VerticalScroll
+from textual.geometry import Size
 from textual.widgets import Static
 
 from cellapp.reporting.charts import Chart
@@ -20,6 +21,15 @@ _WORDS = 5
 """Lines of title and message around bars."""
 
 
+class _Plot(ChartPlot):
+    """A chart as high as it needs."""
+
+    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
+        """Lines of the drawing."""
+        bars = 0 if self.chart is None else len(self.chart.categories)
+        return bars + _WORDS if bars else _ROWS
+
+
 class ChartsView(VerticalScroll):
     """Parameters
     ----------
@@ -30,6 +40,7 @@ class ChartsView(VerticalScroll):
     DEFAULT_CSS = """
     ChartsView { height: 1fr; }
     ChartsView ItemGrid { height: auto; grid-rows: auto; grid-gutter: 0 2; }
+    ChartsView ChartPlot { height: auto; }
     ChartsView .table { height: auto; padding-top: 1; }
     """
 
@@ -45,11 +56,7 @@ class ChartsView(VerticalScroll):
             *(Static(text, markup=False) for text in sentences),
             *(Static(rich_table(table), classes="table") for table in tables),
         )
-        plots = [ChartPlot() for _ in charts]
-        await self.mount(ItemGrid(*plots, min_column_width=_LEAST_COLUMNS))
-        for plot, chart in zip(plots, charts, strict=True):
-            plot.styles.height = len(chart.categories) + _WORDS if chart.categories else _ROWS
-            plot.chart = chart
+        await self.mount(ItemGrid(*map(_Plot, charts), min_column_width=_LEAST_COLUMNS))
         self.scroll_home(animate=False)
 
     async def say(self, sentence: str) -> None:
