@@ -24,8 +24,12 @@ from cellapp.reporting.svg import (
 
 _FEW = 60
 """Points up to which each is a marker; more are strokes of one path, a tenth of the text."""
+_MANY = 1000
+"""Points from which on strokes are thinner."""
 _OWN_MARKERS = {"B": "s", "T": "^", "X": "X"}
 """Marks that stand for a thing rather than for an arm: base, tracker, next stop."""
+_GUIDES = {"·": (":", "dotted"), ":": ("--", "dashed")}
+"""Marks of lines that only guide the eye: how they are drawn, and what that is called."""
 _HOLLOW = "○△□◇"
 
 
@@ -68,7 +72,7 @@ def _scale(axis: Any, logarithmic: bool, values: list[Array]) -> None:
 def _draw(axes: Any, one: Series) -> None:
     colour = _colour(one)
     if one.kind == "points" and len(one.x) > _FEW:
-        draw_marks(axes, one.x, one.y, colour, "round", width=1.8)
+        draw_marks(axes, one.x, one.y, colour, "round", width=1.8 if len(one.x) > _MANY else 2.6)
     elif one.kind == "points":
         face = "none" if one.mark in _HOLLOW and one.mark else colour
         marker = _OWN_MARKERS.get(one.mark, "o")
@@ -76,18 +80,15 @@ def _draw(axes: Any, one: Series) -> None:
     elif one.kind == "steps":
         axes.step(one.x, one.y, where="post", color=colour, linewidth=1.3)
     else:
-        axes.plot(one.x, one.y, color=colour, linewidth=0.8 if one.mark == "·" else 1.6, linestyle=_dashes(one))
-
-
-def _dashes(one: Series) -> str:
-    return ":" if one.mark == "·" else "-"
+        dashes = _GUIDES.get(one.mark, ("-", ""))[0]
+        axes.plot(one.x, one.y, color=colour, linewidth=0.8 if one.mark in _GUIDES else 1.6, linestyle=dashes)
 
 
 def _colour(one: Series) -> str:
     """Colours of arms; what belongs to none has that of the text or, where it only guides the eye, a soft one."""
     if one.style < ARM_COLOURS:
         return ARM_COLOUR[one.style]
-    return SOFT if one.mark == "·" else INK
+    return SOFT if one.mark in _GUIDES else INK
 
 
 def _swatch(one: Series) -> str:
@@ -99,7 +100,7 @@ def _words(one: Series) -> str:
     if one.style < ARM_COLOURS:
         return f"{one.name} (hollow)" if one.mark and one.mark in _HOLLOW and len(one.x) <= _FEW else one.name
     shape = {"B": "squares", "T": "triangle", "X": "crosses"}.get(one.mark)
-    return f"{shape or ('dotted' if one.mark == '·' else 'lines')}: {one.name}"
+    return f"{shape or _GUIDES.get(one.mark, ('', 'lines'))[1]}: {one.name}"
 
 
 def _bars(key: str, chart: Chart) -> str:

@@ -178,4 +178,4 @@ def shadow_series(blocked: Iterable[Blocked], T_C_M: Array, p_C: Array) -> Itera
             lines += [ends[:, :2], np.full((1, 2), np.nan)]
     if lines:
         x, y = np.concatenate(lines).T
-        yield series("blocked directions", x, y, style=OBSTACLE_STYLE, mark="·")
+        yield series("blocked directions", x, y, style=OBSTACLE_STYLE, mark=":")

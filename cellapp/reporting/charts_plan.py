@@ -32,8 +32,10 @@ _MEAN, _WORST, _OTHER_STYLE = 0, 1, 4
 _NOT_A_SIDE = 1e-12
 
 
-def design_charts(design: PlanDesignResult, time: PlannedTime | None = None) -> tuple[Chart, ...]:
-    """What the stops of each arm tell, time, correlations; ``time`` is that of the forecast, if there is one."""
+def design_charts(design: PlanDesignResult | None, time: PlannedTime | None) -> tuple[Chart, ...]:
+    """What the stops of each arm tell, time, correlations; of a plan that was not designed (None) the time alone."""
+    if design is None:
+        return (time_chart(None, time),)
     told = (information_chart(name, arm) for name, arm in design.arms.items())
     return (*told, time_chart(design.travel, time), correlation_chart(design))
 
@@ -97,7 +99,7 @@ def coverage_chart(name: str, allowed: Array, q: Array) -> Chart:
     degrees, limits = np.degrees(q), np.degrees(allowed)
     gaps = np.array([_largest_gap(column) for column in degrees.T])
     drawn = (
-        series("allowed", *_segments(limits, joints), style=_OTHER_STYLE),
+        series("allowed", *_segments(limits, joints), style=_OTHER_STYLE, mark="·"),
         series("stops", degrees.ravel(), np.tile(joints, len(q)), "points", style=_MEAN),
         series("largest gap", *_segments(gaps, joints), style=_WORST, mark="×"),
     )

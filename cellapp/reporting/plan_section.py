@@ -6,16 +6,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cellapp.planning.stored_stops import read_plan_design
+from cellapp.planning.duration import planned_time
+from cellapp.planning.stored_stops import conditions_of, read_plan_design, read_planned_stops
 from cellapp.reporting.captioned import CaptionedFigure
 from cellapp.reporting.table import Table
 from cellapp.run import RunFile
 from cellapp.run.overview import planned_stops
 
 if TYPE_CHECKING:
+    from cellapp.planning.planned_stops import PlannedStops
     from cellapp.profile import Profile
     from cellapp.reporting.charts import Chart
-    from cellapp.results import PlanDesignResult, PlannedStop
+    from cellapp.results import PlanDesignResult, PlannedStop, PlannedTime
 
 
 @dataclass(frozen=True)
@@ -34,27 +36,36 @@ def plan_section(run: RunFile) -> PlanSection | None:
     stops, design = planned_stops(run).stops, read_plan_design(run)
     if not stops:
         return None
-    charts = plan_charts(run.profile, stops, design)
+    charts = plan_charts(run.profile, stops, read_planned_stops(run), design)
     figures = tuple(chart_figure(f"plan{number}", chart) for number, chart in enumerate(charts, start=1))
     if design is None:
         return PlanSection(figures)
     return PlanSection(figures)
 
 
-def plan_charts(profile: Profile, stops: Sequence[PlannedStop], design: PlanDesignResult | None) -> Iterator[Chart]:
+def plan_charts(
+    profile: Profile, stops: Sequence[PlannedStop], ways: PlannedStops, design: PlanDesignResult | None
+) -> Iterator[Chart]:
     """The cell from above and from the tracker, joint ranges, and what is known of the design."""
     from cellapp.reporting.charts_map import cell_map_chart
 
     yield cell_map_chart(profile, stops)
     yield cell_map_chart(profile, stops, "tracker")
-    yield from design_charts_of(profile, stops, design)
+    yield from design_charts_of(profile, stops, ways, design)
 
 
 def design_charts_of(
-    profile: Profile, stops: Sequence[PlannedStop], design: PlanDesignResult | None
+    profile: Profile, stops: Sequence[PlannedStop], ways: PlannedStops, design: PlanDesignResult | None
 ) -> tuple[Chart, ...]:
-    """Joint ranges, and what is known of the design."""
+    """What is known of the design, the expected time, joint ranges."""
     from cellapp.reporting.charts_plan import coverage_charts, design_charts
 
-    known = () if design is None else design_charts(design)
-    return (*known, *coverage_charts(profile, stops))
+    asked = ways.take([row for row in range(len(ways)) if row not in profile.plan.reserves(len(ways))])
+    return (*design_charts(design, _time(profile, asked)), *coverage_charts(profile, stops))
+
+
+def _time(profile: Profile, ways: PlannedStops) -> PlannedTime | None:
+    """Expected time of collecting; None for arms without a home position, which are not driven."""
+    if not len(ways) or any(profile.arms[name].home is None for name in ways.q):
+        return None
+    return planned_time(profile, ways.q, conditions_of(ways))

@@ -62,14 +62,14 @@ def test_time_says_what_is_known() -> None:
 
 
 def test_the_largest_correlation_that_can_be_chosen_is_judged() -> None:
-    chart = design_charts(plan_design())[-1]
+    chart = design_charts(plan_design(), None)[-1]
     assert chart.categories[0] == "left: payload with time (given)"
     assert chart.bar_texts == ("0.35", "0.08", "0.04")
     assert chart.message.endswith("0.08, left: step of joint 3 with dwell; as wanted.")
     worse = plan_design().model_copy(update={"correlations": (correlation(0.4, "dwell", "time"),)})
-    assert "more than wanted" in design_charts(worse)[-1].message
+    assert "more than wanted" in design_charts(worse, None)[-1].message
     none = plan_design().model_copy(update={"correlations": ()})
-    assert "No factor" in design_charts(none)[-1].message
+    assert "No factor" in design_charts(none, None)[-1].message
 
 
 def test_the_page_draws_the_same_charts_without_names_in_the_drawing() -> None:

@@ -87,8 +87,8 @@ def test_is_well_formed(whole: RunFile, whole_page: Page) -> None:
     assert pictures
     certainties = sum(arm.uncertainty_mm is not None for arm in found.arms.values())
     # errors, histogram, two of vectors, targets, steps and effects, joint ranges of each arm; two of the pair; three of
-    # the cell, two of the plan
-    assert [tag for tag, _ in whole_page.elements].count("svg") == 21 + len(pictures) + certainties
+    # the cell, three of the plan
+    assert [tag for tag, _ in whole_page.elements].count("svg") == 22 + len(pictures) + certainties
 
 
 def test_needs_nothing_else(whole_page: Page, whole_text: str) -> None:

@@ -242,8 +242,9 @@ class PlanScreen(DayScreen):
         from cellapp.reporting.plan_section import design_charts_of
 
         stops = () if workspace.stops is None else workspace.stops.stops
-        if workspace.profile is not None and stops:
-            self.post_message(ChartsMade(workspace, design_charts_of(workspace.profile, stops, workspace.design)))
+        profile, ways = workspace.profile, workspace.ways
+        if profile is not None and ways is not None and stops:
+            self.post_message(ChartsMade(workspace, design_charts_of(profile, stops, ways, workspace.design)))
 
     @on(ChartsMade)
     async def show_charts(self, event: ChartsMade) -> None:
