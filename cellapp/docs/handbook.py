@@ -17,6 +17,7 @@ from cellapp.profile import Profile
 CHAPTERS: Mapping[str, str] = {
     "effects": "the physical effects that discovery knows",
     "discovery": "how discovery decides, and what its words mean",
+    "planning": "which stops are measured, obstacles, editing a plan",
     "terminal": "the terminal application: a day, its screens and its keys",
 }
 """Name and subject of each chapter, a Markdown file of this package."""
