@@ -12,11 +12,12 @@ from cellapp.cli.docs import docs
 from cellapp.cli.init import init
 from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.motion import asking
-from cellapp.cli.options import AllowMotion, JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
+from cellapp.cli.options import AllowMotion, JsonOption, NewRun, NewRunIfAny, ProfilePath, RunFolder, TargetsPath
 from cellapp.cli.requests import abort, pause, resume, stop
 from cellapp.cli.runs import compare, runs
 from cellapp.cli.show import schema, show
 from cellapp.cli.trials import trials_app
+from cellapp.cli.view import show_view
 from cellapp.errors import CheckFailed, InputError
 
 app = typer.Typer(
@@ -102,11 +103,23 @@ def doctor(
 
 
 @app.command()
-def plan(profile: ProfilePath, folder: NewRun, json_file: JsonOption = None) -> None:
+def plan(
+    profile: ProfilePath,
+    folder: NewRunIfAny = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Only say what the tracker sees of each arm's workspace; nothing is stored.")
+    ] = False,
+    json_file: JsonOption = None,
+) -> None:
     """Plan the stops of a new run: visible to the tracker, safe to stand at and to reach."""
     from cellapp.pipeline import plan_new_run
     from cellapp.profile import load_profile
 
+    if view:
+        show_view(profile, json_file)
+        return
+    if folder is None:
+        raise typer.BadParameter("is missing; or ask for --view", param_hint="'--run'")
     with Job(json_file) as job:
         result = plan_new_run(load_profile(profile), folder, job.listen, job.control)
         more = f" and {result.reserves} in reserve" if result.reserves else ""

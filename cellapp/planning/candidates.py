@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
+from cellapp.planning.exclusions import shortage
 from cellapp.planning.joint_draws import GROUP, draw_joints, joint_ranges
-from cellapp.planning.shortage import shortage
 from cellapp.planning.usable import Usable, usable
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken

@@ -30,13 +30,12 @@ from cellapp.safety.bodies import (
 from cellapp.safety.gaps_between_arms import gap_at_rest, gap_on_paths
 from cellapp.safety.obstacles import Obstacle, beam_gaps, box_about
 from cellapp.safety.paths import STRIDE, SampledPath, sample_path
+from cellapp.safety.visibility import sight_conditions, sight_of
 
 BEAM_RADIUS = 0.02
 """Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""
 _SELF_CLEARANCE = 0.01
 """Clearance of an arm from itself [m]; smaller than from others, as its shape is known better than its base."""
-_ACCEPTANCE_MARGIN = math.radians(3.0)
-"""Subtracted from the SMR's acceptance angle: base and flange are not known exactly before calibration."""
 _STEPS = (0.02, 0.04)
 """Smallest and largest spacing of samples on a path [m]; between them it is half the clearance."""
 _ROUNDING_RAD = 1e-9
@@ -222,18 +221,8 @@ def visible_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
 
 def _in_view(field: TrackerField, bodies: Placed) -> np.ndarray:
     """Whether SMRs are in the field of view and the beam within their acceptance angle, shape (n,) bool."""
-    in_M = (bodies.smr - field.T_C_M[:3, 3]) @ field.T_C_M[:3, :3]
-    distance = np.linalg.norm(in_M, axis=1)
-    azimuth = np.arctan2(in_M[:, 1], in_M[:, 0])
-    elevation = np.arcsin(np.clip(in_M[:, 2] / distance, -1.0, 1.0))
-    seen = np.ones(len(distance), dtype=bool)
-    for value, (low, high) in ((elevation, field.elevation), (distance, field.distance)):
-        seen &= (value >= low) & (value <= high)
-    left, right = field.azimuth
-    seen &= np.mod(azimuth - left, 2.0 * math.pi) <= right - left
-    back = (field.T_C_M[:3, 3] - bodies.smr) / distance[:, None]
-    cosine = np.einsum("na,na->n", back, bodies.normal)
-    return np.asarray(seen & (cosine > math.cos(max(0.0, bodies.arm.acceptance - _ACCEPTANCE_MARGIN))))
+    conditions = sight_conditions(field, bodies.arm.acceptance, sight_of(field.T_C_M, bodies))
+    return np.asarray(np.logical_and.reduce([holds for _, holds in conditions]))
 
 
 def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
