@@ -52,6 +52,18 @@ def plan(profile: Path, folder: Path) -> Job:
     return Job("plan", work, folder)
 
 
+def view(profile: Path) -> Job:
+    """Look at what the tracker sees of each arm's workspace; nothing is planned."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.planning.view import view_workspace
+        from cellapp.profile import load_profile
+
+        return view_workspace(load_profile(profile), listener, control)
+
+    return Job("view", work)
+
+
 def check_plan(folder: Path) -> Job:
     """Run the safety gate over the plan of a run again; nothing moves."""
 

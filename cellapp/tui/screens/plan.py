@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -25,13 +26,15 @@ from cellapp.tui.workspace import NO_PROFILE, Step, Workspace, new_folder
 if TYPE_CHECKING:
     from cellapp.profile import Profile
     from cellapp.reporting.charts import Chart
-    from cellapp.results import PlanCheckResult, PlanForecastResult, Result, StopsResult
+    from cellapp.reporting.table import Table
+    from cellapp.results import PlanCheckResult, PlanForecastResult, Result, StopsResult, ViewResult
 
 HELP = """
 # Plan
 
 Which stops the arms will visit, before anything moves.
 
+- `v` looks at what the tracker sees of each arm's workspace, before anything is planned.
 - `g` makes a new run with a plan of the profile; you may change the proposed folder.
 - `k` runs the safety gate again over every stop and every way of the open run's plan.
 - `f` foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect whether the
@@ -46,6 +49,7 @@ in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload 
 Next: collect (`3`).
 """
 _NO_RUN = "No run is open: plan one with g, or open one on the screen Runs (7)."
+_NO_VIEW = "v looks at what the tracker sees of each arm's workspace; nothing is planned."
 _NO_FORECAST = "Not foreseen yet: f computes time, expected errors and visible effects."
 
 
@@ -57,6 +61,14 @@ class ChartsMade(Message):
         self.workspace, self.charts = workspace, charts
 
 
+class ViewMade(Message):
+    """What the tracker sees was put into words, tables and charts."""
+
+    def __init__(self, charts: Sequence[Chart], tables: Sequence[Table], sentences: Sequence[str]) -> None:
+        super().__init__()
+        self.charts, self.tables, self.sentences = charts, tables, sentences
+
+
 class PlanScreen(DayScreen):
     """Plan a run, look at its plan, check it, foresee what it gives."""
 
@@ -64,6 +76,7 @@ class PlanScreen(DayScreen):
     HELP: ClassVar[str] = HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("g", "plan", "New plan", tooltip="make a new run with a plan"),
+        Binding("v", "view", "View", tooltip="what the tracker sees of each arm's workspace, before planning"),
         Binding("k", "check", "Check", tooltip="run the safety gate over all stops and ways again; nothing moves"),
         Binding("f", "forecast", "Forecast", tooltip="time, joint ranges, expected errors, effects that can be seen"),
         Binding("space", "mark", "Mark", tooltip="mark the selected stop, in the tab Stops"),
@@ -114,6 +127,8 @@ class PlanScreen(DayScreen):
                         yield CellMap("above", id="plan-above")
                     with TabPane("Tracker", id="tab-tracker"):
                         yield CellMap("tracker", id="plan-tracker")
+                    with TabPane("View", id="tab-view"):
+                        yield ChartsView(_NO_VIEW, id="plan-view")
                 yield Static("", id="plan-detail", markup=False)
             with Vertical(id="plan-side"):
                 yield CellMap("above", id="side-above")
@@ -142,6 +157,13 @@ class PlanScreen(DayScreen):
                 self.start(verbs.plan(path, folder))
 
         self.app.push_screen(NewRunQuestion(text, new_folder(profile)), begin)
+
+    def action_view(self) -> None:
+        """Look at what the tracker sees."""
+        if self.workspace.file_profile is None or self.workspace.profile_path is None:
+            self.say(NO_PROFILE, "warning")
+            return
+        self.start(verbs.view(self.workspace.profile_path))
 
     def action_check(self) -> None:
         """Check the plan of the open run."""
@@ -183,9 +205,12 @@ class PlanScreen(DayScreen):
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_result(self, result: Result) -> None:
-        """Draw a check or a forecast."""
-        from cellapp.results import PlanCheckResult, PlanForecastResult
+        """Draw a view, a check or a forecast."""
+        from cellapp.results import PlanCheckResult, PlanForecastResult, ViewResult
 
+        if isinstance(result, ViewResult):
+            self._make_view(result)
+            return
         tabs = self.query_one("#plan-tabs", TabbedContent)
         if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self._folder:
             return  # another run was opened meanwhile
@@ -245,6 +270,18 @@ class PlanScreen(DayScreen):
         profile, ways = workspace.profile, workspace.ways
         if profile is not None and ways is not None and stops:
             self.post_message(ChartsMade(workspace, design_charts_of(profile, stops, ways, workspace.design)))
+
+    @work(thread=True, exclusive=True, group="view")
+    def _make_view(self, view: ViewResult) -> None:
+        from cellapp.reporting.view_text import view_sentences, view_tables
+
+        self.post_message(ViewMade((), view_tables(view), view_sentences(view)))
+
+    @on(ViewMade)
+    async def show_view(self, event: ViewMade) -> None:
+        """Draw what the tracker sees."""
+        await self.query_one("#plan-view", ChartsView).show(event.charts, event.tables, event.sentences)
+        self.query_one("#plan-tabs", TabbedContent).active = "tab-view"
 
     @on(ChartsMade)
     async def show_charts(self, event: ChartsMade) -> None:
