@@ -15,7 +15,11 @@ from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
 from cellapp.tui import work as verbs
+from cellapp.tui.dialogs.count import CountQuestion
+from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.dialogs.new_run import NewRunQuestion
+from cellapp.tui.dialogs.question import Answer, Choice
+from cellapp.tui.dialogs.save_as import SaveAs
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.cell_map import CellMap
 from cellapp.tui.widgets.charts_view import ChartsView
@@ -49,6 +53,10 @@ in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload 
 Next: collect (`3`).
 """
 _NO_RUN = "No run is open: plan one with g, or open one on the screen Runs (7)."
+PLAN_FILE = "plan.csv"
+"""What a plan as a table is called unless a person says otherwise."""
+_FURTHER, _MOST_FURTHER = 50, 100_000
+"""Stops that are appended unless a person says otherwise, and the most."""
 _NO_VIEW = "v looks at what the tracker sees of each arm's workspace; nothing is planned."
 _NO_FORECAST = "Not foreseen yet: f computes time, expected errors and visible effects."
 
@@ -79,7 +87,12 @@ class PlanScreen(DayScreen):
         Binding("v", "view", "View", tooltip="what the tracker sees of each arm's workspace, before planning"),
         Binding("k", "check", "Check", tooltip="run the safety gate over all stops and ways again; nothing moves"),
         Binding("f", "forecast", "Forecast", tooltip="time, joint ranges, expected errors, effects that can be seen"),
-        Binding("space", "mark", "Mark", tooltip="mark the selected stop, in the tab Stops"),
+        Binding("space", "mark", "Mark", tooltip="mark the selected stop"),
+        Binding("z", "freeze", "Freeze", tooltip="let later designs leave the marked stops"),
+        Binding("a", "add", "Add", tooltip="append stops to the open run's plan"),
+        Binding("r", "replan", "Replan", tooltip="design what is not measured again"),
+        Binding("w", "write", "Write CSV", tooltip="write the plan as a table that can be edited"),
+        Binding("i", "read", "Read CSV", tooltip="check a plan that was edited, and use it"),
         Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
     ]
     DEFAULT_CSS = """
@@ -181,7 +194,96 @@ class PlanScreen(DayScreen):
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Stops can be marked where they are listed."""
-        return action != "mark" or self.query_one("#plan-tabs", TabbedContent).active == "tab-stops"
+        listed = self.query_one("#plan-tabs", TabbedContent).active == "tab-stops"
+        return listed or action not in ("mark", "freeze")
+
+    def action_freeze(self) -> None:
+        """Let later designs leave the marked stops; without marks, none."""
+        if folder := self._planned_folder():
+            self.start(verbs.freeze_stops(folder, sorted(self.query_one(StopsTable).marked)))
+
+    def action_add(self) -> None:
+        """Ask how many stops to append."""
+        folder = self._planned_folder()
+        if folder is None:
+            return
+
+        def begin(count: int | None) -> None:
+            if count is not None:
+                self.start(verbs.extend_plan(folder, count))
+
+        text = "They tell most beside those that are planned or measured already. Nothing moves."
+        self.app.push_screen(CountQuestion("How many further stops?", text, _FURTHER, _MOST_FURTHER), begin)
+
+    def action_replan(self) -> None:
+        """Ask, then design again what is not measured."""
+        folder = self._planned_folder()
+        if folder is None:
+            return
+
+        def begin(answer: str | None) -> None:
+            if answer == "replan":
+                self.start(verbs.replan(folder))
+
+        text = (
+            "Stops that are measured, proposed by discovery or frozen stay, as far as they could be reached; all others"
+            " of this run are replaced. Nothing moves."
+        )
+        answers = (Answer("no", "Leave the plan", "l"), Answer("replan", "Design again", "d", "warning"))
+        self.app.push_screen(Choice("Design the rest again?", text, answers), begin)
+
+    def action_write(self) -> None:
+        """Ask where to write the plan."""
+        folder = self._planned_folder()
+        if folder is None:
+            return
+
+        def begin(path: Path | None) -> None:
+            if path is not None:
+                self.start(verbs.write_plan(folder, path))
+
+        self.app.push_screen(SaveAs("the plan", None, folder / PLAN_FILE), begin)
+
+    def action_read(self) -> None:
+        """Ask for an edited plan, and check it."""
+        profile = self.workspace.profile_path
+        if self.workspace.file_profile is None or profile is None:
+            self.say(NO_PROFILE, "warning")
+            return
+
+        def begin(path: Path | None) -> None:
+            if path is not None:
+                self.start(verbs.check_plan_file(profile, path))
+
+        start = self.workspace.folder or Path()
+        self.app.push_screen(FilePicker("A plan as CSV", start, lambda path: path.suffix == ".csv"), begin)
+
+    def _offer_file(self, file: Path) -> None:
+        """Ask what to do with a plan that is safe."""
+        profile, path = self.workspace.file_profile, self.workspace.profile_path
+        if profile is None or path is None:
+            return
+
+        def into(around: bool) -> None:
+            def begin(folder: Path | None) -> None:
+                if folder is not None:
+                    self.start(verbs.plan_with_file(path, file, folder, around=around))
+
+            how = "with other stops designed around these" if around else "exactly as it is written"
+            self.app.push_screen(
+                NewRunQuestion(f"The plan of {file}, {how}. Nothing moves.", new_folder(profile)), begin
+            )
+
+        def answered(answer: str | None) -> None:
+            if answer in ("from", "keep"):
+                into(answer == "keep")
+
+        answers = (
+            Answer("look", "Only look", "l"),
+            Answer("from", "New run with it", "n"),
+            Answer("keep", "New run around it", "a"),
+        )
+        self.app.push_screen(Choice("This plan is safe", f"{file} holds at every stop and way.", answers), answered)
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
@@ -212,6 +314,9 @@ class PlanScreen(DayScreen):
             self._make_view(result)
             return
         tabs = self.query_one("#plan-tabs", TabbedContent)
+        if isinstance(result, PlanCheckResult) and result.file is not None:
+            self._show_file_check(result, Path(result.file))
+            return
         if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self._folder:
             return  # another run was opened meanwhile
         if isinstance(result, PlanCheckResult):
@@ -223,6 +328,20 @@ class PlanScreen(DayScreen):
             if tabs.active in ("tab-constraints", "tab-check"):
                 tabs.active = "tab-effects"
         self._draw_results()
+
+    def _show_file_check(self, check: PlanCheckResult, file: Path) -> None:
+        """Draw the offences of an edited plan; what is drawn of the open run's plan stays."""
+        from cellapp.reporting.plan_text import check_sentences
+
+        verdict, *offences = check_sentences(check)
+        self.say(f"{file}: {verdict}", "information" if check.is_safe else "error")
+        rows = [
+            ("detour" if one.is_avoided else "refused", text) for one, text in zip(check.refused, offences, strict=True)
+        ]
+        self.query_one("#refusals", PairsTable).show(rows or [("safe", f"{file}: {verdict}")])
+        self.query_one("#plan-tabs", TabbedContent).active = "tab-check"
+        if check.is_safe:
+            self._offer_file(file)
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the constraints, the plan and its maps."""
