@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from cellapp.planning.duration import planned_time
 from cellapp.planning.stored_stops import conditions_of, read_plan_design, read_planned_stops
 from cellapp.reporting.captioned import CaptionedFigure
+from cellapp.reporting.plan_design_text import design_sentences, gaps_table, quality_table
 from cellapp.reporting.table import Table
 from cellapp.run import RunFile
 from cellapp.run.overview import planned_stops
@@ -38,9 +39,8 @@ def plan_section(run: RunFile) -> PlanSection | None:
         return None
     charts = plan_charts(run.profile, stops, read_planned_stops(run), design)
     figures = tuple(chart_figure(f"plan{number}", chart) for number, chart in enumerate(charts, start=1))
-    if design is None:
-        return PlanSection(figures)
-    return PlanSection(figures)
+    sentences = () if design is None else tuple(design_sentences(design))
+    return PlanSection(figures, design_tables_of(design), sentences)
 
 
 def plan_charts(
@@ -62,6 +62,11 @@ def design_charts_of(
 
     asked = ways.take([row for row in range(len(ways)) if row not in profile.plan.reserves(len(ways))])
     return (*design_charts(design, _time(profile, asked)), *coverage_charts(profile, stops))
+
+
+def design_tables_of(design: PlanDesignResult | None) -> tuple[Table, ...]:
+    """Expected errors against random stops and largest gaps; none of a plan that was not designed."""
+    return () if design is None else (quality_table(design), gaps_table(design))
 
 
 def _time(profile: Profile, ways: PlannedStops) -> PlannedTime | None:

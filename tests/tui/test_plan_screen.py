@@ -96,8 +96,8 @@ async def test_a_designed_plan_is_drawn_and_its_stops_are_listed(planned: Path, 
         await until(pilot, lambda: "Stop 1: arm left" in line(app, "plan-detail"), "the list of stops")
         await pilot.press("down", "space", "space", "up", "space")
         table = app.day_screen.query_one(StopsTable)
-        assert (table.row_count, table.marked) == (24, {1})
-        await until(pilot, lambda: "Straight; kept when" in line(app, "plan-detail"), "what is kept")
+        assert (table.row_count, table.marked) == (24, {1, 3})
+        await until(pilot, lambda: "Straight; frozen" in line(app, "plan-detail"), "what is kept")
 
 
 async def test_a_result_waits_on_its_screen_while_another_one_is_shown(planned: Path) -> None:

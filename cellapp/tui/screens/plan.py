@@ -15,12 +15,8 @@ from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
 from cellapp.tui import work as verbs
-from cellapp.tui.dialogs.count import CountQuestion
-from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.dialogs.new_run import NewRunQuestion
-from cellapp.tui.dialogs.question import Answer, Choice
-from cellapp.tui.dialogs.save_as import SaveAs
-from cellapp.tui.screens.base import DayScreen
+from cellapp.tui.screens.plan_edits import NO_PLANNED_RUN, PlanEdits
 from cellapp.tui.widgets.cell_map import CellMap
 from cellapp.tui.widgets.charts_view import ChartsView
 from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable, StopsTable
@@ -52,32 +48,21 @@ in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload 
 
 Next: collect (`3`).
 """
-_NO_RUN = "No run is open: plan one with g, or open one on the screen Runs (7)."
-PLAN_FILE = "plan.csv"
-"""What a plan as a table is called unless a person says otherwise."""
-_FURTHER, _MOST_FURTHER = 50, 100_000
-"""Stops that are appended unless a person says otherwise, and the most."""
 _NO_VIEW = "v looks at what the tracker sees of each arm's workspace; nothing is planned."
 _NO_FORECAST = "Not foreseen yet: f computes time, expected errors and visible effects."
 
 
-class ChartsMade(Message):
-    """The charts of a run's plan were made."""
+class Drawn(Message):
+    """What one of the views shows was made in a thread: charts, tables and sentences; ``of`` is what they are about."""
 
-    def __init__(self, workspace: Workspace, charts: tuple[Chart, ...]) -> None:
+    def __init__(
+        self, of: StopsResult | ViewResult, charts: Sequence[Chart], tables: Sequence[Table], sentences: Sequence[str]
+    ) -> None:
         super().__init__()
-        self.workspace, self.charts = workspace, charts
+        self.of, self.charts, self.tables, self.sentences = of, charts, tables, sentences
 
 
-class ViewMade(Message):
-    """What the tracker sees was put into words, tables and charts."""
-
-    def __init__(self, charts: Sequence[Chart], tables: Sequence[Table], sentences: Sequence[str]) -> None:
-        super().__init__()
-        self.charts, self.tables, self.sentences = charts, tables, sentences
-
-
-class PlanScreen(DayScreen):
+class PlanScreen(PlanEdits):
     """Plan a run, look at its plan, check it, foresee what it gives."""
 
     STEP: ClassVar[Step] = "plan"
@@ -91,8 +76,8 @@ class PlanScreen(DayScreen):
         Binding("z", "freeze", "Freeze", tooltip="let later designs leave the marked stops"),
         Binding("a", "add", "Add", tooltip="append stops to the open run's plan"),
         Binding("r", "replan", "Replan", tooltip="design what is not measured again"),
-        Binding("w", "write", "Write CSV", tooltip="write the plan as a table that can be edited"),
-        Binding("i", "read", "Read CSV", tooltip="check a plan that was edited, and use it"),
+        Binding("w", "write", "Write", tooltip="write the plan as a table that can be edited"),
+        Binding("i", "read", "Read", tooltip="check a plan that was edited, and use it"),
         Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
     ]
     DEFAULT_CSS = """
@@ -114,6 +99,8 @@ class PlanScreen(DayScreen):
         self._folder: Path | None = None
         self._check: PlanCheckResult | None = None
         self._forecast: PlanForecastResult | None = None
+        self._file_check: PlanCheckResult | None = None
+        self._view: ViewResult | None = None
 
     def body(self) -> ComposeResult:
         with Horizontal():
@@ -125,7 +112,7 @@ class PlanScreen(DayScreen):
                     with TabPane("Limits", id="tab-constraints"):
                         yield PairsTable(id="constraints")
                     with TabPane("Design", id="tab-design"):
-                        yield ChartsView(_NO_RUN, id="plan-design")
+                        yield ChartsView(NO_PLANNED_RUN, id="plan-design")
                     with TabPane("Stops", id="tab-stops"):
                         yield StopsTable(id="stops")
                     with TabPane("Joints", id="tab-joints"):
@@ -180,12 +167,12 @@ class PlanScreen(DayScreen):
 
     def action_check(self) -> None:
         """Check the plan of the open run."""
-        if folder := self._planned_folder():
+        if folder := self.planned_folder():
             self.start(verbs.check_plan(folder))
 
     def action_forecast(self) -> None:
         """Foresee what the plan of the open run gives."""
-        if folder := self._planned_folder():
+        if folder := self.planned_folder():
             self.start(verbs.forecast_plan(folder))
 
     def action_mark(self) -> None:
@@ -197,94 +184,6 @@ class PlanScreen(DayScreen):
         listed = self.query_one("#plan-tabs", TabbedContent).active == "tab-stops"
         return listed or action not in ("mark", "freeze")
 
-    def action_freeze(self) -> None:
-        """Let later designs leave the marked stops; without marks, none."""
-        if folder := self._planned_folder():
-            self.start(verbs.freeze_stops(folder, sorted(self.query_one(StopsTable).marked)))
-
-    def action_add(self) -> None:
-        """Ask how many stops to append."""
-        folder = self._planned_folder()
-        if folder is None:
-            return
-
-        def begin(count: int | None) -> None:
-            if count is not None:
-                self.start(verbs.extend_plan(folder, count))
-
-        text = "They tell most beside those that are planned or measured already. Nothing moves."
-        self.app.push_screen(CountQuestion("How many further stops?", text, _FURTHER, _MOST_FURTHER), begin)
-
-    def action_replan(self) -> None:
-        """Ask, then design again what is not measured."""
-        folder = self._planned_folder()
-        if folder is None:
-            return
-
-        def begin(answer: str | None) -> None:
-            if answer == "replan":
-                self.start(verbs.replan(folder))
-
-        text = (
-            "Stops that are measured, proposed by discovery or frozen stay, as far as they could be reached; all others"
-            " of this run are replaced. Nothing moves."
-        )
-        answers = (Answer("no", "Leave the plan", "l"), Answer("replan", "Design again", "d", "warning"))
-        self.app.push_screen(Choice("Design the rest again?", text, answers), begin)
-
-    def action_write(self) -> None:
-        """Ask where to write the plan."""
-        folder = self._planned_folder()
-        if folder is None:
-            return
-
-        def begin(path: Path | None) -> None:
-            if path is not None:
-                self.start(verbs.write_plan(folder, path))
-
-        self.app.push_screen(SaveAs("the plan", None, folder / PLAN_FILE), begin)
-
-    def action_read(self) -> None:
-        """Ask for an edited plan, and check it."""
-        profile = self.workspace.profile_path
-        if self.workspace.file_profile is None or profile is None:
-            self.say(NO_PROFILE, "warning")
-            return
-
-        def begin(path: Path | None) -> None:
-            if path is not None:
-                self.start(verbs.check_plan_file(profile, path))
-
-        start = self.workspace.folder or Path()
-        self.app.push_screen(FilePicker("A plan as CSV", start, lambda path: path.suffix == ".csv"), begin)
-
-    def _offer_file(self, file: Path) -> None:
-        """Ask what to do with a plan that is safe."""
-        profile, path = self.workspace.file_profile, self.workspace.profile_path
-        if profile is None or path is None:
-            return
-
-        def into(around: bool) -> None:
-            def begin(folder: Path | None) -> None:
-                if folder is not None:
-                    self.start(verbs.plan_with_file(path, file, folder, around=around))
-
-            how = "with other stops designed around these" if around else "exactly as it is written"
-            self.app.push_screen(
-                NewRunQuestion(f"The plan of {file}, {how}. Nothing moves.", new_folder(profile)), begin
-            )
-
-        def answered(answer: str | None) -> None:
-            if answer in ("from", "keep"):
-                into(answer == "keep")
-
-        answers = (
-            Answer("look", "Only look", "l"),
-            Answer("from", "New run with it", "n"),
-            Answer("keep", "New run around it", "a"),
-        )
-        self.app.push_screen(Choice("This plan is safe", f"{file} holds at every stop and way.", answers), answered)
-
     def action_next_tab(self) -> None:
         """Show the next tab."""
         tabs = self.query_one("#plan-tabs", TabbedContent)
@@ -293,17 +192,6 @@ class PlanScreen(DayScreen):
             for content in tabs.active_pane.query("DataTable, ChartsView"):
                 content.focus()
 
-    def _planned_folder(self) -> Path | None:
-        """Folder of the open run with a plan; None with a sentence why there is none."""
-        workspace = self.workspace
-        if workspace.folder is None:
-            self.say(_NO_RUN, "warning")
-        elif workspace.stops is None or not workspace.stops.stops:
-            self.say("This run has no plan: its readings were imported. Plan a new run with g.", "warning")
-        else:
-            return workspace.folder
-        return None
-
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_result(self, result: Result) -> None:
@@ -311,16 +199,21 @@ class PlanScreen(DayScreen):
         from cellapp.results import PlanCheckResult, PlanForecastResult, ViewResult
 
         if isinstance(result, ViewResult):
+            self._view = result
             self._make_view(result)
             return
         tabs = self.query_one("#plan-tabs", TabbedContent)
         if isinstance(result, PlanCheckResult) and result.file is not None:
-            self._show_file_check(result, Path(result.file))
+            self._file_check = result
+            tabs.active = "tab-check"
+            self._draw_results()
+            if result.is_safe:
+                self.offer_file(Path(result.file))
             return
         if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self._folder:
             return  # another run was opened meanwhile
         if isinstance(result, PlanCheckResult):
-            self._check = result
+            self._check, self._file_check = result, None
             if result.refused:
                 tabs.active = "tab-check"
         elif isinstance(result, PlanForecastResult):
@@ -328,20 +221,6 @@ class PlanScreen(DayScreen):
             if tabs.active in ("tab-constraints", "tab-check"):
                 tabs.active = "tab-effects"
         self._draw_results()
-
-    def _show_file_check(self, check: PlanCheckResult, file: Path) -> None:
-        """Draw the offences of an edited plan; what is drawn of the open run's plan stays."""
-        from cellapp.reporting.plan_text import check_sentences
-
-        verdict, *offences = check_sentences(check)
-        self.say(f"{file}: {verdict}", "information" if check.is_safe else "error")
-        rows = [
-            ("detour" if one.is_avoided else "refused", text) for one, text in zip(check.refused, offences, strict=True)
-        ]
-        self.query_one("#refusals", PairsTable).show(rows or [("safe", f"{file}: {verdict}")])
-        self.query_one("#plan-tabs", TabbedContent).active = "tab-check"
-        if check.is_safe:
-            self._offer_file(file)
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the constraints, the plan and its maps."""
@@ -382,31 +261,30 @@ class PlanScreen(DayScreen):
 
     @work(thread=True, exclusive=True, group="charts")
     def _make_charts(self, workspace: Workspace) -> None:
-        """Make the charts of the design: the mathematics that they need takes half a second to load."""
-        from cellapp.reporting.plan_section import design_charts_of
+        """Draw the design: the mathematics that this needs takes half a second to load."""
+        from cellapp.reporting.plan_section import design_charts_of, design_tables_of
 
-        stops = () if workspace.stops is None else workspace.stops.stops
-        profile, ways = workspace.profile, workspace.ways
-        if profile is not None and ways is not None and stops:
-            self.post_message(ChartsMade(workspace, design_charts_of(profile, stops, ways, workspace.design)))
+        profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
+        if profile is not None and ways is not None and stops is not None and stops.stops:
+            charts = design_charts_of(profile, stops.stops, ways, design)
+            self.post_message(Drawn(stops, charts, design_tables_of(design), ()))
 
     @work(thread=True, exclusive=True, group="view")
     def _make_view(self, view: ViewResult) -> None:
         from cellapp.reporting.view_text import view_sentences, view_tables
 
-        self.post_message(ViewMade((), view_tables(view), view_sentences(view)))
+        self.post_message(Drawn(view, (), view_tables(view), view_sentences(view)))
 
-    @on(ViewMade)
-    async def show_view(self, event: ViewMade) -> None:
-        """Draw what the tracker sees."""
-        await self.query_one("#plan-view", ChartsView).show(event.charts, event.tables, event.sentences)
-        self.query_one("#plan-tabs", TabbedContent).active = "tab-view"
-
-    @on(ChartsMade)
-    async def show_charts(self, event: ChartsMade) -> None:
-        """Draw the charts of the design, unless another run was opened meanwhile."""
-        if event.workspace.stops is self._stops:
-            await self.query_one("#plan-design", ChartsView).show(event.charts)
+    @on(Drawn)
+    async def show_drawn(self, event: Drawn) -> None:
+        """Show the design, unless another run was opened meanwhile; or what the tracker sees."""
+        if event.of is self._stops:
+            await self.query_one("#plan-design", ChartsView).show(event.charts, event.tables, event.sentences)
+        elif event.of is self._view:
+            view = self.query_one("#plan-view", ChartsView)
+            await view.show(event.charts, event.tables, event.sentences)
+            self.query_one("#plan-tabs", TabbedContent).active = "tab-view"
+            view.focus()
 
     def _draw_results(self) -> None:
         """Draw check and forecast, or what to press for them."""
@@ -431,23 +309,16 @@ class PlanScreen(DayScreen):
         self._draw_detail()
 
     def _draw_check(self, *, has_plan: bool) -> None:
+        """The verdict on the open run's plan; what is refused of it, or of the edited plan that was checked last."""
         line, check = self.query_one("#plan-safety", Static), self._check
-        if check is None:
-            line.update("Checked when it was planned; k checks it again." if has_plan else "")
-            line.set_classes("")
-            line.display = has_plan
-            self.query_one("#refusals", PairsTable).show([])
-            return
-        from cellapp.reporting.plan_text import check_sentences
-
-        verdict, *refusals = check_sentences(check)
-        line.update(verdict)
-        line.display = True
-        line.set_classes("safe" if check.is_safe else "unsafe")
-        rows = [
-            ("detour" if one.is_avoided else "refused", text) for one, text in zip(check.refused, refusals, strict=True)
-        ]
-        self.query_one("#refusals", PairsTable).show(rows or [("safe", verdict)])
+        line.update("Checked when it was planned; k checks it again." if has_plan else "")
+        line.display = has_plan
+        line.set_classes("")
+        if check is not None:
+            line.update(_check_rows(check)[0])
+            line.set_classes("safe" if check.is_safe else "unsafe")
+        listed = self._file_check or check
+        self.query_one("#refusals", PairsTable).show([] if listed is None else _check_rows(listed)[1])
 
     @on(DataTable.RowHighlighted)
     @on(TabbedContent.TabActivated)
@@ -472,13 +343,25 @@ def _planned(stops: StopsResult | None) -> tuple[object, ...]:
     return () if stops is None else tuple(stop.q for stop in stops.stops)
 
 
+def _check_rows(check: PlanCheckResult) -> tuple[str, list[tuple[str, str]]]:
+    """The verdict of a check, and what it refuses as rows."""
+    from cellapp.reporting.plan_text import check_sentences
+
+    verdict, *refusals = check_sentences(check)
+    kinds = ["detour" if one.is_avoided else "refused" for one in check.refused]
+    rows = list(zip(kinds, refusals, strict=True))
+    if check.file is not None:  # the line above the tabs is about the open run
+        rows.insert(0, ("safe" if check.is_safe else "not safe", f"{check.file}: {verdict}"))
+    return verdict, rows or [("safe", verdict)]
+
+
 def _state_words(workspace: Workspace) -> str:
     """How much is planned and measured, or what to do."""
     if workspace.profile is None:
         return workspace.problem or NO_PROFILE
     overview = workspace.overview
     if workspace.folder is None or overview is None:
-        return workspace.problem or _NO_RUN
+        return workspace.problem or NO_PLANNED_RUN
     stops = () if workspace.stops is None else workspace.stops.stops
     if not stops:
         return "This run has no plan: its readings were imported. g plans a new run."

@@ -52,11 +52,12 @@ class ChartsView(VerticalScroll):
     async def show(self, charts: Sequence[Chart], tables: Sequence[Table] = (), sentences: Sequence[str] = ()) -> None:
         """Draw sentences, charts and tables in the place of those before."""
         await self.remove_children()
+        grid = [ItemGrid(*map(_Plot, charts), min_column_width=_LEAST_COLUMNS)] if charts else []
         await self.mount(
             *(Static(text, markup=False) for text in sentences),
+            *grid,
             *(Static(rich_table(table), classes="table") for table in tables),
         )
-        await self.mount(ItemGrid(*map(_Plot, charts), min_column_width=_LEAST_COLUMNS))
         self.scroll_home(animate=False)
 
     async def say(self, sentence: str) -> None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
 from rich.text import Text
 from textual.coordinate import Coordinate
 from textual.widgets import DataTable
@@ -59,9 +60,9 @@ class PairsTable(_RowTable):
 
 
 class StopsTable(_RowTable):
-    """The stops in their order, and which of them a person marked."""
+    """The stops in their order, and which of them a person marked; first those that are frozen."""
 
-    COLUMNS = ("stop", "marked", "kept", "state", "part", "how")
+    COLUMNS = ("stop", "marked", "frozen", "state", "part", "how")
     TIP = "Space marks the selected stop"
 
     def __init__(self, *, id: str) -> None:
@@ -71,11 +72,11 @@ class StopsTable(_RowTable):
         self.marked: set[int] = set()
 
     def show(self, stops: Sequence[PlannedStop], ways: PlannedStops | None) -> None:
-        """Draw the stops of a plan, unless they stand there already; marks go with the plan before."""
+        """Draw the stops of a plan, unless they stand there already; marks that were not stored go."""
         if stops is self._stops or (stops == self._stops and _same_ways(ways, self._ways)):
             return
         self._stops, self._ways = stops, ways
-        self.marked.clear()
+        self.marked = set() if ways is None else set(np.flatnonzero(ways.frozen).tolist())
         self.draw([_stop_row(stop, ways) for stop in stops])
 
     def mark(self) -> None:
@@ -105,9 +106,16 @@ def _stop_row(stop: PlannedStop, ways: PlannedStops | None) -> tuple[tuple[str, 
     )
     if ways is None:
         return (str(number), "", "", state, "", ""), f"Stop {number}: {joints}."
-    kept, how = bool(ways.frozen[stop.configuration]), stop_words(ways, stop.configuration)
-    cells = (str(number), "", "kept" if kept else "", state, str(ways.block[stop.configuration] + 1), how)
-    words = f"{how}; kept when others are designed anew" if kept else how
+    frozen, how = bool(ways.frozen[stop.configuration]), stop_words(ways, stop.configuration)
+    cells = (
+        str(number),
+        "●" if frozen else "",
+        "yes" if frozen else "",
+        state,
+        str(ways.block[stop.configuration] + 1),
+        how,
+    )
+    words = f"{how}; frozen: a new design leaves it" if frozen else how
     return cells, f"Stop {number}: {joints}. {words[:1].upper()}{words[1:]}."
 
 
