@@ -17,7 +17,6 @@ from cellapp.cli.requests import abort, pause, resume, stop
 from cellapp.cli.runs import compare, runs
 from cellapp.cli.show import schema, show
 from cellapp.cli.trials import trials_app
-from cellapp.cli.view import show_view
 from cellapp.errors import CheckFailed, InputError
 
 app = typer.Typer(
@@ -147,11 +146,8 @@ def plan(
     """
     from cellapp.cli.plan import PlanChoice, run_plan
 
-    if view and profile is not None:
-        show_view(profile, json_file)
-        return
     with Job(json_file) as job:
-        run_plan(job, PlanChoice(profile, folder, source, keep, check, add, replan, freeze))
+        run_plan(job, PlanChoice(profile, folder, source, keep, check, add, replan, freeze, view))
 
 
 @app.command()

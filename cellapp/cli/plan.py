@@ -21,6 +21,7 @@ class PlanChoice:
     add: int | None
     replan: bool
     freeze: str | None
+    view: bool
 
     def refusal(self) -> str:
         """Why these arguments do not belong together; empty if they do."""
@@ -31,6 +32,7 @@ class PlanChoice:
             "--add": self.add is not None,
             "--replan": self.replan,
             "--freeze": self.freeze is not None,
+            "--view": self.view,
         }
         words = [word for word, is_given in given.items() if is_given]
         if len(words) > 1:
@@ -40,9 +42,10 @@ class PlanChoice:
             return f"{words[0]} changes the plan of a run by the profile in it: give --run DIR and no PROFILE"
         if not changes_run and self.profile is None:
             return "PROFILE is missing; name the cell's YAML file"
-        if given["--check"] and self.folder is not None:
-            return "--check only reads FILE; leave out --run"
-        if not (changes_run or given["--check"]) and self.folder is None:
+        only_reads = given["--check"] or given["--view"]
+        if only_reads and self.folder is not None:
+            return f"{words[0]} makes no run; leave out --run"
+        if not (changes_run or only_reads) and self.folder is None:
             return "--run DIR is missing; name the folder of the new run"
         return ""
 
@@ -66,6 +69,9 @@ def run_plan(job: Job, choice: PlanChoice) -> None:
         raise InputError(f"plan: {refusal}")
     if choice.check is not None:
         _check_file(job, choice)
+        return
+    if choice.view:
+        _show_view(job, choice)
         return
     if choice.add is not None or choice.replan or choice.freeze is not None:
         assert choice.folder is not None
@@ -105,3 +111,15 @@ def _check_file(job: Job, choice: PlanChoice) -> None:
     if not result.is_safe:
         raise CheckFailed(f"plan: {verdict}")
     job.say(verdict)
+
+
+def _show_view(job: Job, choice: PlanChoice) -> None:
+    from cellapp.planning.view import view_workspace
+    from cellapp.profile import load_profile
+    from cellapp.reporting.view_text import view_sentences, view_tables
+
+    assert choice.profile is not None
+    result = view_workspace(load_profile(choice.profile), job.listen, job.control)
+    job.show(view_tables(result))
+    job.say(*view_sentences(result))
+    job.result(result)
