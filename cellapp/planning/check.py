@@ -66,6 +66,23 @@ def check_stops(
     return tuple(refused)
 
 
+def check_each_stop(profile: Profile, stops: PlannedStops) -> tuple[PlanRefusal, ...]:
+    """What the gate or the tracker's view refuses of each stop for itself and of its last motion, whatever the order.
+
+    Raises ``InputError`` if the profile does not describe the cell.
+    """
+    cell = cell_bodies(profile)
+    refused: list[PlanRefusal] = []
+    for k in range(len(stops)):
+        refused += _stop_refusals(cell, k, stops.targets(k))
+        begin = {**stops.targets(k), **stops.approach_starts(k)}
+        reason = refuse_motion(cell, begin, begin) or refuse_motion(cell, begin, stops.targets(k))
+        if reason and stops.approach_starts(k):
+            text = f"its last motion: {reason}"
+            refused.append(PlanRefusal(configuration=k, before=None, what="way", reason=text))
+    return tuple(refused)
+
+
 def required_plan(run: RunFile) -> dict[str, Array]:
     """The plan of a run, arm -> q (n, N) [rad]. Raises ``InputError`` without one."""
     plan = run.read_plan()

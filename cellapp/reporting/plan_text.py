@@ -26,7 +26,9 @@ _MOST_SIZES = 6
 
 def check_sentences(check: PlanCheckResult) -> list[str]:
     """The verdict first, then every refusal."""
-    refusals = [refusal_sentence(one) for one in check.refused]
+    refusals = [
+        refusal_sentence(one) if check.file is None else file_refusal_sentence(check, one) for one in check.refused
+    ]
     if check.is_safe:
         detours = f"; {len(refusals)} ways take a detour" if refusals else ""
         kept = f"{check.stops} stops and {check.ways} ways keep their clearance"
@@ -45,6 +47,15 @@ def refusal_sentence(one: PlanRefusal) -> str:
     if one.is_avoided:
         after = f"the arms go {one.detour or 'via home'}"
     return f"from {before} to {stop}: {one.reason}; {after}"
+
+
+def file_refusal_sentence(check: PlanCheckResult, one: PlanRefusal) -> str:
+    """One refusal of a hand-edited plan, by line and configuration."""
+    where = f"{check.file}:{one.line}: configuration {one.configuration}"
+    if one.configuration is None:
+        where = f"{check.file}:{one.line}: home after configuration {one.before}"
+    detour = f"; the arms go {one.detour or 'via home'}" if one.is_avoided else ""
+    return f"{where}: {'the way there: ' if one.what == 'way' else ''}{one.reason}{detour}"
 
 
 def forecast_tables(forecast: PlanForecastResult) -> list[Table]:

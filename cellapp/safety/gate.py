@@ -301,8 +301,9 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
         gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
         if not (gaps >= needed).all():
             k = int(np.argmin(np.min(gaps - needed, axis=0)))
-            what = f"obstacle '{obstacle.name}'{_carried(path.arm, k)}"
-            return _too_near("comes", float(gaps[:, k].min()), float(path.deviations[k]), float(asked[k]), what)
+            gap, hidden = float(gaps[:, k].min()), float(path.deviations[k])
+            words = _too_near("comes", gap, hidden, float(asked[k]), f"obstacle '{obstacle.name}'")
+            return _carried(path.arm, k) + words
     return ""
 
 
@@ -322,13 +323,14 @@ def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:
     if gaps.min() >= needed:
         return ""
     worst = int(np.argmin(gaps))
-    carried = _carried(path.arm, int(k[pairs][worst])) or _carried(path.arm, int(i[pairs][worst]))
-    return _too_near("comes", float(gaps[worst]), path.deviation, cell.self_clearance, f"itself{carried}")
+    carried = _carried(path.arm, max(int(i[pairs][worst]), int(k[pairs][worst])))
+    what = "the arm itself" if carried else "itself"
+    return carried + _too_near("comes", float(gaps[worst]), path.deviation, cell.self_clearance, what)
 
 
 def _carried(arm: ArmBodies, body: int) -> str:
-    """The mounted obstacle that a body covers, in words; empty for the arm's own bodies."""
-    return "" if body < arm.links else f" with its obstacle '{arm.covered[body - arm.links]}'"
+    """The mounted obstacle that a body covers, as the subject of a refusal; empty for the arm's own bodies."""
+    return "" if body < arm.links else f"its '{arm.covered[body - arm.links]}' "
 
 
 def _too_near(verb: str, gap: float, allowance: float, asked: float, what: str) -> str:

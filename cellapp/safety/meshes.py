@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
+from cellapp.safety.shapes import distance_of_boxes
 
 _LARGEST_BYTES = 100_000_000
 """Two million triangles in a binary file; drawings of parts have some ten thousand."""
@@ -40,6 +42,10 @@ class Mesh:
     def half(self) -> Array:
         """Half the sizes of the bounding box, shape (3,) [m]."""
         return np.asarray(np.abs(self.vertices).max(axis=0))
+
+    def lower_bound(self, start: Array, end: Array) -> Array:
+        """Distances (...) [m] of the boxes about segments with ends (..., 3) from the bounding box."""
+        return distance_of_boxes(self.half, start, end)
 
     def segment_distance(self, start: Array, end: Array) -> Array:
         """Distances (t,) [m] of segments with ends (t, 3); zero where they meet the solid, NaN where an end is NaN."""
@@ -127,9 +133,14 @@ def _loaded(file: str, scale: float, _changed_ns: int, _bytes: int) -> tuple[Mes
             f"{file}: obstacles of shape mesh need packages that are not installed: pip install 'cellapp[meshes]'"
         ) from None
     try:
-        read = trimesh.load_mesh(file, file_type="stl")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: not an STL file ({str(error).splitlines()[0]}); export it as STL") from None
+        data = Path(file).read_bytes()
+        if len(data) != _binary_length(data):
+            data.decode()  # then it must be text
+        read = trimesh.load_mesh(io.BytesIO(data), file_type="stl")
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); give the path of an STL file") from None
+    except ValueError:
+        raise InputError(f"{file}: not an STL file, or cut short; export it again as STL") from None
     if not len(read.faces) or not np.isfinite(read.vertices).all():
         raise InputError(f"{file}: holds no triangles: not an STL file, empty or cut short; export it again as STL")
     if not (read.is_watertight and read.is_winding_consistent):
@@ -146,3 +157,8 @@ def _loaded(file: str, scale: float, _changed_ns: int, _bytes: int) -> tuple[Mes
         )
     centre = 0.5 * (low + high)
     return Mesh(vertices - centre, np.asarray(read.faces, dtype=np.int64)), centre
+
+
+def _binary_length(data: bytes) -> int:
+    """Length of a binary STL file by its header: 80 bytes, the number of triangles, 50 bytes for each."""
+    return 84 + 50 * int.from_bytes(data[80:84], "little")
