@@ -261,7 +261,7 @@ def folded(profile: Profile) -> Profile:
 
 def impossible(twin: Profile) -> dict[str, tuple[Profile, str, str]]:
     """Cause -> profile, the constraint, what its extent says."""
-    smr = twin.arms["left"].smr
+    smr, no_home = twin.arms["left"].smr, with_arms(twin, home=None)
     return {
         "too far": (with_tracker(twin, distance=(6.0, 40.0)), "range", r"allowed are 6 to 40 m; .* by [0-9]+ mm"),
         "behind its back": (with_tracker(twin, azimuth=(2.8, 3.4)), "azimuth", r"allowed are 160\.4 to 194\.8 deg"),
@@ -274,7 +274,7 @@ def impossible(twin: Profile) -> dict[str, tuple[Profile, str, str]]:
         "floor": (with_plan(twin, floor=0.5), "floor", "nearest misses by [0-9]+ mm"),
         "ceiling": (with_plan(twin, ceiling=-0.1, floor=-3.0), "ceiling", "nearest misses by [0-9]+ mm"),
         "wall": (with_box(twin, (2.0, 0.0, 0.5), (0.1, 9.0, 9.0)), "obstacle 'table' in the beam", "nearest misses by"),
-        "cage": (with_box(with_arms(twin, home=None), (0.0, 0.85, 0.3), (0.3, 0.3, 0.3)), "obstacle 'table'", "misses by"),
+        "in a box": (with_box(no_home, (0.0, 0.85, 0.3), (0.3, 0.3, 0.3)), "obstacle 'table'", "nearest misses by"),
         "folded": (folded(twin), "own bodies", "nearest misses by [0-9]+ mm"),
     }
 
