@@ -38,11 +38,12 @@ def constraint_table(name: str, arm: ArmView) -> Table:
         number_column("seen without it", ".2f", "%"),
     )
     by_name = {one.constraint: one for one in arm.constraints}
-    rows: list[tuple[Cell, ...]] = [
-        (constraint, 100.0 * lost, 100.0 * one.alone, 100.0 * one.without)
-        for constraint, lost in arm.lost.items()
-        if (one := by_name.get(constraint)) is not None
-    ]
+    rows: list[tuple[Cell, ...]] = []
+    for constraint, lost in arm.lost.items():
+        one = by_name.get(constraint)  # none for the gate's last word, which finds nothing more
+        if one is not None or lost > 0.0:
+            shares = (None, None) if one is None else (100.0 * one.alone, 100.0 * one.without)
+            rows.append((constraint, 100.0 * lost, *shares))
     rows.append(("seen", 100.0 * arm.share, None, None))
     return Table(f"Arm {name}: what excludes {arm.drawn} configurations", columns, tuple(rows))
 
