@@ -60,8 +60,8 @@ def draw_pool(
     """``count`` candidates of an arm in random order, fewer where they are rare.
 
     Each is uniform in the joint ranges of the plan, restricted to configurations that are visible and clear; of those
-    with an incidence above ``plan.incidence`` a quarter is kept. About one in three has its first joints, or its
-    wrist, in common with another candidate; no two are equal.
+    with an incidence above ``plan.incidence`` a quarter is kept. About half of them have their first joints, or
+    their wrist, in common with one or a few others; no two are equal.
 
     Raises
     ------

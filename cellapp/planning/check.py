@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.plan import all_smrs_visible
 from cellapp.planning.planned_stops import Configuration, PlannedStops, Route, orders, routes
 from cellapp.planning.stored_stops import read_planned_stops
 from cellapp.profile import Profile
@@ -15,6 +14,7 @@ from cellapp.results import PlanCheckResult, PlanRefusal
 from cellapp.run import RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import CellBodies, refuse_motion, refuse_stop
+from cellapp.safety.hidden import why_hidden
 
 _PROGRESS_EVERY = 10
 """Stops between two progress reports."""
@@ -95,8 +95,7 @@ def _stop_refusals(cell: CellBodies, k: int, q: Configuration) -> Iterator[PlanR
     before = k - 1 if k else None
     if reason := refuse_stop(cell, q):
         yield PlanRefusal(configuration=k, before=before, what="stop", reason=reason)
-    if not all_smrs_visible(cell, q):
-        reason = "the tracker does not see every SMR: turned away, out of its range, or hidden by an arm"
+    if reason := why_hidden(cell, q):
         yield PlanRefusal(configuration=k, before=before, what="view", reason=reason)
 
 

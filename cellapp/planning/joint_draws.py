@@ -88,7 +88,7 @@ def _uniform(ranges: Array, groups: int, group: int, rng: np.random.Generator) -
 def _end_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
     """Rotations (b, m, 3, 3) and origins (b, m, 3) [m] of the last frame of a chain at ``q`` (b, m, s) [rad]."""
     b, m, joints = q.shape
-    rotations, origins = frame_poses(geometry, q.reshape(-1, joints))
+    rotations, origins = frame_poses(geometry, q.reshape(b * m, joints))
     return rotations[-1].reshape(b, m, 3, 3), origins[-1].reshape(b, m, 3)
 
 
