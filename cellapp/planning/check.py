@@ -65,7 +65,7 @@ def _stop_refusals(cell: CellBodies, k: int, q: Configuration) -> Iterator[PlanR
     if reason := refuse_stop(cell, q):
         yield PlanRefusal(configuration=k, before=before, what="stop", reason=reason)
     if not all_smrs_visible(cell, q):
-        reason = "the tracker does not see every SMR: turned away, out of its range, or hidden by an arm"
+        reason = "the tracker does not see every SMR: turned away, out of its range, or hidden by an arm or an obstacle"
         yield PlanRefusal(configuration=k, before=before, what="view", reason=reason)
 
 
