@@ -137,7 +137,7 @@ def test_arguments_of_plan_that_do_not_belong_together_are_told(
         ((profile, "--check", file), "file not found"),
         ((profile, "--run", run, "--from", file), "file not found"),
         (("--run", run, "--add", 3), "run folder not found"),
-        (("--run", run, "--add", 0), "0"),
+        (("--run", run, "--add", 0), "equal to 1"),
     ):
         code, _, complaint = called(capsys, "plan", *arguments)
         assert (code, words in complaint) == (2, True), (arguments, complaint)
