@@ -125,6 +125,9 @@ def plan(
     replan: Annotated[
         bool, typer.Option("--replan", help="Design the stops of a run that are not measured again.")
     ] = False,
+    view: Annotated[
+        bool, typer.Option("--view", help="Only say what the tracker sees of each arm's workspace; nothing is stored.")
+    ] = False,
     json_file: JsonOption = None,
 ) -> None:
     """Plan the stops of a run: visible to the tracker, safe to stand at and to reach.
@@ -134,7 +137,7 @@ def plan(
     from cellapp.cli.plan import PlanChoice, run_plan
 
     with Job(json_file) as job:
-        run_plan(job, PlanChoice(profile, folder, source, keep, check, add, replan))
+        run_plan(job, PlanChoice(profile, folder, source, keep, check, add, replan, view))
 
 
 @app.command()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cellapp.cli.job import Job, open_run
+from cellapp.cli.view import show_view
 from cellapp.errors import CheckFailed, InputError
 
 
@@ -20,6 +21,7 @@ class PlanChoice:
     check: Path | None
     add: int | None
     replan: bool
+    view: bool
 
     def refusal(self) -> str:
         """Why these arguments do not belong together; empty if they do."""
@@ -29,6 +31,7 @@ class PlanChoice:
             "--check": self.check is not None,
             "--add": self.add is not None,
             "--replan": self.replan,
+            "--view": self.view,
         }
         words = [word for word, is_given in given.items() if is_given]
         if len(words) > 1:
@@ -38,9 +41,10 @@ class PlanChoice:
             return f"{words[0]} changes the plan of a run by the profile in it: give --run DIR and no PROFILE"
         if not changes_run and self.profile is None:
             return "PROFILE is missing; name the cell's YAML file"
-        if given["--check"] and self.folder is not None:
-            return "--check only reads FILE; leave out --run"
-        if not (changes_run or given["--check"]) and self.folder is None:
+        only_reads = given["--check"] or given["--view"]
+        if only_reads and self.folder is not None:
+            return f"{words[0]} makes no run; leave out --run"
+        if not (changes_run or only_reads) and self.folder is None:
             return "--run DIR is missing; name the folder of the new run"
         return ""
 
@@ -62,6 +66,9 @@ def run_plan(job: Job, choice: PlanChoice) -> None:
 
     if refusal := choice.refusal():
         raise InputError(f"plan: {refusal}")
+    if choice.view and choice.profile is not None:
+        show_view(job, choice.profile)
+        return
     if choice.check is not None:
         _check_file(job, choice)
         return

@@ -14,7 +14,7 @@ from cellapp.kinematics.transforms import Array
 from cellapp.planning.check import required_plan
 from cellapp.planning.coverage import joint_coverage
 from cellapp.planning.duration import planned_time, stop_times
-from cellapp.planning.plan import joint_ranges
+from cellapp.planning.joint_draws import joint_ranges
 from cellapp.planning.stop_conditions import read_stop_conditions
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore

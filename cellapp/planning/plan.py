@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
+from cellapp.planning.candidates import random_configurations
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.safety.bodies import place
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.safety.gate import CellBodies, clear_alone, refuse_motion, refuse_stop, visible
+from cellapp.safety.gate import CellBodies, refuse_motion, refuse_stop, visible
 
-_BATCH = 4000
-"""Configurations drawn at once: about 60 of them are visible and safe in the twin cell, and they fit in the cache."""
-_MOST_BATCHES = 200
-"""Batches without a usable configuration after which the cell counts as impossible: 800 000 draws in a few seconds."""
 _TRIES_PER_STOP = 60
 """Pairs of configurations tried for one stop. In the twin cell 58 % of pairs are accepted; with 8 % still 99 % of stops
 are found."""
@@ -58,14 +54,14 @@ def further_stops(
     cancel = cancel or CancelToken()
     cell = cell_bodies(profile)
     rng = np.random.default_rng([profile.seed, 0x9A7, *more_seed])
-    pools = {name: _ConfigurationPool(cell, profile, name, rng) for name in cell.arms}
+    drawn = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
     homes = home_positions(profile)
     stops: list[Mapping[str, Array]] = []
     for number in range(1, wanted + 1):
         cancel.check()
         if (number - 1) % _PROGRESS_EVERY == 0:
             listener(Progress("plan", number - 1, wanted))
-        q, refusal = _next_stop(cell, pools, stops[-1] if stops else here, homes if number == wanted else None)
+        q, refusal = _next_stop(cell, drawn, stops[-1] if stops else here, homes if number == wanted else None)
         if q is None:
             raise InputError(
                 f"plan: stop {number} of {wanted} not found in {_TRIES_PER_STOP} tries; the last was refused:"
@@ -87,11 +83,11 @@ def draw_stops(
         If this number of stops is not found.
     """
     cancel = cancel or CancelToken()
-    pools = {name: _ConfigurationPool(cell, profile, name, rng) for name in cell.arms}
+    drawn = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
     found: list[dict[str, Array]] = []
     for _ in range(count * _TRIES_PER_STOP):
         cancel.check()
-        q = {name: pool.draw() for name, pool in pools.items()}
+        q = {name: next(configurations) for name, configurations in drawn.items()}
         if all_smrs_visible(cell, q) and not refuse_stop(cell, q):
             found.append(q)
             if len(found) == count:
@@ -146,14 +142,14 @@ def all_smrs_visible(cell: CellBodies, q: Mapping[str, Array]) -> bool:
 
 def _next_stop(
     cell: CellBodies,
-    pools: Mapping[str, _ConfigurationPool],
+    drawn: Mapping[str, Iterator[Array]],
     here: Mapping[str, Array],
     homes: Mapping[str, Array] | None,
 ) -> tuple[Mapping[str, Array] | None, str]:
     """A stop that can be reached from ``here`` and leads to ``homes`` if given; None with the last refusal."""
     refusal = ""
     for _ in range(_TRIES_PER_STOP):
-        q = {name: pool.draw() for name, pool in pools.items()}
+        q = {name: next(configurations) for name, configurations in drawn.items()}
         if not all_smrs_visible(cell, q):
             refusal = "an arm hides the other's SMR from the tracker"
             continue
@@ -163,50 +159,3 @@ def _next_stop(
         if not refusal:
             return q, ""
     return None, refusal
-
-
-def joint_ranges(cell: CellBodies, profile: Profile, name: str) -> Array:
-    """Ranges from which the joint positions of an arm are drawn, lowest and highest, shape (N, 2) [rad].
-
-    Raises
-    ------
-    InputError
-        If a range of the plan is outside the arm's limits.
-    """
-    limits = cell.arms[name].limits
-    if profile.plan.ranges is None:  # poses repeat after one turn of a joint: stay as near to zero as the limits allow
-        middle = np.clip(0.0, limits[:, 0] + math.pi, limits[:, 1] - math.pi)
-        return np.stack(
-            [np.maximum(limits[:, 0], middle - math.pi), np.minimum(limits[:, 1], middle + math.pi)], axis=1
-        )
-    low, high = np.array(profile.plan.ranges).T
-    ranges = np.stack([np.maximum(low, limits[:, 0]), np.minimum(high, limits[:, 1])], axis=1)
-    for j in np.flatnonzero(ranges[:, 0] > ranges[:, 1]):
-        raise InputError(
-            f"plan.ranges: joint {j + 1}: no part of [{low[j]:g}, {high[j]:g}] rad is inside the limits of arm {name}"
-        )
-    return ranges
-
-
-class _ConfigurationPool:
-    """Visible and safe configurations of one arm, drawn in batches as they are needed."""
-
-    def __init__(self, cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator) -> None:
-        self._cell, self._name, self._rng = cell, name, rng
-        self._ready: list[Array] = []
-        self._low, self._high = joint_ranges(cell, profile, name).T
-
-    def draw(self) -> Array:
-        """The next configuration (N,) [rad]. Raises ``InputError`` if none is found in many batches."""
-        batches = 0
-        while not self._ready:
-            q = self._rng.uniform(self._low, self._high, size=(_BATCH, len(self._low)))
-            q = q[visible(self._cell, self._name, q)]
-            self._ready = list(q[clear_alone(self._cell, place(self._cell.arms[self._name], q))])
-            batches += 1
-            if batches > _MOST_BATCHES:
-                raise InputError(
-                    f"plan: arm {self._name}: the tracker sees none of {_MOST_BATCHES * _BATCH} random configurations"
-                    " that are clear of the floor; check arms.*.base, tracker.pose, smr.normal and the limits"
-                )
-        return self._ready.pop()

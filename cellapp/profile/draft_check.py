@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from cellapp.errors import InputError
 from cellapp.profile.draft import Filled, ProfileDraft, draft_to_yaml, fields_of, with_text
-from cellapp.profile.loader import read_arm_types, read_document
+from cellapp.profile.loader import locate_meshes, read_arm_types, read_document
 from cellapp.profile.messages import KeyPath, PlacedError, dotted, problems, value_message
 from cellapp.profile.schema import Arm, Pose, Profile
 from cellapp.profile.starters import starters_folder
@@ -73,6 +73,7 @@ def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
     try:
         document = read_document(text, path)
         read_arm_types(document, (path.parent, starters_folder()))
+        locate_meshes(document, (path.parent, starters_folder()))
     except PlacedError as error:
         return Checked((_at_field(error.place.inside, error.words, draft, fields),))
     except InputError as error:

@@ -98,12 +98,14 @@ from cellapp.results.discovery import (
 from cellapp.results.plan_design import (
     ArmDesign,
     ArmView,
+    ConstraintShare,
     FactorCorrelation,
     ObservabilityIndices,
     PlanDesignResult,
     PlanQuality,
     SeenCell,
     TravelTime,
+    ViewChange,
     ViewResult,
 )
 from cellapp.results.planning import (
@@ -190,6 +192,7 @@ __all__ = [
     "CollectResult",
     "CollectionResult",
     "CompensateResult",
+    "ConstraintShare",
     "Contradiction",
     "Correlation",
     "CurveRecord",
@@ -290,6 +293,7 @@ __all__ = [
     "ValueComparison",
     "Verdict",
     "VerifyResult",
+    "ViewChange",
     "ViewResult",
     "WholeRunResult",
     "json_schemas",

@@ -109,19 +109,50 @@ class SeenCell(Record):
     seen: int
 
 
+class ConstraintShare(Record):
+    """Share of configurations that a constraint excludes ``alone``, and that could be measured ``without`` it.
+
+    ``extent`` says what is there against what is allowed, and by how much the nearest configuration misses.
+    """
+
+    constraint: str
+    alone: float
+    without: float
+    extent: str
+    advice: str
+
+
+class ViewChange(Record):
+    """A change to the cell, and the share of configurations that could then be measured."""
+
+    change: str
+    seen: float
+
+
 class ArmView(Record):
     """What the tracker sees of one arm's workspace; ``lost``: constraint -> share of configurations that it excludes.
 
     The constraints are applied in this order: a configuration counts for the first that excludes it.
+    ``constraints``: each of them by itself, that first without which most could be measured. ``changes``: the best
+    first.
     """
 
     drawn: int
     seen: int
     small_incidence: int
     """Of those seen, configurations whose incidence is within the range of full accuracy."""
+    facing_at_random: float
+    """Share of all directions in space that are within the SMR's acceptance angle."""
     lost: Mapping[str, float]
+    constraints: tuple[ConstraintShare, ...]
+    changes: tuple[ViewChange, ...]
     edge_m: float
     cells: tuple[SeenCell, ...]
+
+    @property
+    def share(self) -> float:
+        """Share of configurations that the tracker can measure."""
+        return self.seen / max(self.drawn, 1)
 
 
 class ViewResult(Result):

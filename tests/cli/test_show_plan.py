@@ -51,7 +51,7 @@ def test_a_plan_that_is_refused_ends_with_1(tmp_path: Path, capsys: pytest.Captu
     out = tmp_path / "out.json"
     code, said, complaint = called(capsys, "show", tmp_path / "run", "plan", "--check", "--json", out)
     assert code == 1
-    assert "stop 1: arm left: comes nearer to the floor" in said
+    assert "stop 1: arm left: collides with the floor" in said
     assert "Not safe" in complaint
     assert read_json(out)["refused"]
 
@@ -134,6 +134,8 @@ def test_arguments_of_plan_that_do_not_belong_together_are_told(
         ((profile, "--run", run, "--add", 3), "give --run DIR and no PROFILE"),
         (("--replan",), "give --run DIR and no PROFILE"),
         ((profile, "--run", run, "--check", file), "leave out --run"),
+        ((profile, "--run", run, "--view"), "leave out --run"),
+        ((profile, "--view", "--replan"), "do not go together"),
         ((profile, "--check", file), "file not found"),
         ((profile, "--run", run, "--from", file), "file not found"),
         (("--run", run, "--add", 3), "run folder not found"),

@@ -72,7 +72,7 @@ def test_every_refused_stop_and_way_is_named(planned: Path, tmp_path: Path) -> N
     assert 4 in ways, "the way out of the floor is refused, too"
     sentences = check_sentences(result)
     assert sentences[0].startswith("Not safe")
-    assert any("stop 4: arm left: comes nearer to the floor" in sentence for sentence in sentences)
+    assert any("stop 4: arm left: collides with the floor" in sentence for sentence in sentences)
 
 
 def test_a_way_that_goes_home_first_is_safe(planned: Path, monkeypatch: pytest.MonkeyPatch) -> None:
