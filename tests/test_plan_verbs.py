@@ -24,7 +24,6 @@ from cellapp.plan_verbs import (
     replan,
     stored_plan,
 )
-from cellapp.planning.plan import plan_stops
 from cellapp.planning.planned_stops import PlannedStops, joined, straight_stops
 from cellapp.planning.stop_conditions import proposed_stops, read_stop_conditions
 from cellapp.planning.stored_stops import read_planned_stops, write_planned_stops
@@ -33,7 +32,7 @@ from cellapp.progress import Cancelled
 from cellapp.run import RunFile
 from cellapp.run.collected import reference_drifts
 from drivers.arms.simulated import SimulatedArm
-from tests.planning.hand_made import same_stops
+from tests.planning.hand_made import drivable_stops, same_stops
 from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast
@@ -45,9 +44,7 @@ INTO_THE_FLOOR = np.array([0.0, 0.6, 0.0, -1.5, 0.0, 0.0])
 @pytest.fixture(scope="module")
 def plan() -> PlannedStops:
     """Six stops that the gate and the tracker accept, each approached by a small step; the second one is frozen."""
-    stops = straight_stops(plan_stops(small_twin(STOPS)))
-    for name, q in stops.q.items():
-        stops.approach_from[name][:] = q - 0.02
+    stops = drivable_stops(STOPS, np.full(6, 0.02))
     stops.frozen[1] = True
     return replace(stops, block=np.array([0, 0, 0, 1, 1, 1], dtype=np.intp))
 
@@ -107,7 +104,7 @@ def test_offences_are_named_by_line_and_configuration_and_nothing_is_written(
     assert {one.line for one in check.refused if one.configuration == 3} == {line}
     for make in (plan_from_file, plan_around_file):
         with pytest.raises(
-            CheckFailed, match=f"nothing was written\n.*plan.csv:{line}: configuration 3: arm left: comes"
+            CheckFailed, match=f"nothing was written\n.*plan.csv:{line}: configuration 3: arm left: collides"
         ):
             make(small_twin(STOPS + 2), file, tmp_path / "other")
         assert not (tmp_path / "other").exists()

@@ -110,7 +110,7 @@ def test_an_edited_plan_with_offences_ends_with_1(tmp_path: Path, capsys: pytest
     out = tmp_path / "out.json"
     code, said, complaint = called(capsys, "plan", profile, "--check", file, "--json", out)
     assert (code, "Not safe" in complaint) == (1, True)
-    assert f"{file}:2: configuration 5: arm left: comes nearer to the floor" in said
+    assert f"{file}:2: configuration 5: arm left: collides with the floor" in said
     assert read_json(out)["refused"][0]["line"] == 2
     code, _, complaint = called(capsys, "plan", profile, "--from", file, "--run", tmp_path / "run")
     assert (code, "nothing was written" in complaint) == (1, True)

@@ -161,7 +161,7 @@ def test_files_that_cannot_be_read_or_written_are_told(tmp_path: Path) -> None:
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not UTF-8"):
         read_plan_csv(tmp_path / "binary.csv", PROFILE)
-    with pytest.raises(InputError, match="is a folder"):
+    with pytest.raises(InputError, match="it is a folder"):
         write_plan_csv(some_stops(2), tmp_path)
     with pytest.raises(InputError, match="cannot be written"):
         write_plan_csv(some_stops(2), tmp_path / "missing" / "plan.csv")
