@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import re
 import shutil
-import socket
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -21,6 +19,7 @@ from cellapp.profile import load_profile
 from cellapp.run import RunFile
 from cellapp.trials.storm_cell import StormCell, emulated_cell
 from cellapp.tui.app import CellApp
+from tests.loopback import free_port, own_address
 from tests.tui.pilot import shown_text, until
 from tests.tui.terminal import Terminal, cellapp
 from tests.twin import PROFILES
@@ -28,7 +27,8 @@ from tests.twin import PROFILES
 STOPS = 12
 PACE = 10.0
 """Seconds of the cell for each real one: enough of a motion is left to strike."""
-HOSTS = {"127.0.0.2": "127.0.83.2", "127.0.0.3": "127.0.83.3"}  # the ports are fixed, so nobody else's addresses
+HOSTS = {"127.0.0.2": own_address(59), "127.0.0.3": own_address(60)}
+TRACKER_HOST = own_address(59)
 _SPLITS = {"stops": STOPS, "identify": 1, "train": 0, "validate": 1, "pair_identify": 1, "pair_validate": 1}
 
 
@@ -38,9 +38,8 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wire")
     for name in ("arms", "targets"):
         shutil.copytree(PROFILES / name, folder / "profiles" / name)
-    with closing(socket.create_server(("127.0.0.1", 0))) as server:
-        port = server.getsockname()[1]
-    text = (PROFILES / "twin-rtde.yaml").read_text("utf-8").replace("127.0.0.1:50960", f"127.0.0.1:{port}")
+    bridge = f"{TRACKER_HOST}:{free_port(TRACKER_HOST)}"
+    text = (PROFILES / "twin-rtde.yaml").read_text("utf-8").replace("127.0.0.1:50960", bridge)
     for before, now in HOSTS.items():
         text = text.replace(before, now)
     for key, size in _SPLITS.items():
