@@ -65,7 +65,7 @@ class CellBodies:
         Name -> ArmBodies.
     field : TrackerField or None
     clearance : float
-        Least distance between arms, and of arms from floor and ceiling [m].
+        Least distance between arms, and of arms from floor, ceiling and obstacles [m].
     floor, ceiling : float
         Heights of floor and ceiling in the cell frame C [m]; the ceiling may be infinite.
     obstacles : tuple of Obstacle
@@ -283,13 +283,14 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
         return ""
     bodies, clearances = path.coarse_bodies, cell.obstacle_clearances[path.arm]
     low, high = box_about(bodies.start, bodies.end, bodies.radius)
-    spread = (STRIDE + 1) * path.deviations
+    spread = (STRIDE + 1) * path.deviations  # from any point of the path to the nearest coarse sample
     doubtful, near = np.zeros(len(bodies.smr), dtype=bool), []
     for obstacle, asked in zip(cell.obstacles, clearances, strict=True):
-        if obstacle.far(low, high, float((asked + spread).max())):
+        needed = asked + spread
+        if obstacle.far(low, high, float(needed.max())):
             continue
-        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, asked + spread)
-        rows = np.any(~(gaps >= asked + spread), axis=1)
+        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
+        rows = np.any(~(gaps >= needed), axis=1)
         if rows.any():
             doubtful |= rows
             near.append((obstacle, asked))
