@@ -136,7 +136,7 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
         start, target = np.asarray(q_from[name], dtype=np.float64), np.asarray(q_to[name], dtype=np.float64)
         refusal = _refuse_values(arm, start, target)
         if not refusal:
-            paths[name] = sample_path(arm, start, target, min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1]))
+            paths[name] = sample_path(arm, start, target, sample_spacing(cell))
             refusal = _refuse_alone(cell, paths[name])
         if refusal:
             return f"arm {name}: {refusal}"
@@ -145,6 +145,15 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
         if not gap >= cell.clearance + allowance:
             return f"arms {first} and {second}: {_too_near('come', gap, allowance, cell.clearance, 'each other')}"
     return ""
+
+
+def sample_spacing(cell: CellBodies) -> float:
+    """Farthest that a point of a body moves between samples of two arms' paths [m].
+
+    What samples may hide of the distance of two arms is at most this, of other distances at most a quarter of it: a
+    stop that keeps so much more than the clearance can be reached.
+    """
+    return min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1])
 
 
 def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
