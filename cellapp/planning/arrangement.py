@@ -67,7 +67,12 @@ def block_count(asked: int | None, stops: int) -> int:
 
 
 def arrange(
-    stops: StopSet, blocks: int, repeats: int, ends: tuple[Array | None, ...], rng: np.random.Generator, cancel: CancelToken
+    stops: StopSet,
+    blocks: int,
+    repeats: int,
+    ends: tuple[Array | None, ...],
+    rng: np.random.Generator,
+    cancel: CancelToken,
 ) -> Arrangement:
     """Pair and order the stops; ``repeats`` of them are visited twice."""
     n = stops.size
@@ -156,7 +161,9 @@ def _with_repeats(stops: StopSet, once: Arrangement, repeats: int, rng: np.rando
             slots = np.arange(min(place + n // 3, n - 1), n)
             row = np.repeat(once.rows[:, place : place + 1], len(slots), axis=1)
             here, there = once.rows[:, slots], once.rows[:, np.minimum(slots + 1, n - 1)]
-            added = stops.step_s(here, row) + np.where(slots + 1 < n, stops.step_s(row, there) - stops.step_s(here, there), 0.0)
+            added = stops.step_s(here, row) + np.where(
+                slots + 1 < n, stops.step_s(row, there) - stops.step_s(here, there), 0.0
+            )
             added += np.array([1e3 * (slot in behind) for slot in slots.tolist()])
             least = int(np.argmin(added))
             best = min(best, (float(added[least]), place, int(slots[least])))

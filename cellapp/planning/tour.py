@@ -230,9 +230,7 @@ class _Tours:
             saved -= unit / total * np.einsum("brp,brp->br", own**2 @ bend, theirs**2)
         return saved
 
-    def _update_correlation(
-        self, move: Move, arm: int, blocks: NDArray[np.intp], tries: NDArray[np.intp]
-    ) -> None:
+    def _update_correlation(self, move: Move, arm: int, blocks: NDArray[np.intp], tries: NDArray[np.intp]) -> None:
         """Add what the exchanges ``tries`` of some blocks change, before they are made."""
         low, high = (self._order[:, blocks, end[blocks, tries]] for end in (move.low, move.high))
         for number, other, flipped in self._pairs_of(arm):
@@ -253,7 +251,9 @@ class _Tours:
         for arm, of_arm in enumerate(order):
             self._place[arm, rows, of_arm[:, 1:-1]] = np.arange(1, self._m + 1)
         arms = np.arange(len(order))[:, None, None]
-        self._step_s[rows, np.arange(1, self._m + 2)] = self._time[arms, rows, order[:, :, :-1], order[:, :, 1:]].max(axis=0)
+        self._step_s[rows, np.arange(1, self._m + 2)] = self._time[arms, rows, order[:, :, :-1], order[:, :, 1:]].max(
+            axis=0
+        )
 
 
 def _nearest(task: TourTask) -> Order:
