@@ -7,8 +7,7 @@ factor can pass for an effect of another. Repeats of a stop are approached from 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,20 +19,21 @@ from cellapp.safety.gate import CellBodies
 
 _GOAL = 0.06
 """Correlation at which the search for levels ends: some stops must change theirs later, where the gate refuses."""
-_OTHER_PATTERNS = 40
-"""Other sides and sizes that are tried for a stop whose approach the gate refuses."""
+_OTHER_STEPS = 40
+"""Other sides and sizes that are tried for a stop whose last motion the gate refuses."""
+_IMPROVED = 0.08
+"""Largest correlation with which the plan is left: below the one that is accepted, as times are estimates."""
+_IMPROVEMENTS = 300
+"""Most changes of single steps; one takes about a millisecond."""
+_TRIED_CHANGES = 10
+"""Stops at which a change of one factor is tried before it is left."""
+_SMALLEST_RAD = 1e-9
+"""Stands for a spread of 0."""
 _SIDES = np.array([-1.0, 1.0])
 
 
-@dataclass(frozen=True, eq=False)
-class Approaches:
-    """Signed steps of the last motions, arm -> (n, N) [rad]: the motion ends at the stop. 0: the joint rests."""
-
-    step: Mapping[str, Array]
-
-    def start(self, q: Mapping[str, Array], stop: int) -> dict[str, Array]:
-        """Where the last motion to a stop begins, arm -> (N,) [rad]."""
-        return {name: q[name][stop] - step[stop] for name, step in self.step.items()}
+Accepts = Callable[[int, Mapping[str, Array]], bool]
+"""Takes a stop and other signed steps of its last motion, arm -> (N,) [rad]; whether the gate accepts them."""
 
 
 class FactorPlan:
@@ -54,23 +54,26 @@ class FactorPlan:
         self._repeat_of = repeat_of
         self._first = np.flatnonzero(repeat_of < 0)
         """Stops whose levels are free; those of repeats follow."""
-        self._postures = _postures(profile, cell, q)
-        self._conditions = time_and_blocks(np.arange(len(block), dtype=np.float64), block)
+        time = time_and_blocks(np.arange(len(block), dtype=np.float64), block)
+        self._against = _postures(profile, cell, q).with_(time).values
 
     def dwell_s(self) -> dict[str, Array]:
         """Rest before measuring at each stop, arm -> (n,) [s]: the same for all arms, which wait for each other."""
         levels = np.unique(self._profile.plan.dwell)
         n = len(self._repeat_of)
-        against = _with_constant(self._postures.with_(self._conditions).values)
+        against = _with_constant(self._against)
         chosen = balanced_levels(levels, np.ones((n, len(levels)), dtype=np.bool_), against, self._rng, _GOAL)
         return {name: levels[chosen].copy() for name in self._q}
 
-    def approaches(self) -> Approaches:
-        """Balanced sides and sizes of the last motions; only limits are regarded."""
+    def approaches(self) -> dict[str, Array]:
+        """Signed steps of the last motions with balanced sides and sizes, arm -> (n, N) [rad]; 0: the joint rests.
+
+        They begin inside the limits; nothing else is regarded.
+        """
         step = {name: np.zeros_like(q) for name, q in self._q.items()}
         if len(self._sizes) == 0:
-            return Approaches(step)
-        against = self._postures.with_(self._conditions).values
+            return step
+        against = self._against
         joints = [(name, j) for name, q in self._q.items() for j in range(q.shape[1])]
         sides: dict[tuple[str, int], Array] = {}
         for name, j in joints:
@@ -90,24 +93,81 @@ class FactorPlan:
             else:
                 size = np.full(len(self._first), self._sizes[0])
             step[name][:, j] = side * self._of_all(np.where(allowed.any(axis=1), size, 0.0), mirrored=False)
-        return Approaches(step)
+        return step
 
-    def other_patterns(self, approaches: Approaches, stop: int) -> list[dict[str, Array]]:
-        """Other signed steps of one stop, arm -> (N,) [rad] within limits, best balanced first."""
-        own = np.concatenate([step[stop] for step in approaches.step.values()])
-        q = np.concatenate([q[stop] for q in self._q.values()])
+    def other_steps(self, step: Mapping[str, Array], stop: int) -> dict[str, Array]:
+        """Other signed steps of one stop within limits, arm -> (m, N) [rad], best balanced first."""
+        if len(self._sizes) == 0:
+            return {name: np.zeros((0, q.shape[1])) for name, q in self._q.items()}
+        own, q = (np.concatenate([rows[stop] for rows in of_arm.values()]) for of_arm in (step, self._q))
         low, high = np.concatenate([self._limits[name] for name in self._q]).T
-        shape = _OTHER_PATTERNS, len(own)
-        size, side = self._rng.choice(self._sizes, shape), self._rng.choice(_SIDES, shape)
-        step = _inside(q, side * size, low, high)
-        against = self._postures.with_(self._conditions).values
-        present = np.concatenate([one for one in approaches.step.values()], axis=1)
-        scale = np.maximum(np.sqrt(np.mean(present**2, axis=0)), 1e-12)
-        correlation = against.T @ (present / scale) / len(present)
-        after = correlation + against[stop][:, None] * ((step - own) / scale)[:, None, :] / len(present)
-        ranked = np.argsort(np.sum(after**6, axis=(1, 2)), kind="stable")
+        shape = _OTHER_STEPS, len(own)
+        drawn = _inside(q, self._rng.choice(_SIDES, shape) * self._rng.choice(self._sizes, shape), low, high)
+        present = np.concatenate(list(step.values()), axis=1)
+        scale = np.maximum(np.sqrt(np.mean(present**2, axis=0)), _SMALLEST_RAD)
+        correlation = self._against.T @ (present / scale) / len(present)
+        change = self._against[stop][:, None] * ((drawn - own) / scale)[:, None, :] / len(present)
+        ranked = drawn[np.argsort(np.sum((correlation + change) ** 6, axis=(1, 2)), kind="stable")]
         ends = np.cumsum([rows.shape[1] for rows in self._q.values()])[:-1]
-        return [dict(zip(self._q, np.split(step[k], ends), strict=True)) for k in ranked.tolist()]
+        return dict(zip(self._q, np.split(ranked, ends, axis=1), strict=True))
+
+    def improve(self, step: Mapping[str, Array], changeable: NDArray[np.bool_], accepts: Accepts) -> None:
+        """Change steps of single joints until no correlation is larger than wanted, where the gate accepts that.
+
+        Only stops that are ``changeable`` (n,) and are not visited twice get other ones; ``step`` is changed in place.
+        """
+        twice = np.isin(np.arange(len(changeable)), self._repeat_of) | (self._repeat_of >= 0)
+        rows = np.flatnonzero(changeable & ~twice)
+        joints = [(name, j) for name, q in self._q.items() for j in range(q.shape[1])]
+        stuck: set[int] = set()
+        for _ in range(_IMPROVEMENTS if len(self._sizes) and len(rows) else 0):
+            levels = _levels_of(np.concatenate(list(step.values()), axis=1))
+            every = np.concatenate([self._against, levels], axis=1)
+            correlation = every.T @ levels / len(levels)
+            np.fill_diagonal(correlation[self._against.shape[1] :], 0.0)
+            largest = np.abs(correlation).max(axis=0)
+            largest[list(stuck)] = 0.0
+            column = int(np.argmax(largest))
+            if largest[column] <= _IMPROVED:
+                break
+            name, joint = joints[column % len(joints)]
+            is_side = column < len(joints)
+            if self._change_one(step, rows, name, joint, is_side, every, correlation[:, column], accepts):
+                stuck.clear()
+            else:
+                stuck.add(column)
+
+    def _change_one(
+        self,
+        step: Mapping[str, Array],
+        rows: NDArray[np.intp],
+        name: str,
+        joint: int,
+        is_side: bool,
+        every: Array,
+        correlation: Array,
+        accepts: Accepts,
+    ) -> bool:
+        """Change side or size of one joint at the stop where that helps most and is accepted; False if nowhere."""
+        present = step[name][rows, joint]
+        n, found = len(every), []
+        for size in [None] if is_side else self._sizes.tolist():
+            other = -present if size is None else np.sign(present) * size
+            change = (np.sign(other) if is_side else np.abs(other)) - (np.sign(present) if is_side else np.abs(present))
+            spread = (np.sign(step[name][:, joint]) if is_side else np.abs(step[name][:, joint])).std()
+            after = correlation + (change / max(spread, _SMALLEST_RAD))[:, None] * every[rows] / n
+            total = np.where(change != 0.0, np.sum(after**6, axis=1), np.inf)
+            found += list(zip(total.tolist(), rows.tolist(), other.tolist(), strict=True))
+        low, high = self._limits[name][joint]
+        for total_after, stop, value in sorted(found)[:_TRIED_CHANGES]:
+            if total_after >= np.sum(correlation**6):
+                return False
+            steps = {arm: one[stop].copy() for arm, one in step.items()}
+            steps[name][joint] = value
+            if low <= self._q[name][stop, joint] - value <= high and accepts(stop, steps):
+                step[name][stop, joint] = value
+                return True
+        return False
 
     def _levels(self, levels: Array, allowed: NDArray[np.bool_], against: Array, *, mirrored: bool) -> NDArray[np.intp]:
         """Levels of the free stops; a repeat has the same one, or the opposite if ``mirrored``."""
@@ -169,3 +229,11 @@ def _with_constant(values: Array) -> Array:
 def _postures(profile: Profile, cell: CellBodies, q: Mapping[str, Array]) -> Columns:
     found = [posture_functions(profile, cell, name, rows) for name, rows in q.items()]
     return found[0].with_(*found[1:])
+
+
+def _levels_of(step: Array) -> Array:
+    """Sides, then sizes, of signed steps (n, J), (n, 2 J), with mean 0 and standard deviation 1; 0 if constant."""
+    levels = np.concatenate([np.sign(step), np.abs(step)], axis=1)
+    centred = levels - levels.mean(axis=0)
+    spread = centred.std(axis=0)
+    return np.asarray(np.where(spread > _SMALLEST_RAD, centred / np.maximum(spread, _SMALLEST_RAD), 0.0))

@@ -15,7 +15,7 @@ from cellapp.planning.balance import Columns, posture_functions
 from cellapp.planning.duration import motion_s
 from cellapp.profile import Profile
 from cellapp.safety.bodies import place
-from cellapp.safety.gate import CellBodies, clear_alone, clear_stops, sample_spacing, visible_stops
+from cellapp.safety.gate import CellBodies, clear_alone, clear_stops, visible_stops, with_margin_for_ways
 
 Rows = NDArray[np.intp]
 """Numbers of stops; with a first axis of length K one number for each arm."""
@@ -57,8 +57,8 @@ class StopSet:
 
     @cached_property
     def cell_of_ways(self) -> CellBodies:
-        """The cell with the clearance that an arm must keep at a configuration so that the gate accepts ways there."""
-        return replace(self.cell, clearance=self.cell.clearance + 0.25 * sample_spacing(self.cell))
+        """The cell with the clearance that an arm must keep so that the gate accepts ways."""
+        return with_margin_for_ways(self.cell)
 
     @cached_property
     def usual_step_s(self) -> float:
@@ -118,8 +118,8 @@ class StopSet:
         return allowed.reshape(len(rows), len(partners))
 
     def _pair_of_ways(self, first: str, second: str) -> CellBodies:
-        arms = {name: self.cell.arms[name] for name in (first, second)}
-        return replace(self.cell, arms=arms, clearance=self.cell.clearance + sample_spacing(self.cell))
+        pair = replace(self.cell, arms={name: self.cell.arms[name] for name in (first, second)})
+        return with_margin_for_ways(pair, between_arms=True)
 
     def together(self, rows: Rows) -> NDArray[np.bool_]:
         """Whether all arms may stand and be seen at the stops ``rows`` (K, n), shape (n,) bool."""

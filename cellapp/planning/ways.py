@@ -1,39 +1,37 @@
 """Ways that the gate accepts where it refuses the straight one, the shortest in time of those found.
 
-Tried are: one arm after the other; through one position in which some joints of an arm are still where they began,
-some already where they end, and some at home; through home; a random tree from both ends in the joint space of all arms
-(RRT-Connect: Kuffner, LaValle, ICRA 2000). Every motion of a way has passed ``refuse_motion``.
+Tried are: one arm after the other; through positions of an arm, in which some joints are still where they began, some
+already where they end and some at home, or on its roadmap; through home; a random tree in the joint space of all arms.
+Every motion of a way has passed ``refuse_motion``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise, permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.duration import motion_s
+from cellapp.planning.duration import motion_s, route_s
 from cellapp.planning.planned_stops import Configuration, Route
+from cellapp.planning.reach import ArmRoadmap
 from cellapp.profile import Profile
-from cellapp.safety.bodies import place
-from cellapp.safety.cell_bodies import home_positions
-from cellapp.safety.gate import CellBodies, refuse_motion, sample_spacing
+from cellapp.safety.gate import CellBodies, refuse_motion
 
 _MIXTURES = 2500
 """Most positions looked at for an arm: all combinations of start, end and home for up to seven joints."""
-_PARTS = (0.25, 0.5, 0.75)
-"""Where on a way an arm is looked at alone, before the gate is asked."""
+_LOOKED_AT = 200
+"""Of these the shortest detours are looked at."""
 _PASSED_ON = 12
-"""Positions of an arm, shortest ways first, that the gate is asked about."""
-_MOST_ASKED = 150
-"""Ways of one kind that the gate is asked about: a tenth of a second."""
+"""Positions of an arm that are clear and that the gate is asked about."""
+_MOST_ASKED = 60
+"""Ways of one kind that the gate is asked about: less than a tenth of a second."""
 _MOST_ORDERED = 4
 """Arms of which all orders are tried."""
 _TREE_NODES = 300
-"""Nodes of a random tree before it is given up: about a second."""
+"""Nodes of a random tree before it is given up: less than a second."""
 _TREE_STEP = 0.6
 """Longest motion of a joint along an edge of the tree [rad]."""
 
@@ -47,34 +45,37 @@ class Way:
 
 
 class WayFinder:
-    """Finds ways in one cell; what it found blocked is not asked again."""
+    """Finds ways in one cell."""
 
     def __init__(self, profile: Profile, cell: CellBodies, rng: np.random.Generator) -> None:
         self._profile, self._cell, self._rng = profile, cell, rng
-        self._margin = replace(cell, clearance=cell.clearance + 0.25 * sample_spacing(cell))
-        self._homes = home_positions(profile)
+        self.roadmaps = {name: ArmRoadmap(profile, cell, name, rng) for name in cell.arms}
+        """Of each arm alone."""
 
     def seconds(self, here: Configuration, there: Configuration) -> float:
         """Time of a motion of all arms at once [s]."""
-        arms = self._profile.arms
-        return max(float(motion_s(arms[name], (there[name] - here[name])[None])[0]) for name in there)
+        return route_s(self._profile, here, (there,))
 
     def find(self, here: Configuration, there: Configuration) -> Way | str:
         """The shortest way found from ``here`` to ``there`` (all arms); the gate's reason if there is none."""
         refusal = refuse_motion(self._cell, here, there)
         if not refusal:
             return Way((), self.seconds(here, there))
-        if refuse_motion(self._cell, there, there):
-            return refuse_motion(self._cell, there, there)
-        for between in (self._short_detours(here, there), self._through_home(here, there)):
+        if no_standing := refuse_motion(self._cell, there, there):
+            return no_standing
+        for between in (
+            self._one_after_the_other(here, there),
+            self._short_detours(here, there),
+            self._by_home(here, there),
+        ):
             found = self._first_free(here, there, between)
             if found is not None:
                 return found
-        tree = self._tree(here, there)
+        tree = random_tree_path(self._cell, here, there, self._rng)
         return refusal if tree is None else self._way(here, tree, there)
 
     def _first_free(
-        self, here: Configuration, there: Configuration, between: Iterator[Sequence[Configuration]]
+        self, here: Configuration, there: Configuration, between: Iterable[Sequence[Configuration]]
     ) -> Way | None:
         """The shortest way through some of the configurations ``between`` that the gate accepts."""
         timed = [(self._route_s([here, *through, there]), k, through) for k, through in enumerate(between)]
@@ -94,89 +95,74 @@ class WayFinder:
     def _route_s(self, stations: Sequence[Configuration]) -> float:
         return sum(self.seconds(before, after) for before, after in pairwise(stations))
 
-    def _short_detours(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
-        """One arm after the other; through one position of arms whose own way is not free."""
-        names = list(there)
-        if len(names) <= _MOST_ORDERED:
-            for order in permutations(names) if len(names) > 1 else ():
+    def _one_after_the_other(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
+        """The arms in each order, if there are several and not too many."""
+        if 1 < len(there) <= _MOST_ORDERED:
+            for order in permutations(there):
                 yield [
-                    {name: there[name] if name in order[: k + 1] else here[name] for name in names}
-                    for k in range(len(names) - 1)
+                    {name: (there if name in order[: k + 1] else here)[name] for name in there}
+                    for k in range(len(there) - 1)
                 ]
-        vias = {name: self._vias(name, here[name], there[name]) for name in names}
-        for name in names:
-            others = [other for other in names if other != name]
-            for via in vias[name]:
-                for late in product((False, True), repeat=len(others)):
-                    yield [{name: via, **{o: here[o] if w else there[o] for o, w in zip(others, late, strict=True)}}]
-        for both in zip(*vias.values(), strict=False) if len(names) > 1 else ():
-            yield [dict(zip(names, both, strict=True))]
 
-    def _vias(self, name: str, start: Array, end: Array) -> list[Array]:
-        """Positions (N,) of an arm between two others through which it is clear, shortest ways first."""
-        arm = self._profile.arms[name]
-        values = np.stack([start, end, self._homes.get(name, 0.5 * (start + end))])
-        joints = len(start)
+    def _short_detours(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
+        """Through positions of one arm while the others have moved or wait; through positions of all arms."""
+        alone = {name: self._detours_of_arm(name, here[name], there[name]) for name in there}
+        for name, detours in alone.items():
+            others = [other for other in there if other != name]
+            for through in detours:
+                for late in product((False, True), repeat=len(others)):
+                    waiting = {o: (here if waits else there)[o] for o, waits in zip(others, late, strict=True)}
+                    yield [{name: q, **waiting} for q in through]
+        for together in zip(*alone.values(), strict=False) if len(alone) > 1 else ():
+            if len({len(through) for through in together}) == 1:
+                yield [dict(zip(alone, q, strict=True)) for q in zip(*together, strict=True)]
+
+    def _detours_of_arm(self, name: str, start: Array, end: Array) -> list[list[Array]]:
+        """Positions (N,) between two others through which an arm alone is clear; the shortest ones found."""
+        arm, roadmap = self._profile.arms[name], self.roadmaps[name]
+        values, joints = np.stack([start, end, roadmap.rest]), len(start)
         if 3**joints <= _MIXTURES:
             choice = np.array(list(product(range(3), repeat=joints)))
         else:
             choice = self._rng.integers(3, size=(_MIXTURES, joints))
         q = np.unique(values[choice, np.arange(joints)], axis=0)
         seconds = motion_s(arm, q - start) + motion_s(arm, end - q)
-        q = q[np.argsort(seconds, kind="stable")]
-        clear = self._clear(name, q)
-        for part in _PARTS:
-            for other in (start, end):
-                rows = np.flatnonzero(clear)
-                clear[rows] = self._clear(name, q[rows] + part * (other - q[rows]))
-        return list(q[clear][:_PASSED_ON])
+        q = q[np.argsort(seconds, kind="stable")[:_LOOKED_AT]]
+        clear = roadmap.clear_ways(np.broadcast_to(start, q.shape), q) & roadmap.clear_ways(
+            q, np.broadcast_to(end, q.shape)
+        )
+        path = roadmap.path(start, end)
+        return [[one] for one in q[clear][:_PASSED_ON]] + ([path] if path else [])
 
-    def _clear(self, name: str, q: Array) -> NDArray[np.bool_]:
-        from cellapp.safety.gate import clear_alone
-
-        return np.asarray(clear_alone(self._margin, place(self._margin.arms[name], q)))
-
-    def _through_home(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
+    def _by_home(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
         """Through home, there and back at once or one arm after the other; with one arm at home while others move."""
-        homes = {name: self._homes.get(name) for name in there}
-        if any(q is None for q in homes.values()):
-            return
-        home: dict[str, Array] = {name: q for name, q in homes.items() if q is not None}
-        yield [home]
-        away = list(self._one_by_one(here, home))
-        back = list(self._one_by_one(home, there))
-        for first in ([], *away):
-            for second in ([], *back):
-                if first or second:
-                    yield [*first, home, *second]
+        home = {name: self.roadmaps[name].rest for name in there}
+        for first in ([], *self._one_after_the_other(here, home)):
+            for second in ([], *self._one_after_the_other(home, there)):
+                yield [*first, home, *second]
         for name in there:
-            aside = {**here, name: home[name]}
-            yield [aside, {**there, name: home[name]}]
+            yield [{**here, name: home[name]}, {**there, name: home[name]}]
 
-    def _one_by_one(self, here: Configuration, there: Configuration) -> Iterator[list[Configuration]]:
-        if 1 < len(there) <= _MOST_ORDERED:
-            for order in permutations(there):
-                yield [
-                    {name: there[name] if name in order[: k + 1] else here[name] for name in there}
-                    for k in range(len(there) - 1)
-                ]
 
-    def _tree(self, here: Configuration, there: Configuration) -> list[Configuration] | None:
-        """Configurations between two others along a random tree that grows from both; None if they do not meet."""
-        space = _JointSpace(self._cell, tuple(there))
-        trees = [_Tree(space.vector(here)), _Tree(space.vector(there))]
-        for number in range(_TREE_NODES):
-            grows, meets = (trees[number % 2], trees[1 - number % 2])
-            new = grows.extend(space, self._rng.uniform(*space.limits))
-            if new is None:
-                continue
-            reached = meets.connect(space, grows.nodes[new])
-            if reached is None:
-                continue
+def random_tree_path(
+    cell: CellBodies, here: Configuration, there: Configuration, rng: np.random.Generator
+) -> list[Configuration] | None:
+    """Configurations of all arms between two others along a random tree that grows from both; None if none is found.
+
+    Source: RRT-Connect, Kuffner, LaValle, ICRA 2000.
+    """
+    space = _JointSpace(cell, tuple(there))
+    trees = _Tree(space.vector(here)), _Tree(space.vector(there))
+    low, high = space.limits
+    low, high = np.maximum(low, trees[1].nodes[0] - 2.0 * np.pi), np.minimum(high, trees[1].nodes[0] + 2.0 * np.pi)
+    for number in range(_TREE_NODES):
+        grows, meets = trees[number % 2], trees[1 - number % 2]
+        new = grows.extend(space, rng.uniform(low, high))
+        reached = None if new is None else meets.connect(space, grows.nodes[new])
+        if new is not None and reached is not None:
             path = [*grows.path(new)[::-1], *meets.path(reached)[1:]]
-            path = path if number % 2 == 0 else path[::-1]
-            return [space.configuration(q) for q in _shortened(space, path)[1:-1]]
-        return None
+            return [space.configuration(q) for q in _shortened(space, path[:: 1 if number % 2 == 0 else -1])[1:-1]]
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +202,8 @@ class _Tree:
         """Number of a new node one step from the nearest one; None if the way is not free."""
         nearest = int(np.argmin(np.abs(np.array(self.nodes) - towards).max(axis=1)))
         way = towards - self.nodes[nearest]
-        new = self.nodes[nearest] + way * min(1.0, _TREE_STEP / max(float(np.abs(way).max()), 1e-12))
+        longest = float(np.abs(way).max())
+        new = towards if longest <= _TREE_STEP else self.nodes[nearest] + way * (_TREE_STEP / longest)
         if not space.is_free(self.nodes[nearest], new):
             return None
         self.nodes.append(new)
@@ -226,7 +213,7 @@ class _Tree:
     def connect(self, space: _JointSpace, target: Array) -> int | None:
         """Number of a node at ``target`` to which the tree grew step by step; None if something is in the way."""
         while (new := self.extend(space, target)) is not None:
-            if np.array_equal(self.nodes[new], target):
+            if self.nodes[new] is target:
                 return new
         return None
 
@@ -246,8 +233,3 @@ def _shortened(space: _JointSpace, path: list[Array]) -> list[Array]:
         here = next(k for k in range(len(path) - 1, here, -1) if k == here + 1 or space.is_free(path[here], path[k]))
         kept.append(path[here])
     return kept
-
-
-def free_homes(cell: CellBodies, homes: Mapping[str, Array]) -> Configuration | None:
-    """Where the arms are before and after a job; None if not all arms of the cell have a home position."""
-    return homes if set(homes) == set(cell.arms) else None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -154,6 +154,11 @@ def sample_spacing(cell: CellBodies) -> float:
     stop that keeps so much more than the clearance can be reached.
     """
     return min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1])
+
+
+def with_margin_for_ways(cell: CellBodies, *, between_arms: bool = False) -> CellBodies:
+    """The cell with so much more clearance that the gate accepts ways to stops that keep it: alone, or of two arms."""
+    return replace(cell, clearance=cell.clearance + (1.0 if between_arms else 0.25) * sample_spacing(cell))
 
 
 def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
