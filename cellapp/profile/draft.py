@@ -158,6 +158,14 @@ def with_text(draft: ProfileDraft, field_id: str, text: str) -> ProfileDraft:
             raise KeyError(field_id)
 
 
+def with_obstacles_of(draft: ProfileDraft, old: ProfileDraft) -> ProfileDraft:
+    """Return the draft with obstacles that follow their arm's new name, and without those of arms that ``old`` had."""
+    names = {arm.source: arm.name for arm in draft.arms if arm.source}
+    gone = {arm.name for arm in old.arms} - {*names} - {arm.name for arm in draft.arms}
+    obstacles = (replace(one, arm=names.get(one.arm, one.arm)) for one in draft.obstacles if one.arm not in gone)
+    return replace(draft, obstacles=tuple(obstacles))
+
+
 def arm_kinds() -> tuple[str, ...]:
     """Return the kinds of arm drivers."""
     return tuple(kind.model_fields["kind"].default for kind in ARMS)

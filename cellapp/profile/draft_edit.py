@@ -25,6 +25,7 @@ from cellapp.profile.draft import (
     fields_of,
     needs_plant,
     obstacle_keys,
+    with_obstacles_of,
 )
 from cellapp.profile.draft_fields import FormField, yaml_value
 from cellapp.profile.messages import KeyPath
@@ -56,6 +57,7 @@ def edited_text(text: str, path: Path, draft: ProfileDraft) -> EditedText:
     if "\r\n" in text:  # written by an editor on Windows: edited with plain line ends, kept as it was
         edited = edited_text(text.replace("\r\n", "\n"), path, draft)
         return EditedText(edited.text.replace("\n", "\r\n"), edited.lost_comments)
+    draft = with_obstacles_of(draft, old)
     document = _load(text, path)
     if _dump(document) != _with_newline(text):
         raise InputError(
@@ -80,7 +82,6 @@ def _edit_arms(document: CommentedMap, arms: Sequence[ArmDraft]) -> None:
     """Remove, rename and add arms; where the kind of driver changes, remove keys that the new kind does not have."""
     listed = document.setdefault("arms", CommentedMap())
     names = {arm.source: arm.name for arm in arms if arm.source}
-    _carry_obstacles(document.get("obstacles"), tuple(listed), names)
     _rename_keys(listed, names)
     _rename_keys(document.get("plant", {}).get("effects"), names)  # the hidden physics belongs to its arm
     for arm in arms:
@@ -115,18 +116,6 @@ def _rename_keys(section: CommentedMap | None, names: Mapping[str, str]) -> None
     for place, old in enumerate(name for name in order if name in names):
         if old in moved:
             section.insert(place, names[old], moved[old])
-
-
-def _carry_obstacles(section: CommentedMap | None, arms: Sequence[str], names: Mapping[str, str]) -> None:
-    """Give obstacles that are fixed to an arm its new name; remove those of ``arms`` that have none."""
-    if not isinstance(section, CommentedMap):
-        return
-    for name, obstacle in list(section.items()):
-        arm = str(obstacle.get("arm")) if isinstance(obstacle, CommentedMap) else ""
-        if arm in names:
-            obstacle["arm"] = names[arm]
-        elif arm in arms:
-            section.pop(name)
 
 
 def _with_notes(text: str, path: Path, old: ProfileDraft, draft: ProfileDraft) -> str:

@@ -200,7 +200,8 @@ class PlanScreen(PlanEdits):
 
         if isinstance(result, ViewResult):
             self._view = result
-            self._make_view(result)
+            if self.workspace.file_profile is not None:
+                self._make_view(self.workspace.file_profile, result)
             return
         tabs = self.query_one("#plan-tabs", TabbedContent)
         if isinstance(result, PlanCheckResult) and result.file is not None:
@@ -270,10 +271,11 @@ class PlanScreen(PlanEdits):
             self.post_message(Drawn(stops, charts, design_tables_of(design), ()))
 
     @work(thread=True, exclusive=True, group="view")
-    def _make_view(self, view: ViewResult) -> None:
+    def _make_view(self, profile: Profile, view: ViewResult) -> None:
+        from cellapp.reporting.charts_view import view_charts
         from cellapp.reporting.view_text import view_sentences, view_tables
 
-        self.post_message(Drawn(view, (), view_tables(view), view_sentences(view)))
+        self.post_message(Drawn(view, view_charts(profile, view), view_tables(view), view_sentences(view)))
 
     @on(Drawn)
     async def show_drawn(self, event: Drawn) -> None:

@@ -429,7 +429,7 @@ class ProfileForm(Question[Path]):
             return
         self._saved = self._opened.path
         if self._draft is draft:
-            self._draft = self._opened.draft
+            await self._show_draft(self._opened.draft)
         self._judge()
         self.notify(f"Saved as {self._saved}.")
 
