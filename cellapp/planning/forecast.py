@@ -13,10 +13,10 @@ from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.check import required_plan
 from cellapp.planning.coverage import joint_coverage
-from cellapp.planning.duration import planned_time, stop_times
+from cellapp.planning.duration import planned_time, stop_times_of
 from cellapp.planning.joint_draws import joint_ranges
 from cellapp.planning.planned_stops import last_motions
-from cellapp.planning.stored_stops import conditions_of, read_planned_stops
+from cellapp.planning.stored_stops import read_planned_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import ArmForecast, PlanForecastResult, PlannedEffect
@@ -40,8 +40,8 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
     visited = plan.take([stop for stop in range(len(plan)) if stop not in reserves])
     if not len(visited):
         raise InputError(f"{run.path}: the plan has reserve stops only")
-    first, asked = visited.q, conditions_of(visited)
-    times = stop_times(profile, first, asked)
+    first = visited.q
+    times = stop_times_of(profile, visited)
     step = last_motions(visited, home_positions(profile))
     designs = arm_designs(profile, first, PlannedReadings(times.measured_s, times.resting_s, step))
     cell = cell_bodies(profile)
@@ -66,7 +66,7 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
     listener(Progress("forecast", len(designs), len(designs), "done"))
     return PlanForecastResult(
         run=str(run.folder),
-        time=planned_time(profile, first, asked),
+        time=planned_time(profile, visited),
         arms=arms,
         notes=(*notes, *_notes(profile, first)),
     )
