@@ -22,7 +22,7 @@ from cellapp.planning.method import make_stops
 from cellapp.planning.plan_csv import PlanFile, read_plan_csv, write_plan_csv
 from cellapp.planning.planned_stops import PlannedStops
 from cellapp.planning.stop_conditions import proposed_stops, read_stop_conditions
-from cellapp.planning.stored_stops import conditions_of, read_plan_design, read_planned_stops, write_planned_stops
+from cellapp.planning.stored_stops import read_plan_design, read_planned_stops, write_planned_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.reporting.plan_text import file_refusal_sentence
@@ -48,7 +48,7 @@ def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
         stops={name: len(visited) for name in stops.q},
         reserves=len(reserves),
         design=read_plan_design(run),
-        time=planned_time(run.profile, visited.q, conditions_of(visited)),
+        time=planned_time(run.profile, visited),
         notes=tuple(notes),
     )
 
@@ -198,7 +198,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
         note = f"{needed} stops were designed again around {len(kept)}"
         if parts.unreached:
             listed = ", ".join(str(stop + 1) for stop in parts.unreached)
-            note += f"; replaced were, as they could not be reached or measured: {listed}"
+            note += f"; replaced were stops that could not be reached or measured: {listed}"
         run.log("info", _CHANGED + note)
         return plan_result(run, [note])
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cellapp.planning.duration import planned_time
-from cellapp.planning.stored_stops import conditions_of, read_plan_design, read_planned_stops
+from cellapp.planning.stored_stops import read_plan_design, read_planned_stops
 from cellapp.reporting.captioned import CaptionedFigure
 from cellapp.reporting.plan_design_text import design_sentences, gaps_table, quality_table
 from cellapp.reporting.table import Table
@@ -73,4 +73,4 @@ def _time(profile: Profile, ways: PlannedStops) -> PlannedTime | None:
     """Expected time of collecting; None for arms without a home position, which are not driven."""
     if not len(ways) or any(profile.arms[name].home is None for name in ways.q):
         return None
-    return planned_time(profile, ways.q, conditions_of(ways))
+    return planned_time(profile, ways)
