@@ -6,6 +6,7 @@ designed again; measured stops never change.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from cellapp.run.overview import planned_stops
 
 _CHANGED = "plan changed: "
 """Begins the line of the log for each change of a plan; their number varies the seed of the next one."""
+_NUMBERS = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
 _SEED = 0xADD
 """Beside the profile's seed: other candidates than those of which some could not be reached."""
 
@@ -199,6 +201,42 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
             note += f"; replaced were, as they could not be reached or measured: {listed}"
         run.log("info", _CHANGED + note)
         return plan_result(run, [note])
+
+
+def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | None = None) -> PlanResult:
+    """Let later designs of a run's plan leave the ``chosen`` stops (from 0), and no others.
+
+    Raises
+    ------
+    InputError
+        If the run has no plan or not these stops, or another job runs in its folder.
+    """
+    with taking_requests(run.folder, control or JobControl()):
+        required_plan(run)
+        stops, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
+        if unknown := [stop for stop in chosen if not 0 <= stop < len(stops)]:
+            raise InputError(f"{run.path}: there is no configuration {unknown[0]}; there are 0 to {len(stops) - 1}")
+        frozen = np.isin(np.arange(len(stops)), list(chosen))
+        write_planned_stops(run, replace(stops, frozen=frozen), proposed=proposed)
+        return plan_result(run, [f"{int(frozen.sum())} of {len(stops)} stops are frozen"])
+
+
+def stop_numbers(text: str) -> tuple[int, ...]:
+    """The numbers that a text such as ``0-9,12`` lists, ascending; none for ``none``.
+
+    Raises
+    ------
+    InputError
+        If it is no such list.
+    """
+    found: set[int] = set()
+    for part in () if text.strip() == "none" else text.split(","):
+        match = _NUMBERS.fullmatch(part.strip())
+        if match is None:
+            raise InputError(f"'{part.strip()}': expected configurations such as 0-9,12, or none")
+        first, last = int(match[1]), int(match[2] or match[1])
+        found |= {*range(first, last + 1)}
+    return tuple(sorted(found))
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,11 @@ def plan(
     profile: Annotated[Path | None, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")] = None,
     folder: Annotated[
         Path | None,
-        typer.Option("--run", metavar="DIR", help="Folder of the new run; with --add, --replan of the run to change."),
+        typer.Option(
+            "--run",
+            metavar="DIR",
+            help="Folder of the new run; with --add, --replan, --freeze that of the run to change.",
+        ),
     ] = None,
     source: Annotated[
         Path | None, typer.Option("--from", metavar="FILE", help="Take the plan from FILE exactly as it is written.")
@@ -125,6 +129,12 @@ def plan(
     replan: Annotated[
         bool, typer.Option("--replan", help="Design the stops of a run that are not measured again.")
     ] = False,
+    freeze: Annotated[
+        str | None,
+        typer.Option(
+            "--freeze", metavar="LIST", help="Configurations, as 0-9,12, that later designs of the run leave."
+        ),
+    ] = None,
     view: Annotated[
         bool, typer.Option("--view", help="Only say what the tracker sees of each arm's workspace; nothing is stored.")
     ] = False,
@@ -137,7 +147,7 @@ def plan(
     from cellapp.cli.plan import PlanChoice, run_plan
 
     with Job(json_file) as job:
-        run_plan(job, PlanChoice(profile, folder, source, keep, check, add, replan, view))
+        run_plan(job, PlanChoice(profile, folder, source, keep, check, add, replan, freeze, view))
 
 
 @app.command()

@@ -20,6 +20,7 @@ class PlanChoice:
     check: Path | None
     add: int | None
     replan: bool
+    freeze: str | None
     view: bool
 
     def refusal(self) -> str:
@@ -30,12 +31,13 @@ class PlanChoice:
             "--check": self.check is not None,
             "--add": self.add is not None,
             "--replan": self.replan,
+            "--freeze": self.freeze is not None,
             "--view": self.view,
         }
         words = [word for word, is_given in given.items() if is_given]
         if len(words) > 1:
             return f"{' and '.join(words)} do not go together; give one of them"
-        changes_run = given["--add"] or given["--replan"]
+        changes_run = given["--add"] or given["--replan"] or given["--freeze"]
         if changes_run and (self.profile is not None or self.folder is None):
             return f"{words[0]} changes the plan of a run by the profile in it: give --run DIR and no PROFILE"
         if not changes_run and self.profile is None:
@@ -59,7 +61,7 @@ def run_plan(job: Job, choice: PlanChoice) -> None:
         If a hand-edited plan is refused.
     """
     from cellapp.pipeline import plan_new_run
-    from cellapp.plan_verbs import extend_plan, plan_around_file, plan_from_file, replan
+    from cellapp.plan_verbs import extend_plan, freeze_stops, plan_around_file, plan_from_file, replan, stop_numbers
     from cellapp.profile import load_profile
     from cellapp.reporting.plan_design_text import plan_lines, plan_result_tables
 
@@ -71,10 +73,12 @@ def run_plan(job: Job, choice: PlanChoice) -> None:
     if choice.view:
         _show_view(job, choice)
         return
-    if choice.add is not None or choice.replan:
+    if choice.add is not None or choice.replan or choice.freeze is not None:
         assert choice.folder is not None
         with open_run(choice.folder, write=True) as run:
-            if choice.add is not None:
+            if choice.freeze is not None:
+                result = freeze_stops(run, stop_numbers(choice.freeze), job.control)
+            elif choice.add is not None:
                 result = extend_plan(run, choice.add, job.listen, job.control)
             else:
                 result = replan(run, job.listen, job.control)

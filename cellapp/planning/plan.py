@@ -159,7 +159,7 @@ def _next_stop(
     for _ in range(_TRIES_PER_STOP):
         q = {name: next(configurations) for name, configurations in drawn.items()}
         if not all_smrs_visible(cell, q):
-            refusal = "an arm hides the other's SMR from the tracker"
+            refusal = "an arm or what it carries hides the other's SMR from the tracker"
             continue
         refusal = refuse_motion(cell, here, q)
         if not refusal and homes is not None:

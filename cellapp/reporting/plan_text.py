@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from cellapp.effects import EFFECTS
+from cellapp.planning.planned_stops import PlannedStops
+from cellapp.reporting.charts import enumerated
 from cellapp.reporting.table import Cell, Column, Table, number_column
 from cellapp.reporting.words import display_unit, geometry_unit, short_reason
 from cellapp.results import (
@@ -47,6 +51,22 @@ def refusal_sentence(one: PlanRefusal) -> str:
     if one.is_avoided:
         after = f"the arms go {one.detour or 'via home'}"
     return f"from {before} to {stop}: {one.reason}; {after}"
+
+
+def stop_words(stops: PlannedStops, stop: int) -> str:
+    """How a stop is reached and what it is for: way, last motion, rest, repetition."""
+    words = []
+    if (source := int(stops.repeat_of[stop])) >= 0:
+        words.append(f"repeats stop {source + 1}")
+    if legs := len(stops.legs[stop]):
+        words.append(f"via {legs} position{'s' if legs > 1 else ''}")
+    if starts := stops.approach_starts(stop):
+        sizes = [math.degrees(float(np.abs(stops.q[name][stop] - q).max())) for name, q in starts.items()]
+        words.append(f"last motion {enumerated(f'{size:.1f}' for size in sizes)} deg")
+    rests = [float(rest[stop]) for rest in stops.dwell_s.values()]
+    if any(rests):
+        words.append(f"rests {enumerated(f'{rest:.0f}' for rest in rests)} s")
+    return ", ".join(words) or "straight"
 
 
 def file_refusal_sentence(check: PlanCheckResult, one: PlanRefusal) -> str:

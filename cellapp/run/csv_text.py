@@ -66,7 +66,7 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) 
         If it cannot be written.
     """
     if path.is_dir():
-        raise InputError(f"{path} is a folder; give the path of a file")
+        raise InputError(f"{path} cannot be written: it is a folder; give the path of a file")
     unfinished = path.with_name(path.name + ".new")
     try:
         try:

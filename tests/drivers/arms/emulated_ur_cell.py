@@ -16,10 +16,11 @@ from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, personality, start_in_process
+from tests.loopback import own_arms
 
 PATIENT_S = 20.0
 SERIALS = {"left": "20153012345", "right": "20205501234"}
-HOSTS = {"left": "127.0.0.41", "right": "127.0.0.42"}
+HOSTS = own_arms(41)
 MODELS = {"left": "UR10", "right": "UR5e"}
 HOME = np.array([0.0, -np.pi / 2.0, 0.0, -np.pi / 2.0, 0.0, 0.0])
 SPEED, ACCELERATION = np.full(6, 2.0), np.full(6, 8.0)
