@@ -174,14 +174,14 @@ def test_drawing_can_be_cancelled() -> None:
 
 
 @settings(max_examples=12, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), which=st.sampled_from(sorted(CELLS)), group=st.sampled_from([1, 3, 16]))
-def test_what_is_seen_of_combined_joints_is_what_placing_them_gives(seed: int, which: str, group: int) -> None:
+@given(seed=st.integers(0, 2**32 - 1), which=st.sampled_from(sorted(CELLS)))
+def test_what_is_seen_of_combined_joints_is_what_placing_them_gives(seed: int, which: str) -> None:
     cell, name = CELLS[which]
     arm = cell.arms[name]
     rng = np.random.default_rng(seed)
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     T_C_M = transform(rotation * np.sign(np.linalg.det(rotation)), rng.normal(size=3) * 3.0)
-    draws = draw_joints(arm, T_C_M, arm.limits, rng, group)
+    draws = draw_joints(arm, T_C_M, arm.limits, rng)
     chosen = rng.random(draws.sight.distance.shape) < 0.01
     expected = sight_of(T_C_M, place(arm, draws.q(chosen)))
     np.testing.assert_allclose(draws.sight.smr_M[:, chosen], expected.smr_M, atol=1e-12)
@@ -290,6 +290,6 @@ def test_what_cannot_be_measured_names_its_constraint(cause: str, monkeypatch: p
     first = exclusions(cell, profile, "left")[0]
     assert first.constraint == constraint
     assert first.alone > 0.99
-    with pytest.raises(InputError, match=f"arm left: none of 24576 random .*: .*{extent}.* What helps: ") as told:
+    with pytest.raises(InputError, match=f"arm left: none of [0-9]+ random .*: .*{extent}.* What helps: ") as told:
         draw_pool(cell, profile, "left", 10, np.random.default_rng(0))
     assert first.advice in str(told.value)
