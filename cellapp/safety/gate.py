@@ -36,6 +36,9 @@ BEAM_RADIUS = 0.02
 """Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""
 _SELF_CLEARANCE = 0.01
 """Clearance of an arm from itself [m]; smaller than from others, as its shape is known better than its base."""
+_OWN_BASE_CLEARANCE = 0.02
+"""Clearance of an arm from what is fixed to its own base [m]; smaller than from others: the pose of the base, known to
+centimetres before calibration, does not matter. It allows for a place that was measured with a tape."""
 _STEPS = (0.02, 0.04)
 """Smallest and largest spacing of samples on a path [m]; between them it is half the clearance."""
 _ROUNDING_RAD = 1e-9
@@ -81,7 +84,7 @@ class CellBodies:
 
     @property
     def self_clearance(self) -> float:
-        """Least distance of an arm from itself, and from what is fixed to its own base [m]."""
+        """Least distance of an arm from itself [m]."""
         return min(self.clearance, _SELF_CLEARANCE)
 
     @cached_property
@@ -102,7 +105,7 @@ class CellBodies:
         radius = np.append(arm.radius[base], 0.0)
         for row, obstacle in zip(asked, self.obstacles, strict=True):
             if obstacle.base_of == name:
-                row[:] = self.self_clearance
+                row[:] = min(self.clearance, _OWN_BASE_CLEARANCE)
             row[base] = -np.inf
             if not obstacle.gaps(start, end, radius, self.clearance).min() >= self.clearance:
                 row[arm.frames == 1] = -np.inf
