@@ -71,7 +71,7 @@ def expected_readings(
     InputError
         If the profile lacks the pose of an arm's base, of the tracker, or a home position.
     """
-    models = {name: _nominal_model(profile, name) for name in plan}
+    models = {name: nominal_model(profile, name) for name in plan}
     rng = np.random.default_rng([profile.seed, _SEED])
     readings = {}
     for name, q in plan.items():
@@ -93,8 +93,14 @@ def expected_readings(
     return models, readings
 
 
-def _nominal_model(profile: Profile, name: str) -> ArmModel:
-    """The published arm, with its base where the profile says, in the tracker frame."""
+def nominal_model(profile: Profile, name: str) -> ArmModel:
+    """The published arm, with its base where the profile says, in the tracker frame.
+
+    Raises
+    ------
+    InputError
+        If the profile lacks the pose of the arm's base, of the tracker, or a home position.
+    """
     arm, tracker = profile.arms[name], profile.tracker
     if arm.base is None or tracker.pose is None or arm.home is None:
         raise InputError(

@@ -53,10 +53,18 @@ class Arrangement:
     repeat_of: NDArray[np.intp]
 
     def taken(self, source: NDArray[np.intp]) -> Arrangement:
-        """The stops in another order, or some of them; ``source`` holds their present places."""
+        """The stops in another order, or some of them; ``source`` holds their present places.
+
+        Of two visits the later one is the repeat.
+        """
         place = np.full(self.rows.shape[1] + 1, -1, dtype=np.intp)
         place[source] = np.arange(len(source))
-        return Arrangement(self.rows[:, source], self.block[source], place[self.repeat_of[source]])
+        repeat_of = np.full(len(source), -1, dtype=np.intp)
+        for copy in np.flatnonzero(self.repeat_of >= 0).tolist():
+            first, second = sorted((int(place[copy]), int(place[self.repeat_of[copy]])))
+            if first >= 0:
+                repeat_of[second] = first
+        return Arrangement(self.rows[:, source], self.block[source], repeat_of)
 
 
 def block_count(asked: int | None, stops: int) -> int:
@@ -66,14 +74,7 @@ def block_count(asked: int | None, stops: int) -> int:
     return max(1, min(max(_LEAST_BLOCKS, round(stops / _STOPS_PER_BLOCK)), stops // _LEAST_STOPS))
 
 
-def arrange(
-    stops: StopSet,
-    blocks: int,
-    repeats: int,
-    ends: tuple[Array | None, ...],
-    rng: np.random.Generator,
-    cancel: CancelToken,
-) -> Arrangement:
+def arrange(stops: StopSet, blocks: int, repeats: int, rng: np.random.Generator, cancel: CancelToken) -> Arrangement:
     """Pair and order the stops; ``repeats`` of them are visited twice."""
     n = stops.size
     sizes = np.full(blocks, n // blocks)

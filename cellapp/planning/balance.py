@@ -34,6 +34,10 @@ class Columns:
     names: tuple[str, ...]
     values: Array
 
+    def first(self, count: int) -> Columns:
+        """The first ones."""
+        return Columns(self.names[:count], self.values[:, :count])
+
     def with_(self, *others: Columns) -> Columns:
         """These and the others, side by side."""
         every = (self, *others)
@@ -64,6 +68,14 @@ def posture_functions(profile: Profile, cell: CellBodies, name: str, q: Array) -
     return found[0].with_(*found[1:])
 
 
+def time_and_blocks(time: Array, block: NDArray[np.intp]) -> Columns:
+    """Time, and each block against the others."""
+    numbers = np.unique(block)
+    blocks = (block[:, None] == numbers).astype(np.float64) if len(numbers) > 1 else np.zeros((len(block), 0))
+    names = ("time", *(f"block {number + 1}" for number in range(blocks.shape[1])))
+    return standardised(names, np.column_stack([time, blocks]))
+
+
 def fair_blocks(features: Array, sizes: NDArray[np.intp], rng: np.random.Generator) -> NDArray[np.intp]:
     """Block (n,) of each stop: random, but each block gets its part of similar stops.
 
@@ -91,7 +103,7 @@ def fair_blocks(features: Array, sizes: NDArray[np.intp], rng: np.random.Generat
             groups += [ranked[:cut], ranked[cut:]]
         else:  # the rest that does not fill a group goes to the blocks that have one stop more
             block[rows] = rng.permutation(count if len(rows) == count else longer)
-    return block
+    return np.asarray(block)
 
 
 def balanced_levels(
@@ -116,7 +128,7 @@ def balanced_levels(
     """
     n = len(allowed)
     if n == 0 or len(levels) < 2:
-        return np.argmax(allowed, axis=1)
+        return np.asarray(np.argmax(allowed, axis=1))
     score = (levels - levels.mean()) / levels.std()
     chosen = np.argmax(allowed * rng.random(allowed.shape), axis=1)
     correlation = against.T @ score[chosen] / n
@@ -133,4 +145,4 @@ def balanced_levels(
         if total[best] >= np.sum(correlation**_POWER):
             break
         chosen[stop[best]], correlation = level[best], after[best]
-    return chosen
+    return np.asarray(chosen)

@@ -13,7 +13,7 @@ from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.exclusions import shortage
 from cellapp.planning.joint_draws import GROUP, draw_joints, joint_ranges
-from cellapp.planning.usable import Usable, usable
+from cellapp.planning.usable import Usable, admitted_by_gate, usable
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
 from cellapp.safety.gate import CellBodies
@@ -126,4 +126,4 @@ def _usable_draws(
     ranges = joint_ranges(cell, profile, name)
     while True:
         draws = draw_joints(cell.arms[name], cell.field.T_C_M, ranges, rng, group)
-        yield usable(cell, cell.field, name, draws, keep)
+        yield admitted_by_gate(cell, name, usable(cell, cell.field, name, draws, keep))

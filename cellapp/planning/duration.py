@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.kinematics.transforms import Array
+from cellapp.planning.planned_stops import Configuration, PlannedStops, Route
 from cellapp.planning.stop_conditions import StopConditions
 from cellapp.profile import Arm, Profile
 from cellapp.results import PlannedTime
@@ -72,6 +73,54 @@ def stop_times(profile: Profile, plan: Mapping[str, Array], conditions: Conditio
         if stop < len(resting_s):
             resting_s[stop] = max([_SETTLE_S, *(one.dwell_s for one in arms.values())])
     return StopTimes(moving_s, resting_s, _measuring_s(profile) * len(plan))
+
+
+def stop_times_of(profile: Profile, stops: PlannedStops, start: Configuration | None = None) -> StopTimes:
+    """Expected times of planned stops with their approaches and detours, from ``start``; None: from home."""
+    here = home_positions(profile) if start is None else start
+    begin = {
+        name: np.where(np.isfinite(stops.approach_from[name]), stops.approach_from[name], q)
+        for name, q in stops.q.items()
+    }
+    moving_s = np.max(
+        [_straight_s(profile.arms[name], here.get(name), q, begin[name]) for name, q in stops.q.items()], axis=0
+    )
+    motions = np.ones(len(stops))
+    last_s = np.max([motion_s(profile.arms[name], q - begin[name]) for name, q in stops.q.items()], axis=0)
+    for stop, legs in enumerate(stops.legs):
+        if legs:
+            before = stops.targets(stop - 1) if stop else here
+            moving_s[stop] = route_s(profile, before, (*legs, {name: q[stop] for name, q in begin.items()}))
+            motions[stop] += len(legs)
+    slow = profile.collection.slow_start
+    moving_s += last_s
+    if profile.moves_hardware:
+        moving_s[: slow.stops] /= slow.speed
+    dwell_s = np.max([stops.dwell_s[name] for name in stops.q], axis=0)
+    resting_s = np.maximum(_SETTLE_S, dwell_s) + _SETTLE_S * (motions - 1.0 + (last_s > 0.0))
+    return StopTimes(moving_s, resting_s, _measuring_s(profile) * len(stops.q))
+
+
+def home_s(profile: Profile, stops: PlannedStops) -> float:
+    """Time of the way home from the last stop [s]; 0 for arms without a home position."""
+    homes = home_positions(profile)
+    ways = [motion_s(profile.arms[name], (homes[name] - q[-1])[None]) for name, q in stops.q.items() if name in homes]
+    return float(np.max(ways)) if ways else 0.0
+
+
+def route_s(profile: Profile, start: Configuration, route: Route) -> float:
+    """Time of motions one after the other from ``start`` (all arms) [s]; each takes as long as its slowest arm."""
+    here, total = dict(start), 0.0
+    for targets in route:
+        total += max(float(motion_s(profile.arms[name], (q - here[name])[None])[0]) for name, q in targets.items())
+        here.update(targets)
+    return total
+
+
+def _straight_s(arm: Arm, start: Array | None, q: Array, begin: Array) -> Array:
+    """Time from each stop to where the last motion to the next begins, shape (n,) [s]; 0 from an unknown ``start``."""
+    first = begin[:1] if start is None else start[None]
+    return motion_s(arm, begin - np.concatenate([first, q])[: len(q)])
 
 
 def planned_time(profile: Profile, plan: Mapping[str, Array], conditions: Conditions) -> PlannedTime:

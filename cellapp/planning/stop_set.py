@@ -15,12 +15,12 @@ from cellapp.planning.balance import Columns, posture_functions
 from cellapp.planning.duration import motion_s
 from cellapp.profile import Profile
 from cellapp.safety.bodies import place
-from cellapp.safety.gate import CellBodies, clear_alone, clear_stops, visible_stops
+from cellapp.safety.gate import CellBodies, clear_alone, clear_stops, sample_spacing, visible_stops
 
 Rows = NDArray[np.intp]
 """Numbers of stops; with a first axis of length K one number for each arm."""
 
-_PARTS_OF_WAY = (0.25, 0.5, 0.75)
+_PARTS_OF_WAY = (0.5, 0.25, 0.75, 0.125, 0.875, 0.375, 0.625)
 """Where on the way between two stops an arm is looked at alone: that finds most ways that are not free."""
 
 
@@ -56,6 +56,11 @@ class StopSet:
         return tuple(posture_functions(self.profile, self.cell, name, q) for name, q in self.q.items())
 
     @cached_property
+    def cell_of_ways(self) -> CellBodies:
+        """The cell with the clearance that an arm must keep at a configuration so that the gate accepts ways there."""
+        return replace(self.cell, clearance=self.cell.clearance + 0.25 * sample_spacing(self.cell))
+
+    @cached_property
     def usual_step_s(self) -> float:
         """Mean time of a way between two stops in random order [s]."""
         rows = np.arange(self.size)
@@ -67,10 +72,11 @@ class StopSet:
 
     def step_s(self, start: Rows, end: Rows) -> Array:
         """Time of the slowest arm from stops ``start`` (K, n) to ``end`` (K, n), shape (n,) [s]."""
-        times = [
-            motion_s(self.profile.arms[name], q[there] - q[here])
-            for (name, q), here, there in zip(self.q.items(), start, end, strict=True)
-        ]
+        return self.way_s([q[there] - q[here] for q, here, there in zip(self.q.values(), start, end, strict=True)])
+
+    def way_s(self, ways: Sequence[Array]) -> Array:
+        """Time of the slowest arm for motions (n, N) [rad] of each arm, shape (n,) [s]."""
+        times = [motion_s(self.profile.arms[name], way) for name, way in zip(self.names, ways, strict=True)]
         return np.asarray(np.max(times, axis=0))
 
     def arm_times_s(self, arm: int, rows: Rows) -> Array:
@@ -78,7 +84,7 @@ class StopSet:
 
         Ways on which the arm alone is not clear take as long as a usual step more: that is what a detour costs.
         """
-        name = self.names[arm]
+        name, cell = self.names[arm], self.cell_of_ways
         q, m = self.q[name][rows], len(rows)
         i, k = np.triu_indices(m, 1)
         way = q[k] - q[i]
@@ -86,7 +92,7 @@ class StopSet:
         free = np.ones(len(way), dtype=bool)
         for part in _PARTS_OF_WAY:
             left = np.flatnonzero(free)
-            free[left] = clear_alone(self.cell, place(self.cell.arms[name], q[i[left]] + part * way[left]))
+            free[left] = clear_alone(cell, place(cell.arms[name], q[i[left]] + part * way[left]))
         times: Array = np.zeros((m, m))
         times[i, k] = times[k, i] = seconds + np.where(free, 0.0, self.usual_step_s)
         return times
@@ -103,13 +109,17 @@ class StopSet:
         array, shape (m, p), bool
         """
         a, b = self.names[first], self.names[second]
-        pair = replace(self.cell, arms={name: self.cell.arms[name] for name in (a, b)})
+        pair = self._pair_of_ways(a, b)
         i, k = np.repeat(rows, len(partners)), np.tile(partners, len(rows))
         q = {a: self.q[a][i], b: self.q[b][k]}
         allowed = np.asarray(clear_stops(pair, q))
         left = np.flatnonzero(allowed)
         allowed[left] = visible_stops(pair, {name: rows_q[left] for name, rows_q in q.items()})
         return allowed.reshape(len(rows), len(partners))
+
+    def _pair_of_ways(self, first: str, second: str) -> CellBodies:
+        arms = {name: self.cell.arms[name] for name in (first, second)}
+        return replace(self.cell, arms=arms, clearance=self.cell.clearance + sample_spacing(self.cell))
 
     def together(self, rows: Rows) -> NDArray[np.bool_]:
         """Whether all arms may stand and be seen at the stops ``rows`` (K, n), shape (n,) bool."""

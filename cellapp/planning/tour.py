@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,12 @@ _TRIES_AT_ONCE = 256
 _HOT, _COLD = 0.1, 0.01
 """First and last temperature over the mean time between two stops: at first a move that costs half as much as a usual
 step is often accepted, at last only gains are."""
+_RANDOM_SHARE = 0.5
+"""Share of moves of random positions; the others bring near neighbours together."""
 _LONGEST_SHIFT = 3
 """Most positions that are shifted together."""
 _POWER = 6
+"""Power of correlations that is charged: the largest ones rule, and a change by one exchange is foreseen well."""
 _CHECK_EVERY = 50
 """Steps between two looks at the cancel token."""
 
@@ -97,55 +101,82 @@ def _random_order(task: TourTask, rng: np.random.Generator) -> Order:
     return order
 
 
+Step = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]
+"""Positions of an order: that which a step leads to, and what shall be before it and there."""
+
+
 @dataclass(frozen=True)
 class Move:
-    """Moves (B, R) of one kind, of the positions ``low`` to ``high``; ``arm`` alone where it is not None."""
+    """Moves of one kind of the positions ``low`` to ``high``; of one ``arm`` alone where it is not None.
 
-    kind: str
+    ``reverse`` turns the part round; ``shift`` brings its last ``shift`` positions before its others; ``exchange``
+    exchanges its two ends.
+    """
+
+    kind: Literal["reverse", "shift", "exchange"]
     low: NDArray[np.intp]
     high: NDArray[np.intp]
-    shift: int
-    arm: int | None
+    shift: NDArray[np.intp] | int = 0
+    arm: int | None = None
 
-    def source(self, position: NDArray[np.intp], rows: tuple[NDArray[np.intp], ...] | None = None) -> NDArray[np.intp]:
+    def steps(self) -> tuple[Step, ...]:
+        """The steps that are others after the move; a step that is listed twice leads to the same positions twice."""
+        low, high = self.low, self.high
+        if self.kind == "reverse":
+            return (low, low - 1, high), (high + 1, low, high + 1)
+        if self.kind == "shift":
+            cut = high - self.shift
+            return (low, low - 1, cut + 1), (low + self.shift, high, low), (high + 1, cut, high + 1)
+        beside = high == low + 1  # then there is one step between them, not two
+        return (
+            (low, low - 1, high),
+            (low + 1, high, np.where(beside, low, low + 1)),
+            (np.where(beside, 0, high), np.where(beside, -1, high - 1), np.where(beside, 0, low)),
+            (high + 1, low, high + 1),
+        )
+
+    def source(self, position: NDArray[np.intp]) -> NDArray[np.intp]:
         """The present positions of what the move brings to ``position``."""
-        low, high = (self.low, self.high) if rows is None else (self.low[rows][:, None], self.high[rows][:, None])
+        low, high = self.low, self.high
         if self.kind == "exchange":
             return np.where(position == low, high, np.where(position == high, low, position))
-        if self.kind == "reverse":
-            moved = low + high - position
-        else:
-            moved = low + (position - low - self.shift) % np.maximum(high - low + 1, 1)
+        moved = low + high - position
+        if self.kind == "shift":
+            moved = low + (position - low - self.shift) % (high - low + 1)
         return np.where((position >= low) & (position <= high), moved, position)
 
-    def changed(self) -> tuple[NDArray[np.intp], ...]:
-        """Positions whose step from the position before is another one after the move; each only once."""
-        if self.kind == "reverse":
-            return self.low, self.high + 1
-        if self.kind == "shift":
-            return self.low, np.minimum(self.low + self.shift, self.high), self.high + 1
-        nothing = np.zeros_like(self.low)
-        return self.low, self.low + 1, np.where(self.high > self.low + 1, self.high, nothing), self.high + 1
+    def take(self, rows: tuple[NDArray[np.intp], NDArray[np.intp]]) -> Move:
+        """Some of the moves, each on an axis of its own."""
+        shift = self.shift if isinstance(self.shift, int) else self.shift[rows][:, None]
+        return Move(self.kind, self.low[rows][:, None], self.high[rows][:, None], shift, self.arm)
 
 
 class _Tours:
-    """The orders of all blocks. Positions 1 to size hold stops, position 0 and those beyond an end without cost."""
+    """The orders of all blocks. Positions 1 to size hold stops, position 0 and those beyond an end without cost.
+
+    Numpy takes from flat arrays much faster than from several axes: positions, stops and pairs of stops are numbers in
+    flat arrays over all blocks.
+    """
 
     def __init__(self, task: TourTask, order: Order) -> None:
         arms, blocks, m, _ = task.time_s.shape
-        self._task, self._sizes, self._m, self._order = task, task.sizes, m, order
-        self._time = np.pad(task.time_s, ((0, 0), (0, 0), (0, 1), (0, 1)))
-        self._pair_cost = np.pad(task.pair_cost, ((0, 0), (0, 0), (0, 1), (0, 1)))
+        self._task, self._sizes, self._m = task, task.sizes[:, None], m
+        self._order = order
+        """Stop within its block (K, B, m + 2) at each position."""
+        self._at = order.reshape(arms, -1)
+        self._first = np.arange(blocks)[:, None]
+        square = ((0, 0), (0, 0), (0, 1), (0, 1))
+        self._time = np.pad(task.time_s, square).reshape(arms, -1)
         self._pairs = list(combinations(range(arms), 2))
-        self._near = _nearest(task)
-        self._block = np.arange(blocks)[:, None]
+        self._pair_cost = np.pad(task.pair_cost, square).reshape(len(self._pairs), -1)
+        self._postures = [np.pad(one, ((0, 0), (0, 1), (0, 0))).reshape(-1, one.shape[2]) for one in task.postures]
+        self._near = _nearest(task).reshape(arms, blocks * m, -1)
         self._place = np.zeros((arms, blocks, m + 1), dtype=np.intp)
         self._step_s = np.zeros((blocks, m + 2))
         self._update(np.arange(blocks))
-        self._postures = [np.pad(one, ((0, 0), (0, 1), (0, 0))) for one in task.postures]
-        ordered = [one[self._block, of_arm] for one, of_arm in zip(self._postures, order, strict=True)]
-        total = max(int(self._sizes.sum()), 1)
-        self._correlation = [np.einsum("bmp,bmq->pq", ordered[i], ordered[k]) / total for i, k in self._pairs]
+        self._total = max(int(task.sizes.sum()), 1)
+        ordered = [one[self._first * (m + 1) + of_arm] for one, of_arm in zip(self._postures, order, strict=True)]
+        self._correlation = [np.einsum("bmp,bmq->pq", ordered[i], ordered[k]) / self._total for i, k in self._pairs]
 
     @property
     def inner(self) -> Order:
@@ -156,55 +187,62 @@ class _Tours:
     def step(self, temperature: float, rng: np.random.Generator) -> None:
         """Try many moves of one kind in each block; make the first that is accepted."""
         move = self._propose(rng)
-        gain = self._gain(move)
-        accepted = gain > temperature * np.log(rng.random(gain.shape))
+        accepted = self._gain(move) > temperature * np.log(rng.random(move.low.shape))
         accepted &= move.high > move.low
         first = np.argmax(accepted, axis=1)
-        blocks = np.flatnonzero(accepted[np.arange(len(first)), first])
-        if len(blocks):
-            if move.arm is not None:
-                self._update_correlation(move, move.arm, blocks, first[blocks])
-            source = move.source(np.arange(self._m + 2), (blocks, first[blocks]))
-            for arm in range(len(self._order)) if move.arm is None else (move.arm,):
-                self._order[arm, blocks] = np.take_along_axis(self._order[arm, blocks], source, axis=1)
-            self._update(blocks)
+        blocks = np.flatnonzero(accepted[self._first[:, 0], first])
+        if not len(blocks):
+            return
+        made = move.take((blocks, first[blocks]))
+        if made.arm is not None:
+            self._update_correlation(made, made.arm, blocks[:, None])
+        source = made.source(np.arange(self._m + 2)) + blocks[:, None] * (self._m + 2)
+        for arm in range(len(self._at)) if made.arm is None else (made.arm,):
+            self._order[arm, blocks] = self._at[arm].take(source)
+        self._update(blocks)
 
     def _propose(self, rng: np.random.Generator) -> Move:
-        arms, blocks = len(self._order), len(self._sizes)
-        tries = max(1, _TRIES_AT_ONCE // blocks)
-        position = (rng.random((blocks, tries)) * (self._sizes[:, None] + 1)).astype(np.intp)
-        if rng.random() < 0.5:
-            other = 1 + (rng.random((blocks, tries)) * self._sizes[:, None]).astype(np.intp)
-        else:  # the place of a near neighbour of the stop at this position
+        """Moves (B, R) that bring two random positions, or a stop and a near neighbour, beside each other."""
+        arms, blocks = len(self._at), len(self._sizes)
+        shape = blocks, max(1, _TRIES_AT_ONCE // blocks)
+        position = (rng.random(shape) * (self._sizes + 1)).astype(np.intp)
+        if rng.random() < _RANDOM_SHARE:
+            other = 1 + (rng.random(shape) * self._sizes).astype(np.intp)
+        else:
             arm = int(rng.integers(arms))
-            stop = np.minimum(self._order[arm, self._block, position], self._m - 1)
-            rank = rng.integers(self._near.shape[3], size=(blocks, tries))
-            other = self._place[arm, self._block, self._near[arm, self._block, stop, rank]]
+            stop = np.minimum(self._at[arm].take(position + self._first * (self._m + 2)), self._m - 1)
+            rank = rng.integers(self._near.shape[2], size=shape)
+            near = self._near[arm, stop + self._first * self._m, rank]
+            other = self._place[arm].ravel().take(near + self._first * (self._m + 1))
         high = np.maximum(position, other)
         low = np.minimum(np.minimum(position, other) + 1, high)
         draw = rng.random()
         if draw < 0.4:
-            return Move("exchange", low, high, 0, int(rng.integers(arms)) if arms > 1 else None)
+            return Move("exchange", low, high, arm=int(rng.integers(arms)) if arms > 1 else None)
         if draw < 0.5:
-            return Move("exchange", low, high, 0, None)
+            return Move("exchange", low, high)
         if draw < 0.75:
-            return Move("reverse", low, high, 0, None)
-        return Move("shift", low, high, int(rng.integers(1, _LONGEST_SHIFT + 1)), None)
+            return Move("reverse", low, high)
+        return Move("shift", low, high, np.minimum(int(rng.integers(1, _LONGEST_SHIFT + 1)), high - low))
 
     def _gain(self, move: Move) -> Array:
         """Time that each move saves (B, R) [s]."""
         gain: Array = np.zeros(move.low.shape)
-        for position in move.changed():
-            before, here = move.source(np.maximum(position - 1, 0)), move.source(position)
-            gain += self._step_s[self._block, position]
+        base, width = self._first * (self._m + 2), self._m + 1
+        pairs = self._first * width**2
+        for position, before, here in move.steps():
+            gain += self._step_s.ravel().take(base + position)
             slowest: Array | None = None
-            for arm in range(len(self._order)):
+            for arm, (at, time) in enumerate(zip(self._at, self._time, strict=True)):
                 moved = move.arm is None or move.arm == arm
-                start = self._order[arm, self._block, before if moved else np.maximum(position - 1, 0)]
-                end = self._order[arm, self._block, here if moved else position]
-                time_s = self._time[arm, self._block, start, end]
+                start, end = (
+                    at.take(base + (before if moved else position - 1)),
+                    at.take(base + (here if moved else position)),
+                )
+                time_s = time.take(pairs + start * width + end)
                 slowest = time_s if slowest is None else np.maximum(slowest, time_s)
-            gain -= np.where(position > 0, slowest, 0.0)
+            assert slowest is not None
+            gain -= slowest
         if move.arm is not None:
             gain += self._saved_on_pairs(move, move.arm)
         return gain
@@ -212,30 +250,39 @@ class _Tours:
     def _saved_on_pairs(self, move: Move, arm: int) -> Array:
         """Cost of pairs and of correlations that exchanges of stops of one arm save (B, R) [s]."""
         saved: Array = np.zeros(move.low.shape)
-        low, high = self._order[:, self._block, move.low], self._order[:, self._block, move.high]
-        total = self._sizes.sum()
-        unit = self._task.correlation_cost / self._task.correlation_goal**_POWER / total
+        base, width = self._first * (self._m + 2), self._m + 1
+        low, high = ([at.take(base + end) for at in self._at] for end in (move.low, move.high))
+        task, pairs = self._task, self._first * width**2
+        unit = task.correlation_cost / task.correlation_goal**_POWER / self._total
         for number, other, flipped in self._pairs_of(arm):
             cost, correlation = self._pair_cost[number], self._correlation[number]
-            if flipped:
-                cost, correlation = cost.transpose(0, 2, 1), correlation.T
-            for here, there in ((low, high), (high, low)):
-                saved += cost[self._block, here[arm], here[other]] - cost[self._block, there[arm], here[other]]
-            own, theirs = (
-                self._postures[k][self._block, high[k]] - self._postures[k][self._block, low[k]] for k in (arm, other)
-            )
-            slope = _POWER * correlation ** (_POWER - 1)
-            bend = 0.5 * _POWER * (_POWER - 1) * correlation ** (_POWER - 2)
-            saved += unit * np.einsum("brp,brp->br", own @ slope, theirs)
-            saved -= unit / total * np.einsum("brp,brp->br", own**2 @ bend, theirs**2)
+            own_step, their_step = (1, width) if flipped else (width, 1)
+            for own, sign in ((low, 1.0), (high, -1.0)):
+                of_own = pairs + own[arm] * own_step
+                saved += sign * (
+                    cost.take(of_own + low[other] * their_step) - cost.take(of_own + high[other] * their_step)
+                )
+            own_change, their_change = (self._changes(k, self._first, low[k], high[k]) for k in (arm, other))
+            correlation = correlation.T if flipped else correlation
+            slope = unit * _POWER * correlation ** (_POWER - 1)
+            bend = unit / self._total * 0.5 * _POWER * (_POWER - 1) * correlation ** (_POWER - 2)
+            saved += np.einsum("brp,brp->br", own_change @ slope, their_change)
+            saved -= np.einsum("brp,brp->br", own_change**2 @ bend, their_change**2)
         return saved
 
-    def _update_correlation(self, move: Move, arm: int, blocks: NDArray[np.intp], tries: NDArray[np.intp]) -> None:
-        """Add what the exchanges ``tries`` of some blocks change, before they are made."""
-        low, high = (self._order[:, blocks, end[blocks, tries]] for end in (move.low, move.high))
+    def _changes(self, arm: int, blocks: NDArray[np.intp], low: NDArray[np.intp], high: NDArray[np.intp]) -> Array:
+        """Differences of the postures of an arm's stops ``high`` and ``low`` of some blocks."""
+        first = blocks * (self._m + 1)
+        return np.asarray(
+            self._postures[arm].take(first + high, axis=0) - self._postures[arm].take(first + low, axis=0)
+        )
+
+    def _update_correlation(self, made: Move, arm: int, blocks: NDArray[np.intp]) -> None:
+        """Take over what exchanges in some blocks change, before they are made."""
+        low, high = (self._at[:, blocks * (self._m + 2) + end] for end in (made.low, made.high))
         for number, other, flipped in self._pairs_of(arm):
-            own, theirs = (self._postures[k][blocks, high[k]] - self._postures[k][blocks, low[k]] for k in (arm, other))
-            less = own.T @ theirs / self._sizes.sum()
+            own, theirs = (self._changes(k, blocks, low[k], high[k])[:, 0] for k in (arm, other))
+            less = own.T @ theirs / self._total
             self._correlation[number] -= less.T if flipped else less
 
     def _pairs_of(self, arm: int) -> Iterator[tuple[int, int, bool]]:
@@ -246,14 +293,13 @@ class _Tours:
 
     def _update(self, blocks: NDArray[np.intp]) -> None:
         """Compute anew what follows from the order of some blocks."""
-        rows = blocks[:, None]
-        order = self._order[:, blocks]
-        for arm, of_arm in enumerate(order):
-            self._place[arm, rows, of_arm[:, 1:-1]] = np.arange(1, self._m + 1)
-        arms = np.arange(len(order))[:, None, None]
-        self._step_s[rows, np.arange(1, self._m + 2)] = self._time[arms, rows, order[:, :, :-1], order[:, :, 1:]].max(
-            axis=0
-        )
+        rows, width = blocks[:, None], self._m + 1
+        slowest: Array | None = None
+        for place, of_arm, time in zip(self._place, self._order[:, blocks], self._time, strict=True):
+            place[rows, of_arm[:, 1:-1]] = np.arange(1, width)
+            time_s = time.take(rows * width**2 + of_arm[:, :-1] * width + of_arm[:, 1:])
+            slowest = time_s if slowest is None else np.maximum(slowest, time_s)
+        self._step_s[blocks, 1:] = slowest
 
 
 def _nearest(task: TourTask) -> Order:

@@ -40,10 +40,8 @@ def constraint_table(name: str, arm: ArmView) -> Table:
     by_name = {one.constraint: one for one in arm.constraints}
     rows: list[tuple[Cell, ...]] = []
     for constraint, lost in arm.lost.items():
-        one = by_name.get(constraint)  # none for the gate's last word, which finds nothing more
-        if one is not None or lost > 0.0:
-            shares = (None, None) if one is None else (100.0 * one.alone, 100.0 * one.without)
-            rows.append((constraint, 100.0 * lost, *shares))
+        one = by_name[constraint]
+        rows.append((constraint, 100.0 * lost, 100.0 * one.alone, 100.0 * one.without))
     rows.append(("seen", 100.0 * arm.share, None, None))
     return Table(f"Arm {name}: what excludes {arm.drawn} configurations", columns, tuple(rows))
 

@@ -65,7 +65,7 @@ class CellBodies:
         Name -> ArmBodies.
     field : TrackerField or None
     clearance : float
-        Least distance between arms, and of arms from floor and ceiling [m].
+        Least distance between arms, and of arms from floor, ceiling and obstacles [m].
     floor, ceiling : float
         Heights of floor and ceiling in the cell frame C [m]; the ceiling may be infinite.
     obstacles : tuple of Obstacle
@@ -136,7 +136,7 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
         start, target = np.asarray(q_from[name], dtype=np.float64), np.asarray(q_to[name], dtype=np.float64)
         refusal = _refuse_values(arm, start, target)
         if not refusal:
-            paths[name] = sample_path(arm, start, target, min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1]))
+            paths[name] = sample_path(arm, start, target, sample_spacing(cell))
             refusal = _refuse_alone(cell, paths[name])
         if refusal:
             return f"arm {name}: {refusal}"
@@ -145,6 +145,15 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
         if not gap >= cell.clearance + allowance:
             return f"arms {first} and {second}: {_too_near('come', gap, allowance, cell.clearance, 'each other')}"
     return ""
+
+
+def sample_spacing(cell: CellBodies) -> float:
+    """Farthest that a point of a body moves between samples of two arms' paths [m].
+
+    What samples may hide of the distance of two arms is at most this, of other distances at most a quarter of it: a
+    stop that keeps so much more than the clearance can be reached.
+    """
+    return min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1])
 
 
 def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
@@ -283,13 +292,14 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
         return ""
     bodies, clearances = path.coarse_bodies, cell.obstacle_clearances[path.arm]
     low, high = box_about(bodies.start, bodies.end, bodies.radius)
-    spread = (STRIDE + 1) * path.deviations
+    spread = (STRIDE + 1) * path.deviations  # from any point of the path to the nearest coarse sample
     doubtful, near = np.zeros(len(bodies.smr), dtype=bool), []
     for obstacle, asked in zip(cell.obstacles, clearances, strict=True):
-        if obstacle.far(low, high, float((asked + spread).max())):
+        needed = asked + spread
+        if obstacle.far(low, high, float(needed.max())):
             continue
-        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, asked + spread)
-        rows = np.any(~(gaps >= asked + spread), axis=1)
+        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
+        rows = np.any(~(gaps >= needed), axis=1)
         if rows.any():
             doubtful |= rows
             near.append((obstacle, asked))
