@@ -198,7 +198,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
         note = f"{needed} stops were designed again around {len(kept)}"
         if parts.unreached:
             listed = ", ".join(str(stop + 1) for stop in parts.unreached)
-            note += f"; replaced were, as they could not be reached or measured: {listed}"
+            note += f"; replaced were stops that could not be reached or measured: {listed}"
         run.log("info", _CHANGED + note)
         return plan_result(run, [note])
 

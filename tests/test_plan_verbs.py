@@ -31,6 +31,7 @@ from cellapp.profile.collection import Collection, Reference
 from cellapp.progress import Cancelled
 from cellapp.run import RunFile
 from cellapp.run.collected import reference_drifts
+from cellapp.run.overview import run_overview
 from drivers.arms.simulated import SimulatedArm
 from tests.planning.hand_made import drivable_stops, same_stops
 from tests.twin import small_twin
@@ -144,8 +145,10 @@ def test_a_run_without_a_plan_cannot_be_exported_extended_or_planned_again(tmp_p
 
 def test_a_run_is_extended_and_collected_on(run: RunFile, plan: PlannedStops) -> None:
     collect_run(run)
+    assert run_overview(run).next_verb == "calibrate"
     assert extend_plan(run, 3).stops == {"left": STOPS + 3, "right": STOPS + 3}
     extend_plan(run, 2)
+    assert run_overview(run).next_step.endswith("--resume")
     stops = read_planned_stops(run)
     same_stops(stops.take(range(STOPS)), plan)
     assert stops.block[STOPS:].tolist() == [2, 2, 2, 3, 3]
@@ -162,7 +165,7 @@ def test_what_could_not_be_reached_is_replaced_and_what_is_measured_stays(run: R
     assert collect_run(run).missing
     assert run.stops_done() == {0, 1, 3, 4, 5}
     result = replan(run)
-    assert "replaced were, as they could not be reached or measured: 3" in result.notes[0]
+    assert "replaced were stops that could not be reached or measured: 3" in result.notes[0]
     assert run.outcomes() == []
     stops = read_planned_stops(run)
     kept = [0, 1, 3, 4, 5]
