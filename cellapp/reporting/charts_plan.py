@@ -167,4 +167,4 @@ def correlation_sentence(design: PlanDesignResult) -> str:
 
 def _pair(one: FactorCorrelation) -> str:
     given = "" if one.can_be_chosen else " (given)"
-    return f"{one.arm}: {one.factor} with {one.other}{given}"
+    return f"{one.factor} with {one.other}{given}"

@@ -48,9 +48,9 @@ def plan_design(stops: int = 400, arms: tuple[str, ...] = ("left", "right")) -> 
     return PlanDesignResult(
         arms={name: arm_design(stops) for name in arms},
         correlations=(
-            correlation(0.04, "approach of joint 2", "time"),
-            correlation(-0.08, "step of joint 3", "dwell"),
-            correlation(0.35, "payload", "time", chosen=False),
+            correlation(0.04, "approach side of joint 2 of left", "time"),
+            correlation(-0.08, "step of joint 3 of left", "dwell"),
+            correlation(0.35, "q2 of left", "q3 of right", chosen=False),
         ),
         travel=TravelTime(planned_s=1800.0, random_order_s=3000.0),
         detours=7,

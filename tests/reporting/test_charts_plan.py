@@ -63,9 +63,9 @@ def test_time_says_what_is_known() -> None:
 
 def test_the_largest_correlation_that_can_be_chosen_is_judged() -> None:
     chart = design_charts(plan_design(), None)[-1]
-    assert chart.categories[0] == "left: payload with time (given)"
+    assert chart.categories[0] == "q2 of left with q3 of right (given)"
     assert chart.bar_texts == ("0.35", "0.08", "0.04")
-    assert chart.message.endswith("0.08, left: step of joint 3 with dwell; as wanted.")
+    assert chart.message.endswith("0.08, step of joint 3 of left with dwell; as wanted.")
     worse = plan_design().model_copy(update={"correlations": (correlation(0.4, "dwell", "time"),)})
     assert "more than wanted" in design_charts(worse, None)[-1].message
     none = plan_design().model_copy(update={"correlations": ()})
