@@ -24,8 +24,6 @@ from cellapp.tui.widgets.form_fields import FieldRow
 from cellapp.tui.widgets.stop import StopButton
 from tests.tui.pilot import SIZES, SMALL, shown_text, until
 
-pytestmark = pytest.mark.fast
-
 TWIN = Path("profiles/twin.yaml")
 
 
