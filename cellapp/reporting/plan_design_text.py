@@ -46,8 +46,8 @@ def design_sentences(design: PlanDesignResult) -> list[str]:
 
 
 def correlation_words(one: FactorCorrelation) -> str:
-    """A correlation as "0.04 (arm left, approach 2 with q3)"."""
-    return f"{abs(one.correlation):.2f} (arm {one.arm}, {one.factor} with {one.other})"
+    """A correlation as "0.04 (approach side of joint 2 of left with time)"."""
+    return f"{abs(one.correlation):.2f} ({one.factor} with {one.other})"
 
 
 def candidates_table(design: PlanDesignResult) -> Table:

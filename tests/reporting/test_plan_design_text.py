@@ -40,7 +40,7 @@ def test_tables_state_candidates_errors_gaps_and_errors_by_stops() -> None:
 
 def test_sentences_state_balance_travel_and_detours() -> None:
     words = " ".join(design_sentences(plan_design()))
-    assert "Largest correlation of a planned factor: 0.08 (arm left, step of joint 3 with dwell)" in words
+    assert "Largest correlation of a planned factor: 0.08 (step of joint 3 of left with dwell)" in words
     assert "30 min, in random order 50 min: 40 % are saved" in words
     assert "7 stops are reached by a detour, 10 stops repeat an earlier one, in 8 blocks" in words
     assert "joint 6 was not asked for phase coverage" in words
