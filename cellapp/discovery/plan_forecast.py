@@ -53,10 +53,19 @@ _SEED = 0xF0CA
 
 @dataclass(frozen=True, eq=False)
 class PlannedReadings:
-    """Expected times of the readings of a plan: (n,) from the first motion, and at rest before each measurement [s]."""
+    """What is expected of the readings of a plan.
+
+    Attributes
+    ----------
+    time_s, dwell_s : arrays, shape (n,)
+        Times from the first motion, and at rest before each measurement [s].
+    step : mapping, optional
+        Arm -> last motion of each joint with its sign (n, N) [rad]; None: straight from stop to stop, from home.
+    """
 
     time_s: Array
     dwell_s: Array
+    step: Mapping[str, Array] | None = None
 
 
 def expected_readings(
@@ -78,7 +87,8 @@ def expected_readings(
         arm, p_M = profile.arms[name], smr_positions(models[name].geometry, q)
         covariance = tracker_covariance(profile.tracker, p_M)
         noise = np.einsum("nab,nb->na", np.linalg.cholesky(covariance), rng.standard_normal(p_M.shape))
-        step = np.diff(q, axis=0, prepend=np.array(arm.home)[None])
+        straight = np.diff(q, axis=0, prepend=np.array(arm.home)[None])
+        step = straight if expected.step is None else expected.step[name]
         readings[name] = Readings(
             configuration=np.arange(len(q)),
             time_s=expected.time_s,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cellapp.errors import InputError
 from cellapp.planning.plan import further_stops
 from cellapp.planning.planned_stops import PlannedStops, joined, straight_stops
@@ -73,4 +75,5 @@ def _random(
     if kept is None or not before:
         return straight_stops(further_stops(profile, home_positions(profile), count, (), listener, cancel))
     here = kept.targets(before - 1)
-    return joined(kept, straight_stops(further_stops(profile, here, count, (before,), listener, cancel)))
+    further = straight_stops(further_stops(profile, here, count, (before,), listener, cancel))
+    return joined(kept, replace(further, block=further.block + kept.block.max() + 1))

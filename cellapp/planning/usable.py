@@ -30,7 +30,7 @@ OWN_BEAM, MOUNTED = "own arm in the beam", "mounted obstacle in the beam"
 INCIDENCE = "incidence"
 """Name under which configurations are counted that could be measured, but are left out to prefer others."""
 GATE = "gate"
-"""Name under which configurations are counted that all named conditions admit and the safety gate does not."""
+"""Name under which configurations are counted that all named constraints admit and the safety gate does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +84,14 @@ def usable(
         clear = margin(placed) > 0.0  # not for NaN
         rejected[constraint] = len(rows) - int(np.count_nonzero(clear))
         rows, placed = rows[clear], placed.take(clear)
-    admitted = visible(cell, name, q[rows]) & clear_alone(cell, placed)
-    rejected[GATE] = len(rows) - int(np.count_nonzero(admitted))
-    rows = rows[admitted]
     return Usable(seen.size, q[rows], smr_M[rows], incidence[rows], rejected)
+
+
+def admitted_by_gate(cell: CellBodies, name: str, found: Usable) -> Usable:
+    """Those configurations that the safety gate finds visible and clear too: it has the last word on a plan."""
+    admitted = visible(cell, name, found.q) & clear_alone(cell, place(cell.arms[name], found.q))
+    rejected = {**found.rejected, GATE: len(admitted) - int(np.count_nonzero(admitted))}
+    return Usable(found.drawn, found.q[admitted], found.smr_M[admitted], found.incidence[admitted], rejected)
 
 
 def body_margins(cell: CellBodies, field: TrackerField, name: str) -> Mapping[str, Callable[[Placed], Array]]:

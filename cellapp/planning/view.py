@@ -47,7 +47,9 @@ _SAME_DIRECTION = math.cos(math.radians(20.0))
 
 
 def view_workspace(profile: Profile, listener: Listener = ignore, cancel: CancelToken | None = None) -> ViewResult:
-    """What the tracker sees of the workspace of every arm; configurations are uniform in the plan's joint ranges.
+    """What the tracker sees of the workspace of every arm for itself: no other arm stands in its way.
+
+    Configurations are uniform in the plan's joint ranges.
 
     Raises
     ------

@@ -13,8 +13,6 @@ _WORTH_A_CHANGE = 1.1
 """Gain in configurations from which on a change is advised: less is within the scatter of the draws."""
 _NATURAL = 0.5
 """Share of the directions that face the tracker at random from which on the SMR's direction is not to blame."""
-_FEW = 100
-"""Configurations in a cube below which its share is not compared with others."""
 AS_IT_IS = "as it is"
 """The name of no change among the changes of a view."""
 
@@ -40,11 +38,10 @@ def constraint_table(name: str, arm: ArmView) -> Table:
         number_column("seen without it", ".2f", "%"),
     )
     by_name = {one.constraint: one for one in arm.constraints}
-    rows: list[tuple[Cell, ...]] = [
-        (constraint, 100.0 * lost, 100.0 * one.alone, 100.0 * one.without)
-        for constraint, lost in arm.lost.items()
-        if (one := by_name.get(constraint)) is not None
-    ]
+    rows: list[tuple[Cell, ...]] = []
+    for constraint, lost in arm.lost.items():
+        one = by_name[constraint]
+        rows.append((constraint, 100.0 * lost, 100.0 * one.alone, 100.0 * one.without))
     rows.append(("seen", 100.0 * arm.share, None, None))
     return Table(f"Arm {name}: what excludes {arm.drawn} configurations", columns, tuple(rows))
 
@@ -66,11 +63,12 @@ def height_table(name: str, arm: ArmView) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for height in sorted({cube.centre_C[2] for cube in arm.cells}, reverse=True):
         layer = [cube for cube in arm.cells if cube.centre_C[2] == height]
-        best = max(layer, key=lambda cube: cube.seen / max(cube.reachable, _FEW))
+        best = max(layer, key=lambda cube: cube.share)
         reached, seen = sum(cube.reachable for cube in layer), sum(cube.seen for cube in layer)
         at = best.centre_C[:2] if seen else (None, None)
-        best_share = 100.0 * best.seen / best.reachable
-        rows.append((height, len(layer), sum(cube.seen > 0 for cube in layer), 100.0 * seen / reached, best_share, *at))
+        rows.append(
+            (height, len(layer), sum(cube.seen > 0 for cube in layer), 100.0 * seen / reached, 100.0 * best.share, *at)
+        )
     return Table(f"Arm {name}: workspace in cubes of {1e3 * arm.edge_m:.0f} mm", columns, tuple(rows))
 
 

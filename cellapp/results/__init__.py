@@ -96,6 +96,7 @@ from cellapp.results.discovery import (
     TermDescription,
 )
 from cellapp.results.plan_design import (
+    FEW_CONFIGURATIONS,
     ArmDesign,
     ArmView,
     ConstraintShare,
@@ -167,6 +168,7 @@ __all__ = [
     "CALIBRATE",
     "COMPENSATE",
     "DISCOVER",
+    "FEW_CONFIGURATIONS",
     "METHODS",
     "MOST_Z",
     "PUSH",

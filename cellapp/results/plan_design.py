@@ -98,6 +98,10 @@ class PlanDesignResult(Result):
         return max(chosen, key=lambda one: abs(one.correlation), default=None)
 
 
+FEW_CONFIGURATIONS = 100
+"""Shares of fewer configurations than these are taken as of these: one seen of three is no third."""
+
+
 class SeenCell(Record):
     """A cube of the workspace of one arm, its centre in the cell frame C [m].
 
@@ -107,6 +111,11 @@ class SeenCell(Record):
     centre_C: tuple[float, float, float]
     reachable: int
     seen: int
+
+    @property
+    def share(self) -> float:
+        """Share of the configurations that are seen."""
+        return self.seen / max(self.reachable, FEW_CONFIGURATIONS)
 
 
 class ConstraintShare(Record):

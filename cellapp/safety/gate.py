@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -36,6 +36,9 @@ BEAM_RADIUS = 0.02
 """Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""
 _SELF_CLEARANCE = 0.01
 """Clearance of an arm from itself [m]; smaller than from others, as its shape is known better than its base."""
+_OWN_BASE_CLEARANCE = 0.02
+"""Clearance of an arm from what is fixed to its own base [m]; smaller than from others: the pose of the base, known to
+centimetres before calibration, does not matter. It allows for a place that was measured with a tape."""
 _STEPS = (0.02, 0.04)
 """Smallest and largest spacing of samples on a path [m]; between them it is half the clearance."""
 _ROUNDING_RAD = 1e-9
@@ -65,7 +68,7 @@ class CellBodies:
         Name -> ArmBodies.
     field : TrackerField or None
     clearance : float
-        Least distance between arms, and of arms from floor and ceiling [m].
+        Least distance between arms, and of arms from floor, ceiling and obstacles [m].
     floor, ceiling : float
         Heights of floor and ceiling in the cell frame C [m]; the ceiling may be infinite.
     obstacles : tuple of Obstacle
@@ -81,7 +84,7 @@ class CellBodies:
 
     @property
     def self_clearance(self) -> float:
-        """Least distance of an arm from itself, and from what is fixed to its own base [m]."""
+        """Least distance of an arm from itself [m]."""
         return min(self.clearance, _SELF_CLEARANCE)
 
     @cached_property
@@ -102,7 +105,7 @@ class CellBodies:
         radius = np.append(arm.radius[base], 0.0)
         for row, obstacle in zip(asked, self.obstacles, strict=True):
             if obstacle.base_of == name:
-                row[:] = self.self_clearance
+                row[:] = min(self.clearance, _OWN_BASE_CLEARANCE)
             row[base] = -np.inf
             if not obstacle.gaps(start, end, radius, self.clearance).min() >= self.clearance:
                 row[arm.frames == 1] = -np.inf
@@ -136,7 +139,7 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
         start, target = np.asarray(q_from[name], dtype=np.float64), np.asarray(q_to[name], dtype=np.float64)
         refusal = _refuse_values(arm, start, target)
         if not refusal:
-            paths[name] = sample_path(arm, start, target, min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1]))
+            paths[name] = sample_path(arm, start, target, sample_spacing(cell))
             refusal = _refuse_alone(cell, paths[name])
         if refusal:
             return f"arm {name}: {refusal}"
@@ -145,6 +148,20 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
         if not gap >= cell.clearance + allowance:
             return f"arms {first} and {second}: {_too_near('come', gap, allowance, cell.clearance, 'each other')}"
     return ""
+
+
+def sample_spacing(cell: CellBodies) -> float:
+    """Farthest that a point of a body moves between samples of two arms' paths [m].
+
+    What samples may hide of the distance of two arms is at most this, of other distances at most a quarter of it: a
+    stop that keeps so much more than the clearance can be reached.
+    """
+    return min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1])
+
+
+def with_margin_for_ways(cell: CellBodies, *, between_arms: bool = False) -> CellBodies:
+    """The cell with so much more clearance that the gate accepts ways to stops that keep it: alone, or of two arms."""
+    return replace(cell, clearance=cell.clearance + (1.0 if between_arms else 0.25) * sample_spacing(cell))
 
 
 def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
@@ -283,13 +300,14 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
         return ""
     bodies, clearances = path.coarse_bodies, cell.obstacle_clearances[path.arm]
     low, high = box_about(bodies.start, bodies.end, bodies.radius)
-    spread = (STRIDE + 1) * path.deviations
+    spread = (STRIDE + 1) * path.deviations  # from any point of the path to the nearest coarse sample
     doubtful, near = np.zeros(len(bodies.smr), dtype=bool), []
     for obstacle, asked in zip(cell.obstacles, clearances, strict=True):
-        if obstacle.far(low, high, float((asked + spread).max())):
+        needed = asked + spread
+        if obstacle.far(low, high, float(needed.max())):
             continue
-        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, asked + spread)
-        rows = np.any(~(gaps >= asked + spread), axis=1)
+        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
+        rows = np.any(~(gaps >= needed), axis=1)
         if rows.any():
             doubtful |= rows
             near.append((obstacle, asked))

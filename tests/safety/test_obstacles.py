@@ -312,7 +312,7 @@ def test_bases_may_stand_on_what_links_may_not_touch() -> None:
         next(k for k, one in enumerate(cell.obstacles) if one.name == name) for name in ("table", "left_pedestal")
     )
     left, right = (cell.obstacle_clearances[cell.arms[name]] for name in ("left", "right"))
-    assert left[pedestal].tolist() == [-np.inf, -np.inf, *[0.01] * 6, *[0.01] * (len(left[0]) - 8)]
+    assert left[pedestal].tolist() == [-np.inf, -np.inf, *[0.02] * (len(left[0]) - 2)]
     assert right[pedestal].tolist() == [-np.inf, *[0.03] * 8], "another arm's pedestal is like a pillar"
     assert left[table, :3].tolist() == [-np.inf, 0.03, 0.03], "the table is a pedestal's height below"
     assert refuse_stop(cell, HOME) == ""
