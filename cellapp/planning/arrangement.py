@@ -18,8 +18,8 @@ _STOPS_PER_BLOCK = 80
 _LEAST_BLOCKS, _LEAST_STOPS = 4, 6
 """Blocks of smaller plans: with fewer than four, time and posture correlate along the way; blocks of fewer than six
 stops are hardly a sample of the workspace."""
-_STEPS_PER_STOP = 10
-"""Steps of the search for each stop: ten times more save another two percent of travel."""
+_STEPS_PER_STOP = 30
+"""Steps of the search for each stop; twice as many save half a percent of travel more."""
 _LEAST_STEPS = 1000
 _FORBIDDEN_STEPS = 20.0
 """Cost of a pair that must not stand together, in usual steps: never worth it."""
@@ -27,9 +27,11 @@ _PAIR_GOAL = 0.1
 """Correlation of two arms' postures from which on pairs are charged for it: below the largest one that is accepted."""
 _PAIR_WEIGHT = 1.0
 """Charge of a pair for a correlation that is too large by 1, in usual steps."""
-_TIME_GOAL = 0.07
-"""Correlation of time with posture that is small enough."""
-_ORDERS = 256
+_DRIFT_GOALS = (0.06, 0.1, 0.1, 0.1)
+"""Correlations with posture that are small enough: of time, and of the other courses of a drift."""
+_DECAY = 2.0
+"""Half the duration of a plan over the time constant of a drift that dies away: a warm arm after a quarter of it."""
+_ORDERS = 2000
 """Orders and directions of the blocks that are compared."""
 _REPEAT_CANDIDATES = 4
 """Stops looked at for each that is repeated."""
@@ -127,28 +129,45 @@ def _pair_cost(stops: StopSet, members: Order, sizes: NDArray[np.intp]) -> Array
 def _best_blocks(stops: StopSet, ways: list[Rows], rng: np.random.Generator) -> Arrangement:
     """The ways through all blocks one after the other: order and directions at random, the best of many.
 
-    Time must not correlate with posture, and the ways between blocks are to be short.
+    Neither time nor other courses of a drift are to correlate with posture, and ways between blocks are to be short.
     """
-    values = [one.values for one in stops.postures]
-    best: tuple[float, Rows, NDArray[np.intp]] | None = None
-    for _ in range(_ORDERS):
-        order = rng.permutation(len(ways))
-        turned = rng.random(len(ways)) < 0.5
-        parts = [ways[k][:, ::-1] if turned[k] else ways[k] for k in order.tolist()]
-        rows = np.concatenate(parts, axis=1)
-        between = stops.step_s(
-            np.stack([part[:, -1] for part in parts[:-1]], axis=1) if len(parts) > 1 else rows[:, :0],
-            np.stack([part[:, 0] for part in parts[1:]], axis=1) if len(parts) > 1 else rows[:, :0],
-        )
-        time = np.arange(rows.shape[1]) - 0.5 * (rows.shape[1] - 1)
-        time /= max(float(time.std()), 1e-12)
-        worst = max(float(np.abs(time @ one[row]).max(initial=0.0)) for one, row in zip(values, rows, strict=True))
-        excess = max(0.0, worst / rows.shape[1] - _TIME_GOAL)
-        cost = float(between.sum()) + excess * rows.shape[1] * stops.usual_step_s
-        if best is None or cost < best[0]:
-            best = cost, rows, np.repeat(np.arange(len(parts)), [part.shape[1] for part in parts])
-    assert best is not None
-    return Arrangement(best[1], best[2], np.full(len(best[2]), -1, dtype=np.intp))
+    blocks, n = len(ways), sum(way.shape[1] for way in ways)
+    both_ways = [*ways, *(way[:, ::-1] for way in ways)]  # block k, and turned round as block k + B
+    order = np.argsort(rng.random((_ORDERS, blocks)), axis=1)
+    order += blocks * (rng.random(order.shape) < 0.5)
+    first = np.stack([way[:, 0] for way in both_ways], axis=1)
+    last = np.stack([way[:, -1] for way in both_ways], axis=1)
+    i, k = np.indices((2 * blocks, 2 * blocks)).reshape(2, -1)
+    between_s = stops.step_s(last[:, i], first[:, k]).reshape(2 * blocks, 2 * blocks)
+    cost = between_s[order[:, :-1], order[:, 1:]].sum(axis=1)
+    for goal, largest in zip(_DRIFT_GOALS, _drift_correlations(stops, both_ways, order), strict=True):
+        cost += n * stops.usual_step_s * np.maximum(largest - goal, 0.0)
+    parts = [both_ways[k] for k in order[np.argmin(cost)].tolist()]
+    block = np.repeat(np.arange(blocks), [part.shape[1] for part in parts])
+    return Arrangement(np.concatenate(parts, axis=1), block, np.full(n, -1, dtype=np.intp))
+
+
+def _drift_correlations(stops: StopSet, ways: list[Rows], order: NDArray[np.intp]) -> Array:
+    """Largest correlation of each course of a drift with posture, for orders (r, B) of blocks: (courses, r).
+
+    Blocks count as equally long, which they are but for one stop.
+    """
+    blocks, size = order.shape[1], max(way.shape[1] for way in ways)
+    drift = _drift_courses(blocks * size).reshape(-1, blocks, size)
+    largest = np.zeros((len(drift), len(order)))
+    for arm, posture in enumerate(stops.postures):
+        sums = np.stack([drift[:, :, : way.shape[1]] @ posture.values[way[arm]] for way in ways])
+        correlation = sums.transpose(0, 2, 1, 3)[order, np.arange(blocks)].sum(axis=1) / stops.size
+        largest = np.maximum(largest, np.abs(correlation).max(axis=2, initial=0.0).T)
+    return largest
+
+
+def _drift_courses(n: int) -> Array:
+    """Courses of a drift over n stops, with mean 0 and standard deviation 1: straight, curved twice, dying away."""
+    time = np.linspace(-1.0, 1.0, n)
+    courses = np.stack([time, time**2, time**3 - 0.6 * time, np.exp(-_DECAY * (time + 1.0))])
+    centred = courses - courses.mean(axis=1, keepdims=True)
+    return np.asarray(centred / np.maximum(centred.std(axis=1, keepdims=True), 1e-12))
 
 
 def _with_repeats(stops: StopSet, once: Arrangement, repeats: int, rng: np.random.Generator) -> Arrangement:

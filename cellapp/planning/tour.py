@@ -266,8 +266,10 @@ class _Tours:
             correlation = correlation.T if flipped else correlation
             slope = unit * _POWER * correlation ** (_POWER - 1)
             bend = unit / self._total * 0.5 * _POWER * (_POWER - 1) * correlation ** (_POWER - 2)
-            saved += np.einsum("brp,brp->br", own_change @ slope, their_change)
-            saved -= np.einsum("brp,brp->br", own_change**2 @ bend, their_change**2)
+            p_own, p_their = slope.shape
+            own_change, their_change = own_change.reshape(-1, p_own), their_change.reshape(-1, p_their)
+            less = np.sum((own_change @ slope - own_change**2 @ bend * their_change) * their_change, axis=1)
+            saved += less.reshape(saved.shape)
         return saved
 
     def _changes(self, arm: int, blocks: NDArray[np.intp], low: NDArray[np.intp], high: NDArray[np.intp]) -> Array:
