@@ -239,7 +239,7 @@ def equal_to_random(errors: Errors, random: Mapping[int, Errors], stops: int) ->
     unit = random[stops].parameters
 
     def three(one: Errors) -> Array:
-        return np.log(np.array([float(np.mean(one.parameters / unit)), one.mean, one.worst]))
+        return np.asarray(np.log([float(np.mean(one.parameters / unit)), one.mean, one.worst]))
 
     sizes = sorted(random)
     curve = np.array([three(random[size]) for size in sizes])
