@@ -205,7 +205,7 @@ def test_motions_that_the_gate_admits_collide_with_nothing(folder: Path) -> None
     check = CollisionCheck(profile)
     assert list(check.collisions(admitted, np.random.default_rng(0))) == []
     # and it sees collisions: with all motions it names obstacles of every kind, and the arms
-    found = list(check.collisions(motions, np.random.default_rng(0), timings=1, samples=60))
+    found = list(check.collisions(motions, np.random.default_rng(0), timings=1, samples=40))
     met = {name for one in found for name in (one.first, one.second)}
     assert {"table", "ring", "drum", "gripper"} <= met
 
