@@ -16,7 +16,7 @@ from cellapp.profile.obstacles import BoxObstacle, CylinderObstacle, MeshObstacl
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.covers import cover
 from cellapp.safety.gate import CellBodies, clear_stops, refuse_motion, refuse_stop, visible
-from cellapp.safety.meshes import load_mesh
+from cellapp.safety.mesh_files import load_mesh
 from cellapp.safety.obstacles import Obstacle
 from cellapp.safety.shapes import RoundedBox
 from cellapp.trials.collision_check import CollisionCheck
