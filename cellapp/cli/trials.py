@@ -224,6 +224,9 @@ def seal(
     flip_approach: Annotated[
         bool, typer.Option("--flip-approach", help="Backlash or friction, approach signs by the opposite convention.")
     ] = False,
+    plan: Annotated[
+        str, typer.Option("--plan", metavar="PLAN", help="How stops are chosen: random or designed.")
+    ] = "random",
     json_file: JsonOption = None,
 ) -> None:
     """Write runs of simulated cells whose hidden effects are stated in a sealed file only."""
@@ -234,7 +237,7 @@ def seal(
     with Job(json_file) as job:
         setup = Setup(
             kind=kind, noise=noise, laws=laws, stops=stops, ranges=ranges, mass_error=mass_error,
-            stated=not unstated, flip_approach=flip_approach,
+            stated=not unstated, flip_approach=flip_approach, plan_method=plan,
         )  # fmt: skip
         result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=job.listen, cancel=job.control)
         job.say(f"{result.runs} runs in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge' only")

@@ -20,7 +20,8 @@ Vector = NDArray[np.float64]
 def forbidden_stops(cell: Cell, work: Work, homes: Mapping[str, Vector]) -> tuple[dict[int, str], dict[str, ArmError]]:
     """Return the stops that a controller forbids, stop -> reason, and errors by arm.
 
-    Asked are all stops that are not stored, with their via positions, and the reserves. All controllers are asked at
+    Asked are all stops that are not stored, and the reserves, with the ends of their legs and the starts of their last
+    motions. All controllers are asked at
     once: each needs some milliseconds for every position.
 
     Raises
@@ -49,7 +50,9 @@ def forbidden_stops(cell: Cell, work: Work, homes: Mapping[str, Vector]) -> tupl
 
 
 def _positions(work: Work, stops: Sequence[int], name: str) -> list[tuple[int, Vector]]:
-    """Joint positions of an arm at stops and before their last motions, each with its stop."""
-    found = [(stop, work.plan[name][stop]) for stop in stops]
-    vias = ((stop, work.conditions(stop, name).via) for stop in stops)
-    return found + [(stop, via) for stop, via in vias if via is not None]
+    """Joint positions of an arm at stops and on the planned ways to them, each with its stop."""
+    found = []
+    for stop in stops:
+        way = [*work.route.legs[stop], work.route.approach_starts(stop), work.targets(stop)]
+        found += [(stop, motion[name]) for motion in way if name in motion]
+    return found

@@ -218,7 +218,7 @@ class CollectSession:
             first = next(iter(self._allowed_stops()), first)
         elif self._settings.reference.every > 0:
             first = self._reference_stop() if self._mover.rests_at(homes) else None
-        self._mover.confirm_first(homes if first is None else self.work.targets(first), self.confirm)
+        self._mover.confirm_first(homes if first is None else self._travel.first_leg(first), self.confirm)
 
     def _allowed_stops(self) -> list[int]:
         """Stops that are not stored and that no controller forbids."""
@@ -237,7 +237,7 @@ class CollectSession:
                 self._emit(note=f"warming up, {left_s / 60.0:.0f} min left")
                 self._supervisor.checkpoint()
                 with suppress(MotionRefused):  # the next one may be reached
-                    self._travel.to(self.work.targets(stop))
+                    self._travel.to_stop(stop)
         if self._settings.warm_up > 0.0:
             self._travel.home()
 
@@ -254,7 +254,7 @@ class CollectSession:
         self._until_reference = every
         try:
             self._travel.home()  # always from the same side: hysteresis of the joints is no drift
-            states = self._travel.to(self.work.targets(self._reference_stop()))
+            states = self._travel.to_stop(self._reference_stop())
         except MotionRefused as error:
             self._note(f"after {self._queue.finished} stops: no reference measurements: {error}")
             return
@@ -300,7 +300,7 @@ class CollectSession:
         temperature_c = None if self._air is None else self._air.at_stop(stop)
         rows: dict[str, Reading] = {}
         outcomes: list[Outcome] = []
-        dwell_s = {name: self.work.conditions(stop, name).dwell_s for name in states}
+        dwell_s = {name: self.work.dwell_s(stop, name) for name in states}
         for name in sorted(states, key=lambda name: dwell_s[name]):
             if dwell_s[name] > 0.0:
                 self._mover.rest(name, dwell_s[name], self.control)
@@ -331,7 +331,7 @@ class CollectSession:
             step=self._mover.step(name),
             dwell_s=None if rested_s is None else max(rested_s - 0.5 * point.averaging_s, 0.0),
             covariance_M=point.covariance_M,
-            split=self.work.split if stop in self.work.proposed else None,
+            split=self.work.split,
         )
 
     def _begin(self, now_s: float) -> float:

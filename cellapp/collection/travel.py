@@ -1,14 +1,15 @@
-"""Ways between stops: straight, via home, back out of a motion that was cut short; slow at first on real hardware."""
+"""Ways between stops: as planned or around, via home, back out of a motion that was cut short; slow at first on real
+hardware."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from itertools import permutations
+from collections.abc import Mapping, Sequence
 
 from cellapp.collection.motion import MotionRefused, Mover, Vector
 from cellapp.collection.work import Work
-from cellapp.planning.stop_conditions import StopConditions
+from cellapp.planning.planned_stops import Route, routes
 from cellapp.profile import Profile
+from cellapp.safety.cell_bodies import home_positions
 from drivers.arms.protocol import ArmState
 
 Targets = Mapping[str, Vector]
@@ -22,6 +23,7 @@ class Travel:
         self._mover, self._work = mover, work
         self._settings = profile.collection.slow_start
         self._real = profile.moves_hardware
+        self._homes: Targets = home_positions(profile)
         self._slow_stops = 0
         self.slow_again()
 
@@ -37,19 +39,25 @@ class Travel:
             self._mover.speed = 1.0
 
     def to_stop(self, stop: int) -> dict[str, ArmState]:
-        """Move to a stop as planned or proposed. Raises ``MotionRefused`` if the gate accepts no way."""
-        targets = self._work.targets(stop)
-        if stop not in self._work.proposed:
-            return self.to(targets)
-        return self._as_proposed(targets, self._work.proposed[stop])
+        """Move to a stop: as planned, straight, one arm after the other, or each of these from home.
 
-    def to(self, targets: Targets) -> dict[str, ArmState]:
-        """Move straight, or via home if the gate refuses that (after a resume, or a missed stop)."""
+        Every way ends with the planned last motion, and begins only if the gate accepts all of its motions.
+
+        Raises
+        ------
+        MotionRefused
+            If the gate accepts no way.
+        """
         try:
-            return self._mover.move(targets)
+            return self._by_any(self._routes(stop))
         except MotionRefused:
             self.home()
-            return self._mover.move(targets)
+            return self._by_any(self._routes(stop))
+
+    def first_leg(self, stop: int) -> Targets:
+        """Where the first motion of ``to_stop`` leads from where the arms are."""
+        accepted = (route for route in self._routes(stop) if not self._mover.refusal(*route))
+        return next(accepted, (self._homes,))[0]
 
     def home(self) -> None:
         """Move home, one arm after the other.
@@ -72,23 +80,29 @@ class Travel:
         except MotionRefused:
             self.home()
 
-    def _as_proposed(self, targets: Targets, conditions: Mapping[str, StopConditions]) -> dict[str, ArmState]:
-        """Move to where the last legs begin, all arms at once or one after the other, then do those legs.
+    def _routes(self, stop: int) -> list[Route]:
+        """Ways to a stop from where the arms are."""
+        before = self._work.targets(stop - 1) if stop else self._homes
+        planned = bool(self._work.route.legs[stop]) and self._mover.rests_at(before)
+        return list(routes(self._work.route, stop, as_planned=planned))
 
-        Nothing moves unless the gate accepts all legs. If it does not, the arms go home and try from there.
-        """
-        vias = {name: one.via for name, one in conditions.items() if one.via is not None and name in targets}
-        start, last = {**targets, **vias}, {name: targets[name] for name in vias}
-        orders: list[list[Targets]] = [[start]]
-        orders += [[{name: start[name]} for name in order] for order in permutations(start)]
-        routes = [[*legs, last] if last else legs for legs in orders]
-        for at_home in (False, True):
-            if at_home:
-                self.home()
-            for legs in routes:
-                if not self._mover.refusal(*legs):
-                    states: dict[str, ArmState] = {}
-                    for leg in legs:
-                        states |= self._mover.move(leg)
-                    return states
-        raise MotionRefused(f"refused to move: {self._mover.refusal(*routes[0])}")
+    def _by_any(self, ways: Sequence[Route]) -> dict[str, ArmState]:
+        """Move along the first way that the gate accepts. Raises ``MotionRefused`` with its reason for the first."""
+        first: MotionRefused | None = None
+        for way in ways:
+            try:
+                return self._along(way)
+            except MotionRefused as error:
+                first = first or error
+        assert first is not None
+        raise first
+
+    def _along(self, way: Route) -> dict[str, ArmState]:
+        """Move along a way. Raises ``MotionRefused`` if the gate refuses one of its motions."""
+        refusal = self._mover.refusal(*way) if len(way) > 1 else ""  # of one motion, ``move`` asks
+        if refusal:
+            raise MotionRefused(f"refused to move: {refusal}")
+        states: dict[str, ArmState] = {}
+        for leg in way:
+            states |= self._mover.move(leg)
+        return states

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.errors import InputError
-from cellapp.planning.stop_conditions import StopConditions, read_stop_conditions
+from cellapp.planning.planned_stops import PlannedStops
+from cellapp.planning.stop_conditions import proposed_stops, read_stop_conditions
+from cellapp.planning.stored_stops import read_planned_stops
 from cellapp.run import RunFile
-
-_DIRECT = StopConditions()
-"""Straight approach, no dwell."""
 
 
 @dataclass(frozen=True)
@@ -23,34 +22,39 @@ class Work:
 
     Attributes
     ----------
-    plan : mapping
-        Arm -> joint positions of all stops (n, N) [rad].
+    route : PlannedStops
+        All stops of the plan, and how each is reached.
     stops : tuple of int
         Numbers of the stops that are not stored, without reserves.
     reserves : tuple of int
         Numbers of the reserve stops that are not stored.
     stored : int
         Number of stops that are stored.
-    proposed : mapping
-        Stop -> arm -> approach and dwell, for stops that discovery proposed.
+    proposed : frozenset of int
+        Numbers of the stops that discovery proposed.
     split : str or None
-        Split of readings at proposed stops; None if splits are not drawn yet.
+        Split of new readings; None if splits are not drawn yet.
     earlier_s : float
         Time of the last stored reading [s]; new readings follow it.
     """
 
-    plan: Mapping[str, NDArray[np.float64]]
+    route: PlannedStops
     stops: tuple[int, ...]
     reserves: tuple[int, ...]
     stored: int
-    proposed: Mapping[int, Mapping[str, StopConditions]]
+    proposed: frozenset[int]
     split: str | None
     earlier_s: float
 
     @property
+    def plan(self) -> Mapping[str, NDArray[np.float64]]:
+        """Joint positions of all stops, arm -> (n, N) [rad]."""
+        return self.route.q
+
+    @property
     def planned(self) -> int:
         """Number of rows of the plan, reserves included."""
-        return len(next(iter(self.plan.values())))
+        return len(self.route)
 
     @property
     def total(self) -> int:
@@ -59,34 +63,33 @@ class Work:
 
     def targets(self, stop: int) -> dict[str, NDArray[np.float64]]:
         """Return the joint positions of a stop by arm."""
-        return {name: q[stop] for name, q in self.plan.items()}
+        return self.route.targets(stop)
 
-    def conditions(self, stop: int, name: str) -> StopConditions:
-        """Return approach and dwell of an arm at a stop."""
-        return self.proposed.get(stop, {}).get(name, _DIRECT)
+    def dwell_s(self, stop: int, name: str) -> float:
+        """Return the least rest of an arm before it is measured at a stop [s]."""
+        return float(self.route.dwell_s[name][stop])
 
 
 def remaining_work(run: RunFile, *, resume: bool) -> Work:
     """Return the work that is left. Raises ``InputError`` without a plan, or if stops are stored and not ``resume``."""
-    plan = run.read_plan()
-    if not plan:
+    route = read_planned_stops(run)
+    if not len(route):
         raise InputError(f"{run.path}: there is no plan; make one with 'cellapp plan'")
     done = run.stops_done()
     if done and not resume:
         raise InputError(
             f"{run.path}: {len(done)} stops are stored already; continue with --resume, or start a new run"
         )
-    total = len(next(iter(plan.values())))
+    total = len(route)
     readings = [run.readings(name) for name in run.arms()]
-    proposed = read_stop_conditions(run)
-    drawn = bool(proposed) and any(arm.split is not None for arm in readings)
+    drawn = any(arm.split is not None for arm in readings)
     reserves = run.profile.plan.reserves(total)
     return Work(
-        plan=plan,
+        route=route,
         stops=tuple(stop for stop in range(total) if stop not in done and stop not in reserves),
         reserves=tuple(stop for stop in reserves if stop not in done),
         stored=len(done),
-        proposed=proposed,
+        proposed=proposed_stops(read_stop_conditions(run)),
         split="train" if drawn else None,
         earlier_s=max((float(arm.time_s.max()) for arm in readings), default=0.0) if done else 0.0,
     )

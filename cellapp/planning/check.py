@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from itertools import permutations
+from collections.abc import Iterator
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.plan import all_smrs_visible
-from cellapp.planning.stop_conditions import StopConditions, read_stop_conditions
+from cellapp.planning.planned_stops import Configuration, PlannedStops, Route, orders, routes
+from cellapp.planning.stored_stops import read_planned_stops
+from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore, with_eta
 from cellapp.results import PlanCheckResult, PlanRefusal
 from cellapp.run import RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import CellBodies, refuse_motion, refuse_stop
-
-Configuration = Mapping[str, Array]
-"""Arm -> joint positions (N,) [rad]."""
+from cellapp.safety.hidden import why_hidden
 
 _PROGRESS_EVERY = 10
 """Stops between two progress reports."""
@@ -31,25 +29,58 @@ def check_plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToke
         If the run has no plan.
     Cancelled
     """
+    required_plan(run)
+    stops = read_planned_stops(run)
+    refused = check_stops(run.profile, stops, listener, cancel)
+    return PlanCheckResult(run=str(run.folder), stops=len(stops), ways=len(stops) + 1, refused=refused)
+
+
+def check_stops(
+    profile: Profile, stops: PlannedStops, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> tuple[PlanRefusal, ...]:
+    """What the gate or the tracker's view refuses of a plan, from home through all stops and home again.
+
+    Raises
+    ------
+    InputError
+        If the profile does not describe the cell.
+    Cancelled
+    """
     cancel, listener = cancel or CancelToken(), with_eta(listener)
-    plan = required_plan(run)
-    cell, homes, conditions = cell_bodies(run.profile), home_positions(run.profile), read_stop_conditions(run)
-    count = len(next(iter(plan.values())))
-    stops = [{name: q[k] for name, q in plan.items()} for k in range(count)]
+    cell, homes, count = cell_bodies(profile), home_positions(profile), len(stops)
     refused: list[PlanRefusal] = []
-    for k, there in enumerate(stops):
+    here: Configuration = homes
+    for k in range(count):
         cancel.check()
         if k % _PROGRESS_EVERY == 0:
             listener(Progress("check", k, count))
-        here = stops[k - 1] if k else homes
+        there = stops.targets(k)
         refused += _stop_refusals(cell, k, there)
-        refused += _way_refusals(cell, k, here, there, homes, conditions.get(k))
-    reason = refuse_motion(cell, stops[-1], homes)
+        refused += _way_refusals(cell, stops, k, here, homes)
+        here = there
+    reason = refuse_motion(cell, here, homes)
     if reason:
-        via_home = bool(_one_by_one(cell, stops[-1], homes))
+        via_home = any(not _refused_route(cell, here, route) for route in orders(homes))
         refused.append(PlanRefusal(configuration=None, before=count - 1, what="way", reason=reason, via_home=via_home))
     listener(Progress("check", count, count, "done"))
-    return PlanCheckResult(run=str(run.folder), stops=count, ways=count + 1, refused=tuple(refused))
+    return tuple(refused)
+
+
+def check_each_stop(profile: Profile, stops: PlannedStops) -> tuple[PlanRefusal, ...]:
+    """What the gate or the tracker's view refuses of each stop for itself and of its last motion, whatever the order.
+
+    Raises ``InputError`` if the profile does not describe the cell.
+    """
+    cell = cell_bodies(profile)
+    refused: list[PlanRefusal] = []
+    for k in range(len(stops)):
+        refused += _stop_refusals(cell, k, stops.targets(k))
+        begin = {**stops.targets(k), **stops.approach_starts(k)}
+        reason = refuse_motion(cell, begin, begin) or refuse_motion(cell, begin, stops.targets(k))
+        if reason and stops.approach_starts(k):
+            text = f"its last motion: {reason}"
+            refused.append(PlanRefusal(configuration=k, before=None, what="way", reason=text))
+    return tuple(refused)
 
 
 def required_plan(run: RunFile) -> dict[str, Array]:
@@ -64,49 +95,35 @@ def _stop_refusals(cell: CellBodies, k: int, q: Configuration) -> Iterator[PlanR
     before = k - 1 if k else None
     if reason := refuse_stop(cell, q):
         yield PlanRefusal(configuration=k, before=before, what="stop", reason=reason)
-    if not all_smrs_visible(cell, q):
-        reason = "the tracker does not see every SMR: turned away, out of its range, or hidden by an arm"
+    if reason := why_hidden(cell, q):
         yield PlanRefusal(configuration=k, before=before, what="view", reason=reason)
 
 
 def _way_refusals(
-    cell: CellBodies,
-    k: int,
-    here: Configuration,
-    there: Configuration,
-    homes: Configuration,
-    conditions: Mapping[str, StopConditions] | None,
+    cell: CellBodies, stops: PlannedStops, k: int, here: Configuration, homes: Configuration
 ) -> Iterator[PlanRefusal]:
-    """The refusal of the way to a stop, as collection would go: straight, or through the start of its approach.
-
-    Only to a proposed stop (with ``conditions``) may the arms go one after the other.
-    """
-    vias = {name: one.via for name, one in (conditions or {}).items() if one.via is not None}
-    begin = {**there, **vias}
-    last = refuse_motion(cell, begin, there) if vias else ""
-    reason = _leg(cell, here, begin, proposed=conditions is not None) or last
-    if reason and not refuse_stop(cell, there):
-        from_home = not last and not _leg(cell, homes, begin, proposed=conditions is not None)
-        via_home = from_home and bool(_one_by_one(cell, here, homes))
-        before = k - 1 if k else None
-        yield PlanRefusal(configuration=k, before=before, what="way", reason=reason, via_home=via_home)
-
-
-def _leg(cell: CellBodies, here: Configuration, there: Configuration, *, proposed: bool) -> str:
-    """Reason why the arms cannot go at once, nor, to a ``proposed`` stop, one after the other; empty if they can."""
-    reason = refuse_motion(cell, here, there)
-    return "" if not reason or (proposed and _one_by_one(cell, here, there)) else reason
+    """The refusal of the planned way to a stop, and how collection would get there all the same."""
+    planned, *others = routes(stops, k, as_planned=True)
+    reason = _refused_route(cell, here, planned)
+    if not reason or refuse_stop(cell, stops.targets(k)):
+        return
+    before = k - 1 if k else None
+    refusal = PlanRefusal(configuration=k, before=before, what="way", reason=reason)
+    detour = next((route for route in others if not _refused_route(cell, here, route)), None)
+    if detour is not None:
+        word = "straight" if len(detour[0]) == len(stops.q) else "one arm after the other"
+        yield refusal.model_copy(update={"detour": word})
+        return
+    from_home = any(not _refused_route(cell, homes, route) for route in routes(stops, k, as_planned=k == 0))
+    via_home = from_home and any(not _refused_route(cell, here, route) for route in orders(homes))
+    yield refusal.model_copy(update={"via_home": via_home})
 
 
-def _one_by_one(cell: CellBodies, here: Configuration, there: Configuration) -> tuple[str, ...]:
-    """An order in which the arms may move one after the other; empty if there is none."""
-    for order in permutations(here):
-        now = dict(here)
-        for name in order:
-            after = {**now, name: there[name]}
-            if refuse_motion(cell, now, after):
-                break
-            now = after
-        else:
-            return order
-    return ()
+def _refused_route(cell: CellBodies, here: Configuration, route: Route) -> str:
+    """Reason why the arms cannot take a route; empty if they can. Names the motion where there are several."""
+    for number, motion in enumerate(route, start=1):
+        there = {**here, **motion}
+        if reason := refuse_motion(cell, here, there):
+            return reason if len(route) == 1 else f"motion {number} of {len(route)}: {reason}"
+        here = there
+    return ""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.stop_conditions import StopConditions
+from cellapp.planning.planned_stops import Configuration, PlannedStops, Route
 from cellapp.profile import Arm, Profile
 from cellapp.results import PlannedTime
 from cellapp.safety.cell_bodies import home_positions
@@ -17,9 +16,6 @@ _SETTLE_S = 0.2
 """Rest after a motion before an arm counts as settled: the default of UR controllers and of simulated arms."""
 _POINTING_S = 1.0
 """Time for the tracker to turn to the next SMR and to lock it; its head turns a quarter in half a second."""
-
-Conditions = Mapping[int, Mapping[str, StopConditions]]
-"""Stop -> arm -> approach and dwell of stops that discovery proposed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,34 +55,65 @@ def motion_s(arm: Arm, way: Array) -> Array:
     return np.asarray(np.where(triangle, 2.0 * np.sqrt(at_acceleration), at_speed + ramp))
 
 
-def stop_times(profile: Profile, plan: Mapping[str, Array], conditions: Conditions) -> StopTimes:
-    """Expected times of the stops of a plan (arm -> q (n, N) [rad]) in their order, from home."""
-    homes = home_positions(profile)
-    steps = {name: np.diff(q, axis=0, prepend=homes[name][None]) for name, q in plan.items()}
-    moving_s = np.max([motion_s(profile.arms[name], way) for name, way in steps.items()], axis=0)
+def stop_times_of(profile: Profile, stops: PlannedStops, start: Configuration | None = None) -> StopTimes:
+    """Expected times of planned stops with their approaches and detours, from ``start``; None: from home."""
+    here = home_positions(profile) if start is None else start
+    begin = {
+        name: np.where(np.isfinite(stops.approach_from[name]), stops.approach_from[name], q)
+        for name, q in stops.q.items()
+    }
+    moving_s = np.max(
+        [_straight_s(profile.arms[name], here.get(name), q, begin[name]) for name, q in stops.q.items()], axis=0
+    )
+    motions = np.ones(len(stops))
+    last_s = np.max([motion_s(profile.arms[name], q - begin[name]) for name, q in stops.q.items()], axis=0)
+    for stop, legs in enumerate(stops.legs):
+        if legs:
+            before = stops.targets(stop - 1) if stop else here
+            moving_s[stop] = route_s(profile, before, (*legs, {name: q[stop] for name, q in begin.items()}))
+            motions[stop] += len(legs)
     slow = profile.collection.slow_start
+    moving_s += last_s
     if profile.moves_hardware:
         moving_s[: slow.stops] /= slow.speed
-    resting_s = np.full(len(moving_s), _SETTLE_S)
-    for stop, arms in conditions.items():
-        if stop < len(resting_s):
-            resting_s[stop] = max([_SETTLE_S, *(one.dwell_s for one in arms.values())])
-    return StopTimes(moving_s, resting_s, _measuring_s(profile) * len(plan))
+    dwell_s = np.max([stops.dwell_s[name] for name in stops.q], axis=0)
+    resting_s = np.maximum(_SETTLE_S, dwell_s) + _SETTLE_S * (motions - 1.0 + (last_s > 0.0))
+    return StopTimes(moving_s, resting_s, _measuring_s(profile) * len(stops.q))
 
 
-def planned_time(profile: Profile, plan: Mapping[str, Array], conditions: Conditions) -> PlannedTime:
-    """Expected time of collecting the stops of a plan (arm -> q (n, N) [rad]) and going home."""
-    times = stop_times(profile, plan, conditions)
+def home_s(profile: Profile, stops: PlannedStops) -> float:
+    """Time of the way home from the last stop [s]; 0 for arms without a home position."""
     homes = home_positions(profile)
-    home_s = max(float(motion_s(profile.arms[name], (q[-1] - homes[name])[None])[0]) for name, q in plan.items())
+    ways = [motion_s(profile.arms[name], (homes[name] - q[-1])[None]) for name, q in stops.q.items() if name in homes]
+    return float(np.max(ways)) if ways else 0.0
+
+
+def route_s(profile: Profile, start: Configuration, route: Route) -> float:
+    """Time of motions one after the other from ``start`` (all arms) [s]; each takes as long as its slowest arm."""
+    here, total = dict(start), 0.0
+    for targets in route:
+        total += max(float(motion_s(profile.arms[name], (q - here[name])[None])[0]) for name, q in targets.items())
+        here.update(targets)
+    return total
+
+
+def _straight_s(arm: Arm, start: Array | None, q: Array, begin: Array) -> Array:
+    """Time from each stop to where the last motion to the next begins, shape (n,) [s]; 0 from an unknown ``start``."""
+    first = begin[:1] if start is None else start[None]
+    return motion_s(arm, begin - np.concatenate([first, q])[: len(q)])
+
+
+def planned_time(profile: Profile, stops: PlannedStops) -> PlannedTime:
+    """Expected time of collecting planned stops and going home."""
+    times = stop_times_of(profile, stops)
     reference = profile.collection.reference
     references_s = 0.0
     if reference.every > 0:
         count = 2 + (len(times.moving_s) - 1) // reference.every
-        points = len(plan) + len(reference.nests)
+        points = len(stops.q) + len(reference.nests)
         references_s = count * (2.0 * float(np.mean(times.moving_s)) + points * _measuring_s(profile))
     parts = {
-        "moving_s": float(times.moving_s.sum()) + home_s,
+        "moving_s": float(times.moving_s.sum()) + home_s(profile, stops),
         "resting_s": float(times.resting_s.sum()),
         "measuring_s": times.measuring_s * len(times.moving_s),
         "references_s": references_s,

@@ -50,6 +50,7 @@ def load_profile(path: Path) -> Profile:
     path = Path(path)
     document = load_text(path)
     read_arm_types(document, (path.parent,))
+    locate_meshes(document, (path.parent,))
     try:
         return Profile.model_validate(document.data)
     except ValidationError as error:
@@ -88,8 +89,32 @@ def read_arm_types(document: Document, folders: Sequence[Path]) -> None:
             document.places |= {at + inside: place for inside, place in arm_type.places.items()}
 
 
+def locate_meshes(document: Document, folders: Sequence[Path]) -> None:
+    """Replace the paths of mesh files by absolute ones, in the first of ``folders`` that has the file.
+
+    Raises
+    ------
+    InputError
+        If none has it.
+    """
+    obstacles = document.data.get("obstacles")
+    for name, obstacle in (obstacles if isinstance(obstacles, dict) else {}).items():
+        if isinstance(obstacle, dict) and isinstance(obstacle.get("file"), str):
+            path = _first_file(folders, obstacle["file"])
+            if path is None:
+                raise PlacedError(
+                    document.places["obstacles", name, "file"],
+                    f"file not found: {short(str(folders[0] / obstacle['file']), 200)}; give the path of an STL file"
+                    " relative to the profile's file",
+                )
+            obstacle["file"] = str(path.resolve())
+
+
 def profile_to_json(profile: Profile) -> str:
-    """Return a profile as one JSON text that needs no other file; ``profile_from_json`` returns an equal profile."""
+    """Return a profile as one JSON text that needs no other file than the meshes of obstacles.
+
+    ``profile_from_json`` returns an equal profile.
+    """
     return profile.model_dump_json(by_alias=True)
 
 
@@ -113,15 +138,23 @@ def _check_version(document: Document) -> None:
 
 
 def _read_arm_type(folders: Sequence[Path], name: str, place: Place) -> Document:
-    for path in (folder / name for folder in folders):
-        with contextlib.suppress(OSError):  # such as a name that is longer than the file system allows
-            if path.is_file():
-                return _parse_yaml(_read_text(path), path)
+    path = _first_file(folders, name)
+    if path is not None:
+        return _parse_yaml(_read_text(path), path)
     raise PlacedError(
         place,
         f"file not found: {short(str(folders[0] / name), 200)}; give a path relative to the profile's file, or the keys"
         " here",
     )
+
+
+def _first_file(folders: Sequence[Path], name: str) -> Path | None:
+    """The path of the first of ``folders`` that has a file of that name; None if none has."""
+    for path in (folder / name for folder in folders):
+        with contextlib.suppress(OSError, ValueError):  # a name too long for the file system, or with a null character
+            if path.is_file():
+                return path
+    return None
 
 
 # -- YAML with its lines ----------------------------------------------------------------------------------------------
@@ -134,7 +167,7 @@ def is_number(text: str) -> bool:
 
 def is_word(text: str) -> bool:
     """Whether YAML reads a text without quotes as that text."""
-    return re.fullmatch(r"[\w./+-]+", text, re.ASCII) is not None and _tag(text) == "str"
+    return re.fullmatch(r"[./+-]*\w[\w./+-]*", text, re.ASCII) is not None and _tag(text) == "str"
 
 
 def _tag(text: str) -> str:

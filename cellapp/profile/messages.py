@@ -314,8 +314,8 @@ def _types_at(location: Sequence[Key]) -> list[Any]:
                 below += _alternatives(get_args(hint)[1])
             elif get_origin(hint) is tuple and isinstance(key, int):
                 below += _alternatives(get_args(hint)[0])
-            elif isinstance(key, str) and "kind" in fields and key in get_args(fields["kind"]):
-                below.append(hint)  # the branch of a union that was selected by its kind
+            elif any(key in get_args(fields[name]) for name in ("kind", "shape") if name in fields):
+                below.append(hint)  # the branch of a union that was selected by its kind or shape
         hints = below or hints
     return hints
 

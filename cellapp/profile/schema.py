@@ -305,6 +305,8 @@ class Profile(Section):
         for name, obstacle in self.obstacles.items():
             if obstacle.arm is not None and obstacle.arm not in self.arms:
                 raise ValueError(f"obstacles.{name}.arm: unknown arm; arms are {', '.join(self.arms)}")
+            if name in self.arms or not name.strip():
+                raise ValueError(f"obstacles.{name}: an obstacle needs a name of its own, other than those of the arms")
         for name, arm in self.arms.items():
             if arm.driver.has_device:
                 needed = {

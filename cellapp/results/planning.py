@@ -13,7 +13,8 @@ class PlanRefusal(Record):
     """A stop of a plan, or the way to it, that the safety gate refuses.
 
     ``configuration`` is the stop's number, from 0, None for home after the last one; ``before`` that of the stop
-    before it, None for home. ``via_home``: the gate refuses the straight way only; the arms go home first.
+    before it, None for home. ``detour`` and ``via_home`` say how collection gets there although the gate refuses the
+    planned way: from the stop before, or from home. ``line`` is that of a hand-edited file.
     """
 
     configuration: int | None
@@ -21,10 +22,21 @@ class PlanRefusal(Record):
     what: Literal["stop", "way", "view"]
     reason: str
     via_home: bool = False
+    detour: Literal["straight", "one arm after the other"] | None = None
+    line: int | None = None
+    omitted_when_none = frozenset({"detour", "line"})
+
+    @property
+    def is_avoided(self) -> bool:
+        """Whether another way leads there."""
+        return self.via_home or self.detour is not None
 
 
 class PlanCheckResult(Result):
-    """``show DIR plan --check``: the safety gate and the tracker's view, over all stops and ways of a plan."""
+    """``show DIR plan --check``: the safety gate and the tracker's view, over all stops and ways of a plan.
+
+    ``plan PROFILE --check FILE`` is the same for a hand-edited plan; ``run`` is empty and ``file`` is given then.
+    """
 
     schema_: Literal["cellapp-plan-check"] = "cellapp-plan-check"
     version: Literal[1] = 1
@@ -32,11 +44,13 @@ class PlanCheckResult(Result):
     stops: int
     ways: int
     refused: tuple[PlanRefusal, ...] = ()
+    file: str | None = None
+    omitted_when_none = frozenset({"file"})
 
     @property
     def is_safe(self) -> bool:
-        """Whether every stop can be measured; a detour via home is safe."""
-        return all(one.via_home for one in self.refused)
+        """Whether every stop can be measured; a detour is safe."""
+        return all(one.is_avoided for one in self.refused)
 
 
 class JointCoverage(Record):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -78,6 +79,11 @@ def insert_outcome(connection: sqlite3.Connection, outcome: Outcome) -> None:
         "INSERT OR REPLACE INTO outcome VALUES (?, ?, ?, ?)",
         (outcome.stop, outcome.arm, outcome.kind, outcome.reason),
     )
+
+
+def delete_outcomes(connection: sqlite3.Connection, stops: Iterable[int]) -> None:
+    """Remove the outcomes of stops."""
+    connection.executemany("DELETE FROM outcome WHERE stop = ?", ((stop,) for stop in stops))
 
 
 def insert_reference(connection: sqlite3.Connection, row: ReferenceRow) -> None:

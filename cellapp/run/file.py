@@ -26,6 +26,7 @@ from cellapp.run.collection_rows import (
     ReferenceRow,
     Session,
     SessionEnd,
+    delete_outcomes,
     end_session,
     insert_outcome,
     insert_reference,
@@ -35,6 +36,7 @@ from cellapp.run.collection_rows import (
     select_references,
     select_sessions,
 )
+from cellapp.run.plan_table import changed_stops, check_plan, replace_plan, select_plan
 from cellapp.run.readings import Reading, Readings
 from cellapp.run.readings_table import (
     check_readings,
@@ -42,9 +44,8 @@ from cellapp.run.readings_table import (
     count_splits,
     insert_readings,
     select_readings,
-    vectors_from_json,
 )
-from cellapp.run.rows import Document, Event, StageRow, utc_now
+from cellapp.run.rows import Document, Event, StageRow, insert_document, utc_now
 from cellapp.run.schema import SCHEMA_VERSION, create_tables, read_meta, schema_version, upgrade
 from cellapp.run.sqlite_file import (
     APPLICATION_ID,
@@ -187,8 +188,11 @@ class RunFile:
 
     # -- plan --------------------------------------------------------------------------------------------------------
 
-    def write_plan(self, plans: Mapping[str, NDArray[np.float64]]) -> None:
+    def write_plan(self, plans: Mapping[str, NDArray[np.float64]], documents: Mapping[str, str] | None = None) -> None:
         """Store the plan, arm -> q (n, N) [rad], in place of an earlier one; row k of all arms is stop k.
+
+        ``documents`` (name -> text) belong to it and are stored with it, or not at all. Outcomes of stops whose joint
+        positions change are removed: they belong to stops that are no longer planned.
 
         Raises
         ------
@@ -197,54 +201,32 @@ class RunFile:
         ValueError
             If the arms' plans differ in length or have a wrong number of joints.
         """
-        if len({len(q) for q in plans.values()}) > 1:
-            raise ValueError("the arms' plans have different numbers of stops")
-        for arm, q in plans.items():
+        for arm in plans:
             self._check_arm(arm)
-            if np.ndim(q) != 2 or np.shape(q)[1] != self._joints(arm) or not np.all(np.isfinite(q)):
-                raise ValueError(f"expected finite joint positions (n, {self._joints(arm)}) for arm {arm}")
+        check_plan(plans, {arm: self._joints(arm) for arm in plans})
         with self._transaction() as connection:
-            self._check_measured_stops(connection, plans)
-            connection.execute("DELETE FROM plan")
-            connection.executemany(
-                "INSERT INTO plan VALUES (?, ?, ?)",
-                (
-                    (arm, stop, json.dumps(row))
-                    for arm, q in plans.items()
-                    for stop, row in enumerate(np.asarray(q, dtype=np.float64).tolist())
-                ),
-            )
+            before = select_plan(connection, list(self.profile.arms))
+            changed, planned = changed_stops(before, plans), range(min(map(len, plans.values()), default=0))
+            if measured := [stop for stop in self._stops_done(connection) if stop in changed or stop not in planned]:
+                raise InputError(
+                    f"{self.path}: stop {min(measured)} is measured already and differs in the new plan;"
+                    " plan into a new run folder instead"
+                )
+            replace_plan(connection, plans)
+            delete_outcomes(connection, changed)
+            for name, text in (documents or {}).items():
+                insert_document(connection, name, text)
 
     def read_plan(self) -> dict[str, NDArray[np.float64]]:
         """The plan, arm -> q (n, N) [rad]; empty without a plan."""
         with self._reading() as connection:
-            return self._read_plan(connection)
+            return select_plan(connection, list(self.profile.arms))
 
     def planned_counts(self) -> dict[str, int]:
         """Number of planned stops of each arm, reserves included; empty without a plan."""
         with self._reading() as connection:
             counts = dict(connection.execute("SELECT arm, COUNT(*) FROM plan GROUP BY arm").fetchall())
         return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
-
-    def _read_plan(self, connection: sqlite3.Connection) -> dict[str, NDArray[np.float64]]:
-        rows = connection.execute("SELECT arm, q FROM plan ORDER BY arm, stop").fetchall()
-        return {
-            arm: vectors_from_json([text for name, text in rows if name == arm])
-            for arm in self._in_profile_order({name for name, _ in rows})
-        }
-
-    def _check_measured_stops(self, connection: sqlite3.Connection, plans: Mapping[str, NDArray[np.float64]]) -> None:
-        measured = self._stops_done(connection)
-        old = self._read_plan(connection) if measured else {}
-        for arm, q in plans.items():
-            before = old.get(arm, q[:0])
-            common = min(len(before), len(q))
-            for stop in measured:
-                if not 0 <= stop < common or not np.array_equal(before[stop], q[stop]):
-                    raise InputError(
-                        f"{self.path}: stop {stop} is measured already and differs in the new plan;"
-                        " plan into a new run folder instead"
-                    )
 
     # -- readings ----------------------------------------------------------------------------------------------------
 
@@ -357,7 +339,7 @@ class RunFile:
     def write_result(self, name: str, json_text: str) -> None:
         """Store a document that is not a verb's result under a name; it replaces an earlier one of that name."""
         with self._transaction() as connection:
-            connection.execute("INSERT OR REPLACE INTO result VALUES (?, ?, ?)", (name, utc_now(), json_text))
+            insert_document(connection, name, json_text)
 
     def read_result(self, name: str) -> str | None:
         """The text of a stored document, or None."""

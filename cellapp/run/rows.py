@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -41,3 +42,8 @@ class Document:
 def utc_now() -> str:
     """The present time as rows have it (ISO 8601, UTC)."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def insert_document(connection: sqlite3.Connection, name: str, text: str) -> None:
+    """Store a document; it replaces an earlier one of that name."""
+    connection.execute("INSERT OR REPLACE INTO result VALUES (?, ?, ?)", (name, utc_now(), text))

@@ -9,12 +9,15 @@ import numpy as np
 
 from cellapp.kinematics.chain import Geometry, frame_poses
 from cellapp.kinematics.transforms import Array
+from cellapp.safety.obstacles import Obstacle
 
 _TOUCHING_FRAMES = 2
 """Capsules whose D-H frame numbers differ by at most this always overlap: they share a joint housing."""
+_ROUNDING_M = 1e-6
+"""Distances of the SMR and of the beam that ends there from the same obstacle differ by rounding [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArmBodies:
     """One arm in the cell, for collision and visibility.
 
@@ -34,6 +37,10 @@ class ArmBodies:
         SMR viewing direction in the flange frame, a unit vector.
     acceptance : float
         Half the acceptance angle of the SMR [rad].
+    mounted : tuple of Obstacle
+        Obstacles fixed to the flange, their poses in the flange frame. The last capsules cover them.
+    covered : tuple of str
+        Names of the mounted obstacles that the last ``len(covered)`` capsules cover.
     """
 
     geometry: Geometry
@@ -44,6 +51,13 @@ class ArmBodies:
     limits: Array
     normal_F: Array
     acceptance: float
+    mounted: tuple[Obstacle, ...] = ()
+    covered: tuple[str, ...] = ()
+
+    @property
+    def links(self) -> int:
+        """Number of capsules of the arm itself, which come first."""
+        return len(self.radius) - len(self.covered)
 
     @cached_property
     def levers(self) -> Array:
@@ -85,30 +99,45 @@ class ArmBodies:
         return np.asarray(np.where(between, self.body_levers[outer], 0.0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Placed:
     """Bodies of one arm at n configurations, in the cell frame C.
 
     Attributes
     ----------
+    arm : ArmBodies
     start, end : array, shape (n, m, 3)
         Ends of the capsules' axes [m].
-    radius, frames : array, shape (m,)
-        As in ``ArmBodies``.
-    smr, normal : array, shape (n, 3)
-        SMR centre [m] and viewing direction.
+    smr : array, shape (n, 3)
+        SMR centre [m].
+    flange : array, shape (n, 3, 3)
+        Rotation of the flange frame.
     """
 
+    arm: ArmBodies
     start: Array
     end: Array
-    radius: Array
-    frames: np.ndarray
     smr: Array
-    normal: Array
+    flange: Array
+
+    @property
+    def radius(self) -> Array:
+        """Radius of each capsule, shape (m,) [m]."""
+        return self.arm.radius
+
+    @property
+    def frames(self) -> np.ndarray:
+        """Number of the D-H frame to which each capsule is fixed, shape (m,)."""
+        return self.arm.frames
+
+    @property
+    def normal(self) -> Array:
+        """Viewing direction of the SMR, shape (n, 3)."""
+        return np.asarray(self.flange @ self.arm.normal_F)
 
     def take(self, rows: np.ndarray | slice) -> Placed:
         """The bodies at some of the configurations."""
-        return Placed(self.start[rows], self.end[rows], self.radius, self.frames, self.smr[rows], self.normal[rows])
+        return Placed(self.arm, self.start[rows], self.end[rows], self.smr[rows], self.flange[rows])
 
 
 def place(arm: ArmBodies, q: Array) -> Placed:
@@ -116,12 +145,11 @@ def place(arm: ArmBodies, q: Array) -> Placed:
     rotations, origins = frame_poses(arm.geometry, q)
     R, o = rotations[arm.frames], origins[arm.frames]
     return Placed(
+        arm=arm,
         start=(o + np.einsum("mnab,mb->mna", R, arm.start)).transpose(1, 0, 2),
         end=(o + np.einsum("mnab,mb->mna", R, arm.end)).transpose(1, 0, 2),
-        radius=arm.radius,
-        frames=arm.frames,
         smr=origins[-1] + rotations[-1] @ arm.geometry.tool,
-        normal=rotations[-1] @ arm.normal_F,
+        flange=rotations[-1],
     )
 
 
@@ -150,9 +178,7 @@ def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray) -> Array:
 
 def self_clearance(placed: Placed) -> Array:
     """Smallest distance between capsules of one arm that do not overlap by design, (n,) [m]; infinite without any."""
-    i, k = np.triu_indices(len(placed.radius), 1)
-    apart = np.abs(placed.frames[i] - placed.frames[k]) > _TOUCHING_FRAMES
-    i, k = i[apart], k[apart]
+    i, k = placed.arm.own_pairs
     if len(i) == 0:
         return np.full(len(placed.smr), np.inf)
     return np.asarray(pair_gaps(placed, i, k).min(axis=1))
@@ -185,15 +211,38 @@ def beam_clearance(tracker: Array, target: Array, bodies: Placed, *, own: bool) 
     """Smallest distance of the bodies from the beam between ``tracker`` (3,) and ``target`` (n, 3), shape (n,) [m].
 
     ``own`` says that the bodies carry the target: those fixed to the last frame that has bodies are left out, as they
-    always are at the end of the beam.
+    always are at the end of the beam, and so are the covers of mounted obstacles (see ``mounted_hides``).
     """
-    seen = bodies.frames < bodies.frames.max(initial=0) if own else np.ones(len(bodies.frames), dtype=bool)
+    seen = np.ones(len(bodies.frames), dtype=bool)
+    if own:
+        links = bodies.arm.links
+        seen = (np.arange(len(seen)) < links) & (bodies.frames < bodies.frames[:links].max(initial=0))
     if not seen.any():
         return np.full(len(target), np.inf)
     gap = segment_distance(
         np.broadcast_to(tracker, target.shape)[:, None], target[:, None], bodies.start[:, seen], bodies.end[:, seen]
     )
     return np.asarray((gap - bodies.radius[seen]).min(axis=1))
+
+
+def mounted_hides(tracker: Array, bodies: Placed, radius: float) -> np.ndarray:
+    """Whether obstacles mounted on an arm hide its own SMR from ``tracker`` (3,), shape (n,) bool.
+
+    One that is nearer to the SMR's centre than ``radius`` [m] hides it where the beam comes still nearer; one that
+    encloses it is its holder, and hides nothing.
+    """
+    hidden = np.zeros(len(bodies.smr), dtype=bool)
+    if not bodies.arm.mounted:
+        return hidden
+    tool = bodies.arm.geometry.tool
+    source = np.einsum("nba,nb->na", bodies.flange, tracker - bodies.smr) + tool
+    target = np.broadcast_to(tool, source.shape)
+    for obstacle in bodies.arm.mounted:
+        smr_gap = float(obstacle.gaps(tool[None], tool[None], 0.0, radius)[0])
+        if smr_gap > 0.0:
+            needed = min(radius, smr_gap - _ROUNDING_M)
+            hidden |= ~(obstacle.gaps(source, target, 0.0, needed) >= needed)
+    return hidden
 
 
 def _dot(a: Array, b: Array) -> Array:

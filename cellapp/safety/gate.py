@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -22,27 +22,25 @@ from cellapp.safety.bodies import (
     beam_clearance,
     ceiling_clearance,
     floor_clearance,
+    mounted_hides,
     pair_gaps,
     place,
-    segment_distance,
     self_clearance,
 )
+from cellapp.safety.gaps_between_arms import gap_at_rest, gap_on_paths
+from cellapp.safety.obstacles import Obstacle, beam_gaps, box_about
+from cellapp.safety.paths import STRIDE, SampledPath, sample_path
+from cellapp.safety.visibility import sight_conditions, sight_of
 
-_BEAM_RADIUS = 0.02
+BEAM_RADIUS = 0.02
 """Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""
 _SELF_CLEARANCE = 0.01
 """Clearance of an arm from itself [m]; smaller than from others, as its shape is known better than its base."""
-_ACCEPTANCE_MARGIN = math.radians(3.0)
-"""Subtracted from the SMR's acceptance angle: base and flange are not known exactly before calibration."""
+_OWN_BASE_CLEARANCE = 0.02
+"""Clearance of an arm from what is fixed to its own base [m]; smaller than from others: the pose of the base, known to
+centimetres before calibration, does not matter. It allows for a place that was measured with a tape."""
 _STEPS = (0.02, 0.04)
 """Smallest and largest spacing of samples on a path [m]; between them it is half the clearance."""
-_EVERY = 2
-"""Stride of the samples that are checked against other arms, where all pairs of samples are compared. Floor and self
-checks use all samples. The coarser spacing is added to the clearance."""
-_STRIDE = 8
-"""Stride of the samples that are looked at first, a multiple of 2 * ``_EVERY``."""
-_PAIRS_AT_ONCE = 20_000
-"""Pairs of capsules per batch: some MB of memory, and an early end at the first collision."""
 _ROUNDING_RAD = 1e-9
 """Joint positions may exceed a limit by rounding."""
 
@@ -70,9 +68,11 @@ class CellBodies:
         Name -> ArmBodies.
     field : TrackerField or None
     clearance : float
-        Least distance between arms, and of arms from floor and ceiling [m].
+        Least distance between arms, and of arms from floor, ceiling and obstacles [m].
     floor, ceiling : float
         Heights of floor and ceiling in the cell frame C [m]; the ceiling may be infinite.
+    obstacles : tuple of Obstacle
+        What stands in the cell, poses in the cell frame C. Those mounted on a flange are with its arm.
     """
 
     arms: Mapping[str, ArmBodies]
@@ -80,6 +80,36 @@ class CellBodies:
     clearance: float
     floor: float
     ceiling: float = math.inf
+    obstacles: tuple[Obstacle, ...] = ()
+
+    @property
+    def self_clearance(self) -> float:
+        """Least distance of an arm from itself [m]."""
+        return min(self.clearance, _SELF_CLEARANCE)
+
+    @cached_property
+    def obstacle_clearances(self) -> Mapping[ArmBodies, Array]:
+        """Least distance that each body of an arm keeps from each obstacle, (k, m) [m]; -inf where they may touch.
+
+        Base bodies stand on something by design. The first link, which only turns about the base's axis, is compared
+        with those obstacles only that keep the clearance from the base bodies.
+        """
+        return {arm: self._clearances_of(name, arm) for name, arm in self.arms.items()}
+
+    def _clearances_of(self, name: str, arm: ArmBodies) -> Array:
+        asked = np.full((len(self.obstacles), len(arm.radius)), self.clearance)
+        bodies = place(arm, np.zeros((1, arm.geometry.joints)))
+        base = np.flatnonzero(arm.frames == 0)
+        origin = arm.geometry.T_M_B()[:3, 3]
+        start, end = (np.vstack([ends[0, base], origin]) for ends in (bodies.start, bodies.end))
+        radius = np.append(arm.radius[base], 0.0)
+        for row, obstacle in zip(asked, self.obstacles, strict=True):
+            if obstacle.base_of == name:
+                row[:] = min(self.clearance, _OWN_BASE_CLEARANCE)
+            row[base] = -np.inf
+            if not obstacle.gaps(start, end, radius, self.clearance).min() >= self.clearance:
+                row[arm.frames == 1] = -np.inf
+        return asked
 
 
 Gate = Callable[[CellBodies, Mapping[str, Array], Mapping[str, Array]], str]
@@ -95,8 +125,8 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
     """Reason why the arms must not move from ``q_from`` to ``q_to`` (arm -> (N,) [rad]); empty if they may.
 
     Requires finite numbers, a target inside the joint limits, and on the whole path the clearance of every arm from
-    floor, ceiling, the other arms and itself. The path is sampled; the farthest that any point of a body can be from
-    its nearest sample is added to the clearance, so that sampling never hides a collision.
+    floor, ceiling, obstacles, the other arms and itself. The path is sampled; the farthest that any point of a body can
+    be from its nearest sample is added to the clearance, so that sampling never hides a collision.
     """
     unknown = [name for name in (*q_from, *q_to) if name not in cell.arms]
     if unknown:
@@ -104,57 +134,112 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
     missing = [name for name in cell.arms if name not in q_from or name not in q_to]
     if missing:
         return f"arm {missing[0]}: its position or target is not given"
-    paths: dict[str, _Path] = {}
+    paths: dict[str, SampledPath] = {}
     for name, arm in cell.arms.items():
         start, target = np.asarray(q_from[name], dtype=np.float64), np.asarray(q_to[name], dtype=np.float64)
         refusal = _refuse_values(arm, start, target)
         if not refusal:
-            paths[name] = _sample_path(arm, start, target, min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1]))
+            paths[name] = sample_path(arm, start, target, sample_spacing(cell))
             refusal = _refuse_alone(cell, paths[name])
         if refusal:
             return f"arm {name}: {refusal}"
     for first, second in combinations(paths, 2):
-        if not _keep_apart(paths[first], paths[second], cell.clearance):
-            return f"arms {first} and {second}: come nearer than {cell.clearance * 1e3:.0f} mm"
+        gap, allowance = gap_on_paths(paths[first], paths[second], cell.clearance)
+        if not gap >= cell.clearance + allowance:
+            return f"arms {first} and {second}: {_too_near('come', gap, allowance, cell.clearance, 'each other')}"
     return ""
 
 
+def sample_spacing(cell: CellBodies) -> float:
+    """Farthest that a point of a body moves between samples of two arms' paths [m].
+
+    What samples may hide of the distance of two arms is at most this, of other distances at most a quarter of it: a
+    stop that keeps so much more than the clearance can be reached.
+    """
+    return min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1])
+
+
+def with_margin_for_ways(cell: CellBodies, *, between_arms: bool = False) -> CellBodies:
+    """The cell with so much more clearance that the gate accepts ways to stops that keep it: alone, or of two arms."""
+    return replace(cell, clearance=cell.clearance + (1.0 if between_arms else 0.25) * sample_spacing(cell))
+
+
 def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
-    """Whether an arm is clear of floor, ceiling and itself, without regard to other arms, shape (n,) bool."""
-    heights = np.minimum(floor_clearance(placed, cell.floor), ceiling_clearance(placed, cell.ceiling))
-    return np.asarray((heights > cell.clearance) & (self_clearance(placed) > _SELF_CLEARANCE))
+    """Whether an arm is clear of floor, ceiling, obstacles and itself, without regard to other arms, (n,) bool."""
+    clear = np.minimum(floor_clearance(placed, cell.floor), ceiling_clearance(placed, cell.ceiling)) >= cell.clearance
+    clear &= self_clearance(placed) >= cell.self_clearance
+    for obstacle, asked in zip(cell.obstacles, cell.obstacle_clearances[placed.arm], strict=True):
+        rows, bodies = np.flatnonzero(clear), asked > -np.inf
+        if not (len(rows) and bodies.any()):
+            continue
+        start, end = (ends[np.ix_(rows, bodies)] for ends in (placed.start, placed.end))
+        gaps = obstacle.gaps(start, end, placed.radius[bodies], asked[bodies])
+        clear[rows] = np.all(gaps >= asked[bodies], axis=1)
+    return np.asarray(clear)
+
+
+def clear_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
+    """Whether ``refuse_stop`` is empty for each of n stops of all arms, arm -> (n, N) [rad], shape (n,) bool.
+
+    Raises
+    ------
+    ValueError
+        If the arms are not those of the cell.
+    """
+    if set(q) != set(cell.arms):
+        raise ValueError(f"positions of {', '.join(q)} for the arms {', '.join(cell.arms)}")
+    clear = np.ones(len(next(iter(q.values()))), dtype=bool)
+    placed = {}
+    for name, arm in cell.arms.items():
+        low, high = arm.limits.T
+        clear &= np.all((q[name] >= low - _ROUNDING_RAD) & (q[name] <= high + _ROUNDING_RAD), axis=1)  # not for NaN
+        placed[name] = place(arm, q[name])
+        clear &= clear_alone(cell, placed[name]) & (arm.links > 0)
+    for first, second in combinations(placed, 2):
+        rows = np.flatnonzero(clear)
+        gap = gap_at_rest(placed[first].take(rows), placed[second].take(rows), cell.clearance)
+        clear[rows] = gap >= cell.clearance
+    return clear
 
 
 def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] | None = None) -> np.ndarray:
     """Whether the tracker can see the SMR of an arm at ``q`` (n, N) [rad], shape (n,) bool.
 
-    The SMR must be in the tracker's field of view, the beam within the SMR's acceptance angle, and no body of the arm
-    or of ``others`` (arm -> (n, N) [rad]) in the beam. Without a tracker nothing is visible.
+    The SMR must be in the tracker's field of view, the beam within the SMR's acceptance angle, and no obstacle and no
+    body of the arm or of ``others`` (arm -> (n, N) [rad]) in the beam. Without a tracker nothing is visible.
     """
     if cell.field is None:
         return np.zeros(len(q), dtype=bool)
-    arm = cell.arms[name]
-    bodies = place(arm, q)
-    T_C_M = cell.field.T_C_M
-    in_M = (bodies.smr - T_C_M[:3, 3]) @ T_C_M[:3, :3]
-    distance = np.linalg.norm(in_M, axis=1)
-    azimuth = np.arctan2(in_M[:, 1], in_M[:, 0])
-    elevation = np.arcsin(np.clip(in_M[:, 2] / distance, -1.0, 1.0))
-    seen = np.ones(len(q), dtype=bool)
-    for value, (low, high) in ((elevation, cell.field.elevation), (distance, cell.field.distance)):
-        seen &= (value >= low) & (value <= high)
-    left, right = cell.field.azimuth
-    seen &= np.mod(azimuth - left, 2.0 * math.pi) <= right - left
-    back = (T_C_M[:3, 3] - bodies.smr) / distance[:, None]
-    cosine = np.einsum("na,na->n", back, bodies.normal)
-    seen &= cosine > math.cos(max(0.0, arm.acceptance - _ACCEPTANCE_MARGIN))
+    bodies = place(cell.arms[name], q)
+    tracker = cell.field.T_C_M[:3, 3]
+    seen = _in_view(cell.field, bodies)
     rows = np.flatnonzero(seen)
     if len(rows):
-        seen[rows] &= beam_clearance(T_C_M[:3, 3], bodies.smr[rows], bodies.take(rows), own=True) > _BEAM_RADIUS
+        bodies = bodies.take(rows)
+        free = beam_clearance(tracker, bodies.smr, bodies, own=True) > BEAM_RADIUS
+        free &= ~mounted_hides(tracker, bodies, BEAM_RADIUS)
+        free &= beam_gaps(cell.obstacles, tracker, bodies.smr, BEAM_RADIUS) > BEAM_RADIUS
         for other, other_q in (others or {}).items():
             other_bodies = place(cell.arms[other], other_q[rows])
-            seen[rows] &= beam_clearance(T_C_M[:3, 3], bodies.smr[rows], other_bodies, own=False) > _BEAM_RADIUS
+            free &= beam_clearance(tracker, bodies.smr, other_bodies, own=False) > BEAM_RADIUS
+        seen[rows] = free
     return seen
+
+
+def visible_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
+    """Whether the tracker sees the SMRs of all arms at each of n stops, arm -> (n, N) [rad], shape (n,) bool."""
+    seen = np.ones(len(next(iter(q.values()))), dtype=bool)
+    for name in q:
+        rows = np.flatnonzero(seen)
+        others = {other: value[rows] for other, value in q.items() if other != name}
+        seen[rows] = visible(cell, name, q[name][rows], others)
+    return seen
+
+
+def _in_view(field: TrackerField, bodies: Placed) -> np.ndarray:
+    """Whether SMRs are in the field of view and the beam within their acceptance angle, shape (n,) bool."""
+    conditions = sight_conditions(field, bodies.arm.acceptance, sight_of(field.T_C_M, bodies))
+    return np.asarray(np.logical_and.reduce([holds for _, holds in conditions]))
 
 
 def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
@@ -168,58 +253,9 @@ def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
     return np.asarray((smr_positions(cell.arms[name].geometry, q) - T_C_M[:3, 3]) @ T_C_M[:3, :3])
 
 
-@dataclass(frozen=True, eq=False)
-class _Path:
-    """Evenly spaced samples of one arm's path; no point of a body is farther than ``deviation`` [m] from its nearest.
-
-    Most of a path is far from everything. Every ``_STRIDE``-th sample is looked at first; the samples around it are
-    placed only where a body, displaced as far as it can be there, could come too near.
-    """
-
-    arm: ArmBodies
-    start: Array
-    target: Array
-    count: int
-    deviation: float
-
-    def placed(self, samples: np.ndarray) -> Placed:
-        """The bodies at some of the samples."""
-        share = np.linspace(0.0, 1.0, self.count)[samples]
-        return place(self.arm, self.start + share[:, None] * (self.target - self.start))
-
-    @property
-    def spread(self) -> float:
-        """Farthest that a point of a body at any sample is from where it is at the nearest coarse sample [m]."""
-        return _STRIDE * self.deviation
-
-    @cached_property
-    def coarse(self) -> np.ndarray:
-        """Every ``_STRIDE``-th sample and the last one."""
-        return np.append(np.arange(0, self.count - 1, _STRIDE), self.count - 1)
-
-    @cached_property
-    def coarse_bodies(self) -> Placed:
-        """The bodies at the coarse samples."""
-        return self.placed(self.coarse)
-
-    def around(self, doubtful: np.ndarray, every: int = 1) -> np.ndarray:
-        """Of every ``every``-th sample, those nearest to the ``doubtful`` ones (bool) of the coarse samples."""
-        near = self.coarse[doubtful][:, None] + np.arange(-(_STRIDE // 2), _STRIDE // 2 + 1)
-        chosen = np.zeros(self.count, dtype=bool)
-        chosen[np.clip(near, 0, self.count - 1)] = True
-        return np.flatnonzero(chosen[::every]) * every
-
-
-def _sample_path(arm: ArmBodies, start: Array, target: Array, spacing: float) -> _Path:
-    """Sample a path so that no point of a body moves more than ``spacing`` [m] in ``_EVERY`` steps."""
-    longest = float(np.abs(target - start) @ arm.levers)
-    count = _EVERY * max(1, math.ceil(longest / spacing)) + 1
-    return _Path(arm, start, target, count, 0.5 * longest / (count - 1))
-
-
 def _refuse_values(arm: ArmBodies, start: Array, target: Array) -> str:
     """Reason why an arm must not move between two joint vectors; only the target must be inside the limits."""
-    if len(arm.radius) == 0:
+    if arm.links == 0:
         return "has no bodies, so that collisions cannot be checked; add capsules to its type"
     joints = arm.geometry.joints
     for q in (start, target):
@@ -235,88 +271,92 @@ def _refuse_values(arm: ArmBodies, start: Array, target: Array) -> str:
     return f"joint {j + 1} at {math.degrees(target[j]):.1f} deg is outside its limits {low:.1f} to {high:.1f} deg"
 
 
-def _refuse_alone(cell: CellBodies, path: _Path) -> str:
+def _refuse_alone(cell: CellBodies, path: SampledPath) -> str:
     """Reason why one arm must not follow its path, without regard to other arms; empty if it may.
 
     The comparisons are negated so that a NaN refuses.
     """
+    return _refuse_heights(cell, path) or _refuse_obstacles(cell, path) or _refuse_itself(cell, path)
+
+
+def _refuse_heights(cell: CellBodies, path: SampledPath) -> str:
     needed = cell.clearance + path.deviation
     bodies = path.coarse_bodies
     heights = np.minimum(floor_clearance(bodies, cell.floor), ceiling_clearance(bodies, cell.ceiling))
     doubtful = ~(heights >= needed + path.spread)
     if doubtful.any():
         bodies = path.placed(path.around(doubtful))
-        if not floor_clearance(bodies, cell.floor).min() >= needed:
-            return f"comes nearer to the floor than {cell.clearance * 1e3:.0f} mm"
-        if not ceiling_clearance(bodies, cell.ceiling).min() >= needed:
-            return f"comes nearer to the ceiling than {cell.clearance * 1e3:.0f} mm"
-    if not _clear_of_itself(path, max(min(cell.clearance, _SELF_CLEARANCE), path.deviation)):
-        return "comes too near to itself"
+        for gaps, what in (
+            (floor_clearance(bodies, cell.floor), "the floor"),
+            (ceiling_clearance(bodies, cell.ceiling), "the ceiling"),
+        ):
+            if not gaps.min() >= needed:
+                return _too_near("comes", float(gaps.min()), path.deviation, cell.clearance, what)
     return ""
 
 
-def _clear_of_itself(path: _Path, needed: float) -> bool:
-    """Whether an arm keeps ``needed`` [m] from itself at all samples of its path."""
+def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
+    if not cell.obstacles:
+        return ""
+    bodies, clearances = path.coarse_bodies, cell.obstacle_clearances[path.arm]
+    low, high = box_about(bodies.start, bodies.end, bodies.radius)
+    spread = (STRIDE + 1) * path.deviations  # from any point of the path to the nearest coarse sample
+    doubtful, near = np.zeros(len(bodies.smr), dtype=bool), []
+    for obstacle, asked in zip(cell.obstacles, clearances, strict=True):
+        needed = asked + spread
+        if obstacle.far(low, high, float(needed.max())):
+            continue
+        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
+        rows = np.any(~(gaps >= needed), axis=1)
+        if rows.any():
+            doubtful |= rows
+            near.append((obstacle, asked))
+    if not near:
+        return ""
+    bodies = path.placed(path.around(doubtful))
+    for obstacle, asked in near:
+        needed = asked + path.deviations
+        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
+        if not (gaps >= needed).all():
+            k = int(np.argmin(np.min(gaps - needed, axis=0)))
+            gap, hidden = float(gaps[:, k].min()), float(path.deviations[k])
+            words = _too_near("comes", gap, hidden, float(asked[k]), f"obstacle '{obstacle.name}'")
+            return _carried(path.arm, k) + words
+    return ""
+
+
+def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:
     i, k = path.arm.own_pairs
     if len(i) == 0:
-        return True
+        return ""
+    needed = max(cell.self_clearance, path.deviation)
     # one body of a pair, as seen from the other, moves by the joints between them only
-    spread = path.arm.pair_levers @ np.abs(path.target - path.start) * (0.5 * _STRIDE / (path.count - 1))
+    spread = path.arm.pair_levers @ path.half_step * STRIDE
     doubtful = ~(pair_gaps(path.coarse_bodies, i, k) >= needed + spread)
     pairs = np.any(doubtful, axis=0)
     if not pairs.any():
-        return True
+        return ""
     bodies = path.placed(path.around(np.any(doubtful, axis=1)))
-    return bool(pair_gaps(bodies, i[pairs], k[pairs]).min() >= needed)
+    gaps = pair_gaps(bodies, i[pairs], k[pairs]).min(axis=0)
+    if gaps.min() >= needed:
+        return ""
+    worst = int(np.argmin(gaps))
+    carried = _carried(path.arm, max(int(i[pairs][worst]), int(k[pairs][worst])))
+    what = "the arm itself" if carried else "itself"
+    return carried + _too_near("comes", float(gaps[worst]), path.deviation, cell.self_clearance, what)
 
 
-def _keep_apart(first: _Path, second: _Path, clearance: float) -> bool:
-    """Whether two arms keep ``clearance`` [m] at any relative speed on their paths."""
-    needed = clearance + _EVERY * (first.deviation + second.deviation)
-    rows_first, rows_second = _within_reach(
-        first.coarse_bodies, second.coarse_bodies, needed + first.spread + second.spread
-    )
-    if not (rows_first.any() and rows_second.any()):
-        return True
-    return _keeps_clearance(
-        first.placed(first.around(np.any(rows_first, axis=1), _EVERY)),
-        second.placed(second.around(np.any(rows_second, axis=1), _EVERY)),
-        needed,
-    )
+def _carried(arm: ArmBodies, body: int) -> str:
+    """The mounted obstacle that a body covers, as the subject of a refusal; empty for the arm's own bodies."""
+    return "" if body < arm.links else f"its '{arm.covered[body - arm.links]}' "
 
 
-def _within_reach(first: Placed, second: Placed, clearance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Bodies of each arm that reach past the other's nearest one, (n, m) bool each: only these can meet it.
-
-    The extent is along the line between the bases. A NaN counts as within reach.
-    """
-    along = second.start[0, 0] - first.start[0, 0]
-    along = along / max(float(np.linalg.norm(along)), 1e-12)
-    reach_first = np.maximum(first.start @ along, first.end @ along) + first.radius
-    reach_second = np.minimum(second.start @ along, second.end @ along) - second.radius
-    return (
-        ~(reach_first <= reach_second.min() - clearance),
-        ~(reach_second >= reach_first.max() + clearance),
-    )
-
-
-def _keeps_clearance(first: Placed, second: Placed, clearance: float) -> bool:
-    """Whether all samples of one arm keep the clearance [m] from all samples of the other."""
-    near_first, near_second = _within_reach(first, second, clearance)
-    i, a = np.nonzero(near_first)
-    k, b = np.nonzero(near_second)
-    if len(i) == 0 or len(k) == 0:
-        return True
-    first_radius, second_radius = first.radius[a], second.radius[b]
-    block = max(1, _PAIRS_AT_ONCE // len(k))
-    for start in range(0, len(i), block):
-        rows, bodies = i[start : start + block], a[start : start + block]
-        gap = segment_distance(
-            first.start[rows, bodies][:, None],
-            first.end[rows, bodies][:, None],
-            second.start[k, b],
-            second.end[k, b],
-        )
-        if not (gap - first_radius[start : start + block, None] - second_radius).min() >= clearance:  # also for NaN
-            return False
-    return True
+def _too_near(verb: str, gap: float, allowance: float, asked: float, what: str) -> str:
+    """By how much a clearance is missed [m]; ``gap`` was found at a sample, ``allowance`` is what samples may hide."""
+    if math.isnan(gap):
+        return f"the distance from {what} is not a number"
+    if gap < 0.0:
+        return f"{'collide with' if verb == 'come' else 'collides with'} {what}"
+    if gap >= asked:
+        verb, gap = f"may {verb.removesuffix('s')}", max(gap - allowance, 0.0)
+    return f"{verb} within {math.floor(gap * 1e3)} mm of {what}, {asked * 1e3:.0f} mm asked"

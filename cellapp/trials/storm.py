@@ -18,6 +18,8 @@ import numpy as np
 from cellapp.collection.collect import collect_run
 from cellapp.errors import InputError
 from cellapp.pipeline import new_planned_run
+from cellapp.planning.planned_stops import PlannedStops
+from cellapp.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import MissingReading, Record, Result
@@ -124,7 +126,7 @@ def storm_trial(
     with _folder(keep) as parent:
         folder = parent / "run"
         with new_planned_run(profile, folder, listener, cancel) as run:
-            plan = run.read_plan()
+            plan = read_planned_stops(run)
         listener(Progress("undisturbed run", 0, 1))
         quiet = _undisturbed(profile, plan, parent / "undisturbed")
         listener(Progress("undisturbed run", 1, 1))
@@ -151,9 +153,13 @@ def _folder(keep: Path | None) -> Iterator[Path]:
     yield keep.absolute()
 
 
-def _undisturbed(profile: Profile, plan: Mapping[str, np.ndarray], folder: Path) -> Path:
+def _undisturbed(profile: Profile, plan: PlannedStops, folder: Path) -> Path:
     """Collect the same plan in the same cell without a fault, in this process."""
-    with RunFile.create(folder, undisturbed_profile(profile), lambda run: run.write_plan(plan)) as run:
+
+    def fill(run: RunFile) -> None:
+        write_planned_stops(run, plan)
+
+    with RunFile.create(folder, undisturbed_profile(profile), fill) as run:
         collect_run(run)
     return folder
 

@@ -115,7 +115,7 @@ def test_a_way_that_the_gate_refuses_is_noted_and_nothing_moves(
     under[1] = 0.9
     mad = dataclasses.replace(commands[0], q_compensated=under)
     found = push(run.profile, model, (mad, commands[1]), verify=True)
-    assert "refused to move: arm left: comes nearer to the floor" in found.targets[0].note
+    assert "refused to move: arm left: collides with the floor" in found.targets[0].note
     assert found.targets[0].compensated_mm is None
     assert found.targets[1].compensated_mm is not None
     assert clearance_of(cells[0]).floor_m > 0.0

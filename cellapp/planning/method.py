@@ -1,0 +1,79 @@
+"""The stops of a plan by the method that the profile names, alone or around stops that are kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from cellapp.errors import InputError
+from cellapp.planning.plan import further_stops
+from cellapp.planning.planned_stops import PlannedStops, joined, straight_stops
+from cellapp.planning.stored_stops import write_planned_stops
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, ignore
+from cellapp.results import PlanDesignResult
+from cellapp.run import RunFile
+from cellapp.safety.cell_bodies import home_positions
+
+
+def plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlannedStops:
+    """Plan the stops of a run and store them with what is known of their design.
+
+    Raises
+    ------
+    InputError
+        If not enough stops can be reached.
+    Cancelled
+    """
+    stops, design = make_stops(run.profile, listener, cancel)
+    write_planned_stops(run, stops, design=design)
+    return stops
+
+
+def make_stops(
+    profile: Profile,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    kept: PlannedStops | None = None,
+    measured: int = 0,
+    add: int | None = None,
+) -> tuple[PlannedStops, PlanDesignResult | None]:
+    """Stops by ``plan.method``, and what is known of their design; None for random ones.
+
+    Parameters
+    ----------
+    profile : Profile
+    listener, cancel
+        Progress and cancelling.
+    kept : PlannedStops, optional
+        Stops that are in the plan already; the first ``measured`` of them stay in their places, at its beginning.
+    measured : int
+    add : int, optional
+        Number of further stops; None: up to those that the profile asks for, reserves included.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to add, or not enough stops can be reached.
+    Cancelled
+    """
+    wanted = profile.plan.stops + profile.plan.reserve
+    if kept is not None and add is None and len(kept) >= wanted:
+        raise InputError(
+            f"plan: {len(kept)} stops are kept, and plan.stops and plan.reserve ask for {wanted}: nothing is left to"
+            " design; ask for more stops, or keep fewer"
+        )
+    return _random(profile, listener, cancel, kept, add), None
+
+
+def _random(
+    profile: Profile, listener: Listener, cancel: CancelToken | None, kept: PlannedStops | None, add: int | None
+) -> PlannedStops:
+    """Random stops with straight ways, after those that are kept."""
+    before = 0 if kept is None else len(kept)
+    count = profile.plan.stops + profile.plan.reserve - before if add is None else add
+    if kept is None or not before:
+        return straight_stops(further_stops(profile, home_positions(profile), count, (), listener, cancel))
+    here = kept.targets(before - 1)
+    further = straight_stops(further_stops(profile, here, count, (before,), listener, cancel))
+    return joined(kept, replace(further, block=further.block + kept.block.max() + 1))

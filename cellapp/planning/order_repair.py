@@ -1,0 +1,148 @@
+"""Another order of the stops where the gate refuses a straight way: parts are reversed, shifted or exchanged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.kinematics.transforms import Array
+from cellapp.planning.arrangement import Arrangement
+from cellapp.planning.planned_stops import Configuration
+from cellapp.planning.stop_set import StopSet
+from cellapp.planning.tour import Move
+from cellapp.progress import CancelToken
+from cellapp.safety.gate import refuse_motion
+
+_DETOUR_STEPS = 1.0
+"""What a detour costs, in usual steps: another order that costs more is not taken."""
+_MOST_TRIED = 12
+"""Other orders that are asked of the gate for one refused way: about one in two is free."""
+_ROUNDS = 2
+"""Passes over all ways: a repair may make another one possible."""
+
+_START, _END = -1, -2
+"""Stand for the numbers of the configurations before the first stop and after the last."""
+
+
+def mend_order(
+    stops: StopSet,
+    arrangement: Arrangement,
+    start: Configuration | None,
+    end: Configuration | None,
+    cancel: CancelToken,
+) -> Arrangement:
+    """The same pairs of stops in an order of which the gate refuses few straight ways, or none.
+
+    Stops stay in their blocks. ``start`` and ``end`` are where the arms are before and after (None: anywhere).
+    """
+    ways = _Ways(stops, start, end)
+    limit = _DETOUR_STEPS * stops.usual_step_s
+    for _ in range(_ROUNDS):
+        refused = 0
+        for place in range(arrangement.rows.shape[1] + 1):
+            cancel.check()
+            if ways.is_free(arrangement, place):
+                continue
+            refused += 1
+            better = _better(ways, arrangement, place, limit)
+            arrangement = arrangement if better is None else better
+        if not refused:
+            break
+    return arrangement
+
+
+def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangement | None:
+    """Another order in which all ways that are new are free; None if none is found that costs less than ``limit``."""
+    costs: list[tuple[float, int, Move]] = []
+    for move in _moves(now.block, place):
+        added = ways.added_s(now, move)
+        costs += [(float(added[k]), k, move) for k in np.argsort(added, kind="stable")[:_MOST_TRIED].tolist()]
+    costs.sort(key=lambda one: one[:2])
+    positions = np.arange(1, now.rows.shape[1] + 1)
+    for added_s, k, move in costs[:_MOST_TRIED]:
+        if added_s > limit:
+            break
+        chosen = Move(move.kind, move.low[k : k + 1], move.high[k : k + 1], _shift(move, k))
+        after = now.taken(chosen.source(positions) - 1)
+        changed = {int(step[0][0]) - 1 for step in chosen.steps()} - {-1}
+        if all(ways.is_free(after, one) for one in changed):
+            return after
+    return None
+
+
+def _shift(move: Move, k: int) -> NDArray[np.intp] | int:
+    return move.shift if isinstance(move.shift, int) else move.shift[k : k + 1]
+
+
+def _moves(block: NDArray[np.intp], place: int) -> Iterator[Move]:
+    """Moves inside a block that change the way to the stop at ``place``; positions count from 1."""
+    n = len(block)
+    if place < n:
+        last = int(np.searchsorted(block, block[place], side="right"))
+        here = place + 1
+        later = np.arange(here + 1, last + 1)
+        first = np.arange(int(np.searchsorted(block, block[place])) + 1, here)
+        yield from _of_part(np.full_like(later, here), later)
+        yield Move("exchange", first, np.full_like(first, here))
+    if place > 0:
+        first = np.arange(int(np.searchsorted(block, block[place - 1])) + 1, place)
+        later = np.arange(place + 1, int(np.searchsorted(block, block[place - 1], side="right")) + 1)
+        yield from _of_part(first, np.full_like(first, place))
+        yield Move("exchange", np.full_like(later, place), later)
+
+
+def _of_part(low: NDArray[np.intp], high: NDArray[np.intp]) -> Iterator[Move]:
+    yield Move("reverse", low, high)
+    yield Move("exchange", low, high)
+    yield Move("shift", low, high, np.ones_like(low))
+    yield Move("shift", low, high, high - low)
+
+
+class _Ways:
+    """The straight ways between stops: their time, and the gate's answers, asked once each."""
+
+    def __init__(self, stops: StopSet, start: Configuration | None, end: Configuration | None) -> None:
+        self._stops, self._start, self._end = stops, start, end
+        self._answers: dict[tuple[tuple[int, ...], tuple[int, ...]], bool] = {}
+
+    def is_free(self, arrangement: Arrangement, place: int) -> bool:
+        """Whether the gate accepts the straight way to the stop at ``place`` (n: to the end)."""
+        here, there = self._key(arrangement, place - 1), self._key(arrangement, place)
+        q_here, q_there = self._at(here), self._at(there)
+        if q_here is None or q_there is None:
+            return True
+        if (here, there) not in self._answers:
+            self._answers[here, there] = not refuse_motion(self._stops.cell, q_here, q_there)
+        return self._answers[here, there]
+
+    def added_s(self, now: Arrangement, move: Move) -> Array:
+        """Time that each of the moves adds (n,) [s]."""
+        padded = [self._padded(now, arm) for arm in range(len(now.rows))]
+        added: Array = np.zeros(len(move.low))
+        for position, before, here in move.steps():
+            added += self._time_s(padded, before, here) - self._time_s(padded, position - 1, position)
+        return added
+
+    def _time_s(self, padded: list[Array], before: NDArray[np.intp], here: NDArray[np.intp]) -> Array:
+        seconds = self._stops.way_s([q[here] - q[before] for q in padded])
+        return np.asarray(np.where(np.isfinite(seconds) & (here > 0), seconds, 0.0))
+
+    def _padded(self, now: Arrangement, arm: int) -> Array:
+        """Positions of an arm from start to end, NaN where these are not given."""
+        name = self._stops.names[arm]
+        q = self._stops.q[name][now.rows[arm]]
+        nowhere = np.full(q.shape[1], np.nan)
+        ends = [nowhere if one is None else one[name] for one in (self._start, self._end)]
+        return np.concatenate([ends[0][None], q, ends[1][None]])
+
+    def _key(self, arrangement: Arrangement, place: int) -> tuple[int, ...]:
+        if place < 0:
+            return (_START,)
+        return tuple(arrangement.rows[:, place].tolist()) if place < arrangement.rows.shape[1] else (_END,)
+
+    def _at(self, key: tuple[int, ...]) -> Configuration | None:
+        if key[0] < 0:
+            return self._start if key[0] == _START else self._end
+        return self._stops.at(key)

@@ -1,0 +1,178 @@
+"""From the chosen stops of each arm to a plan: pairs, order, factors and ways, each motion accepted by the gate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.errors import InputError
+from cellapp.kinematics.transforms import Array
+from cellapp.planning.arrangement import arrange, block_count
+from cellapp.planning.factors import FactorPlan
+from cellapp.planning.joint_draws import joint_ranges
+from cellapp.planning.legs import LegPlanner, can_end
+from cellapp.planning.order_repair import mend_order
+from cellapp.planning.planned_stops import Configuration, PlannedStops, joined
+from cellapp.planning.stop_set import StopSet
+from cellapp.planning.ways import WayFinder
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.safety.cell_bodies import home_positions
+from cellapp.safety.gate import CellBodies, refuse_motion
+
+_JOB = "order"
+_LARGEST_REPEATED_SHARE = 4
+"""At most every fourth stop is a repeat."""
+_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Sequenced:
+    """A plan, and one sentence on each chosen configuration or stop that was given up, with the reason."""
+
+    stops: PlannedStops
+    given_up: tuple[str, ...]
+
+
+def distinct_stops(profile: Profile, stops: int) -> int:
+    """Number of different stops of a plan of some stops; the others are repeats."""
+    return stops - min(profile.plan.repeats, stops // _LARGEST_REPEATED_SHARE)
+
+
+def sequence_stops(
+    profile: Profile,
+    cell: CellBodies,
+    chosen: Mapping[str, Array],
+    rng: np.random.Generator,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    after: Mapping[str, Array] | None = None,
+) -> PlannedStops:
+    """The plan of ``sequenced`` alone."""
+    return sequenced(profile, cell, chosen, rng, listener, cancel, after).stops
+
+
+def sequenced(
+    profile: Profile,
+    cell: CellBodies,
+    chosen: Mapping[str, Array],
+    rng: np.random.Generator,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    after: Mapping[str, Array] | None = None,
+) -> Sequenced:
+    """Pair the chosen stops of all arms, order them, plan their factors and ways.
+
+    ``plan.stops`` and ``plan.reserve`` stops are planned, reserves last, or fewer if fewer are chosen; further ones
+    stand in for those that no motion reaches, and ``plan.repeats`` stops are visited twice in place of others.
+
+    Parameters
+    ----------
+    profile : Profile
+    cell : CellBodies
+    chosen : mapping
+        Arm -> joint positions (n, N) [rad], the most important first. A joint may be planned whole turns from there.
+    rng : numpy.random.Generator
+    listener, cancel
+        Progress and cancelling.
+    after : mapping, optional
+        Arm -> stops (k, N) that exist already: the way begins at the last one. As many stops are planned as are
+        chosen, without reserves.
+
+    Raises
+    ------
+    InputError
+        If no stop can be reached.
+    Cancelled
+    """
+    cancel = cancel or CancelToken()
+    homes = home_positions(profile)
+    home: Configuration | None = homes if set(homes) == set(cell.arms) else None
+    start = home if after is None or not len(next(iter(after.values()))) else {k: q[-1] for k, q in after.items()}
+    finder = WayFinder(profile, cell, rng)
+    given_up: list[str] = []
+    q = {name: _reached(profile, cell, name, rows, finder, given_up) for name, rows in chosen.items()}
+    n, usable = min(map(len, chosen.values())), min(map(len, q.values()))
+    if usable == 0:
+        raise InputError(f"plan: none of the chosen stops can be reached. {given_up[0] if given_up else ''}".strip())
+    reserve = 0 if after is not None else min(profile.plan.reserve, n - 1)
+    asked = (n if after is not None else min(n, profile.plan.stops + reserve)) - reserve
+    distinct = min(distinct_stops(profile, asked), usable)
+    reserve = min(reserve, usable - distinct)
+    job = _Job(profile, cell, home, finder, rng, listener, cancel, given_up)
+    repeats = min(asked - distinct, distinct // (_LARGEST_REPEATED_SHARE - 1))
+    first = job.part({name: rows[:distinct] for name, rows in q.items()}, repeats, start)
+    if reserve:
+        rest = {name: rows[distinct : distinct + reserve] for name, rows in q.items()}
+        second = job.part(rest, 0, first.targets(len(first) - 1))
+        both = joined(first, replace(second, block=second.block + first.block[-1] + 1))
+        first = replace(both, legs=(*first.legs, *second.legs))
+    listener(Progress(_JOB, len(first), len(first), "done"))
+    return Sequenced(first, tuple(given_up))
+
+
+def _reached(profile: Profile, cell: CellBodies, name: str, q: Array, finder: WayFinder, given_up: list[str]) -> Array:
+    """Configurations (m, N) that the arm alone can reach, in the turns in which they are planned."""
+    turned = nearest_turns(profile, cell, name, q)
+    reached = finder.roadmaps[name].reaches(turned)
+    if not reached.all():
+        alone, lost = replace(cell, arms={name: cell.arms[name]}), turned[np.argmin(reached)]
+        reason = refuse_motion(alone, {name: finder.roadmaps[name].rest}, {name: lost})
+        given_up.append(
+            f"arm {name}: {np.sum(~reached)} of {len(q)} chosen configurations cannot be reached from home, the first:"
+            f" {reason or 'within the allowance for sampled paths'}"
+        )
+    return turned[reached]
+
+
+def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Array:
+    """The same poses with each joint in the turn nearest to home, within the limits or ``plan.ranges``.
+
+    Many poses whose straight way from home is blocked by the arm itself, or by the floor, are free in another turn.
+    """
+    home = profile.arms[name].home
+    low, high = joint_ranges(cell, profile, name).T if profile.plan.ranges is not None else cell.arms[name].limits.T
+    centre = 0.5 * (low + high) if home is None else np.array(home)
+    near = centre + np.remainder(q - centre + 0.5 * _TURN, _TURN) - 0.5 * _TURN
+    near = np.where(near < low, near + _TURN, np.where(near > high, near - _TURN, near))
+    return np.asarray(np.where((near >= low) & (near <= high), near, q))
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """What the parts of a plan share."""
+
+    profile: Profile
+    cell: CellBodies
+    home: Configuration | None
+    finder: WayFinder
+    rng: np.random.Generator
+    listener: Listener
+    cancel: CancelToken
+    given_up: list[str]
+
+    def part(self, q: Mapping[str, Array], repeats: int, start: Configuration | None) -> PlannedStops:
+        """Plan stops that follow ``start``; after the last one the arms can go home."""
+        n = len(next(iter(q.values()))) + repeats
+
+        def report(done: int, words: str) -> None:
+            self.listener(Progress(_JOB, done, n, words))
+
+        report(0, "pairs and order")
+        stops = StopSet(self.profile, self.cell, q)
+        arrangement = arrange(stops, block_count(self.profile.plan.blocks, n), repeats, self.rng, self.cancel)
+        arrangement = mend_order(stops, arrangement, start, self.home, self.cancel)
+        at = stops.at(arrangement.rows)
+        factors = FactorPlan(self.profile, self.cell, at, arrangement.block, arrangement.repeat_of, self.rng)
+        legs = LegPlanner(self.cell, at, arrangement, factors, self.finder, start)
+        planned = legs.plan(report, self.cancel)
+        self.given_up.extend(legs.given_up)
+        while len(planned) and not can_end(self.cell, planned.targets(len(planned) - 1), self.home):
+            planned = planned.take(range(len(planned) - 1))
+            self.given_up.append("the last stop has no way home")
+        if not len(planned):
+            reason = legs.given_up[0] if legs.given_up else "the arms cannot go home from it"
+            raise InputError(f"plan: none of the chosen stops can be reached: {reason}")
+        return planned
