@@ -21,7 +21,10 @@ from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from tests.planning.planned_cells import refusals
 from tests.twin import PROFILES
 
-_HEAD = "profile       seed stops given up  random h  planned h  saved  largest r  of                        detours refused    s"
+_HEAD = (
+    "profile       seed stops given up  random h  planned h  saved  largest r  of                         detours"
+    " refused     s"
+)
 _MORE = 1.35
 
 
