@@ -33,6 +33,7 @@ from cellapp.discovery.result import discover_result, proposal_result
 from cellapp.errors import InputError
 from cellapp.exports.geometry import geometry_export
 from cellapp.model import CellModel
+from cellapp.plan_verbs import export_plan, plan_result
 from cellapp.planning.method import plan_run
 from cellapp.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.profile import Profile, load_profile
@@ -156,11 +157,7 @@ def plan_new_run(
 ) -> PlanResult:
     """Make a new run with its plan. Raises as ``new_planned_run`` does."""
     with new_planned_run(profile, folder, listener, cancel) as run:
-        plan = run.read_plan()
-        reserves = len(profile.plan.reserves(len(next(iter(plan.values())))))
-        return PlanResult(
-            run=str(folder), stops={name: len(q) - reserves for name, q in plan.items()}, reserves=reserves
-        )
+        return plan_result(run)
 
 
 def collect_stops(
@@ -215,16 +212,19 @@ def import_new_run(profile: Profile, csv: Path, folder: Path, *, in_order: bool 
         )
 
 
-def export_run(run: RunFile, csv: Path | None, geometry: Path | None) -> ExportResult:
-    """Write the readings as CSV, the identified arms for other programs, or both.
+def export_run(run: RunFile, csv: Path | None, geometry: Path | None, plan: Path | None = None) -> ExportResult:
+    """Write the readings or the plan as CSV, the identified arms for other programs, or several of these.
 
     Raises
     ------
     InputError
-        If neither is given, there is nothing to write, or a file cannot be written.
+        If none is given, there is nothing to write, or a file cannot be written.
     """
-    if csv is None and geometry is None:
-        raise InputError("export: say what to write: --csv FILE for the readings, --geometry FILE for the arms")
+    if csv is None and geometry is None and plan is None:
+        what = "--csv FILE for the readings, --plan FILE for the plan, --geometry FILE for the arms"
+        raise InputError(f"export: say what to write: {what}")
+    if plan is not None:
+        export_plan(run, plan)
     if csv is not None:
         write_readings_csv(run, csv)
     lost = None
@@ -238,6 +238,7 @@ def export_run(run: RunFile, csv: Path | None, geometry: Path | None) -> ExportR
     return ExportResult(
         csv=None if csv is None else str(csv),
         readings=None if csv is None else _counts(run),
+        plan=None if plan is None else str(plan),
         geometry=None if geometry is None else str(geometry),
         ur_lost_rms_mm=lost,
     )

@@ -30,14 +30,26 @@ SETTINGS = (
 
 
 @functools.cache
-def tree_of(path: Path) -> ast.Module:
-    """The syntax of a file, parsed once."""
-    return ast.parse(path.read_text("utf-8"))
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    """All nodes of a file's syntax, parsed once."""
+    return tuple(ast.walk(ast.parse(path.read_text("utf-8"))))
 
 
-def imported(path: Path) -> Iterator[str]:
+@pytest.fixture(scope="module", autouse=True)
+def _syntax_is_forgotten() -> Iterator[None]:
+    """Half a million nodes would slow every later collection of garbage."""
+    yield
+    nodes_of.cache_clear()
+
+
+@functools.cache
+def imported(path: Path) -> tuple[str, ...]:
     """Every module that a file imports, at its top or inside a function, in full dotted names."""
-    for node in ast.walk(tree_of(path)):
+    return tuple(_imports(path))
+
+
+def _imports(path: Path) -> Iterator[str]:
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -55,6 +67,13 @@ def name(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
+def modules_below(folder: str) -> list[Path]:
+    """The modules of a folder and all below; there are some."""
+    found = [path for path in MODULES if name(path).startswith(f"{folder}/")]
+    assert found
+    return found
+
+
 def test_the_modules_are_found() -> None:
     names = {name(path) for path in MODULES}
     assert {"cellapp/cli/app.py", "cellapp/kinematics/chain.py", "drivers/plant/plant.py"} <= names
@@ -62,25 +81,26 @@ def test_the_modules_are_found() -> None:
     assert "cellapp.pipeline" in imported(ROOT / "cellapp/cli/app.py"), "imports inside functions count"
 
 
-@pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("drivers/")], ids=name)
-def test_drivers_stand_alone(path: Path) -> None:
-    assert imports_of(path, "cellapp") == []
-    assert imports_of(path, "tests") == []
+def test_drivers_stand_alone() -> None:
+    for path in modules_below("drivers"):
+        assert imports_of(path, "cellapp") == [], name(path)
+        assert imports_of(path, "tests") == [], name(path)
 
 
-@pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("drivers/plant/")], ids=name)
-def test_the_plant_knows_no_driver_either(path: Path) -> None:
-    assert [found for found in imports_of(path, "drivers") if not found.startswith("drivers.plant")] == []
+def test_the_plant_knows_no_driver_either() -> None:
+    for path in modules_below("drivers/plant"):
+        found = imports_of(path, "drivers")
+        assert [module for module in found if not module.startswith("drivers.plant")] == [], name(path)
 
 
-@pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("cellapp/")], ids=name)
-def test_only_the_profile_imports_settings_and_only_some_packages_open_devices(path: Path) -> None:
-    package = path.relative_to(ROOT / "cellapp").parts[0]
-    if package in OPEN_DEVICES:
-        return
-    allowed = SETTINGS if package == "profile" else ()
-    found = imports_of(path, "drivers")
-    assert [name for name in found if not any(f"{name}.".startswith(f"{module}.") for module in allowed)] == []
+def test_only_the_profile_imports_settings_and_only_some_packages_open_devices() -> None:
+    for path in modules_below("cellapp"):
+        package = path.relative_to(ROOT / "cellapp").parts[0]
+        if package in OPEN_DEVICES:
+            continue
+        allowed = tuple(f"{module}." for module in SETTINGS) if package == "profile" else ()
+        found = imports_of(path, "drivers")
+        assert [module for module in found if not f"{module}.".startswith(allowed)] == [], name(path)
 
 
 def test_loading_the_profile_loads_no_driver() -> None:
@@ -94,11 +114,12 @@ def test_loading_the_profile_loads_no_driver() -> None:
 def test_generic_code_compares_no_kinds_of_devices() -> None:
     """A kind brings what generic code asks about it: ``needs_plant``, ``has_device`` and the like."""
     for path in (ROOT / "cellapp").rglob("*.py"):
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             parts = [node.left, *node.comparators] if isinstance(node, ast.Compare) else []
             parts = [node.subject] if isinstance(node, ast.Match) else parts
+            kinds = [part for part in parts if isinstance(part, ast.Attribute) and part.attr == "kind"]
             where = f"{name(path)}:{getattr(node, 'lineno', 0)}"
-            assert not any(ast.unparse(part).endswith("driver.kind") for part in parts), where
+            assert not any(ast.unparse(part).endswith("driver.kind") for part in kinds), where
 
 
 @pytest.mark.parametrize("package", PURE)
@@ -116,11 +137,11 @@ def test_mathematics_reads_and_writes_no_run(package: str) -> None:
             assert module not in imported(path), name(path)
 
 
-@pytest.mark.parametrize("path", [path for path in MODULES if name(path).startswith("cellapp/")], ids=name)
-def test_json_goes_through_the_typed_results(path: Path) -> None:
+def test_json_goes_through_the_typed_results() -> None:
     """Results are typed; no object of its own makes a dictionary for JSON."""
-    functions = [node.name for node in ast.walk(tree_of(path)) if isinstance(node, ast.FunctionDef)]
-    assert "as_dict" not in functions
+    for path in modules_below("cellapp"):
+        functions = [node.name for node in nodes_of(path) if isinstance(node, ast.FunctionDef)]
+        assert "as_dict" not in functions, name(path)
 
 
 def test_doors_are_used_by_nobody_inside() -> None:
@@ -131,24 +152,29 @@ def test_doors_are_used_by_nobody_inside() -> None:
                 assert imports_of(path, "cellapp.tui") == [], name(path)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name)
-def test_nothing_that_runs_foreign_code_or_hides_errors(path: Path) -> None:
-    for module in ("pickle", "cPickle", "dill", "shelve", "marshal", "joblib"):
-        assert imports_of(path, module) == []
-    for node in ast.walk(tree_of(path)):
-        where = f"{name(path)}:{getattr(node, 'lineno', 0)}"
-        if isinstance(node, ast.ExceptHandler):
-            assert node.type is not None, f"{where}: bare except"
-        if isinstance(node, ast.Call):
-            called = ast.unparse(node.func)
-            assert called not in ("eval", "exec", "os.system"), where
-            assert not called.endswith((".unsafe_load", ".full_load", ".load_all", ".unsafe_load_all")), where
-            if called in ("yaml.load", "yaml.compose", "yaml.parse"):
-                loaders = [argument for argument in (*node.args[1:], *(key.value for key in node.keywords))]
-                assert any(_is_safe(path, ast.unparse(loader)) for loader in loaders), f"{where}: no safe loader"
-            if called in ("np.load", "numpy.load", "torch.load"):
-                allowed = {key.arg: ast.unparse(key.value) for key in node.keywords}
-                assert allowed.get("allow_pickle") == "False" or allowed.get("weights_only") == "True", where
+def test_nothing_that_runs_foreign_code_or_hides_errors() -> None:
+    for path in MODULES:
+        for module in ("pickle", "cPickle", "dill", "shelve", "marshal", "joblib"):
+            assert imports_of(path, module) == [], name(path)
+        for node in nodes_of(path):
+            where = f"{name(path)}:{getattr(node, 'lineno', 0)}"
+            if isinstance(node, ast.ExceptHandler):
+                assert node.type is not None, f"{where}: bare except"
+            if isinstance(node, ast.Call):
+                assert_safe_call(path, node, where)
+
+
+def assert_safe_call(path: Path, node: ast.Call, where: str) -> None:
+    """Assert that a call runs no code of others: no ``eval``, and files are read by safe loaders only."""
+    called = ast.unparse(node.func)
+    assert called not in ("eval", "exec", "os.system"), where
+    assert not called.endswith((".unsafe_load", ".full_load", ".load_all", ".unsafe_load_all")), where
+    if called in ("yaml.load", "yaml.compose", "yaml.parse"):
+        loaders = [argument for argument in (*node.args[1:], *(key.value for key in node.keywords))]
+        assert any(_is_safe(path, ast.unparse(loader)) for loader in loaders), f"{where}: no safe loader"
+    if called in ("np.load", "numpy.load", "torch.load"):
+        allowed = {key.arg: ast.unparse(key.value) for key in node.keywords}
+        assert allowed.get("allow_pickle") == "False" or allowed.get("weights_only") == "True", where
 
 
 def _is_safe(path: Path, loader: str) -> bool:
@@ -156,14 +182,13 @@ def _is_safe(path: Path, loader: str) -> bool:
     safe = ("yaml.SafeLoader", "yaml.CSafeLoader")
     if loader in safe:
         return True
-    classes = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.ClassDef)]
+    classes = [node for node in nodes_of(path) if isinstance(node, ast.ClassDef)]
     return any(node.name == loader and [ast.unparse(base) for base in node.bases] in ([safe[0]], [safe[1]])
                for node in classes)  # fmt: skip
 
 
 def test_nothing_waits_by_sleeping_in_tests() -> None:
     for path in (ROOT / "tests").rglob("*.py"):
-        tree = tree_of(path)
-        assert "time.sleep" not in [ast.unparse(node) for node in ast.walk(tree) if isinstance(node, ast.Attribute)], (
-            path.name
-        )
+        tree = ast.parse(path.read_text("utf-8"))
+        sleeps = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == "sleep"]
+        assert "time.sleep" not in [ast.unparse(node) for node in sleeps], path.name

@@ -102,16 +102,52 @@ def doctor(
 
 
 @app.command()
-def plan(profile: ProfilePath, folder: NewRun, json_file: JsonOption = None) -> None:
-    """Plan the stops of a new run: visible to the tracker, safe to stand at and to reach."""
-    from cellapp.pipeline import plan_new_run
-    from cellapp.profile import load_profile
+def plan(
+    profile: Annotated[Path | None, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--run",
+            metavar="DIR",
+            help="Folder of the new run; with --add, --replan, --freeze that of the run to change.",
+        ),
+    ] = None,
+    source: Annotated[
+        Path | None, typer.Option("--from", metavar="FILE", help="Take the plan from FILE exactly as it is written.")
+    ] = None,
+    keep: Annotated[
+        Path | None,
+        typer.Option("--keep", metavar="FILE", help="Freeze the stops of FILE; design the rest around."),
+    ] = None,
+    check: Annotated[
+        Path | None,
+        typer.Option("--check", metavar="FILE", help="Only check the plan in FILE; exit code 1 if unsafe."),
+    ] = None,
+    add: Annotated[
+        int | None, typer.Option("--add", metavar="N", min=1, max=100_000, help="Append N stops to the plan of a run.")
+    ] = None,
+    replan: Annotated[
+        bool, typer.Option("--replan", help="Design the stops of a run that are not measured again.")
+    ] = False,
+    freeze: Annotated[
+        str | None,
+        typer.Option(
+            "--freeze", metavar="LIST", help="Configurations, as 0-9,12, that later designs of the run leave."
+        ),
+    ] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Only say what the tracker sees of each arm's workspace; nothing is stored.")
+    ] = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Plan the stops of a run: visible to the tracker, safe to stand at and to reach.
+
+    'cellapp export DIR --plan FILE' writes a plan as CSV, to be edited by hand.
+    """
+    from cellapp.cli.plan import PlanChoice, run_plan
 
     with Job(json_file) as job:
-        result = plan_new_run(load_profile(profile), folder, job.listen, job.control)
-        more = f" and {result.reserves} in reserve" if result.reserves else ""
-        job.say(*(f"arm {name}: {count} stops planned{more}" for name, count in result.stops.items()))
-        job.result(result)
+        run_plan(job, PlanChoice(profile, folder, source, keep, check, add, replan, freeze, view))
 
 
 @app.command()
@@ -182,23 +218,26 @@ def import_(
 def export(
     folder: RunFolder,
     csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Where to write the readings.")] = None,
+    plan: Annotated[Path | None, typer.Option("--plan", metavar="FILE", help="Where to write the plan.")] = None,
     geometry: Annotated[
         Path | None,
         typer.Option("--geometry", metavar="FILE", help="Where to write the identified arms as URDF and UR values."),
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Write the readings of a run as CSV, or the identified geometry for other programs.
+    """Write the readings or the plan of a run as CSV, or the identified geometry for other programs.
 
-    Importing the CSV again gives the same readings bit for bit.
+    Importing the readings again gives the same ones bit for bit, and so does planning from the plan.
     """
     from cellapp.pipeline import export_run
 
     with Job(json_file) as job, open_run(folder) as opened:
-        result = export_run(opened, csv, geometry)
+        result = export_run(opened, csv, geometry, plan)
         if result.csv is not None:
             counts = (result.readings or {}).items()
             job.say(*(f"arm {name}: {count} readings" for name, count in counts), f"written to {result.csv}")
+        if result.plan is not None:
+            job.say(f"plan written to {result.plan}")
         for name, rms_mm in (result.ur_lost_rms_mm or {}).items():
             job.say(f"arm {name}: UR's D-H deltas cannot hold the Hayati angles and lose {rms_mm:.3f} mm rms")
         if result.geometry is not None:

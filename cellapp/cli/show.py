@@ -81,11 +81,7 @@ def show(
             case Part.PLAN if forecast:
                 _forecast_plan(job, run)
             case Part.PLAN:
-                stops = overview.planned_stops(run)
-                job.show(run_tables.plan_tables(stops))
-                if not stops.stops:
-                    job.say("no stops are planned")
-                job.result(stops)
+                _show_plan(job, run)
             case Part.COLLECTION:
                 _show_collection(job, run)
             case Part.LOG:
@@ -118,6 +114,21 @@ def schema(
         if json_file is None:
             job.say(text)
         job.write_json(text)
+
+
+def _show_plan(job: Job, run: RunFile) -> None:
+    from cellapp.plan_verbs import stored_plan
+    from cellapp.reporting import run_tables
+    from cellapp.reporting.plan_design_text import design_sentences, design_tables
+
+    stops = stored_plan(run)
+    job.show(run_tables.plan_tables(stops))
+    if not stops.stops:
+        job.say("no stops are planned")
+    if stops.design is not None:
+        job.show(design_tables(stops.design))
+        job.say(*design_sentences(stops.design))
+    job.result(stops)
 
 
 def _check_plan(job: Job, run: RunFile) -> None:

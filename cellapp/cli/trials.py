@@ -224,6 +224,9 @@ def seal(
     flip_approach: Annotated[
         bool, typer.Option("--flip-approach", help="Backlash or friction, approach signs by the opposite convention.")
     ] = False,
+    plan: Annotated[
+        str, typer.Option("--plan", metavar="PLAN", help="How stops are chosen: random or designed.")
+    ] = "random",
     json_file: JsonOption = None,
 ) -> None:
     """Write runs of simulated cells whose hidden effects are stated in a sealed file only."""
@@ -234,7 +237,7 @@ def seal(
     with Job(json_file) as job:
         setup = Setup(
             kind=kind, noise=noise, laws=laws, stops=stops, ranges=ranges, mass_error=mass_error,
-            stated=not unstated, flip_approach=flip_approach,
+            stated=not unstated, flip_approach=flip_approach, plan_method=plan,
         )  # fmt: skip
         result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=job.listen, cancel=job.control)
         job.say(f"{result.runs} runs in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge' only")
@@ -290,6 +293,34 @@ def blind_matrix(
         )
         state_result(job, result, matrix_tables(result), matrix_sentences(result), markdown)
         check_bars(result.failed, result.missed)
+
+
+@trials_app.command("plans")
+def plans(
+    profile: ProfilePath,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Seeds, from 0 on.")] = 10,
+    stops: Annotated[int, typer.Option("--stops", min=10, help="Designed stops that are compared with random.")] = 100,
+    whole: Annotated[int, typer.Option("--whole", min=0, help="Stops of whole plans; 0: none.")] = 400,
+    bounded: Annotated[int, typer.Option("--bounded", min=0, help="Seeds with the best possible values; slow.")] = 1,
+    markdown: MarkdownFile = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Designed plans against random ones: what they tell, travel, correlations, and collisions by another library."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.plan_tables import plan_trial_sentences, plan_trial_tables
+    from cellapp.trials.plan_trial import plan_trials
+    from cellapp.trials.whole_plans import whole_plans
+
+    with Job(json_file) as job:
+        check_markdown(markdown)
+        cell = load_profile(profile)
+        result = plan_trials(cell, range(seeds), stops, bounded, job.listen, job.control)
+        if whole:
+            found = whole_plans(cell, range(seeds), whole, job.listen, job.control)
+            result = result.model_copy(update={"plans": found})
+        state_result(job, result, plan_trial_tables(result), plan_trial_sentences(result), markdown)
+        if result.complaints():
+            raise CheckFailed(f"trials plans: {'; '.join(result.complaints())}")
 
 
 @trials_app.command("league")

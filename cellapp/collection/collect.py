@@ -49,8 +49,9 @@ def collect_run(
     """Collect all planned stops that are not stored yet.
 
     A target that cannot be measured is recorded and its arm's reading left out; the stop counts as done for the other
-    arm, and a reserve stop is added. A stop that discovery proposed has its own approach and dwell; if the gate refuses
-    it, it is left out. Once splits are drawn, its readings are for training: the validation set must not change.
+    arm, and a reserve stop is added. Every stop is reached as planned, with its own approach and dwell. If the gate
+    refuses all ways to it, it is tried again at the end, then left out; one that discovery proposed is left out at
+    once. Once splits are drawn, new readings are for training: the validation set must not change.
 
     Raises
     ------

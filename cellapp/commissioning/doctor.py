@@ -13,12 +13,13 @@ from functools import partial
 import numpy as np
 
 from cellapp.collection.cell import arm_context, build_plant, tracker_context
+from cellapp.commissioning.obstacle_findings import obstacle_findings
 from cellapp.errors import InputError
 from cellapp.profile import Profile
 from cellapp.results import DeviceReport, DoctorResult
 from cellapp.results import Finding as ResultFinding
 from cellapp.safety.bodies import place
-from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.cell_bodies import cell_bodies
 from cellapp.safety.gate import CellBodies, clear_alone, refuse_stop, visible
 from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
@@ -159,10 +160,16 @@ def _placement(profile: Profile) -> list[Finding]:
     if bare:
         text = f"arm {', '.join(bare)} has no bodies, so no collision can be foreseen; add capsules to its type"
         return [*findings, Finding("home", "failed", text)]
-    cell = cell_bodies(profile.model_copy(update={"arms": placed}))
-    refusal = refuse_stop(cell, home_positions(profile))
+    known = {name: one for name, one in profile.obstacles.items() if one.arm is None or one.arm in placed}
+    homes = {name: np.array(arm.home) for name, arm in placed.items()}
+    try:
+        cell = cell_bodies(profile.model_copy(update={"arms": placed, "obstacles": known}))
+    except InputError as error:
+        return [*findings, Finding("obstacles", "failed", str(error))]
+    findings += obstacle_findings(cell, homes)
+    refusal = refuse_stop(cell, homes)
     if refusal:
-        text = f"{refusal}; change arms.*.home, arms.*.base, plan.floor or plan.clearance"
+        text = f"{refusal}; change arms.*.home, arms.*.base, obstacles, plan.floor or plan.clearance"
         findings.append(Finding("home", "failed", text))
     else:
         findings.append(Finding("home", "ok", f"safe to stand at: {', '.join(placed)}"))

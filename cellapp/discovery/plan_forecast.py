@@ -53,10 +53,19 @@ _SEED = 0xF0CA
 
 @dataclass(frozen=True, eq=False)
 class PlannedReadings:
-    """Expected times of the readings of a plan: (n,) from the first motion, and at rest before each measurement [s]."""
+    """What is expected of the readings of a plan.
+
+    Attributes
+    ----------
+    time_s, dwell_s : arrays, shape (n,)
+        Times from the first motion, and at rest before each measurement [s].
+    step : mapping, optional
+        Arm -> last motion of each joint with its sign (n, N) [rad]; None: straight from stop to stop, from home.
+    """
 
     time_s: Array
     dwell_s: Array
+    step: Mapping[str, Array] | None = None
 
 
 def expected_readings(
@@ -71,14 +80,15 @@ def expected_readings(
     InputError
         If the profile lacks the pose of an arm's base, of the tracker, or a home position.
     """
-    models = {name: _nominal_model(profile, name) for name in plan}
+    models = {name: nominal_model(profile, name) for name in plan}
     rng = np.random.default_rng([profile.seed, _SEED])
     readings = {}
     for name, q in plan.items():
         arm, p_M = profile.arms[name], smr_positions(models[name].geometry, q)
         covariance = tracker_covariance(profile.tracker, p_M)
         noise = np.einsum("nab,nb->na", np.linalg.cholesky(covariance), rng.standard_normal(p_M.shape))
-        step = np.diff(q, axis=0, prepend=np.array(arm.home)[None])
+        straight = np.diff(q, axis=0, prepend=np.array(arm.home)[None])
+        step = straight if expected.step is None else expected.step[name]
         readings[name] = Readings(
             configuration=np.arange(len(q)),
             time_s=expected.time_s,
@@ -93,8 +103,14 @@ def expected_readings(
     return models, readings
 
 
-def _nominal_model(profile: Profile, name: str) -> ArmModel:
-    """The published arm, with its base where the profile says, in the tracker frame."""
+def nominal_model(profile: Profile, name: str) -> ArmModel:
+    """The published arm, with its base where the profile says, in the tracker frame.
+
+    Raises
+    ------
+    InputError
+        If the profile lacks the pose of the arm's base, of the tracker, or a home position.
+    """
     arm, tracker = profile.arms[name], profile.tracker
     if arm.base is None or tracker.pose is None or arm.home is None:
         raise InputError(

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import groupby
 from typing import Literal
 
 import numpy as np
@@ -27,7 +28,7 @@ _LEGEND_STEP = 165.0
 
 @dataclass(frozen=True)
 class Series:
-    """Values ``y`` (n,) over ``x`` (n,), as a line in the order given, or as points."""
+    """Values ``y`` (n,) over ``x`` (n,), as a line in the order given, NaN being a gap, or as points."""
 
     label: str
     x: Array
@@ -37,12 +38,16 @@ class Series:
 
 @dataclass(frozen=True)
 class Chart:
-    """Up to three series over one variable; ``title`` says for people what is drawn."""
+    """Up to three series over one variable; ``title`` says for people what is drawn.
+
+    ``equal``: a map, in which one unit has the same length along both axes.
+    """
 
     title: str
     x_label: str
     y_label: str
     series: tuple[Series, ...]
+    equal: bool = False
 
 
 def chart_svg(chart: Chart) -> str:
@@ -51,6 +56,8 @@ def chart_svg(chart: Chart) -> str:
     x_axis = _Axis.of([one.x for one in chart.series], _LEFT, _WIDTH - _RIGHT, _DEGREES if degrees else _ROUND)
     zero = np.zeros(1)  # an effect is a deviation from nothing
     y_axis = _Axis.of([zero, *(one.y for one in chart.series)], _HEIGHT - _BOTTOM, _TOP, _ROUND)
+    if chart.equal:
+        x_axis, y_axis = _equal(x_axis, y_axis)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:.0f} {_HEIGHT:.0f}" role="img"'
         ' font-family="sans-serif" font-size="13">',
@@ -79,7 +86,7 @@ class _Axis:
     @classmethod
     def of(cls, values: Sequence[Array], begin: float, end: float, steps: Sequence[float]) -> _Axis:
         """Around all values, with round ends; ``steps`` are the allowed steps."""
-        low, high = min(float(one.min()) for one in values), max(float(one.max()) for one in values)
+        low, high = min(float(np.nanmin(one)) for one in values), max(float(np.nanmax(one)) for one in values)
         wanted = (high - low) / _TICKS
         step = min(steps, key=lambda size: abs(math.log(size / wanted)))
         return cls(math.floor(low / step + 1e-9) * step, math.ceil(high / step - 1e-9) * step, step, begin, end)
@@ -90,10 +97,22 @@ class _Axis:
 
     def ticks(self) -> list[tuple[float, str]]:
         """Pixel and label of each tick."""
-        count = round((self.high - self.low) / self.step)
-        values = [self.low + k * self.step for k in range(count + 1)]
+        first, last = math.ceil(self.low / self.step - 1e-9), math.floor(self.high / self.step + 1e-9)
+        values = [k * self.step for k in range(first, last + 1)]
         pixels = self.at(np.array(values)).tolist()
         return [(pixel, f"{round(value / self.step) * self.step:.6g}") for pixel, value in zip(pixels, values)]
+
+
+def _equal(x_axis: _Axis, y_axis: _Axis) -> tuple[_Axis, _Axis]:
+    """The axes with the coarser of both scales: the other one shows more about the middle of its range."""
+    metre = min(abs(axis.end - axis.begin) / (axis.high - axis.low) for axis in (x_axis, y_axis))
+    step = max(x_axis.step, y_axis.step)
+
+    def widened(axis: _Axis) -> _Axis:
+        middle, half = 0.5 * (axis.low + axis.high), 0.5 * abs(axis.end - axis.begin) / metre
+        return _Axis(middle - half, middle + half, step, axis.begin, axis.end)
+
+    return widened(x_axis), widened(y_axis)
 
 
 def _grid(x_axis: _Axis, y_axis: _Axis) -> list[str]:
@@ -112,7 +131,8 @@ def _drawn(one: Series, x_axis: _Axis, y_axis: _Axis, colour: str, dashes: str) 
     if one.kind == "points":
         path = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in pixels)
         return f'<path d="{path}" stroke="{colour}" stroke-width="4" stroke-linecap="round" fill="none"/>'
-    path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in pixels)
+    pieces = [list(piece) for seen, piece in groupby(pixels, key=lambda at: math.isfinite(at[0])) if seen]
+    path = "".join("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in piece) for piece in pieces)
     return f'<path d="{path}" stroke="{colour}"{_dash(dashes)} stroke-width="2" fill="none"/>'
 
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 
+from cellapp.docs import planning_figures
 from cellapp.docs.effect_figures import FIGURES, figure_svg
 from cellapp.docs.scene import Scene
 from cellapp.effects import EFFECTS, Effect
@@ -17,6 +18,7 @@ from cellapp.profile import Profile
 CHAPTERS: Mapping[str, str] = {
     "effects": "the physical effects that discovery knows",
     "discovery": "how discovery decides, and what its words mean",
+    "planning": "which stops are measured, obstacles, editing a plan",
     "terminal": "the terminal application: a day, its screens and its keys",
 }
 """Name and subject of each chapter, a Markdown file of this package."""
@@ -86,7 +88,7 @@ def _wrapped(text: str) -> str:
 
 
 def write_figures(profile: Profile, folder: Path) -> list[Path]:
-    """Draw the figure of every effect for the first arm of a profile, one SVG file each; their paths.
+    """Draw the figure of every effect for the first arm of a profile, and that of obstacles, as SVG; their paths.
 
     Raises
     ------
@@ -94,11 +96,12 @@ def write_figures(profile: Profile, folder: Path) -> list[Path]:
         If the folder cannot be written, or the profile lacks a pose that the figures need.
     """
     scene = Scene.of(profile)
+    texts = {slug: figure_svg(slug, scene) for slug in FIGURES}
+    texts[planning_figures.FIGURE] = planning_figures.figure_svg(profile)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        paths = [folder / f"{slug}.svg" for slug in FIGURES]
-        for path in paths:
-            path.write_text(figure_svg(path.stem, scene), encoding="utf-8", newline="\n")
+        for stem, text in texts.items():
+            (folder / f"{stem}.svg").write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise InputError(f"docs: {folder}: {error.strerror or error}; give a folder that can be written") from None
-    return paths
+    return [folder / f"{stem}.svg" for stem in texts]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,16 +11,19 @@ from numpy.typing import NDArray
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.joint_draws import GROUP, draw_joints, joint_ranges
-from cellapp.planning.shortage import shortage
-from cellapp.planning.usable import Usable, usable
+from cellapp.planning.exclusions import shortage
+from cellapp.planning.joint_draws import draw_joints, joint_ranges
+from cellapp.planning.usable import Usable, admitted_by_gate, usable
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
-from cellapp.safety.gate import CellBodies
+from cellapp.safety.bodies import place
+from cellapp.safety.gate import CellBodies, clear_alone, visible
 
 _OBLIQUE_SHARE = 0.25
 """Share that is kept of the configurations beyond the incidence of full accuracy: they tell the same of the arm with a
 worse measurement, but effects of the incidence need some."""
+_INDEPENDENT = 4000
+"""Independent configurations drawn at once: about 60 of them are usable in the twin cell, and they fit in the cache."""
 _MOST_DRAWS = 800_000
 _MOST_DRAWS_PER_CANDIDATE = 400
 """Draws after which the search ends: four times what a candidate takes in the twin cell, some seconds."""
@@ -60,8 +63,8 @@ def draw_pool(
     """``count`` candidates of an arm in random order, fewer where they are rare.
 
     Each is uniform in the joint ranges of the plan, restricted to configurations that are visible and clear; of those
-    with an incidence above ``plan.incidence`` a quarter is kept. About one in three has its first joints, or its
-    wrist, in common with another candidate; no two are equal.
+    with an incidence above ``plan.incidence`` a quarter is kept. About half of them have their first joints, or
+    their wrist, in common with one or a few others; no two are equal.
 
     Raises
     ------
@@ -74,15 +77,16 @@ def draw_pool(
         lucky = rng.random(len(incidence)) < _OBLIQUE_SHARE
         return np.asarray(lucky | (incidence <= profile.plan.incidence))
 
-    cancel = cancel or CancelToken()
+    if cell.field is None:
+        raise InputError(f"plan: arm {name}: the cell has no tracker that could see its SMR; give tracker.pose")
+    cancel, ranges = cancel or CancelToken(), joint_ranges(cell, profile, name)
     found: list[Usable] = []
     drawn = number = 0
-    for batch in _usable_draws(cell, profile, name, rng, keep=keep):
+    while number < count and drawn < max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE):
         cancel.check()
-        found.append(batch)
-        drawn, number = drawn + batch.drawn, number + len(batch.q)
-        if number >= count or drawn >= max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE):
-            break
+        draws = draw_joints(cell.arms[name], cell.field.T_C_M, ranges, rng)
+        found.append(admitted_by_gate(cell, name, usable(cell, cell.field, name, draws, keep)))
+        drawn, number = drawn + found[-1].drawn, number + len(found[-1].q)
     if number < min(count, profile.plan.stops + profile.plan.reserve):
         raise InputError(shortage(cell, profile, name, number, drawn))
     rejected = sum((Counter(batch.rejected) for batch in found), Counter())
@@ -103,27 +107,13 @@ def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np
     InputError
         If none is found in many draws; the message says which constraint excludes them.
     """
+    low, high = joint_ranges(cell, profile, name).T
     fruitless = 0
-    for batch in _usable_draws(cell, profile, name, rng, group=1):
-        yield from batch.q
-        fruitless = 0 if len(batch.q) else fruitless + batch.drawn
+    while True:
+        q = rng.uniform(low, high, size=(_INDEPENDENT, len(low)))
+        q = q[visible(cell, name, q)]
+        q = q[clear_alone(cell, place(cell.arms[name], q))]
+        yield from q[::-1]  # this order belongs to the seed: a profile gives the same plan each time
+        fruitless = 0 if len(q) else fruitless + _INDEPENDENT
         if fruitless >= _MOST_DRAWS:
             raise InputError(shortage(cell, profile, name, 0, fruitless))
-
-
-def _usable_draws(
-    cell: CellBodies,
-    profile: Profile,
-    name: str,
-    rng: np.random.Generator,
-    *,
-    group: int = GROUP,
-    keep: Callable[[Array], NDArray[np.bool_]] | None = None,
-) -> Iterator[Usable]:
-    """Usable configurations, draw by draw, without end."""
-    if cell.field is None:
-        raise InputError(f"plan: arm {name}: the cell has no tracker that could see its SMR; give tracker.pose")
-    ranges = joint_ranges(cell, profile, name)
-    while True:
-        draws = draw_joints(cell.arms[name], cell.field.T_C_M, ranges, rng, group)
-        yield usable(cell, cell.field, name, draws, keep)

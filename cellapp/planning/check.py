@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
-from cellapp.planning.plan import all_smrs_visible
 from cellapp.planning.planned_stops import Configuration, PlannedStops, Route, orders, routes
 from cellapp.planning.stored_stops import read_planned_stops
 from cellapp.profile import Profile
@@ -15,6 +14,7 @@ from cellapp.results import PlanCheckResult, PlanRefusal
 from cellapp.run import RunFile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import CellBodies, refuse_motion, refuse_stop
+from cellapp.safety.hidden import why_hidden
 
 _PROGRESS_EVERY = 10
 """Stops between two progress reports."""
@@ -66,6 +66,23 @@ def check_stops(
     return tuple(refused)
 
 
+def check_each_stop(profile: Profile, stops: PlannedStops) -> tuple[PlanRefusal, ...]:
+    """What the gate or the tracker's view refuses of each stop for itself and of its last motion, whatever the order.
+
+    Raises ``InputError`` if the profile does not describe the cell.
+    """
+    cell = cell_bodies(profile)
+    refused: list[PlanRefusal] = []
+    for k in range(len(stops)):
+        refused += _stop_refusals(cell, k, stops.targets(k))
+        begin = {**stops.targets(k), **stops.approach_starts(k)}
+        reason = refuse_motion(cell, begin, begin) or refuse_motion(cell, begin, stops.targets(k))
+        if reason and stops.approach_starts(k):
+            text = f"its last motion: {reason}"
+            refused.append(PlanRefusal(configuration=k, before=None, what="way", reason=text))
+    return tuple(refused)
+
+
 def required_plan(run: RunFile) -> dict[str, Array]:
     """The plan of a run, arm -> q (n, N) [rad]. Raises ``InputError`` without one."""
     plan = run.read_plan()
@@ -78,8 +95,7 @@ def _stop_refusals(cell: CellBodies, k: int, q: Configuration) -> Iterator[PlanR
     before = k - 1 if k else None
     if reason := refuse_stop(cell, q):
         yield PlanRefusal(configuration=k, before=before, what="stop", reason=reason)
-    if not all_smrs_visible(cell, q):
-        reason = "the tracker does not see every SMR: turned away, out of its range, or hidden by an arm"
+    if reason := why_hidden(cell, q):
         yield PlanRefusal(configuration=k, before=before, what="view", reason=reason)
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.planned_stops import Configuration, PlannedStops, Route
-from cellapp.planning.stop_conditions import StopConditions
 from cellapp.profile import Arm, Profile
 from cellapp.results import PlannedTime
 from cellapp.safety.cell_bodies import home_positions
@@ -18,9 +16,6 @@ _SETTLE_S = 0.2
 """Rest after a motion before an arm counts as settled: the default of UR controllers and of simulated arms."""
 _POINTING_S = 1.0
 """Time for the tracker to turn to the next SMR and to lock it; its head turns a quarter in half a second."""
-
-Conditions = Mapping[int, Mapping[str, StopConditions]]
-"""Stop -> arm -> approach and dwell of stops that discovery proposed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,21 +53,6 @@ def motion_s(arm: Arm, way: Array) -> Array:
     triangle = at_speed**2 < at_acceleration
     ramp = np.divide(at_acceleration, at_speed, out=np.zeros_like(at_speed), where=at_speed > 0.0)
     return np.asarray(np.where(triangle, 2.0 * np.sqrt(at_acceleration), at_speed + ramp))
-
-
-def stop_times(profile: Profile, plan: Mapping[str, Array], conditions: Conditions) -> StopTimes:
-    """Expected times of the stops of a plan (arm -> q (n, N) [rad]) in their order, from home."""
-    homes = home_positions(profile)
-    steps = {name: np.diff(q, axis=0, prepend=homes[name][None]) for name, q in plan.items()}
-    moving_s = np.max([motion_s(profile.arms[name], way) for name, way in steps.items()], axis=0)
-    slow = profile.collection.slow_start
-    if profile.moves_hardware:
-        moving_s[: slow.stops] /= slow.speed
-    resting_s = np.full(len(moving_s), _SETTLE_S)
-    for stop, arms in conditions.items():
-        if stop < len(resting_s):
-            resting_s[stop] = max([_SETTLE_S, *(one.dwell_s for one in arms.values())])
-    return StopTimes(moving_s, resting_s, _measuring_s(profile) * len(plan))
 
 
 def stop_times_of(profile: Profile, stops: PlannedStops, start: Configuration | None = None) -> StopTimes:
@@ -123,19 +103,17 @@ def _straight_s(arm: Arm, start: Array | None, q: Array, begin: Array) -> Array:
     return motion_s(arm, begin - np.concatenate([first, q])[: len(q)])
 
 
-def planned_time(profile: Profile, plan: Mapping[str, Array], conditions: Conditions) -> PlannedTime:
-    """Expected time of collecting the stops of a plan (arm -> q (n, N) [rad]) and going home."""
-    times = stop_times(profile, plan, conditions)
-    homes = home_positions(profile)
-    home_s = max(float(motion_s(profile.arms[name], (q[-1] - homes[name])[None])[0]) for name, q in plan.items())
+def planned_time(profile: Profile, stops: PlannedStops) -> PlannedTime:
+    """Expected time of collecting planned stops and going home."""
+    times = stop_times_of(profile, stops)
     reference = profile.collection.reference
     references_s = 0.0
     if reference.every > 0:
         count = 2 + (len(times.moving_s) - 1) // reference.every
-        points = len(plan) + len(reference.nests)
+        points = len(stops.q) + len(reference.nests)
         references_s = count * (2.0 * float(np.mean(times.moving_s)) + points * _measuring_s(profile))
     parts = {
-        "moving_s": float(times.moving_s.sum()) + home_s,
+        "moving_s": float(times.moving_s.sum()) + home_s(profile, stops),
         "resting_s": float(times.resting_s.sum()),
         "measuring_s": times.measuring_s * len(times.moving_s),
         "references_s": references_s,

@@ -13,14 +13,15 @@ from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.check import required_plan
 from cellapp.planning.coverage import joint_coverage
-from cellapp.planning.duration import planned_time, stop_times
+from cellapp.planning.duration import planned_time, stop_times_of
 from cellapp.planning.joint_draws import joint_ranges
-from cellapp.planning.stop_conditions import read_stop_conditions
+from cellapp.planning.planned_stops import last_motions
+from cellapp.planning.stored_stops import read_planned_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import ArmForecast, PlanForecastResult, PlannedEffect
 from cellapp.run import RunFile
-from cellapp.safety.cell_bodies import cell_bodies
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
 
 
 def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlanForecastResult:
@@ -33,16 +34,16 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
     Cancelled
     """
     cancel = cancel or CancelToken()
-    profile, plan, conditions = run.profile, required_plan(run), read_stop_conditions(run)
-    total = len(next(iter(plan.values())))
-    reserves = profile.plan.reserves(total)
-    visited = [stop for stop in range(total) if stop not in reserves]
-    if not visited:
+    required_plan(run)
+    profile, plan = run.profile, read_planned_stops(run)
+    reserves = profile.plan.reserves(len(plan))
+    visited = plan.take([stop for stop in range(len(plan)) if stop not in reserves])
+    if not len(visited):
         raise InputError(f"{run.path}: the plan has reserve stops only")
-    first = {name: q[visited] for name, q in plan.items()}
-    asked = {place: conditions[stop] for place, stop in enumerate(visited) if stop in conditions}
-    times = stop_times(profile, first, asked)
-    designs = arm_designs(profile, first, PlannedReadings(times.measured_s, times.resting_s))
+    first = visited.q
+    times = stop_times_of(profile, visited)
+    step = last_motions(visited, home_positions(profile))
+    designs = arm_designs(profile, first, PlannedReadings(times.measured_s, times.resting_s, step))
     cell = cell_bodies(profile)
     arms: dict[str, ArmForecast] = {}
     notes: list[str] = []
@@ -65,7 +66,7 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
     listener(Progress("forecast", len(designs), len(designs), "done"))
     return PlanForecastResult(
         run=str(run.folder),
-        time=planned_time(profile, first, asked),
+        time=planned_time(profile, visited),
         arms=arms,
         notes=(*notes, *_notes(profile, first)),
     )

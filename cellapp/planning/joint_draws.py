@@ -21,10 +21,10 @@ from cellapp.safety.bodies import ArmBodies
 from cellapp.safety.gate import CellBodies
 from cellapp.safety.visibility import Sight
 
-GROUP = 16
+_GROUP = 16
 """First joints, and wrists, in a group: 256 configurations, of which two to four are usable in the twin cell."""
-_DRAWS = 12_288
-"""Configurations drawn at once: what is computed from them fits in the cache."""
+_GROUPS = 48
+"""Groups drawn at once, some 12 000 configurations: what is computed from them fits in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +51,13 @@ class JointDraws:
         return np.concatenate([self.first[group, i], self.wrist[group, k]], axis=1)
 
 
-def draw_joints(
-    arm: ArmBodies, T_C_M: Array, ranges: Array, rng: np.random.Generator, group: int = GROUP
-) -> JointDraws:
+def draw_joints(arm: ArmBodies, T_C_M: Array, ranges: Array, rng: np.random.Generator) -> JointDraws:
     """Draw configurations uniformly from ``ranges`` (N, 2) [rad]; the tracker stands at ``T_C_M`` (4, 4).
 
-    Every configuration is uniform. The ``group ** 2`` of one group share positions of first joints and wrists; with a
-    group of one all are independent.
+    Every configuration is uniform; only those of one group depend on each other, as they share positions of joints.
     """
     split = max(1, arm.geometry.joints // 2)
-    groups = max(1, _DRAWS // group**2)
-    first, wrist = (_uniform(part, groups, group, rng) for part in (ranges[:split], ranges[split:]))
+    first, wrist = _uniform(ranges[:split], rng), _uniform(ranges[split:], rng)
     R, o = _end_poses(replace(arm.geometry, rows=arm.geometry.rows[:split]), first)
     identity = Geometry(np.zeros(6), arm.geometry.rows[split:], arm.geometry.tool)
     R_wrist, o_wrist = _end_poses(identity, wrist)
@@ -79,16 +75,16 @@ def draw_joints(
     return JointDraws(first, wrist, Sight(smr_M, distance, towards / distance))
 
 
-def _uniform(ranges: Array, groups: int, group: int, rng: np.random.Generator) -> Array:
-    """Uniform positions (groups, group, s) [rad] of s joints; one in each group where no joint can move."""
-    different = group if np.any(ranges[:, 1] > ranges[:, 0]) else 1
-    return rng.uniform(ranges[:, 0], ranges[:, 1], size=(groups, different, len(ranges)))
+def _uniform(ranges: Array, rng: np.random.Generator) -> Array:
+    """Uniform positions (b, m, s) [rad] of s joints; one in each group where no joint can move."""
+    group = _GROUP if np.any(ranges[:, 1] > ranges[:, 0]) else 1
+    return rng.uniform(ranges[:, 0], ranges[:, 1], size=(_GROUPS, group, len(ranges)))
 
 
 def _end_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
     """Rotations (b, m, 3, 3) and origins (b, m, 3) [m] of the last frame of a chain at ``q`` (b, m, s) [rad]."""
     b, m, joints = q.shape
-    rotations, origins = frame_poses(geometry, q.reshape(-1, joints))
+    rotations, origins = frame_poses(geometry, q.reshape(b * m, joints))
     return rotations[-1].reshape(b, m, 3, 3), origins[-1].reshape(b, m, 3)
 
 

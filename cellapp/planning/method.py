@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cellapp.errors import InputError
+from cellapp.planning.design_report import design_result
+from cellapp.planning.designed import design_stops
 from cellapp.planning.plan import further_stops
 from cellapp.planning.planned_stops import PlannedStops, joined, straight_stops
 from cellapp.planning.stored_stops import write_planned_stops
@@ -61,7 +65,10 @@ def make_stops(
             f"plan: {len(kept)} stops are kept, and plan.stops and plan.reserve ask for {wanted}: nothing is left to"
             " design; ask for more stops, or keep fewer"
         )
-    return _random(profile, listener, cancel, kept, add), None
+    if profile.plan.method == "random":
+        return _random(profile, listener, cancel, kept, add), None
+    stops, pools = design_stops(profile, listener, cancel, kept=kept, add=add)
+    return stops, design_result(profile, stops, pools, listener, cancel)
 
 
 def _random(
@@ -73,4 +80,5 @@ def _random(
     if kept is None or not before:
         return straight_stops(further_stops(profile, home_positions(profile), count, (), listener, cancel))
     here = kept.targets(before - 1)
-    return joined(kept, straight_stops(further_stops(profile, here, count, (before,), listener, cancel)))
+    further = straight_stops(further_stops(profile, here, count, (before,), listener, cancel))
+    return joined(kept, replace(further, block=further.block + kept.block.max() + 1))

@@ -114,6 +114,19 @@ def joined(first: PlannedStops, second: PlannedStops) -> PlannedStops:
     )
 
 
+def last_motions(stops: PlannedStops, homes: Configuration) -> dict[str, Array]:
+    """Last motion of each joint before each stop with its sign, arm -> (n, N) [rad].
+
+    It is the planned one, else straight from the stop before, from ``homes`` before the first.
+    """
+    motions = {}
+    for name, q in stops.q.items():
+        before = np.concatenate([homes[name][None], q])[: len(q)]
+        begin = stops.approach_from[name]
+        motions[name] = q - np.where(np.isfinite(begin), begin, before)
+    return motions
+
+
 def routes(stops: PlannedStops, stop: int, *, as_planned: bool) -> Iterator[Route]:
     """Ways to a stop in the order of preference; each ends with the planned last motion, which keeps its side.
 

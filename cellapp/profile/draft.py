@@ -13,6 +13,7 @@ from cellapp.errors import InputError
 from cellapp.profile.draft_fields import (
     ARM_FIELDS,
     NAME_FIELD,
+    OBSTACLE_FIELDS,
     PLAN_FIELDS,
     TRACKER_FIELDS,
     FormField,
@@ -23,6 +24,7 @@ from cellapp.profile.draft_fields import (
 )
 from cellapp.profile.loader import read_document
 from cellapp.profile.messages import KeyPath
+from cellapp.profile.obstacles import SHAPES, Obstacle
 from drivers.arms.registry import ARMS
 from drivers.trackers.registry import TRACKERS
 
@@ -72,6 +74,24 @@ class TrackerDraft:
 
 
 @dataclass(frozen=True)
+class ObstacleDraft:
+    """The fields of one obstacle, as typed; ``source`` as that of an arm."""
+
+    name: str = ""
+    shape: str = ""
+    fixed_to: str = ""
+    arm: str = ""
+    position: str = ""
+    rpy: str = ""
+    size: str = ""
+    radius: str = ""
+    length: str = ""
+    file: str = ""
+    scale: str = ""
+    source: str = ""
+
+
+@dataclass(frozen=True)
 class PlanDraft:
     """The fields of the plan, as typed."""
 
@@ -87,6 +107,7 @@ class ProfileDraft:
     name: str = ""
     arms: tuple[ArmDraft, ...] = ()
     tracker: TrackerDraft = field(default_factory=TrackerDraft)
+    obstacles: tuple[ObstacleDraft, ...] = ()
     plan: PlanDraft = field(default_factory=PlanDraft)
 
 
@@ -101,22 +122,32 @@ class Filled:
 
 
 def fields_of(draft: ProfileDraft) -> Iterator[Filled]:
-    """Yield all fields that the draft's kinds of devices have, in the order of the form. Names of arms are not keys."""
+    """Yield all fields that the draft's kinds of devices and shapes have, in the order of the form.
+
+    Names of arms and of obstacles are no fields: they are keys.
+    """
     yield Filled("name", NAME_FIELD, ("name",), draft.name)
     for index, arm in enumerate(draft.arms):
         yield from _section(f"arms.{index}", ("arms", arm.name), arm, ARM_FIELDS, driver_keys(arm.kind, ARMS))
     keys = driver_keys(draft.tracker.kind, TRACKERS)
     yield from _section("tracker", ("tracker",), draft.tracker, TRACKER_FIELDS, keys)
+    for index, obstacle in enumerate(draft.obstacles):
+        forms = [form for form in OBSTACLE_FIELDS if form.path[0] in obstacle_keys(obstacle.shape)]
+        yield from _section(f"obstacles.{index}", ("obstacles", obstacle.name), obstacle, forms, frozenset())
     yield from _section("plan", ("plan",), draft.plan, PLAN_FIELDS, frozenset())
 
 
 def with_text(draft: ProfileDraft, field_id: str, text: str) -> ProfileDraft:
-    """Return the draft with one field changed; ``field_id`` as in ``Filled.id``, or "arms.0.name"."""
+    """Return the draft with one field changed; ``field_id`` as in ``Filled.id``, or a name as "arms.0.name"."""
     match field_id.split("."):
         case ["arms", index, name]:
             arms = list(draft.arms)
             arms[int(index)] = replace(arms[int(index)], **{name: text})
             return replace(draft, arms=tuple(arms))
+        case ["obstacles", index, name]:
+            obstacles = list(draft.obstacles)
+            obstacles[int(index)] = replace(obstacles[int(index)], **{name: text})
+            return replace(draft, obstacles=tuple(obstacles))
         case ["tracker", name]:
             return replace(draft, tracker=replace(draft.tracker, **{name: text}))
         case ["plan", name]:
@@ -125,6 +156,14 @@ def with_text(draft: ProfileDraft, field_id: str, text: str) -> ProfileDraft:
             return replace(draft, name=text)
         case _:
             raise KeyError(field_id)
+
+
+def with_obstacles_of(draft: ProfileDraft, old: ProfileDraft) -> ProfileDraft:
+    """Return the draft with obstacles that follow their arm's new name, and without those of arms that ``old`` had."""
+    names = {arm.source: arm.name for arm in draft.arms if arm.source}
+    gone = {arm.name for arm in old.arms} - {*names} - {arm.name for arm in draft.arms}
+    obstacles = (replace(one, arm=names.get(one.arm, one.arm)) for one in draft.obstacles if one.arm not in gone)
+    return replace(draft, obstacles=tuple(obstacles))
 
 
 def arm_kinds() -> tuple[str, ...]:
@@ -141,6 +180,11 @@ def driver_keys(kind: str, kinds: Sequence[type[Any]]) -> frozenset[str]:
     """Return the keys that the settings of a kind of device have; an unknown kind has ``kind`` alone."""
     known = (settings.model_fields for settings in kinds if settings.model_fields["kind"].default == kind)
     return frozenset(next(known, {"kind": None}))
+
+
+def obstacle_keys(shape: str) -> frozenset[str]:
+    """Return the keys that an obstacle of a shape has; an unknown shape has those that all shapes share."""
+    return frozenset(SHAPES[shape].model_fields if shape in SHAPES else {"shape", *Obstacle.model_fields})
 
 
 def needs_plant(draft: ProfileDraft) -> bool:
@@ -181,8 +225,14 @@ def draft_of_data(data: dict[str, Any], where: str) -> ProfileDraft:
         name=form_text(data.get("name")),
         arms=tuple(ArmDraft(name=name, source=name, **_texts(arm, ARM_FIELDS)) for name, arm in arms.items()),
         tracker=TrackerDraft(**_texts(_mapping(data, "tracker", where), TRACKER_FIELDS)),
+        obstacles=tuple(_obstacles(_mapping(data, "obstacles", where), f"{where}: obstacles")),
         plan=PlanDraft(**_texts(_mapping(data, "plan", where), PLAN_FIELDS)),
     )
+
+
+def _obstacles(data: dict[str, Any], where: str) -> Iterator[ObstacleDraft]:
+    for name in data:
+        yield ObstacleDraft(name=name, source=name, **_texts(_mapping(data, name, where), OBSTACLE_FIELDS))
 
 
 def file_name(draft: ProfileDraft) -> str:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from cellapp.errors import InputError
 from cellapp.profile.draft import Filled, ProfileDraft, draft_to_yaml, fields_of, with_text
 from cellapp.profile.loader import locate_meshes, read_arm_types, read_document
 from cellapp.profile.messages import KeyPath, PlacedError, dotted, problems, value_message
+from cellapp.profile.obstacles import AnyObstacle, Obstacles
 from cellapp.profile.schema import Arm, Pose, Profile
 from cellapp.profile.starters import starters_folder
+
+_OBSTACLE: TypeAdapter[AnyObstacle] = TypeAdapter(AnyObstacle)
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class FieldProblem:
     Attributes
     ----------
     field : str
-        As ``Filled.id``, or "arms.0.name"; empty if the problem concerns no field of the form.
+        As ``Filled.id``, or a name as "arms.0.name"; empty if the problem concerns no field of the form.
     key : str
         The key in the profile, as "arms.left.driver.host".
     words : str
@@ -50,12 +53,15 @@ class Checked:
     bases : mapping
         Arm -> pose of its base; None where that does not hold.
     tracker : Pose or None
+    obstacles : mapping
+        Name -> obstacle, of those that hold.
     """
 
     problems: tuple[FieldProblem, ...]
     profile: Profile | None = None
     bases: Mapping[str, Pose | None] = field(default_factory=dict)
     tracker: Pose | None = None
+    obstacles: Obstacles = field(default_factory=dict)
 
 
 def check_draft(draft: ProfileDraft, path: Path) -> Checked:
@@ -80,12 +86,13 @@ def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
         return Checked((FieldProblem("", "", str(error)),))
     bases = {arm.name: _pose(document.data, ("arms", arm.name, "base")) for arm in draft.arms}
     tracker = _pose(document.data, ("tracker", "pose"))
+    obstacles = _obstacles(document.data.get("obstacles"))
     try:
-        return Checked((), Profile.model_validate(document.data), bases, tracker)
+        return Checked((), Profile.model_validate(document.data), bases, tracker, obstacles)
     except ValidationError as error:
         found = problems(error, document)
         told = tuple(_at_field(at, words, draft, fields) for at, words in found)
-        return Checked(told, None, bases, tracker)
+        return Checked(told, None, bases, tracker, obstacles)
 
 
 def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[Arm, Pose]:
@@ -114,14 +121,26 @@ def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[A
 
 
 def wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
-    """Return names of arms that are empty or given twice: as keys they cannot even be written."""
-    counts = Counter(arm.name for arm in draft.arms)
-    words = {0: "missing; each arm needs a name, such as left", 2: "given twice; each arm needs a name of its own"}
-    return tuple(
-        FieldProblem(f"arms.{index}.name", f"arms[{index}]", words[0 if not arm.name.strip() else 2])
-        for index, arm in enumerate(draft.arms)
-        if not arm.name.strip() or counts[arm.name] > 1
-    )
+    """Return names of arms and obstacles that are empty or given twice: as keys they cannot even be written."""
+    arms, obstacles = ([one.name for one in several] for several in (draft.arms, draft.obstacles))
+    return (*_wrong_keys("arms", "arm", "left", arms), *_wrong_keys("obstacles", "obstacle", "table", obstacles))
+
+
+def _wrong_keys(section: str, what: str, example: str, names: Sequence[str]) -> Iterator[FieldProblem]:
+    for index, name in enumerate(names):
+        if not name.strip() or names.count(name) > 1:
+            why = f"missing; each {what} needs a name, such as {example}"
+            words = f"given twice; each {what} needs a name of its own" if name.strip() else why
+            yield FieldProblem(f"{section}.{index}.name", f"{section}[{index}]", words)
+
+
+def _obstacles(data: Any) -> Obstacles:
+    """Those obstacles of a profile's data that hold."""
+    found: Obstacles = {}
+    for name, one in data.items() if isinstance(data, dict) else ():
+        with contextlib.suppress(ValidationError):
+            found[name] = _OBSTACLE.validate_python(one)
+    return found
 
 
 def _pose(data: Any, path: Sequence[str]) -> Pose | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,19 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import YAMLError
 
 from cellapp.errors import InputError
-from cellapp.profile.draft import PLANT, SURVEYED, ArmDraft, ProfileDraft, draft_of, driver_keys, fields_of, needs_plant
+from cellapp.profile.draft import (
+    PLANT,
+    SURVEYED,
+    ArmDraft,
+    ObstacleDraft,
+    ProfileDraft,
+    draft_of,
+    driver_keys,
+    fields_of,
+    needs_plant,
+    obstacle_keys,
+    with_obstacles_of,
+)
 from cellapp.profile.draft_fields import FormField, yaml_value
 from cellapp.profile.messages import KeyPath
 from drivers.arms.registry import ARMS
@@ -45,16 +57,18 @@ def edited_text(text: str, path: Path, draft: ProfileDraft) -> EditedText:
     if "\r\n" in text:  # written by an editor on Windows: edited with plain line ends, kept as it was
         edited = edited_text(text.replace("\r\n", "\n"), path, draft)
         return EditedText(edited.text.replace("\n", "\r\n"), edited.lost_comments)
+    draft = with_obstacles_of(draft, old)
     document = _load(text, path)
     if _dump(document) != _with_newline(text):
         raise InputError(
             f"{path}: an edit would change the layout of this YAML elsewhere; edit it by hand, or write a new profile"
         )
     _edit_arms(document, draft.arms)
+    _edit_obstacles(document, draft.obstacles)
     tracker = document.setdefault("tracker", CommentedMap())
     if draft.tracker.kind != old.tracker.kind:
         _drop_keys(tracker.get("driver"), driver_keys(draft.tracker.kind, TRACKERS))
-    before = {item.path: item.text for item in fields_of(_renamed(old, draft.arms))}
+    before = {item.path: item.text for item in fields_of(_renamed(old, draft))}
     for item in fields_of(draft):
         if item.text.strip() != before.get(item.path, "").strip():
             _set(document, item.path, item.form, item.text.strip())
@@ -76,6 +90,23 @@ def _edit_arms(document: CommentedMap, arms: Sequence[ArmDraft]) -> None:
             _drop_keys(section.get("driver"), driver_keys(arm.kind, ARMS))
 
 
+def _edit_obstacles(document: CommentedMap, obstacles: Sequence[ObstacleDraft]) -> None:
+    """Remove, rename and add obstacles; where the shape changes, remove keys that the new one does not have."""
+    if not obstacles:
+        document.pop("obstacles", None)
+        return
+    if not isinstance(document.get("obstacles"), CommentedMap):
+        _add(document, "obstacles", CommentedMap())
+    listed = document["obstacles"]
+    _rename_keys(listed, {one.source: one.name for one in obstacles if one.source})
+    for one in obstacles:
+        if one.name not in listed:
+            _add(listed, one.name, CommentedMap())
+        section = listed[one.name]
+        if section.get("shape") != one.shape:
+            _drop_keys(section, obstacle_keys(one.shape))
+
+
 def _rename_keys(section: CommentedMap | None, names: Mapping[str, str]) -> None:
     """Give keys their new names, all at once as two may change places; remove those that have none."""
     if not isinstance(section, CommentedMap):
@@ -89,7 +120,7 @@ def _rename_keys(section: CommentedMap | None, names: Mapping[str, str]) -> None
 
 def _with_notes(text: str, path: Path, old: ProfileDraft, draft: ProfileDraft) -> str:
     """Say above each base that was changed where it comes from now; what was said of a surveyed one goes."""
-    before = {arm.name: (arm.position, arm.rpy) for arm in _renamed(old, draft.arms).arms}
+    before = {arm.name: (arm.position, arm.rpy) for arm in _renamed(old, draft).arms}
     arms = _load(text, path)["arms"]
     lines = text.split("\n")
     for arm in reversed(draft.arms):  # from the end: the numbers of earlier lines stay
@@ -102,15 +133,17 @@ def _with_notes(text: str, path: Path, old: ProfileDraft, draft: ProfileDraft) -
     return "\n".join(lines)
 
 
-def _renamed(old: ProfileDraft, arms: Sequence[ArmDraft]) -> ProfileDraft:
-    """The draft of the file as if its arms had their new names already; without arms that were removed."""
-    sources = {arm.name: arm for arm in old.arms}
-    kept = tuple(_with_name(sources[arm.source], arm.name) for arm in arms if arm.source in sources)
-    return ProfileDraft(old.name, kept, old.tracker, old.plan)
-
-
-def _with_name(arm: ArmDraft, name: str) -> ArmDraft:
-    return ArmDraft(**{**vars(arm), "name": name})
+def _renamed(old: ProfileDraft, new: ProfileDraft) -> ProfileDraft:
+    """The draft of the file as if arms and obstacles had their new names already; without those that were removed."""
+    arms = {one.name: one for one in old.arms}
+    obstacles = {one.name: one for one in old.obstacles}
+    return replace(
+        old,
+        arms=tuple(replace(arms[one.source], name=one.name) for one in new.arms if one.source in arms),
+        obstacles=tuple(
+            replace(obstacles[one.source], name=one.name) for one in new.obstacles if one.source in obstacles
+        ),
+    )
 
 
 def _drop_keys(driver: CommentedMap | None, known: frozenset[str]) -> None:

@@ -132,6 +132,20 @@ TRACKER_FIELDS = (
     ),
     FormField("rpy", ("pose", "rpy"), "vector", "Rotation", "roll, pitch, yaw; its x axis points where yaw says"),
 )
+OBSTACLE_FIELDS = (
+    FormField("shape", ("shape",), "text", "Shape", "box, cylinder, capsule, sphere or mesh"),
+    FormField("fixed_to", ("fixed_to",), "text", "Fixed to", "cell, base or flange. Empty: the cell"),
+    FormField("arm", ("arm",), "text", "Of arm", "the arm to whose base or flange it is fixed"),
+    FormField(
+        "position", ("pose", "position"), "vector", "Position", "x, y, z of its centre in the frame that it is fixed to"
+    ),
+    FormField("rpy", ("pose", "rpy"), "vector", "Rotation", "roll, pitch, yaw: rot_z(yaw) rot_y(pitch) rot_x(roll)"),
+    FormField("size", ("size",), "vector", "Size", "full lengths along its x, y, z"),
+    FormField("radius", ("radius",), "value", "Radius", "of the round part"),
+    FormField("length", ("length",), "value", "Length", "along its z axis; of a capsule without its round ends"),
+    FormField("file", ("file",), "text", "STL file", "triangle mesh, relative to this file"),
+    FormField("scale", ("scale",), "value", "Scale", "metres for one unit of the mesh, as 0.001 for mm. Empty: 1"),
+)
 PLAN_FIELDS = (
     FormField("stops", ("stops",), "value", "Stops", "joint configurations of each arm that are measured"),
     FormField(
@@ -143,6 +157,7 @@ PLAN_FIELDS = (
     ),
     FormField("floor", ("floor",), "value", "Floor", "height in C below which nothing may reach: table or floor"),
 )
+OBSTACLE_NAME_FIELD = FormField("name", (), "text", "Name", "name of the obstacle, such as table; refusals use it")
 ARM_NAME_FIELD = FormField("name", (), "text", "Name", "name of the arm, such as left; readings and targets use it")
 NAME_FIELD = FormField("name", ("name",), "text", "Name", "name of the cell; a person types it before arms move")
 

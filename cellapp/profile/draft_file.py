@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cellapp.errors import InputError
-from cellapp.profile.draft import ArmDraft, PlanDraft, ProfileDraft, TrackerDraft, draft_of, draft_to_yaml
+from cellapp.profile.draft import (
+    ArmDraft,
+    PlanDraft,
+    ProfileDraft,
+    TrackerDraft,
+    draft_of,
+    draft_to_yaml,
+    with_obstacles_of,
+)
 from cellapp.profile.draft_check import Checked, check_draft, check_text, wrong_names
 from cellapp.profile.files import path_exists, write_new, write_text
 from cellapp.profile.starters import arm_type_files, copies
@@ -121,7 +129,13 @@ def save(opened: OpenProfile, draft: ProfileDraft, new: NewText) -> OpenProfile:
     types = {arm.type for arm in draft.arms} & {f"arms/{path.name}" for path in arm_type_files()}
     write_new(copies(sorted(name for name in types if not path_exists(folder / name)), folder))
     write_text(opened.path, new.text)
-    return OpenProfile(opened.path, new.text, replace(draft, arms=tuple(replace(a, source=a.name) for a in draft.arms)))
+    draft = with_obstacles_of(draft, opened.draft)
+    stored = replace(
+        draft,
+        arms=tuple(replace(one, source=one.name) for one in draft.arms),
+        obstacles=tuple(replace(one, source=one.name) for one in draft.obstacles),
+    )
+    return OpenProfile(opened.path, new.text, stored)
 
 
 def save_new(folder: Path, draft: ProfileDraft, name: str) -> Path:

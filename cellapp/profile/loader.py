@@ -167,7 +167,7 @@ def is_number(text: str) -> bool:
 
 def is_word(text: str) -> bool:
     """Whether YAML reads a text without quotes as that text."""
-    return re.fullmatch(r"[\w./+-]+", text, re.ASCII) is not None and _tag(text) == "str"
+    return re.fullmatch(r"[./+-]*\w[\w./+-]*", text, re.ASCII) is not None and _tag(text) == "str"
 
 
 def _tag(text: str) -> str:

@@ -24,6 +24,7 @@ from cellapp.reporting.page_tables import (
     pair_tables,
     target_tables,
 )
+from cellapp.reporting.plan_section import plan_section
 from cellapp.reporting.provenance import provenance_lines
 from cellapp.reporting.report_data import ReportData, read_report_data
 from cellapp.reporting.tables import (
@@ -80,6 +81,7 @@ def page_text(run: RunFile, written: datetime) -> str:
         **_discovery(data),
         **_verification(data),
         **_collection(run),
+        plan=plan_section(run),
         cell=cell_views(data.model, data.readings),
         cell_table=base_table(data.model),
         parameter_tables=nominal_and_identified_tables(data.calibrate, data.calibrated),

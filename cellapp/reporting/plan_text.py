@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from cellapp.effects import EFFECTS
+from cellapp.planning.planned_stops import PlannedStops
+from cellapp.reporting.charts import enumerated
 from cellapp.reporting.table import Cell, Column, Table, number_column
 from cellapp.reporting.words import display_unit, geometry_unit, short_reason
 from cellapp.results import (
@@ -26,7 +30,9 @@ _MOST_SIZES = 6
 
 def check_sentences(check: PlanCheckResult) -> list[str]:
     """The verdict first, then every refusal."""
-    refusals = [refusal_sentence(one) for one in check.refused]
+    refusals = [
+        refusal_sentence(one) if check.file is None else file_refusal_sentence(check, one) for one in check.refused
+    ]
     if check.is_safe:
         detours = f"; {len(refusals)} ways take a detour" if refusals else ""
         kept = f"{check.stops} stops and {check.ways} ways keep their clearance"
@@ -45,6 +51,31 @@ def refusal_sentence(one: PlanRefusal) -> str:
     if one.is_avoided:
         after = f"the arms go {one.detour or 'via home'}"
     return f"from {before} to {stop}: {one.reason}; {after}"
+
+
+def stop_words(stops: PlannedStops, stop: int) -> str:
+    """How a stop is reached and what it is for: way, last motion, rest, repetition."""
+    words = []
+    if (source := int(stops.repeat_of[stop])) >= 0:
+        words.append(f"repeats stop {source + 1}")
+    if legs := len(stops.legs[stop]):
+        words.append(f"via {legs} position{'s' if legs > 1 else ''}")
+    if starts := stops.approach_starts(stop):
+        sizes = [math.degrees(float(np.abs(stops.q[name][stop] - q).max())) for name, q in starts.items()]
+        words.append(f"last motion {enumerated(f'{size:.1f}' for size in sizes)} deg")
+    rests = [float(rest[stop]) for rest in stops.dwell_s.values()]
+    if any(rests):
+        words.append(f"rests {enumerated(f'{rest:.0f}' for rest in rests)} s")
+    return ", ".join(words) or "straight"
+
+
+def file_refusal_sentence(check: PlanCheckResult, one: PlanRefusal) -> str:
+    """One refusal of a hand-edited plan, by line and configuration."""
+    where = f"{check.file}:{one.line}: configuration {one.configuration}"
+    if one.configuration is None:
+        where = f"{check.file}:{one.line}: home after configuration {one.before}"
+    detour = f"; the arms go {one.detour or 'via home'}" if one.is_avoided else ""
+    return f"{where}: {'the way there: ' if one.what == 'way' else ''}{one.reason}{detour}"
 
 
 def forecast_tables(forecast: PlanForecastResult) -> list[Table]:

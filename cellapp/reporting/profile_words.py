@@ -5,6 +5,14 @@ from __future__ import annotations
 import math
 
 from cellapp.profile import Arm, Pose, Profile
+from cellapp.profile.obstacles import (
+    AnyObstacle,
+    BoxObstacle,
+    CapsuleObstacle,
+    CylinderObstacle,
+    Placement,
+    SphereObstacle,
+)
 from cellapp.reporting.table import Column, Table
 from cellapp.results import DoctorResult, Finding
 
@@ -28,8 +36,24 @@ def cell_words(profile: Profile) -> list[tuple[str, str]]:
     words.append(("tracker pose", _pose(tracker.pose)))
     air = profile.sensors.air
     words.append(("air sensor", "none: the tracker's own" if air is None else _device(air.kind, True)))
+    words += [(f"obstacle {name}", _obstacle(obstacle)) for name, obstacle in profile.obstacles.items()]
     words.append(("targets", profile.targets or "none"))
     return words
+
+
+def _obstacle(obstacle: AnyObstacle) -> str:
+    """Shape and sizes of an obstacle, what it is fixed to, and its pose there."""
+    match obstacle:
+        case BoxObstacle():
+            shape = f"box {' x '.join(f'{1e3 * size:.0f}' for size in obstacle.size)} mm"
+        case CylinderObstacle() | CapsuleObstacle():
+            shape = f"{obstacle.shape} of radius {1e3 * obstacle.radius:.0f} mm, length {1e3 * obstacle.length:.0f} mm"
+        case SphereObstacle():
+            shape = f"sphere of radius {1e3 * obstacle.radius:.0f} mm"
+        case _:
+            shape = f"mesh {obstacle.file}, scale {obstacle.scale:g}"
+    where = "in the cell" if obstacle.arm is None else f"on the {obstacle.fixed_to} of arm {obstacle.arm}"
+    return f"{shape}, {where}: {_pose(obstacle.pose)}"
 
 
 def _arm_words(name: str, arm: Arm) -> list[tuple[str, str]]:
@@ -50,10 +74,14 @@ def constraint_words(profile: Profile) -> list[tuple[str, str]]:
     plan, tracker = profile.plan, profile.tracker
     reserve = f", and {plan.reserve} in reserve" if plan.reserve else ""
     ceiling = "" if plan.ceiling is None else f", ceiling at {plan.ceiling:.3f} m"
+    obstacles = f", from {len(profile.obstacles)} obstacles" if profile.obstacles else ""
     low, high = (math.degrees(angle) for angle in tracker.elevation)
     words = [
         ("stops", f"{plan.stops} of each arm{reserve}, seed {profile.seed}"),
-        ("clearance", f"{1e3 * plan.clearance:.0f} mm between arms and from the floor at {plan.floor:.3f} m{ceiling}"),
+        (
+            "clearance",
+            f"{1e3 * plan.clearance:.0f} mm between arms{obstacles} and from the floor at {plan.floor:.3f} m{ceiling}",
+        ),
         (
             "tracker",
             f"elevation {low:.0f} to {high:.0f} deg, distance {tracker.distance[0]:g} to {tracker.distance[1]:g} m"
@@ -110,7 +138,7 @@ def _device(kind: str, has_device: bool) -> str:
     return f"driver {kind}" if has_device else _NO_DEVICE
 
 
-def _pose(pose: Pose | None) -> str:
+def _pose(pose: Pose | Placement | None) -> str:
     if pose is None:
         return "not given"
     x, y, z = pose.position

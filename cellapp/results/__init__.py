@@ -96,14 +96,17 @@ from cellapp.results.discovery import (
     TermDescription,
 )
 from cellapp.results.plan_design import (
+    FEW_CONFIGURATIONS,
     ArmDesign,
     ArmView,
+    ConstraintShare,
     FactorCorrelation,
     ObservabilityIndices,
     PlanDesignResult,
     PlanQuality,
     SeenCell,
     TravelTime,
+    ViewChange,
     ViewResult,
 )
 from cellapp.results.planning import (
@@ -165,6 +168,7 @@ __all__ = [
     "CALIBRATE",
     "COMPENSATE",
     "DISCOVER",
+    "FEW_CONFIGURATIONS",
     "METHODS",
     "MOST_Z",
     "PUSH",
@@ -190,6 +194,7 @@ __all__ = [
     "CollectResult",
     "CollectionResult",
     "CompensateResult",
+    "ConstraintShare",
     "Contradiction",
     "Correlation",
     "CurveRecord",
@@ -290,6 +295,7 @@ __all__ = [
     "ValueComparison",
     "Verdict",
     "VerifyResult",
+    "ViewChange",
     "ViewResult",
     "WholeRunResult",
     "json_schemas",

@@ -8,16 +8,25 @@ from typing import Literal
 from pydantic import Field
 
 from cellapp.results.base import Record, Result
+from cellapp.results.plan_design import PlanDesignResult
+from cellapp.results.planning import PlannedTime
 
 
 class PlanResult(Result):
-    """``plan``: number of planned stops of each arm, and of further ones in reserve."""
+    """``plan``: number of planned stops of each arm, and of further ones in reserve.
+
+    ``design`` is what is known of designed stops, ``time`` how long collecting them takes.
+    """
 
     schema_: Literal["cellapp-plan"] = "cellapp-plan"
     version: Literal[1] = 1
     run: str
     stops: Mapping[str, int]
     reserves: int = 0
+    design: PlanDesignResult | None = None
+    time: PlannedTime | None = None
+    notes: tuple[str, ...] = ()
+    omitted_when_none = frozenset({"design", "time"})
 
 
 class MissingReading(Record):
@@ -170,6 +179,7 @@ class ExportResult(Result):
     version: Literal[1] = 1
     csv: str | None = None
     readings: Mapping[str, int] | None = None
+    plan: str | None = None
     geometry: str | None = None
     ur_lost_rms_mm: Mapping[str, float] | None = None
-    omitted_when_none = frozenset({"csv", "readings", "geometry", "ur_lost_rms_mm"})
+    omitted_when_none = frozenset({"csv", "readings", "plan", "geometry", "ur_lost_rms_mm"})

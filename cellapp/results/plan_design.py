@@ -98,6 +98,10 @@ class PlanDesignResult(Result):
         return max(chosen, key=lambda one: abs(one.correlation), default=None)
 
 
+FEW_CONFIGURATIONS = 100
+"""Shares of fewer configurations than these are taken as of these: one seen of three is no third."""
+
+
 class SeenCell(Record):
     """A cube of the workspace of one arm, its centre in the cell frame C [m].
 
@@ -108,20 +112,56 @@ class SeenCell(Record):
     reachable: int
     seen: int
 
+    @property
+    def share(self) -> float:
+        """Share of the configurations that are seen."""
+        return self.seen / max(self.reachable, FEW_CONFIGURATIONS)
+
+
+class ConstraintShare(Record):
+    """Share of configurations that a constraint excludes ``alone``, and that could be measured ``without`` it.
+
+    ``extent`` says what is there against what is allowed, and by how much the nearest configuration misses.
+    """
+
+    constraint: str
+    alone: float
+    without: float
+    extent: str
+    advice: str
+
+
+class ViewChange(Record):
+    """A change to the cell, and the share of configurations that could then be measured."""
+
+    change: str
+    seen: float
+
 
 class ArmView(Record):
     """What the tracker sees of one arm's workspace; ``lost``: constraint -> share of configurations that it excludes.
 
     The constraints are applied in this order: a configuration counts for the first that excludes it.
+    ``constraints``: each of them by itself, that first without which most could be measured. ``changes``: the best
+    first.
     """
 
     drawn: int
     seen: int
     small_incidence: int
     """Of those seen, configurations whose incidence is within the range of full accuracy."""
+    facing_at_random: float
+    """Share of all directions in space that are within the SMR's acceptance angle."""
     lost: Mapping[str, float]
+    constraints: tuple[ConstraintShare, ...]
+    changes: tuple[ViewChange, ...]
     edge_m: float
     cells: tuple[SeenCell, ...]
+
+    @property
+    def share(self) -> float:
+        """Share of configurations that the tracker can measure."""
+        return self.seen / max(self.drawn, 1)
 
 
 class ViewResult(Result):

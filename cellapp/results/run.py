@@ -9,6 +9,7 @@ from cellapp.results.base import Record, Result, StageName
 from cellapp.results.calibration import CalibrateResult
 from cellapp.results.collection import ArmOrder, CollectResult
 from cellapp.results.discovery import DiscoverResult
+from cellapp.results.plan_design import PlanDesignResult
 from cellapp.results.targets import CompensateResult, VerifyResult
 
 
@@ -144,9 +145,11 @@ class PlannedStop(Record):
 
 
 class StopsResult(Result):
-    """``show DIR plan``: every planned stop."""
+    """``show DIR plan``: every planned stop, and what is known of their design if they were designed."""
 
     schema_: Literal["cellapp-stops"] = "cellapp-stops"
     version: Literal[1] = 1
     run: str
     stops: tuple[PlannedStop, ...]
+    design: PlanDesignResult | None = None
+    omitted_when_none = frozenset({"design"})

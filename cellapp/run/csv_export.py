@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cellapp.errors import InputError
 from cellapp.run.columns import COLUMNS
 from cellapp.run.csv_import import is_known
+from cellapp.run.csv_text import write_csv
 from cellapp.run.file import RunFile
 from cellapp.run.readings import Readings
 
@@ -36,19 +35,7 @@ def write_readings_csv(run: RunFile, path: Path) -> None:
             for order, (arm, readings) in enumerate(arms.items())
         )
     )
-    unfinished = path.with_name(path.name + ".new")
-    try:
-        try:
-            with unfinished.open("w", encoding="utf-8", newline="") as file:
-                # The writer quotes a carriage return within a text only if the line terminator contains one.
-                writer = csv.writer(file, lineterminator="\r\n")
-                writer.writerow(names)
-                writer.writerows(row for _, _, row in rows)
-            os.replace(unfinished, path)
-        finally:
-            unfinished.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}; check the folder and its permissions") from error
+    write_csv(path, names, (row for _, _, row in rows))
 
 
 def _header(arms: Mapping[str, Readings], imported: Sequence[str]) -> list[str]:

@@ -23,16 +23,12 @@ from cellapp.errors import InputError
 from cellapp.profile import Profile
 from cellapp.results import ArmOrder
 from cellapp.run.columns import COLUMNS, CONFIGURATION, Column, Values
-from cellapp.run.csv_text import CsvTable, Problems, read_csv_table
+from cellapp.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, read_csv_table, short
 from cellapp.run.file import RunFile
 from cellapp.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.run.readings import Readings, readings_from_columns
 
-_WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NOT_NUMBERS = re.compile(r"[^0-9.eE+\- ]")
-_LONGEST_SHOWN = 40
-"""Characters of a wrong cell that a message shows."""
 
 
 def read_readings_csv(
@@ -214,9 +210,9 @@ class _ArmCells:
                     continue
                 self.refuse(index, name, "the value is missing")
                 break
-            value = float(text) if _NUMBER.fullmatch(text) else math.nan
+            value = float(text) if NUMBER.fullmatch(text) else math.nan
             if not math.isfinite(value):
-                self.refuse(index, name, f"expected a finite number such as 0.25, got '{_short(text)}'")
+                self.refuse(index, name, f"expected a finite number such as 0.25, got '{short(text)}'")
                 break
             result[index] = value
         return result
@@ -225,8 +221,8 @@ class _ArmCells:
         """A column of integers as (n,); not by way of floats, which would round large ones."""
         texts = [text.strip() for text in self.texts(name)]
         for index, text in enumerate(texts):
-            if not _WHOLE.fullmatch(text):
-                what = f"expected a whole number, got '{_short(text)}'" if text else "the value is missing"
+            if not WHOLE.fullmatch(text):
+                what = f"expected a whole number, got '{short(text)}'" if text else "the value is missing"
                 self.refuse(index, name, what)
                 return np.zeros(len(texts), dtype=np.int64)
         return np.array([int(text) for text in texts], dtype=np.int64)
@@ -239,7 +235,7 @@ class _ArmCells:
         words = [text.strip() for text in self.texts(name)]
         for index, word in enumerate(words):
             if word and column.allowed and word not in column.allowed:
-                self.refuse(index, name, f"expected {column.expected}, got '{_short(word)}'")
+                self.refuse(index, name, f"expected {column.expected}, got '{short(word)}'")
                 break
         return tuple(word or None for word in words) if any(words) else None
 
@@ -335,7 +331,3 @@ def _notes(table: CsvTable, joint_counts: Mapping[str, int], readings: Mapping[s
         if arm not in readings:
             notes.append(f"{table.path}: arm '{arm}' of the profile has no readings in this file")
     return notes
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."

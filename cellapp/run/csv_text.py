@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable
+import os
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from cellapp.errors import InputError
 
+WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
+"""A whole number; ``int`` would accept more (1_000, digits of other scripts)."""
+NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+"""A decimal number; ``float`` would accept more (nan, 1_000)."""
 _SHOWN = 5
 """Problems per message: enough to see a pattern, few enough to read."""
+_LONGEST_SHOWN = 40
+"""Characters of a wrong cell that a message shows."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +52,38 @@ class Problems:
             raise InputError("\n".join(texts[:_SHOWN] + more))
 
 
-def read_csv_table(path: Path) -> CsvTable:
-    """Read a UTF-8, comma-separated file; blank rows are skipped.
+def short(text: str) -> str:
+    """A wrong cell as a message shows it."""
+    return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Write a file completely or not at all; an existing one is replaced.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    if path.is_dir():
+        raise InputError(f"{path} cannot be written: it is a folder; give the path of a file")
+    unfinished = path.with_name(path.name + ".new")
+    try:
+        try:
+            with unfinished.open("w", encoding="utf-8", newline="") as file:
+                # The writer quotes a carriage return within a text only if the line terminator contains one.
+                writer = csv.writer(file, lineterminator="\r\n")
+                writer.writerow(header)
+                writer.writerows(rows)
+            os.replace(unfinished, path)
+        finally:
+            unfinished.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}; check the folder and its permissions") from error
+
+
+def read_csv_table(path: Path, what: str = "readings") -> CsvTable:
+    """Read a UTF-8, comma-separated file; blank rows are skipped. ``what`` it should hold is said in messages.
 
     Raises
     ------
@@ -56,9 +94,9 @@ def read_csv_table(path: Path) -> CsvTable:
         with path.open(encoding="utf-8-sig", newline="") as file:
             return _parse(path, file)
     except FileNotFoundError:
-        raise InputError(f"{path}: file not found; give a CSV file of readings") from None
+        raise InputError(f"{path}: file not found; give a CSV file of {what}") from None
     except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}; give a CSV file of readings") from None
+        raise InputError(f"{path} cannot be read: {error.strerror}; give a CSV file of {what}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text ({error.reason}); save the file as CSV in UTF-8") from None
 

@@ -126,7 +126,17 @@ def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) ->
     if not any(arm.measured for arm in arms.values()):
         return "collect"
     sessions = run.sessions()
-    done = bool(sessions) and sessions[-1].outcome in ("complete", "accurate enough")
+    ended = sessions[-1].outcome if sessions else None
+    if ended == "complete" and _has_new_stops(run):
+        return "collect"
+    done = ended in ("complete", "accurate enough")
     if not done and not stages.current and any(arm.measured < arm.planned for arm in arms.values()):
         return "collect"
     return stages.next_verb() or ("" if (run.folder / REPORT_FILE).exists() else "report")
+
+
+def _has_new_stops(run: RunFile) -> bool:
+    """Whether stops are planned that no session has tried, reserves aside: they were added since."""
+    total = max(run.planned_counts().values(), default=0)
+    tried = run.stops_done() | {one.stop for one in run.outcomes()}
+    return any(stop not in tried for stop in range(total) if stop not in run.profile.plan.reserves(total))

@@ -232,6 +232,8 @@ def mounted_hides(tracker: Array, bodies: Placed, radius: float) -> np.ndarray:
     encloses it is its holder, and hides nothing.
     """
     hidden = np.zeros(len(bodies.smr), dtype=bool)
+    if not bodies.arm.mounted:
+        return hidden
     tool = bodies.arm.geometry.tool
     source = np.einsum("nba,nb->na", bodies.flange, tracker - bodies.smr) + tool
     target = np.broadcast_to(tool, source.shape)

@@ -30,13 +30,15 @@ from cellapp.safety.bodies import (
 from cellapp.safety.gaps_between_arms import gap_at_rest, gap_on_paths
 from cellapp.safety.obstacles import Obstacle, beam_gaps, box_about
 from cellapp.safety.paths import STRIDE, SampledPath, sample_path
+from cellapp.safety.visibility import sight_conditions, sight_of
 
 BEAM_RADIUS = 0.02
 """Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""
 _SELF_CLEARANCE = 0.01
 """Clearance of an arm from itself [m]; smaller than from others, as its shape is known better than its base."""
-_ACCEPTANCE_MARGIN = math.radians(3.0)
-"""Subtracted from the SMR's acceptance angle: base and flange are not known exactly before calibration."""
+_OWN_BASE_CLEARANCE = 0.02
+"""Clearance of an arm from what is fixed to its own base [m]; smaller than from others: the pose of the base, known to
+centimetres before calibration, does not matter. It allows for a place that was measured with a tape."""
 _STEPS = (0.02, 0.04)
 """Smallest and largest spacing of samples on a path [m]; between them it is half the clearance."""
 _ROUNDING_RAD = 1e-9
@@ -66,7 +68,7 @@ class CellBodies:
         Name -> ArmBodies.
     field : TrackerField or None
     clearance : float
-        Least distance between arms, and of arms from floor and ceiling [m].
+        Least distance between arms, and of arms from floor, ceiling and obstacles [m].
     floor, ceiling : float
         Heights of floor and ceiling in the cell frame C [m]; the ceiling may be infinite.
     obstacles : tuple of Obstacle
@@ -82,7 +84,7 @@ class CellBodies:
 
     @property
     def self_clearance(self) -> float:
-        """Least distance of an arm from itself, and from what is fixed to its own base [m]."""
+        """Least distance of an arm from itself [m]."""
         return min(self.clearance, _SELF_CLEARANCE)
 
     @cached_property
@@ -103,7 +105,7 @@ class CellBodies:
         radius = np.append(arm.radius[base], 0.0)
         for row, obstacle in zip(asked, self.obstacles, strict=True):
             if obstacle.base_of == name:
-                row[:] = self.self_clearance
+                row[:] = min(self.clearance, _OWN_BASE_CLEARANCE)
             row[base] = -np.inf
             if not obstacle.gaps(start, end, radius, self.clearance).min() >= self.clearance:
                 row[arm.frames == 1] = -np.inf
@@ -236,18 +238,8 @@ def visible_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
 
 def _in_view(field: TrackerField, bodies: Placed) -> np.ndarray:
     """Whether SMRs are in the field of view and the beam within their acceptance angle, shape (n,) bool."""
-    in_M = (bodies.smr - field.T_C_M[:3, 3]) @ field.T_C_M[:3, :3]
-    distance = np.linalg.norm(in_M, axis=1)
-    azimuth = np.arctan2(in_M[:, 1], in_M[:, 0])
-    elevation = np.arcsin(np.clip(in_M[:, 2] / distance, -1.0, 1.0))
-    seen = np.ones(len(distance), dtype=bool)
-    for value, (low, high) in ((elevation, field.elevation), (distance, field.distance)):
-        seen &= (value >= low) & (value <= high)
-    left, right = field.azimuth
-    seen &= np.mod(azimuth - left, 2.0 * math.pi) <= right - left
-    back = (field.T_C_M[:3, 3] - bodies.smr) / distance[:, None]
-    cosine = np.einsum("na,na->n", back, bodies.normal)
-    return np.asarray(seen & (cosine > math.cos(max(0.0, bodies.arm.acceptance - _ACCEPTANCE_MARGIN))))
+    conditions = sight_conditions(field, bodies.arm.acceptance, sight_of(field.T_C_M, bodies))
+    return np.asarray(np.logical_and.reduce([holds for _, holds in conditions]))
 
 
 def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
@@ -308,13 +300,14 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
         return ""
     bodies, clearances = path.coarse_bodies, cell.obstacle_clearances[path.arm]
     low, high = box_about(bodies.start, bodies.end, bodies.radius)
-    spread = (STRIDE + 1) * path.deviations
+    spread = (STRIDE + 1) * path.deviations  # from any point of the path to the nearest coarse sample
     doubtful, near = np.zeros(len(bodies.smr), dtype=bool), []
     for obstacle, asked in zip(cell.obstacles, clearances, strict=True):
-        if obstacle.far(low, high, float((asked + spread).max())):
+        needed = asked + spread
+        if obstacle.far(low, high, float(needed.max())):
             continue
-        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, asked + spread)
-        rows = np.any(~(gaps >= asked + spread), axis=1)
+        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
+        rows = np.any(~(gaps >= needed), axis=1)
         if rows.any():
             doubtful |= rows
             near.append((obstacle, asked))
@@ -326,8 +319,9 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
         gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
         if not (gaps >= needed).all():
             k = int(np.argmin(np.min(gaps - needed, axis=0)))
-            what = f"obstacle '{obstacle.name}'{_carried(path.arm, k)}"
-            return _too_near("comes", float(gaps[:, k].min()), float(path.deviations[k]), float(asked[k]), what)
+            gap, hidden = float(gaps[:, k].min()), float(path.deviations[k])
+            words = _too_near("comes", gap, hidden, float(asked[k]), f"obstacle '{obstacle.name}'")
+            return _carried(path.arm, k) + words
     return ""
 
 
@@ -347,13 +341,14 @@ def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:
     if gaps.min() >= needed:
         return ""
     worst = int(np.argmin(gaps))
-    carried = _carried(path.arm, int(k[pairs][worst])) or _carried(path.arm, int(i[pairs][worst]))
-    return _too_near("comes", float(gaps[worst]), path.deviation, cell.self_clearance, f"itself{carried}")
+    carried = _carried(path.arm, max(int(i[pairs][worst]), int(k[pairs][worst])))
+    what = "the arm itself" if carried else "itself"
+    return carried + _too_near("comes", float(gaps[worst]), path.deviation, cell.self_clearance, what)
 
 
 def _carried(arm: ArmBodies, body: int) -> str:
-    """The mounted obstacle that a body covers, in words; empty for the arm's own bodies."""
-    return "" if body < arm.links else f" with its obstacle '{arm.covered[body - arm.links]}'"
+    """The mounted obstacle that a body covers, as the subject of a refusal; empty for the arm's own bodies."""
+    return "" if body < arm.links else f"its '{arm.covered[body - arm.links]}' "
 
 
 def _too_near(verb: str, gap: float, allowance: float, asked: float, what: str) -> str:

@@ -64,13 +64,11 @@ class Obstacle:
         gaps : array, shape (...)
         """
         a, b = ((points - self.pose[:3, 3]) @ self.pose[:3, :3] for points in (start, end))
-        half = self.shape.half
-        apart = np.maximum(np.maximum(np.minimum(a, b) - half, -half - np.maximum(a, b)), 0.0)
-        gaps = np.sqrt(np.einsum("...a,...a->...", apart, apart)) - radius
+        gaps = np.asarray(self.shape.lower_bound(a, b) - radius)
         near = ~(gaps > within)  # also where NaN
         if near.any():
             gaps[near] = self.shape.segment_distance(a[near], b[near]) - np.broadcast_to(radius, gaps.shape)[near]
-        return np.asarray(gaps)
+        return gaps
 
 
 def box_about(start: Array, end: Array, radius: Array) -> tuple[Array, Array]:

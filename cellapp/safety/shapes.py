@@ -23,6 +23,9 @@ class Shape(Protocol):
     def half(self) -> Array:
         """Half the sizes of its bounding box about the origin, shape (3,) [m]."""
 
+    def lower_bound(self, start: Array, end: Array) -> Array:
+        """Bounds (...) [m] below the distances of segments with ends (..., 3), quick to find; NaN where an end is."""
+
     def segment_distance(self, start: Array, end: Array) -> Array:
         """Distances (t,) [m] of segments with ends (t, 3) from the solid; zero or negative where they meet it.
 
@@ -49,6 +52,10 @@ class RoundedBox:
     def half(self) -> Array:
         """Half the sizes of the bounding box, shape (3,) [m]."""
         return self.core + self.radius
+
+    def lower_bound(self, start: Array, end: Array) -> Array:
+        """Distances (...) [m] of the boxes about segments with ends (..., 3)."""
+        return distance_of_boxes(self.core, start, end) - self.radius
 
     def segment_distance(self, start: Array, end: Array) -> Array:
         """Distances (t,) [m] of segments with ends (t, 3); exact outside, -radius inside the core.
@@ -90,6 +97,15 @@ class Cylinder:
         """Half the sizes of the bounding box, shape (3,) [m]."""
         return np.array([self.radius, self.radius, self.half_length])
 
+    def lower_bound(self, start: Array, end: Array) -> Array:
+        """Least distances (...) [m] across and along the axis, each for itself, of segments with ends (..., 3)."""
+        x, y = start[..., 0], start[..., 1]
+        ux, uy = end[..., 0] - x, end[..., 1] - y
+        t = np.clip(-(x * ux + y * uy) / np.maximum(ux * ux + uy * uy, _LEAST_SLOPE_M**2), 0.0, 1.0)
+        radial = np.maximum(np.hypot(x + t * ux, y + t * uy) - self.radius, 0.0)
+        low, high = np.minimum(start[..., 2], end[..., 2]), np.maximum(start[..., 2], end[..., 2])
+        return np.hypot(radial, np.maximum(np.maximum(low, -high) - self.half_length, 0.0))
+
     def segment_distance(self, start: Array, end: Array) -> Array:
         """Distances (t,) [m] of segments with ends (t, 3), from below to about 1e-9 m; zero inside.
 
@@ -115,3 +131,9 @@ class Cylinder:
         """Distances (t,) [m] of points (t, 3); zero inside."""
         radial = np.maximum(np.hypot(points[:, 0], points[:, 1]) - self.radius, 0.0)
         return np.hypot(radial, np.maximum(np.abs(points[:, 2]) - self.half_length, 0.0))
+
+
+def distance_of_boxes(half: Array, start: Array, end: Array) -> Array:
+    """Distances (...) [m] of the box about the origin with half sizes (3,) from those about segments (..., 3)."""
+    apart = np.maximum(np.maximum(np.minimum(start, end), -np.maximum(start, end)) - half, 0.0)
+    return np.asarray(np.sqrt(np.einsum("...a,...a->...", apart, apart)))

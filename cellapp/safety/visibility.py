@@ -16,8 +16,6 @@ from cellapp.safety.bodies import Placed
 if TYPE_CHECKING:
     from cellapp.safety.gate import TrackerField
 
-BEAM_RADIUS = 0.02
-"""Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""
 _ACCEPTANCE_MARGIN = math.radians(3.0)
 """Subtracted from the SMR's acceptance angle: base and flange are not known exactly before calibration."""
 

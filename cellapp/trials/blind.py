@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.calibration.calibrate import profile_splits
 from cellapp.collection.cell import build_plant
 from cellapp.kinematics.transforms import Array
+from cellapp.planning.planned_stops import PlannedStops
 from cellapp.profile import Arm, Profile
 from cellapp.run import Readings
 from cellapp.safety.cell_bodies import home_positions
@@ -55,27 +57,49 @@ def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str
     return profile.model_copy(update={"plant": settings, "seed": seed})
 
 
-def blind_readings(
-    profile: Profile, plan: Mapping[str, Array], seed: int, noise: Noise | None = None
-) -> dict[str, Readings]:
-    """Readings of all arms at the stops of ``plan`` (name -> (n, N) [rad]) in an order drawn by ``seed``.
+@dataclass(frozen=True, eq=False)
+class _Visits:
+    """Stops in the order of the visits: joint positions and last motions, arm -> (n, N) [rad]."""
 
-    Arms go directly from stop to stop. The rest before a measurement varies from 1 to 8 s, the payload alternates in
-    four blocks between the profile's and 80 % of the rated one, joints warm up, and the run lasts five hours.
+    q: Mapping[str, Array]
+    step: Mapping[str, Array]
+
+
+def _visits(profile: Profile, plan: Mapping[str, Array] | PlannedStops, order: NDArray[np.intp]) -> _Visits:
+    """Visits of a designed plan as planned; of other stops in the given order, straight from stop to stop."""
+    homes = home_positions(profile)
+    q = dict(plan.q) if isinstance(plan, PlannedStops) else {name: rows[order] for name, rows in plan.items()}
+    step = {name: np.diff(np.vstack([homes[name], rows]), axis=0) for name, rows in q.items()}
+    if isinstance(plan, PlannedStops):
+        step = {
+            name: np.where(np.isnan(plan.approach_from[name]), step[name], q[name] - plan.approach_from[name])
+            for name in q
+        }
+    return _Visits(q, step)
+
+
+def blind_readings(
+    profile: Profile, plan: Mapping[str, Array] | PlannedStops, seed: int, noise: Noise | None = None
+) -> dict[str, Readings]:
+    """Readings of all arms at the stops of ``plan``.
+
+    Stops without a plan of their own (name -> (n, N) [rad]) are visited in an order drawn by ``seed``, straight from
+    stop to stop; a designed plan in its order and with its approaches. The rest before a measurement varies from 1 to
+    8 s, the payload alternates in four blocks between the profile's and 80 % of the rated one, joints warm up, and the
+    run lasts five hours.
     """
     noise = noise or Noise()
     rng = np.random.default_rng([seed, 0xB11D])
     plant = build_plant(profile)
-    n = len(next(iter(plan.values())))
-    order = rng.permutation(n)
-    stops = {name: q[order] for name, q in plan.items()}
+    n = len(plan) if isinstance(plan, PlannedStops) else len(next(iter(plan.values())))
+    visits = _visits(profile, plan, rng.permutation(n))
     time_s, dwell_s, air_c = _drawn_conditions(profile, n, rng)
-    homes, loads_kg = home_positions(profile), _loads_kg(profile, n)
+    loads_kg = _loads_kg(profile, n)
     readings = {}
-    for place, (name, q) in enumerate(stops.items()):
-        step = np.diff(np.vstack([homes[name], q]), axis=0)
+    for place, (name, q) in enumerate(visits.q.items()):
+        step = visits.step[name]
         approach = np.sign(step).astype(np.int8)
-        others = {other: rows for other, rows in stops.items() if other != name}
+        others = {other: rows for other, rows in visits.q.items() if other != name}
         rise = rng.uniform(*_JOINT_RISE_K, q.shape[1]) * -np.expm1(-time_s[:, None] / _WARM_UP_S)
         joints_c = air_c[:, None] + rise
         exact = plant.smr_positions(

@@ -26,6 +26,7 @@ from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.collection.cell import build_plant
 from cellapp.errors import CheckFailed, InputError
 from cellapp.kinematics.transforms import Array
+from cellapp.planning.planned_stops import PlannedStops
 from cellapp.profile import Profile, Sensors
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Record, Result
@@ -260,7 +261,7 @@ def _write_runs(
 ) -> list[GroundTruth]:
     """Write the runs and return their truth."""
     truths: list[GroundTruth] = []
-    plan: Mapping[str, Array] = {}
+    plan: Mapping[str, Array] | PlannedStops = {}
     plan_seed = 0
     for place, case in enumerate(cases):
         cancel.check()
@@ -279,7 +280,7 @@ def _write_run(
     folder: Path,
     number: int,
     case: Case,
-    plan: Mapping[str, Array],
+    plan: Mapping[str, Array] | PlannedStops,
     plan_seed: int,
     seed: int,
     setup: Setup,

@@ -10,7 +10,9 @@ import numpy as np
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
+from cellapp.planning.method import make_stops
 from cellapp.planning.plan import draw_stops, plan_stops
+from cellapp.planning.planned_stops import PlannedStops
 from cellapp.profile import Arm, Profile
 from cellapp.progress import CancelToken
 from cellapp.results import Record
@@ -27,6 +29,7 @@ NOISES: Mapping[str, Noise] = {
 """How readings scatter: as stated, with heavy tails, or with 8 urad unstated repeatability of each joint."""
 LAWS = ("same", "other")
 RANGES = ("full", "narrow")
+PLANS = ("random", "designed")
 MASS_ERROR = 0.05
 """Standard deviation of true link masses about the nominal ones, relative: they are never known better."""
 FEWEST_STOPS = 40
@@ -58,6 +61,8 @@ class Setup(Record):
         Whether readings state their uncertainty.
     flip_approach : bool
         Whether approach signs have the opposite convention; last steps are then not given.
+    plan_method : str
+        random or designed: how the stops of each run are chosen.
     """
 
     kind: str = ONE
@@ -68,6 +73,7 @@ class Setup(Record):
     mass_error: float = MASS_ERROR
     stated: bool = True
     flip_approach: bool = False
+    plan_method: str = "random"
 
     @property
     def hides(self) -> str:
@@ -81,12 +87,15 @@ class Setup(Record):
             ("noise", self.noise, tuple(NOISES)),
             ("laws", self.laws, LAWS),
             ("ranges", self.ranges, RANGES),
+            ("plan", self.plan_method, PLANS),
         )
         for name, word, known in words:
             if word not in known:
                 raise InputError(f"--{name}: '{word}' is not known; {name.rstrip('s')}s are {', '.join(known)}")
         if self.flip_approach and self.kind != ONE:
             raise InputError(f"--flip-approach hides backlash and friction by itself; leave out --kind {self.kind}")
+        if self.plan_method == "designed" and self.ranges != "full":
+            raise InputError("--plan designed needs the full joint ranges; leave out --ranges narrow")
         if self.stops is not None and self.stops < FEWEST_STOPS:
             raise InputError(f"--stops: {self.stops} are too few to identify the geometry; give {FEWEST_STOPS} or more")
         if not 0.0 <= self.mass_error < 1.0:
@@ -111,10 +120,13 @@ class Setup(Record):
             changes["splits"] = profile.splits.model_copy(update=splits)
         return profile.model_copy(update=changes)
 
-    def plan(self, profile: Profile, seed: int, cancel: CancelToken) -> Mapping[str, Array]:
-        """Stops of all arms, arm -> q (n, N) [rad], drawn by ``seed``. Raises ``InputError`` if none are found."""
+    def plan(self, profile: Profile, seed: int, cancel: CancelToken) -> Mapping[str, Array] | PlannedStops:
+        """Stops of all arms, drawn or designed by ``seed``. Raises ``InputError`` if none are found."""
         if self.ranges == "full":
-            return plan_stops(profile.model_copy(update={"seed": seed}), cancel=cancel)
+            if self.plan_method == "random":
+                return plan_stops(profile.model_copy(update={"seed": seed}), cancel=cancel)
+            designed = profile.plan.model_copy(update={"method": "designed"})
+            return make_stops(profile.model_copy(update={"seed": seed, "plan": designed}), cancel=cancel)[0]
         rng = np.random.default_rng([seed, 0x4A44])
         for _ in range(_CENTRES):
             narrowed = _narrowed(profile, rng)

@@ -89,12 +89,12 @@ class StormCell:
 
     arms: tuple[str, ...]
     control: Control
-    bridge_port: int
+    bridge: EmulatedTracker
 
     def tracker_fault(self, kind: str) -> None:
         """Let the bridge fail at its next measurement; a bridge that restarts at this moment is left alone."""
         try:
-            with socket.create_connection(("127.0.0.1", self.bridge_port), 1.0) as link:
+            with socket.create_connection((self.bridge.host, self.bridge.port), 1.0) as link:
                 link.sendall(wire.encode(1, "fault", {"kind": kind}))
                 link.recv(wire.LONGEST_LINE)
         except OSError:
@@ -176,7 +176,7 @@ def _serve(profile_text: str, pace: float, pipe: Connection) -> None:
     def announce(arms: object) -> None:
         assert isinstance(arms, list)
         assert isinstance(arms[0], EmulatedArm)
-        pipe.send((arms[0].control_port, trackers[0].port))
+        pipe.send((arms[0].control_port, trackers[0]))
 
     threading.Thread(target=until_told, daemon=True).start()
     try:

@@ -52,6 +52,8 @@ _CLOSED = available("SIGHUP")
 _PAUSING = available("SIGTSTP")
 _LAST_WORDS_S = 5.0
 """After the end of the job, for leaving the screen; usually some 0.1 s."""
+_LAST_WRITES_S = 0.5
+"""The same where the terminal is gone: nobody reads last words, and the next start waits for what this one holds."""
 _DRAWING_S = 0.1
 """Time between two drawings of a running job: people read no faster, and keys are answered between them."""
 _PRELOAD_AFTER_S = 0.3
@@ -174,17 +176,18 @@ class CellApp(App[None]):
                 forget_terminal()
             self.post_message(LeaveAsked())
             if self._ends_process:
-                threading.Thread(target=self._end_process, name="end", daemon=True).start()
+                after_s = _LAST_WRITES_S if number in _CLOSED else _LAST_WORDS_S
+                threading.Thread(target=self._end_process, args=(after_s,), name="end", daemon=True).start()
         elif control.request == "pause":
             control.resume()
         else:
             control.pause()
 
-    def _end_process(self) -> None:
+    def _end_process(self, after_s: float) -> None:
         """End the program where Textual cannot: once a write to a closed terminal failed, it waits for ever."""
         running = self.jobs.running
         self.wait_for_job()
-        time.sleep(_LAST_WORDS_S)
+        time.sleep(after_s)
         os._exit(STOPPED if running else self._code)
 
     async def action_quit(self) -> None:

@@ -27,6 +27,8 @@ _LOOK_S = 0.05
 _FONT = re.compile(r"@font-face \{.*?\}\s*", re.DOTALL)
 _PLOTS_S = 1.0
 """The screen Collect draws its plots one after the other, so that keys are answered between them."""
+_PLAN_TAB = "tab-design"
+"""The tab of the screen Plan that shows most."""
 _SETTLED = 3
 """Screens that read something in a thread draw it a message later, and that may begin another reading."""
 
@@ -74,6 +76,8 @@ def write_screens(profile: Path, run: Path | None, folder: Path, size: tuple[int
 
 async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> dict[str, str]:
     """Name and SVG text of the picture of every screen."""
+    from textual.widgets import TabbedContent
+
     from cellapp.tui.app import CellApp
     from cellapp.tui.screens import SCREENS
 
@@ -91,6 +95,9 @@ async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> d
                 await settle(pilot)
                 if run is not None and entry.step == "collect":
                     await _replay_half(app, pilot, run)
+                if run is not None and entry.step == "plan":
+                    app.screen.query_one(TabbedContent).active = _PLAN_TAB
+                    await settle(pilot)
                 svg = app.export_screenshot(title=f"cellapp: {entry.title}")
                 pictures[screen_file(entry.step)] = _without_fonts(svg)
                 await _end_job(app, pilot)

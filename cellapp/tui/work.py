@@ -52,6 +52,18 @@ def plan(profile: Path, folder: Path) -> Job:
     return Job("plan", work, folder)
 
 
+def view(profile: Path) -> Job:
+    """Look at what the tracker sees of each arm's workspace; nothing is planned."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.planning.view import view_workspace
+        from cellapp.profile import load_profile
+
+        return view_workspace(load_profile(profile), listener, control)
+
+    return Job("view", work)
+
+
 def check_plan(folder: Path) -> Job:
     """Run the safety gate over the plan of a run again; nothing moves."""
 
@@ -72,6 +84,75 @@ def forecast_plan(folder: Path) -> Job:
         return forecast_run(run, listener, control)
 
     return _of_run("forecast", folder, work)
+
+
+def write_plan(folder: Path, path: Path) -> Job:
+    """Write the plan of a run as CSV."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.pipeline import export_run
+
+        return export_run(run, None, None, path)
+
+    return _of_run("export", folder, work)
+
+
+def check_plan_file(profile: Path, path: Path) -> Job:
+    """Check a plan that was edited by hand; nothing is stored."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.plan_verbs import check_plan_file
+        from cellapp.profile import load_profile
+
+        return check_plan_file(load_profile(profile), path, listener, control)
+
+    return Job("check", work)
+
+
+def plan_with_file(profile: Path, path: Path, folder: Path, *, around: bool) -> Job:
+    """Make a run with the plan of a file, as it is written or with other stops designed ``around`` its own."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.plan_verbs import plan_around_file, plan_from_file
+        from cellapp.profile import load_profile
+
+        make = plan_around_file if around else plan_from_file
+        return make(load_profile(profile), path, folder, listener, control)
+
+    return Job("plan", work, folder)
+
+
+def freeze_stops(folder: Path, stops: Sequence[int]) -> Job:
+    """Let later designs of a run's plan leave these stops, and no others."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.plan_verbs import freeze_stops
+
+        return freeze_stops(run, stops)
+
+    return _on_run("freeze", folder, work)
+
+
+def extend_plan(folder: Path, count: int) -> Job:
+    """Append stops to the plan of a run."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.plan_verbs import extend_plan
+
+        return extend_plan(run, count, listener, control)
+
+    return _on_run("plan", folder, work)
+
+
+def replan(folder: Path) -> Job:
+    """Design the stops of a run that are not measured again."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.plan_verbs import replan
+
+        return replan(run, listener, control)
+
+    return _on_run("plan", folder, work)
 
 
 def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:

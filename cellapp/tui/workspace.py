@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Literal
 from cellapp.errors import CellappError, InputError
 
 if TYPE_CHECKING:
+    from cellapp.planning.planned_stops import PlannedStops
     from cellapp.profile import Profile
-    from cellapp.results import CellKind, CollectionResult, OverviewResult, RunResults, StopsResult
+    from cellapp.results import CellKind, CollectionResult, OverviewResult, PlanDesignResult, RunResults, StopsResult
 
 Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "runs"]
 STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "runs")
@@ -37,8 +38,10 @@ class Workspace:
         That of the run where one is open, else that of ``profile_path``.
     folder : Path or None
         The run; None where none is open.
-    overview, results, collection, stops
-        What the run holds; None without a run.
+    overview, results, collection, stops, ways
+        What the run holds; None without a run. ``ways`` is how each stop is reached, and what it is for.
+    design : PlanDesignResult or None
+        What is known of the design of the run's plan; None where it was not designed.
     problem : str
         Why profile or run cannot be used, in a sentence; empty if they can.
     edited : bool
@@ -54,6 +57,8 @@ class Workspace:
     results: RunResults | None = None
     collection: CollectionResult | None = None
     stops: StopsResult | None = None
+    ways: PlannedStops | None = None
+    design: PlanDesignResult | None = None
     problem: str = ""
     edited: bool = False
     beside_run: Profile | None = None
@@ -130,6 +135,7 @@ def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
 
 
 def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) -> Workspace:
+    from cellapp.planning.stored_stops import read_plan_design, read_planned_stops
     from cellapp.reporting.collection_section import collection_state
     from cellapp.run import RunFile
     from cellapp.run.overview import planned_stops, run_overview
@@ -144,6 +150,8 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
             read_results(run),
             collection_state(run),
             planned_stops(run),
+            read_planned_stops(run),
+            read_plan_design(run),
             edited=profile is not None and profile.name == run.profile.name and profile != run.profile,
             beside_run=profile,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from drivers.arms.protocol import ArmIdentity, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
+from tests.loopback import own_address
 from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast
@@ -152,9 +154,10 @@ def test_a_damaged_record_is_named(run: RunFile, cell: Cell) -> None:
 
 
 def test_a_cell_whose_controllers_are_not_there_is_a_fault_of_the_hardware(real: Profile) -> None:
-    driver = real.arms["left"].driver.model_copy(update={"host": "127.0.0.48", "timeout": 1.0})
+    nobody = own_address(48)
+    driver = real.arms["left"].driver.model_copy(update={"host": nobody, "timeout": 1.0})
     arms = {"left": real.arms["left"].model_copy(update={"driver": driver})}
     tracker = small_twin(12).tracker
     profile = real.model_copy(update={"arms": arms, "tracker": tracker, "plant": small_twin(12).plant})
-    with pytest.raises(HardwareError, match=r"arm left: 127\.0\.0\.48:29999: no connection"), open_cell(profile):
+    with pytest.raises(HardwareError, match=f"arm left: {re.escape(nobody)}:29999: no connection"), open_cell(profile):
         pass

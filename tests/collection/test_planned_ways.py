@@ -16,8 +16,7 @@ from cellapp.collection.collect import collect_run
 from cellapp.control import JobControl, Stopped
 from cellapp.errors import InputError
 from cellapp.planning.check import check_plan_run
-from cellapp.planning.plan import plan_stops
-from cellapp.planning.planned_stops import PlannedStops, straight_stops
+from cellapp.planning.planned_stops import PlannedStops
 from cellapp.planning.stored_stops import write_planned_stops
 from cellapp.profile import Profile
 from cellapp.profile.collection import Collection, Reference
@@ -26,6 +25,7 @@ from cellapp.run import RunFile
 from cellapp.safety.cell_bodies import home_positions
 from cellapp.safety.gate import CellBodies, refuse_motion
 from drivers.arms.simulated import SimulatedArm
+from tests.planning.hand_made import drivable_stops
 from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast
@@ -39,9 +39,7 @@ Refuse = Callable[[Mapping[str, np.ndarray], Mapping[str, np.ndarray]], str]
 @pytest.fixture(scope="module")
 def plan() -> PlannedStops:
     """Visible stops with an approach each, and a way through two more positions to the third one."""
-    stops = straight_stops(plan_stops(small_twin(STOPS)))
-    for name, sign in (("left", 1.0), ("right", -1.0)):
-        stops.approach_from[name][:] = stops.q[name] - sign * STEP
+    stops = drivable_stops(STOPS, STEP)
     middle = {name: 0.5 * (q[1] + q[2]) for name, q in stops.q.items()}
     legs: list[tuple[Mapping[str, np.ndarray], ...]] = [()] * STOPS
     legs[2] = (middle, {"right": middle["right"] + 0.02})
@@ -122,7 +120,7 @@ def test_a_refused_leg_is_never_driven_and_the_stop_is_reached_straight(driven: 
     write_planned_stops(driven.run, replace(plan, legs=tuple(legs)))
     check = check_plan_run(driven.run)
     assert [(one.configuration, one.detour) for one in check.refused] == [(1, "straight"), (3, "straight")]
-    assert "motion 1 of 3: arm left: comes nearer to the floor" in check.refused[0].reason
+    assert "motion 1 of 3: arm left: collides with the floor" in check.refused[0].reason
     assert check.is_safe
     assert driven.collect() == ()
     arrived_by_the_planned_step(driven.run)

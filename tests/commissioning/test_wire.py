@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -30,6 +29,7 @@ from cellapp.results import CalibrateResult
 from cellapp.run import Readings
 from drivers.arms.ur_settings import UrSettings
 from drivers.trackers.bridge_settings import BridgeSettings
+from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES, small_twin
 
 PATIENT_S = 60.0
@@ -37,7 +37,7 @@ PACE = 50.0
 STOPS = 20
 SETTLE_S = 0.05
 """Wall time, of which the emulated arms need less: a second of theirs is 0.02 s at this pace."""
-HOSTS = {"left": "127.0.81.2", "right": "127.0.81.3"}  # the ports are fixed, so nobody else's addresses
+HOSTS, CLI_HOSTS = own_arms(53), own_arms(55)
 
 
 def _serve(profile_text: str, pipe: Connection) -> None:
@@ -126,7 +126,7 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
 
 # -- as a user does it -------------------------------------------------------------------------------------------------
 
-CLI_HOSTS = {"left": "127.0.82.2", "right": "127.0.82.3"}
+CLI_TRACKER_HOST = own_address(55)
 FEW = {
     "stops": 16,
     "identify": 11,
@@ -136,11 +136,6 @@ FEW = {
     "pair_validate": 4,
     "null_simulations": 50,
 }
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
 
 
 def wire_profile(folder: Path) -> Path:
@@ -154,7 +149,7 @@ def wire_profile(folder: Path) -> Path:
     text = re.sub(r"^  kind: mlp .*$", "  kind: none", text, flags=re.MULTILINE)
     for name, usual in (("left", "127.0.0.2"), ("right", "127.0.0.3")):
         text = text.replace(f"host: {usual}", f"host: {CLI_HOSTS[name]}, settle_time: {SETTLE_S}")
-    path.write_text(text.replace("127.0.0.1:50960", f"127.0.0.1:{free_port()}"), "utf-8")
+    path.write_text(text.replace("127.0.0.1:50960", f"{CLI_TRACKER_HOST}:{free_port(CLI_TRACKER_HOST)}"), "utf-8")
     targets = folder / "targets" / "twin.yaml"
     head, _, listed = targets.read_text("utf-8").partition("targets:\n")
     rows = [row for row in listed.splitlines() if "arm: " in row]

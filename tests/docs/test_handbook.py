@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 import cellapp.docs
 from cellapp.cli.app import app
+from cellapp.docs import planning_figures
 from cellapp.docs.chart import Chart, Series, chart_svg
 from cellapp.docs.effect_figures import FIGURES, figure_svg
 from cellapp.docs.handbook import (
@@ -28,7 +29,8 @@ from cellapp.docs.scene import Scene, joint_offset, smr_shift
 from cellapp.effects import EFFECTS
 from cellapp.errors import InputError
 from cellapp.profile import load_profile
-from cellapp.tui.screens import SCREENS
+from cellapp.profile.obstacles import SHAPES
+from tests.twin import write_profile
 
 pytestmark = pytest.mark.fast
 
@@ -48,7 +50,7 @@ def test_every_effect_has_a_section_and_a_figure() -> None:
     assert set(effect_sections()) == set(EFFECTS)
     assert set(FIGURES) == set(EFFECTS)
     drawn = {path.stem for path in (DOCS / "figures").iterdir()}
-    assert {stem for stem in drawn if not stem.startswith("screen-")} == set(EFFECTS)
+    assert {stem for stem in drawn if not stem.startswith("screen-")} == {*EFFECTS, planning_figures.FIGURE}
 
 
 @pytest.mark.parametrize("slug", EFFECTS)
@@ -95,6 +97,35 @@ def test_figures_show_an_effect(slug: str, scene: Scene) -> None:
     assert 2.0 < max(float(np.abs(series.y).max()) for series in chart.series) < 5000.0  # um or urad
 
 
+def test_the_figure_of_obstacles_is_drawn_from_the_example_of_its_chapter() -> None:
+    kept = (DOCS / "figures" / f"{planning_figures.FIGURE}.svg").read_text("utf-8")
+    twin = load_profile(TWIN)
+    assert planning_figures.figure_svg(twin) == kept, "draw it again: cellapp docs figures --out cellapp/docs/figures"
+    assert {one.shape for one in planning_figures.example_obstacles().values()} == set(SHAPES) - {"mesh"}
+    outlines, shadows, stands = planning_figures.obstacles_chart(twin).series
+    assert np.isnan(outlines.x).sum() == len(planning_figures.example_obstacles())
+    assert np.isnan(shadows.x).sum() == 4, "two edges of the shadows of pillar and lamp"
+    assert len(stands.x) == 1 + len(twin.arms)
+    other = twin.model_copy(update={"arms": {"one": twin.arms["left"]}})
+    with pytest.raises(InputError, match="needs arms named left, right"):
+        planning_figures.figure_svg(other)
+
+
+def test_the_commands_of_the_chapter_on_planning_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = write_profile(tmp_path / "profiles").read_text("utf-8").replace("stops: 30", "stops: 8")
+    (tmp_path / "cell.yaml").write_text(text.replace("type: arms/", "type: profiles/arms/"), "utf-8")
+    monkeypatch.chdir(tmp_path)
+    commands = re.findall(r"^cellapp .*$", topic_text("planning"), re.MULTILINE)
+    assert len(commands) > 8
+    for number, command in enumerate(line for line in commands if "--view" not in line):  # that one takes seconds
+        if "few.csv" in command:
+            rows = Path("plan.csv").read_text("utf-8").splitlines(keepends=True)
+            Path("few.csv").write_text("".join([rows[0], *(row for row in rows if row[:2] in ("0,", "1,"))]), "utf-8")
+        words = command.replace("PROFILE", "cell.yaml").replace("NEW", f"new{number}").replace("add 50", "add 2")
+        ended = CliRunner().invoke(app, words.split()[1:])
+        assert ended.exit_code == 0, f"{command}: {ended.output} {ended.exception}"
+
+
 def test_a_chart_places_its_values_and_escapes_its_words() -> None:
     chart = Chart("a < b", "x [m]", "y", (Series("one & two", np.array([0.0, 10.0]), np.array([0.0, 5.0])),))
     text = chart_svg(chart)
@@ -129,28 +160,13 @@ def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None
 def test_the_command_draws_the_figures(tmp_path: Path) -> None:
     ended = CliRunner().invoke(app, ["docs", "figures", "--profile", str(TWIN), "--out", str(tmp_path / "new")])
     assert ended.exit_code == 0
-    assert {path.stem for path in (tmp_path / "new").iterdir()} == set(EFFECTS)
-
-
-def test_the_command_draws_every_screen(finished_run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "new"
-    ended = CliRunner().invoke(
-        app, ["docs", "screens", "--profile", str(TWIN), "--run", str(finished_run), "--out", str(out), "--json", "-"]
-    )
-    assert ended.exit_code == 0
-    paths = [out / f"screen-{entry.step}.svg" for entry in SCREENS]
-    assert json.loads(ended.stdout)["files"] == [str(path) for path in paths]
-    texts = {path.stem: path.read_text("utf-8").replace("&#160;", " ") for path in paths}
-    assert not any("@font-face" in text or len(text) > 150_000 for text in texts.values())
-    assert "REPLAY x100, nothing moves, PAUSED" in texts["screen-collect"]
-    assert "No readings yet" not in texts["screen-collect"], "each plot has its turn, however fast stops come"
-    assert "held-out errors [mm]" in texts["screen-calibrate"]
-    with pytest.raises(InputError, match="--run belongs to 'screens'"):
-        CliRunner().invoke(app, ["docs", "figures", "--run", "x"], catch_exceptions=False)
+    assert {path.stem for path in (tmp_path / "new").iterdir()} == {*EFFECTS, planning_figures.FIGURE}
 
 
 def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'sorcery' is not a topic; topics are effects, discovery, terminal, joint"):
+    with pytest.raises(
+        InputError, match="'sorcery' is not a topic; topics are effects, discovery, planning, terminal, joint"
+    ):
         topic_text("sorcery")
     for arguments, words in (
         (["docs", "figures"], "needs --out DIR"),

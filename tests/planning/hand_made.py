@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellapp.planning.planned_stops import PlannedStops
+from cellapp.planning.plan import plan_stops
+from cellapp.planning.planned_stops import Configuration, PlannedStops, Route, routes, straight_stops
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.gate import refuse_motion
+from tests.twin import small_twin
 
 
 def some_stops(count: int, seed: int = 3) -> PlannedStops:
@@ -42,3 +46,33 @@ def same_stops(first: PlannedStops, second: PlannedStops) -> None:
                 np.testing.assert_array_equal(one[name], other[name])
     for kind in ("block", "repeat_of", "frozen"):
         np.testing.assert_array_equal(getattr(first, kind), getattr(second, kind))
+
+
+def drivable_stops(count: int, step: np.ndarray, seed: int = 0) -> PlannedStops:
+    """Visible stops of the twin that can be reached at once, one arm after the other, and from home.
+
+    The last motion of the arm left to each is ``step`` (N,) [rad], that of the right one the opposite.
+    """
+    profile = small_twin(8 * count).model_copy(update={"seed": seed})
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    drawn = straight_stops(plan_stops(profile))
+    for name, sign in (("left", 1.0), ("right", -1.0)):
+        drawn.approach_from[name][:] = drawn.q[name] - sign * step
+
+    def reached(here: Configuration, route: Route) -> bool:
+        for motion in route:
+            there = {**here, **motion}
+            if refuse_motion(cell, here, there):
+                return False
+            here = there
+        return True
+
+    chosen: list[int] = []
+    here: Configuration = homes
+    for stop in range(len(drawn)):
+        ways = list(routes(drawn, stop, as_planned=True))
+        if len(chosen) < count and all(reached(one, way) for way in ways for one in (here, homes)):
+            chosen.append(stop)
+            here = drawn.targets(stop)
+    assert len(chosen) == count
+    return drawn.take(chosen)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,14 @@ from cellapp.planning.check import check_plan_run
 from cellapp.planning.coverage import joint_coverage
 from cellapp.planning.duration import motion_s, planned_time
 from cellapp.planning.forecast import forecast_run
+from cellapp.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.profile import Profile
 from cellapp.progress import Cancelled, CancelToken, Progress
 from cellapp.reporting.plan_text import check_sentences, coverage_bar, forecast_sentences, forecast_tables
 from cellapp.results import PlanCheckResult, PlanForecastResult
 from cellapp.run import RunFile
 from drivers.plant.motion import travel
+from tests.planning.hand_made import drivable_stops
 from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast
@@ -135,7 +138,7 @@ def test_motions_take_what_the_simulated_arm_takes() -> None:
 def test_the_estimated_time_is_that_of_a_simulated_collection(tmp_path: Path) -> None:
     profile = small_twin(12)
     with new_planned_run(profile, tmp_path / "run") as run:
-        estimated = planned_time(profile, run.read_plan(), {})
+        estimated = planned_time(profile, read_planned_stops(run))
         collect_run(run)
         taken_s = float(run.readings("right").time_s.max())
     parts = (estimated.moving_s, estimated.resting_s, estimated.measuring_s, estimated.references_s)
@@ -143,12 +146,27 @@ def test_the_estimated_time_is_that_of_a_simulated_collection(tmp_path: Path) ->
     assert taken_s == pytest.approx(estimated.total_s, rel=0.25)
 
 
+def test_the_time_of_approaches_legs_and_dwells_is_foreseen(tmp_path: Path) -> None:
+    stops = drivable_stops(6, np.full(6, 0.06))
+    between = {name: 0.5 * (q[2] + q[3]) for name, q in stops.q.items()}
+    stops.dwell_s["left"][4] = 20.0
+    legs = tuple((between,) if stop == 3 else () for stop in range(6))
+    profile = small_twin(6)
+    with RunFile.create(tmp_path / "run", profile) as run:
+        write_planned_stops(run, replace(stops, legs=legs))
+        estimated = planned_time(profile, read_planned_stops(run))
+        collect_run(run)
+        taken_s = float(run.readings("left").time_s.max())
+    assert estimated.resting_s > 20.0
+    assert taken_s == pytest.approx(estimated.total_s, rel=0.25)
+
+
 def test_references_and_warm_up_take_their_time(planned: Path) -> None:
     with RunFile.open(planned) as run:
-        profile, plan = run.profile, run.read_plan()
+        profile, plan = run.profile, read_planned_stops(run)
     reference = profile.collection.reference.model_copy(update={"every": 5})
     longer = profile.collection.model_copy(update={"reference": reference, "warm_up": 600.0})
-    before, after = (planned_time(p, plan, {}) for p in (profile, profile.model_copy(update={"collection": longer})))
+    before, after = (planned_time(p, plan) for p in (profile, profile.model_copy(update={"collection": longer})))
     assert after.warm_up_s == 600.0
     assert after.references_s > 0.0 == before.references_s
     assert after.total_s > before.total_s + 600.0

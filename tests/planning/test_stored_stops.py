@@ -10,7 +10,7 @@ import pytest
 
 from cellapp.discovery.propose import ProposedStop
 from cellapp.errors import InputError
-from cellapp.planning.planned_stops import PlannedStops, joined, routes, straight_stops
+from cellapp.planning.planned_stops import PlannedStops, joined, last_motions, routes, straight_stops
 from cellapp.planning.proposed_stops import append_proposed_stops
 from cellapp.planning.stop_conditions import (
     STOP_CONDITIONS_RESULT,
@@ -141,3 +141,12 @@ def test_every_route_ends_with_the_planned_last_motion() -> None:
                     np.testing.assert_array_equal(reached[name], q)
                     if name in stops.approach_starts(stop):
                         np.testing.assert_array_equal(before[name], stops.approach_starts(stop)[name])
+
+
+def test_last_motions_are_planned_or_straight_from_the_stop_before() -> None:
+    stops = some_stops(5)
+    homes = {name: np.full(6, 0.5) for name in stops.q}
+    motions = last_motions(stops, homes)
+    np.testing.assert_array_equal(motions["right"], stops.q["right"] - stops.approach_from["right"])
+    np.testing.assert_array_equal(motions["left"][0], stops.q["left"][0] - 0.5)
+    np.testing.assert_array_equal(motions["left"][3], stops.q["left"][3] - stops.q["left"][2])

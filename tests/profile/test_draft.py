@@ -244,6 +244,20 @@ def test_two_arms_can_change_their_names() -> None:
     assert profile.plant.effects["left"] == old.plant.effects["right"]
 
 
+def test_obstacles_of_an_arm_follow_its_name() -> None:
+    path = PROFILES / "ur10-ur5.yaml"
+    text = path.read_text("utf-8")
+    arms = draft("ur10-ur5").arms
+    renamed = replace(draft("ur10-ur5"), arms=(replace(arms[0], name="links"), arms[1]))
+    profile = check_text(edited_text(text, path, renamed).text, path, renamed).profile
+    assert profile is not None
+    assert [one.arm for one in profile.obstacles.values()] == [None, "links", "right", None]
+    alone = replace(draft("ur10-ur5"), arms=arms[1:])
+    profile = check_text(edited_text(text, path, alone).text, path, alone).profile
+    assert profile is not None
+    assert [*profile.obstacles] == ["table", "right_pedestal", "pillar"]
+
+
 @pytest.mark.parametrize("name", ["", "right"])
 def test_names_that_yaml_cannot_hold_are_not_written(name: str, tmp_path: Path) -> None:
     opened = open_profile(save_new(tmp_path, draft(), "twin.yaml"))

@@ -86,8 +86,9 @@ def test_is_well_formed(whole: RunFile, whole_page: Page) -> None:
     pictures = [picture for arm in found.arms.values() for picture in arm.pictures]
     assert pictures
     certainties = sum(arm.uncertainty_mm is not None for arm in found.arms.values())
-    # errors, histogram, two of vectors, targets, steps and effects of each arm; two of the pair; three of the cell
-    assert [tag for tag, _ in whole_page.elements].count("svg") == 17 + len(pictures) + certainties
+    # errors, histogram, two of vectors, targets, steps and effects, joint ranges of each arm; two of the pair; three of
+    # the cell, three of the plan
+    assert [tag for tag, _ in whole_page.elements].count("svg") == 22 + len(pictures) + certainties
 
 
 def test_needs_nothing_else(whole_page: Page, whole_text: str) -> None:

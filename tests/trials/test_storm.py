@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import sys
 from collections import Counter
 from pathlib import Path
@@ -17,9 +16,11 @@ from cellapp.trials.storm import storm_trial
 from cellapp.trials.storm_cell import undisturbed_profile, wire_profile
 from cellapp.trials.storm_faults import FAULTS, KILL, drawn_events
 from cellapp.trials.storm_operator import stored
+from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES
 
-HOSTS = {"left": "127.0.84.2", "right": "127.0.84.3"}
+HOSTS = own_arms(51)
+TRACKER_HOST = own_address(51)
 
 
 def at_own_addresses() -> Profile:
@@ -29,8 +30,7 @@ def at_own_addresses() -> Profile:
         name: arm.model_copy(update={"driver": arm.driver.model_copy(update={"host": HOSTS[name]})})
         for name, arm in profile.arms.items()
     }
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+    url = f"socket://{TRACKER_HOST}:{free_port(TRACKER_HOST)}"
     driver = profile.tracker.driver.model_copy(update={"url": url})
     return profile.model_copy(update={"arms": arms, "tracker": profile.tracker.model_copy(update={"driver": driver})})
 

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import re
 import shutil
-import socket
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -21,14 +19,22 @@ from cellapp.profile import load_profile
 from cellapp.run import RunFile
 from cellapp.trials.storm_cell import StormCell, emulated_cell
 from cellapp.tui.app import CellApp
+from tests.loopback import free_port, own_address
 from tests.tui.pilot import shown_text, until
 from tests.tui.terminal import Terminal, cellapp
 from tests.twin import PROFILES
 
-STOPS = 12
+STOPS = 8
 PACE = 10.0
 """Seconds of the cell for each real one: enough of a motion is left to strike."""
-HOSTS = {"127.0.0.2": "127.0.83.2", "127.0.0.3": "127.0.83.3"}  # the ports are fixed, so nobody else's addresses
+UNDISTURBED_PACE = 50.0
+"""Where nothing is struck any more."""
+SETTLE_S = 0.05
+"""Wall time, of which the emulated arms need less."""
+WAITS = "collection:\n  suspend: {target: {retry: 0.5}}\n"
+"""The program looks for the target again after this, instead of 2 s."""
+HOSTS = {"127.0.0.2": own_address(59), "127.0.0.3": own_address(60)}
+TRACKER_HOST = own_address(59)
 _SPLITS = {"stops": STOPS, "identify": 1, "train": 0, "validate": 1, "pair_identify": 1, "pair_validate": 1}
 
 
@@ -38,16 +44,15 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wire")
     for name in ("arms", "targets"):
         shutil.copytree(PROFILES / name, folder / "profiles" / name)
-    with closing(socket.create_server(("127.0.0.1", 0))) as server:
-        port = server.getsockname()[1]
-    text = (PROFILES / "twin-rtde.yaml").read_text("utf-8").replace("127.0.0.1:50960", f"127.0.0.1:{port}")
+    bridge = f"{TRACKER_HOST}:{free_port(TRACKER_HOST)}"
+    text = (PROFILES / "twin-rtde.yaml").read_text("utf-8").replace("127.0.0.1:50960", bridge)
     for before, now in HOSTS.items():
-        text = text.replace(before, now)
+        text = text.replace(f"host: {before}", f"host: {now}, settle_time: {SETTLE_S}")
     for key, size in _SPLITS.items():
         text, found = re.subn(rf"^  {key}: .*$", f"  {key}: {size}", text, flags=re.MULTILINE)
         assert found == 1, key
     profile = folder / "profiles" / "twin-rtde.yaml"
-    profile.write_text(text, "utf-8")
+    profile.write_text(text + WAITS, "utf-8")
     new_planned_run(load_profile(profile), folder / "logs" / "day").close()
     return folder
 
@@ -61,6 +66,7 @@ def cell(planned: Path) -> Iterator[StormCell]:
 @pytest.fixture
 def day(planned: Path, cell: StormCell, tmp_path: Path) -> Path:
     """A copy of profile and run, with the emulated cell in order; its folder."""
+    cell.control("*", "pace", PACE)
     cell.repair()
     shutil.copytree(planned, tmp_path, dirs_exist_ok=True)
     return tmp_path
@@ -104,11 +110,11 @@ async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(
     async with app.run_test(size=(120, 40)) as pilot:
         await says(pilot, app, "EMULATED")
         await pilot.press("7")
-        await says(pilot, app, "day", "0/12")
+        await says(pilot, app, "day", f"0/{STOPS}")
         await pilot.press("enter")
         await says(pilot, app, "logs/day is open; next: Collect (key n)")
         await pilot.press("n")
-        await says(pilot, app, "READY, 12 stops", "b begins")
+        await says(pilot, app, f"READY, {STOPS} stops", "b begins")
         await pilot.press("b")
         await says(pilot, app, "Begin to collect?", "the arms are emulated")
         await pilot.press("b")
@@ -135,7 +141,8 @@ async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(
         await says(pilot, app, "STOPPED", "right", "c resumes when the cell is clear")
         await at_rest(pilot, cell)
         await resume(pilot, app, cell)
-        await says(pilot, app, "COMPLETE, 12 stops")
+        cell.control("*", "pace", UNDISTURBED_PACE)
+        await says(pilot, app, f"COMPLETE, {STOPS} stops")
     with RunFile.open(day / "logs" / "day") as run:
         assert len(run.stops_done()) == STOPS
         (session,) = run.sessions()
@@ -146,15 +153,15 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(da
     with cellapp(day) as terminal:
         shows(terminal, "EMULATED")
         terminal.send("7")
-        shows(terminal, "0/12")
+        shows(terminal, f"0/{STOPS}")
         terminal.send("\r")
         shows(terminal, "next: Collect")
         terminal.send("n")
-        shows(terminal, "READY, 12 stops")
+        shows(terminal, f"READY, {STOPS} stops")
         terminal.send("b")
         shows(terminal, "Begin to collect?")
         terminal.send("b")
-        shows(terminal, "collect 2/12")
+        shows(terminal, f"collect 2/{STOPS}")
         terminal.hang_up()
         assert terminal.process.wait(60.0) == 4
     assert cell.wait_at_rest(0.0), "the program waits for the arms"
@@ -164,11 +171,12 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(da
     with cellapp(day) as terminal:
         shows(terminal, "Go on with the last run?", f"{STOPS - done} stops left")
         terminal.send("o")
-        shows(terminal, f"INTERRUPTED, {done} of 12 stops", "e measures")
+        shows(terminal, f"INTERRUPTED, {done} of {STOPS} stops", "e measures")
+        cell.control("*", "pace", UNDISTURBED_PACE)
         terminal.send("e")
         shows(terminal, "Resume?")
         terminal.send("b")
-        shows(terminal, "COMPLETE, 12 stops")
+        shows(terminal, f"COMPLETE, {STOPS} stops")
         terminal.send("q")
         assert terminal.process.wait(60.0) == 0
 

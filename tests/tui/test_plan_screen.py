@@ -13,13 +13,16 @@ from textual.widgets import Input, Static, TabbedContent
 
 from cellapp.pipeline import new_planned_run
 from cellapp.planning.forecast import forecast_run
+from cellapp.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.results import PlanForecastResult
 from cellapp.run import RunFile
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.new_run import NewRunQuestion
 from cellapp.tui.dialogs.question import Question
 from cellapp.tui.plots import ChartPlot
-from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable
+from cellapp.tui.widgets.charts_view import ChartsView
+from cellapp.tui.widgets.plan_tables import AccuracyTable, CoverageTable, EffectsTable, PairsTable, StopsTable
+from tests.reporting.plan_cases import plan_design
 from tests.tui.pilot import PROFILES, SIZES, SMALL, ended, opened, shown_text, until
 from tests.twin import small_twin, write_profile
 
@@ -63,12 +66,38 @@ async def test_a_plan_is_shown_checked_and_foreseen(planned: Path) -> None:
         await pilot.press("k")
         await ended(pilot, app)
         assert line(app, "plan-safety").startswith("Safe: 24 stops and 25 ways")
-        await pilot.press("t")
+        await pilot.press("t", "t", "t")
         assert "f computes" in line(app, "plan-detail")
         await pilot.press("f")
         await ended(pilot, app)
         assert line(app, "plan-time").startswith("Collecting takes about")
         assert line(app, "plan-safety").startswith("Safe"), "the reloaded run has the same plan"
+
+
+async def test_a_designed_plan_is_drawn_and_its_stops_are_listed(planned: Path, tmp_path: Path) -> None:
+    shutil.copytree(planned, tmp_path / "run")
+    with RunFile.open(tmp_path / "run", write=True) as run:
+        stops = read_planned_stops(run)
+        stops.frozen[3] = True
+        write_planned_stops(run, stops, design=plan_design(24))
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await shown(pilot, app, tmp_path / "run")
+        await pilot.press("t")
+        view = app.day_screen.query_one(ChartsView)
+        await until(pilot, lambda: len(view.query(ChartPlot)) == 6, "two arms, time, correlations, two of joints")
+        assert view.has_focus
+        titles = [one.chart.title for one in view.query(ChartPlot) if one.chart is not None]
+        assert titles[0] == "Arm left: what the first stops tell"
+        await until(pilot, lambda: "↑ expected error [mm]" in shown_text(app), "the first chart")
+        await pilot.press("pagedown")
+        await until(pilot, lambda: "They tell as much as random stops" in shown_text(app), "the message")
+        await pilot.press("t")
+        await until(pilot, lambda: "Stop 1: arm left" in line(app, "plan-detail"), "the list of stops")
+        await pilot.press("down", "space", "space", "up", "space")
+        table = app.day_screen.query_one(StopsTable)
+        assert (table.row_count, table.marked) == (24, {1, 3})
+        await until(pilot, lambda: "Straight; frozen" in line(app, "plan-detail"), "what is kept")
 
 
 async def test_a_result_waits_on_its_screen_while_another_one_is_shown(planned: Path) -> None:

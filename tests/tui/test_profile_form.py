@@ -24,8 +24,6 @@ from cellapp.tui.widgets.form_fields import FieldRow
 from cellapp.tui.widgets.stop import StopButton
 from tests.tui.pilot import SIZES, SMALL, shown_text, until
 
-pytestmark = pytest.mark.fast
-
 TWIN = Path("profiles/twin.yaml")
 
 
@@ -280,6 +278,28 @@ async def test_a_base_is_found_from_tracker_points(with_twin: CellApp) -> None:
         assert text(app, "arms.0.rpy").endswith("90.000 deg")
         await pilot.press("ctrl+z")
         assert text(app, "arms.0.position") == "0.0, 0.85, 0.0"
+
+
+async def test_an_obstacle_is_added_judged_drawn_and_removed(with_twin: CellApp) -> None:
+    app = with_twin
+    async with app.run_test(size=SMALL) as pilot:
+        await edit(pilot, app)
+        form(app).query_one(TabbedContent).active = "section-obstacles"
+        await until(pilot, lambda: "F7 adds one" in shown_text(app), "the sentence where there is none")
+        await pilot.press("f7")
+        await until(pilot, lambda: app.focused is row(app, "obstacles.0.name").input, "the name of the new one")
+        row(app, "obstacles.0.name").input.value = "table"
+        row(app, "obstacles.0.size").input.value = "1.2, 0.8, -5 cm"
+        await until(pilot, lambda: "more than 0" in problem(app, "obstacles.0.size"), "the problem")
+        row(app, "obstacles.0.shape").input.value = "sphere"
+        row(app, "obstacles.0.radius").input.value = "5 cm"
+        await shown(pilot, app, "every field holds")
+        assert row(app, "obstacles.0.radius").display > row(app, "obstacles.0.size").display
+        chart = form(app).query_one(ChartPlot).chart
+        assert chart is not None
+        assert "table" in chart.message
+        await pilot.press("f8")
+        await until(pilot, lambda: not form(app)._draft.obstacles, "the removal")
 
 
 # -- every size -------------------------------------------------------------------------------------------------------

@@ -79,9 +79,8 @@ async def test_the_newest_run_is_on_top_and_a_broken_one_says_why(
         assert sorted(names(app)) == ["broken", "first", "second", "third"]
         listed = [name for name in names(app) if name != "broken"]
         assert listed == ["third", "second", "first"]
-        text = shown_text(app)
-        assert "2/4 stopped" in text
-        assert "unreadable" in text
+        await until(pilot, lambda: "2/4 stopped" in shown_text(app), "columns as wide as their texts")
+        assert "unreadable" in shown_text(app)
         await go_to(pilot, app, "broken")
         assert "is not a run file" in about(app)
         await pilot.press("enter")

@@ -6,7 +6,6 @@ import asyncio
 import json
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -22,6 +21,7 @@ from cellapp.tui.app import CellApp
 from cellapp.tui.work import whole_day
 from drivers.emulators.ur_controller import Control
 from tests.latency import attempts
+from tests.loopback import free_port, own_address
 from tests.twin import PROFILES
 
 WAIT_S = 60.0
@@ -29,20 +29,15 @@ BAR_S = 0.1
 """From the key to the stop command at every controller."""
 SLACK_S = 0.2
 """From there to rest, more than the arm's own braking time."""
-HOSTS = {"127.0.0.2": "127.0.82.2", "127.0.0.3": "127.0.82.3"}  # the ports are fixed, so nobody else's addresses
-
-
-def free_port() -> int:
-    """A port of this computer that nobody listens on."""
-    with closing(socket.create_server(("127.0.0.1", 0))) as server:
-        return int(server.getsockname()[1])
+HOSTS = {"127.0.0.2": own_address(57), "127.0.0.3": own_address(58)}
+TRACKER_HOST = own_address(57)
 
 
 @pytest.fixture
 def profile(tmp_path: Path) -> Path:
     shutil.copytree(PROFILES, tmp_path / "profiles")
     path = tmp_path / "profiles" / "twin-rtde.yaml"
-    text = path.read_text("utf-8").replace("127.0.0.1:50960", f"127.0.0.1:{free_port()}")
+    text = path.read_text("utf-8").replace("127.0.0.1:50960", f"{TRACKER_HOST}:{free_port(TRACKER_HOST)}")
     for before, now in HOSTS.items():
         text = text.replace(before, now)
     path.write_text(text.replace("stops: 80", "stops: 6"), "utf-8")

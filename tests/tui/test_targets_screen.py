@@ -26,8 +26,6 @@ from tests.run.small_runs import collected_run
 from tests.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, until
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 TWIN = PROFILES / "twin.yaml"
 LISTED = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 

@@ -22,14 +22,15 @@ class SaveAs(Question[Path]):
     ----------
     what : str
         What is saved, in a word or two.
-    text : str
+    text : str or None
+        None: the caller writes the file.
     proposed : Path
         The path to begin with.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", "Complete", priority=True)]
 
-    def __init__(self, what: str, text: str, proposed: Path) -> None:
+    def __init__(self, what: str, text: str | None, proposed: Path) -> None:
         super().__init__()
         self._what, self._text, self._proposed = what, text, proposed
         self._replace: Path | None = None
@@ -71,11 +72,12 @@ class SaveAs(Question[Path]):
             self._replace = path
             self._explain(f"{path} exists. Enter again replaces it; or type another name.")
             return
-        try:
-            path.write_text(self._text, encoding="utf-8")
-        except OSError as error:
-            self._explain(f"{path} cannot be written ({error.strerror or error}); type another name.")
-            return
+        if self._text is not None:
+            try:
+                path.write_text(self._text, encoding="utf-8")
+            except OSError as error:
+                self._explain(f"{path} cannot be written ({error.strerror or error}); type another name.")
+                return
         self.dismiss(path)
 
     def _explain(self, sentence: str) -> None:

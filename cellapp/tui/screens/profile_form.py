@@ -1,4 +1,4 @@
-"""The form of a profile: sections cell, arms, tracker; judged while typing, drawn as a map, saved as commented YAML."""
+"""The form of a profile, section by section: judged while typing, drawn as a map, saved as commented YAML."""
 
 from __future__ import annotations
 
@@ -16,20 +16,33 @@ from textual.containers import Horizontal, VerticalScroll
 from textual.events import DescendantFocus
 from textual.message import Message
 from textual.timer import Timer
+from textual.widget import Widget
 from textual.widgets import Footer, Input, Static, TabbedContent, TabPane
 
 from cellapp.errors import InputError
-from cellapp.profile.draft import ArmDraft, ProfileDraft, arm_kinds, fields_of, file_name, tracker_kinds, with_text
+from cellapp.profile.draft import (
+    ArmDraft,
+    ObstacleDraft,
+    ProfileDraft,
+    arm_kinds,
+    fields_of,
+    file_name,
+    tracker_kinds,
+    with_text,
+)
 from cellapp.profile.draft_check import FieldProblem
 from cellapp.profile.draft_fields import (
     ARM_FIELDS,
     ARM_NAME_FIELD,
     NAME_FIELD,
+    OBSTACLE_FIELDS,
+    OBSTACLE_NAME_FIELD,
     PLAN_FIELDS,
     TRACKER_FIELDS,
     FormField,
 )
 from cellapp.profile.draft_file import OpenProfile, before_saving, changed_on_disk, new_text, save
+from cellapp.profile.obstacles import SHAPES
 from cellapp.profile.starters import arm_type_files
 from cellapp.reporting.charts import Chart
 from cellapp.tui.dialogs.points import PointsDialog
@@ -41,6 +54,7 @@ from cellapp.tui.widgets.stop import StopButton
 
 _PAUSE_S = 0.2
 """Rest after the last key before the fields are judged, which takes about 0.1 s of another thread."""
+_NO_OBSTACLES = "No obstacles: tables, pillars, guards, cables on an arm. F7 adds one."
 
 
 class Judged(Message):
@@ -70,8 +84,8 @@ class ProfileForm(Question[Path]):
         Binding("f3", "map", "Map"),
         Binding("f4", "next_problem", "Problem", tooltip="the next field to correct"),
         Binding("f6", "next_section", "Section", tooltip="the next section"),
-        Binding("f7", "add_arm", "+Arm", tooltip="add an arm"),
-        Binding("f8", "remove_arm", "-Arm", tooltip="remove this arm"),
+        Binding("f7", "add", "Add", tooltip="add an arm, or in the section of obstacles an obstacle"),
+        Binding("f8", "remove", "Del", tooltip="remove this arm or this obstacle"),
     ]
     DEFAULT_CSS = """
     ProfileForm { align: left top; background: $background; }
@@ -118,15 +132,17 @@ class ProfileForm(Question[Path]):
     def _titles(self) -> dict[str, str]:
         """Sections and their titles."""
         arms = {f"arm-{index}": arm.name or "arm" for index, arm in enumerate(self._draft.arms)}
-        return {"cell": "Cell", **arms, "tracker": "Tracker"}
+        return {"cell": "Cell", **arms, "tracker": "Tracker", "obstacles": "Obstacles"}
 
     def _section_rows(self, section: str) -> Iterator[FieldRow]:
-        """The fields of a section; those that its driver does not have are hidden."""
+        """The fields of a section; those that its driver or shape does not have are hidden."""
         if section.startswith("arm-"):
             index = int(section.removeprefix("arm-"))
             rows = self._arm_rows(index, self._draft.arms[index])
         elif section == "tracker":
             rows = self._rows("tracker", self._draft.tracker, TRACKER_FIELDS)
+        elif section == "obstacles":
+            rows = self._obstacle_rows()
         else:
             rows = self._cell_rows()
         shown = self._shown_ids()
@@ -142,9 +158,20 @@ class ProfileForm(Question[Path]):
         yield FieldRow(f"arms.{index}.name", ARM_NAME_FIELD, arm.name)
         yield from self._rows(f"arms.{index}", arm, ARM_FIELDS)
 
+    def _obstacle_rows(self) -> Iterator[FieldRow]:
+        for index, obstacle in enumerate(self._draft.obstacles):
+            yield FieldRow(f"obstacles.{index}.name", OBSTACLE_NAME_FIELD, obstacle.name, begins=True)
+            yield from self._rows(f"obstacles.{index}", obstacle, OBSTACLE_FIELDS)
+
     def _rows(self, prefix: str, section: object, forms: tuple[FormField, ...]) -> Iterator[FieldRow]:
         types = tuple(f"arms/{path.name}" for path in arm_type_files())
-        choices = {"kind": tracker_kinds() if prefix == "tracker" else arm_kinds(), "type": types}
+        choices = {
+            "kind": tracker_kinds() if prefix == "tracker" else arm_kinds(),
+            "type": types,
+            "shape": tuple(SHAPES),
+            "fixed_to": ("cell", "base", "flange"),
+            "arm": tuple(arm.name for arm in self._draft.arms),
+        }
         for form in forms:
             text = str(getattr(section, form.name))
             yield FieldRow(f"{prefix}.{form.name}", form, text, choices.get(form.name, ()))
@@ -154,9 +181,9 @@ class ProfileForm(Question[Path]):
         """Make the fields of a section when it is first shown: all at once would hold up the keys."""
         self._section = str(event.pane.id)
         if not event.pane.query(FieldRow):
-            await event.pane.query_one(VerticalScroll).mount(
-                *self._section_rows(self._section.removeprefix("section-"))
-            )
+            rows: list[Widget] = [*self._section_rows(self._section.removeprefix("section-"))]
+            nothing = Static(_NO_OBSTACLES, classes="muted", markup=False)
+            await event.pane.query_one(VerticalScroll).mount(*(rows or [nothing]))
         if self._judged is not self._draft:
             self._judge()
         self._draw_problems()
@@ -166,7 +193,9 @@ class ProfileForm(Question[Path]):
         """Go to the field that is wanted, else to the first of the section."""
         rows = [row for row in pane.query(FieldRow) if row.display]
         wanted = next((row for row in rows if row.field_id == self._wanted), None)
-        if wanted is not None or self.focused not in [row.input for row in rows]:
+        if not rows:
+            self.query_one("#sections Tabs").focus()
+        elif wanted is not None or self.focused not in [row.input for row in rows]:
             (wanted or rows[0]).input.focus()
         self._wanted = ""
 
@@ -218,37 +247,56 @@ class ProfileForm(Question[Path]):
 
     async def _show_draft(self, draft: ProfileDraft) -> None:
         """Draw another draft in the fields."""
-        arms = len(self._draft.arms)
+        before = (len(self._draft.arms), len(self._draft.obstacles))
         self._draft, self._typing_in = draft, ""
-        if len(draft.arms) != arms:
+        if (len(draft.arms), len(draft.obstacles)) != before:
             self._judged = None
             await self.recompose()
         for row in self.query(FieldRow):
             row.show_text(self._text_of(row.field_id))
         self._changed()
 
-    async def action_add_arm(self) -> None:
-        """Add an arm like the last one; what differs is empty."""
-        arms = self._draft.arms
+    async def action_add(self) -> None:
+        """Add an obstacle in their section, else an arm like the last one; what differs is empty."""
+        arms, obstacles = self._draft.arms, self._draft.obstacles
+        if self._section == "section-obstacles":
+            new_obstacle = ObstacleDraft(shape="box", fixed_to="cell", position="0, 0, 0", rpy="0, 0, 0 deg")
+            self._wanted = f"obstacles.{len(obstacles)}.name"
+            await self._replace(replace(self._draft, obstacles=(*obstacles, new_obstacle)))
+            return
         like = arms[-1] if arms else ArmDraft(kind=arm_kinds()[0])
         new = replace(like, name="", host="", serial="", position="", source="", note="")
         self._section = f"section-arm-{len(arms)}"
-        await self._change_arms((*arms, new))
+        await self._replace(replace(self._draft, arms=(*arms, new)))
 
-    async def action_remove_arm(self) -> None:
-        """Remove the arm whose section is shown."""
+    async def action_remove(self) -> None:
+        """Remove the obstacle with the present field, or the arm whose section is shown."""
+        if self._section == "section-obstacles":
+            await self._remove_obstacle()
+            return
         index = self._present_arm()
         if index is None or len(self._draft.arms) == 1:
             self.notify("Show the section of the arm to remove; one arm has to stay.")
             return
         name = self._draft.arms[index].name
-        await self._change_arms(self._draft.arms[:index] + self._draft.arms[index + 1 :])
+        arms = self._draft.arms[:index] + self._draft.arms[index + 1 :]
+        await self._replace(replace(self._draft, arms=arms))
         self.notify(f"Arm {name} removed; Ctrl+Z brings it back.")
 
-    async def _change_arms(self, arms: tuple[ArmDraft, ...]) -> None:
+    async def _remove_obstacle(self) -> None:
+        row = self.focused.parent if self.focused is not None else None
+        if not isinstance(row, FieldRow):
+            self.notify("Go to a field of the obstacle to remove.")
+            return
+        index = int(row.field_id.split(".")[1])
+        obstacles = self._draft.obstacles
+        await self._replace(replace(self._draft, obstacles=obstacles[:index] + obstacles[index + 1 :]))
+        self.notify(f"Obstacle {obstacles[index].name} removed; Ctrl+Z brings it back.")
+
+    async def _replace(self, draft: ProfileDraft) -> None:
         self._before.append(self._draft)
         self._after.clear()
-        await self._show_draft(replace(self._draft, arms=arms))
+        await self._show_draft(draft)
 
     def action_points(self) -> None:
         """Find the base of the shown arm from tracker points."""
@@ -260,9 +308,7 @@ class ProfileForm(Question[Path]):
 
     async def _use_base(self, draft: ProfileDraft | None) -> None:
         if draft is not None:
-            self._before.append(self._draft)
-            self._after.clear()
-            await self._show_draft(draft)
+            await self._replace(draft)
 
     # -- judging and drawing -------------------------------------------------------------------------------------------
 
@@ -278,7 +324,8 @@ class ProfileForm(Question[Path]):
         except InputError as error:
             self.post_message(Judged(draft, (FieldProblem("", "", str(error)),)))
         else:
-            self.post_message(Judged(draft, checked.problems, placement_chart(checked.bases, checked.tracker)))
+            chart = placement_chart(checked.bases, checked.tracker, checked.obstacles)
+            self.post_message(Judged(draft, checked.problems, chart))
 
     @on(Judged)
     def show_judged(self, event: Judged) -> None:
@@ -332,6 +379,7 @@ class ProfileForm(Question[Path]):
 
     def _shown_ids(self) -> set[str]:
         names = {f"arms.{index}.name" for index in range(len(self._draft.arms))}
+        names |= {f"obstacles.{index}.name" for index in range(len(self._draft.obstacles))}
         return names | {item.id for item in fields_of(self._draft)}
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
@@ -381,7 +429,7 @@ class ProfileForm(Question[Path]):
             return
         self._saved = self._opened.path
         if self._draft is draft:
-            self._draft = self._opened.draft
+            await self._show_draft(self._opened.draft)
         self._judge()
         self.notify(f"Saved as {self._saved}.")
 
@@ -423,4 +471,4 @@ class ProfileForm(Question[Path]):
 
     def _section_of(self, field_id: str) -> str:
         first, *rest = field_id.split(".")
-        return f"arm-{rest[0]}" if first == "arms" else "tracker" if first == "tracker" else "cell"
+        return f"arm-{rest[0]}" if first == "arms" else first if first in ("tracker", "obstacles") else "cell"

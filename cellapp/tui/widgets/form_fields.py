@@ -26,6 +26,8 @@ class FieldRow(Horizontal):
         What it begins with.
     choices : sequence of str
         Texts that the right arrow completes.
+    begins : bool
+        Whether a group of fields begins here.
     """
 
     DEFAULT_CSS = """
@@ -34,6 +36,7 @@ class FieldRow(Horizontal):
     FieldRow Input { width: 1fr; min-width: 24; }
     FieldRow .problem { width: auto; max-width: 45%; padding-left: 1; color: $text-error; text-wrap: nowrap; }
     FieldRow .problem { text-overflow: ellipsis; }
+    FieldRow.begins { background: $panel; }
     FieldRow.wrong Label { color: $text-error; text-style: bold; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -41,8 +44,10 @@ class FieldRow(Horizontal):
         Binding("down,enter", "app.focus_next", show=False),
     ]
 
-    def __init__(self, field_id: str, form: FormField, text: str, choices: Sequence[str] = ()) -> None:
-        super().__init__()
+    def __init__(
+        self, field_id: str, form: FormField, text: str, choices: Sequence[str] = (), *, begins: bool = False
+    ) -> None:
+        super().__init__(classes="begins" if begins else "")
         self.field_id, self.form = field_id, form
         suggester = SuggestFromList(choices) if choices else None
         self.input = Input(text, placeholder=", ".join(choices), suggester=suggester, compact=True)

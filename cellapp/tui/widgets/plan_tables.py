@@ -6,11 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
 from rich.text import Text
+from textual.coordinate import Coordinate
 from textual.widgets import DataTable
 
 if TYPE_CHECKING:
-    from cellapp.results import ArmForecast
+    from cellapp.planning.planned_stops import PlannedStops
+    from cellapp.results import ArmForecast, PlannedStop
 
 _BAR_CELLS = 24
 """Width of the bar of a joint's range: 15 degrees a cell over one turn."""
@@ -54,6 +57,66 @@ class PairsTable(_RowTable):
     def show(self, rows: Sequence[tuple[str, str]]) -> None:
         """Draw names with words."""
         self.draw([((name, words), f"{name}: {words}") for name, words in rows])
+
+
+class StopsTable(_RowTable):
+    """The stops in their order, and which of them a person marked; first those that are frozen."""
+
+    COLUMNS = ("stop", "marked", "frozen", "state", "part", "how")
+    TIP = "Space marks the selected stop"
+
+    def __init__(self, *, id: str) -> None:
+        super().__init__(id=id)
+        self._stops: Sequence[PlannedStop] = ()
+        self._ways: PlannedStops | None = None
+        self.marked: set[int] = set()
+
+    def show(self, stops: Sequence[PlannedStop], ways: PlannedStops | None) -> None:
+        """Draw the stops of a plan, unless they stand there already; marks that were not stored go."""
+        if stops is self._stops or (stops == self._stops and _same_ways(ways, self._ways)):
+            return
+        self._stops, self._ways = stops, ways
+        self.marked = set() if ways is None else set(np.flatnonzero(ways.frozen).tolist())
+        self.draw([_stop_row(stop, ways) for stop in stops])
+
+    def mark(self) -> None:
+        """Mark the selected stop, or take its mark away; then go to the next one."""
+        if self.cursor_row >= len(self._stops):
+            return
+        stop = self._stops[self.cursor_row].configuration
+        self.marked ^= {stop}
+        self.update_cell_at(Coordinate(self.cursor_row, 1), Text("●" if stop in self.marked else ""))
+        self.action_cursor_down()
+
+
+def _same_ways(one: PlannedStops | None, other: PlannedStops | None) -> bool:
+    """Whether two plans with the same joint positions say the same of their stops; other ways come with other stops."""
+    if one is None or other is None:
+        return one is other
+    return bool((one.frozen == other.frozen).all() and (one.block == other.block).all())
+
+
+def _stop_row(stop: PlannedStop, ways: PlannedStops | None) -> tuple[tuple[str, ...], str]:
+    """Cells and sentence of one stop, counted from 1."""
+    from cellapp.reporting.plan_text import stop_words
+
+    number, state = stop.configuration + 1, "measured" if stop.measured else "planned"
+    joints = "; ".join(
+        f"arm {name} " + ", ".join(f"{math.degrees(angle):.0f}" for angle in q) + " deg" for name, q in stop.q.items()
+    )
+    if ways is None:
+        return (str(number), "", "", state, "", ""), f"Stop {number}: {joints}."
+    frozen, how = bool(ways.frozen[stop.configuration]), stop_words(ways, stop.configuration)
+    cells = (
+        str(number),
+        "●" if frozen else "",
+        "yes" if frozen else "",
+        state,
+        str(ways.block[stop.configuration] + 1),
+        how,
+    )
+    words = f"{how}; frozen: a new design leaves it" if frozen else how
+    return cells, f"Stop {number}: {joints}. {words[:1].upper()}{words[1:]}."
 
 
 class CoverageTable(_RowTable):

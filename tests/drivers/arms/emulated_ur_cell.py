@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -16,10 +17,11 @@ from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, personality, start_in_process
+from tests.loopback import own_arms
 
 PATIENT_S = 20.0
 SERIALS = {"left": "20153012345", "right": "20205501234"}
-HOSTS = {"left": "127.0.0.41", "right": "127.0.0.42"}
+HOSTS = own_arms(41)
 MODELS = {"left": "UR10", "right": "UR5e"}
 HOME = np.array([0.0, -np.pi / 2.0, 0.0, -np.pi / 2.0, 0.0, 0.0])
 SPEED, ACCELERATION = np.full(6, 2.0), np.full(6, 8.0)
@@ -28,6 +30,8 @@ FAR = HOME + np.array([2.4, 0.3, -0.5, 1.0, 1.5, -2.0])
 """More than a second away."""
 WATCHDOG_HZ = 2.0
 """A busy computer may stall for longer than the usual period of 0.2 s; a test of the watchdog sets its own."""
+SETTLE_S = 0.05
+"""Of the emulated arms, which do not swing; usually 0.2 s after each motion."""
 
 
 def expectation(name: str, **changes: Any) -> UrExpectation:
@@ -58,7 +62,7 @@ def emulated_cell() -> Iterator[EmulatorProcess]:
 @contextmanager
 def driven(name: str, settings: UrSettings | None = None, **changes: Any) -> Iterator[UrArm]:
     """A driver that is not connected yet; disconnected at the end."""
-    patient = UrSettings(host=HOSTS[name], watchdog_hz=WATCHDOG_HZ)
+    patient = UrSettings(host=HOSTS[name], watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S)
     arm = UrArm(name, settings or patient, expectation(name, **changes), rest_s=1.0)
     try:
         yield arm
@@ -69,6 +73,13 @@ def driven(name: str, settings: UrSettings | None = None, **changes: Any) -> Ite
 def warnings_about(arm: UrArm) -> list[str]:
     """Return the arm's warnings without those about this computer, which may be busy."""
     return [note for note in arm.warnings() if "heartbeats: " not in note]
+
+
+def in_parallel(action: Callable[..., None], arguments: Iterable[tuple[Any, ...]]) -> None:
+    """Call ``action`` with each tuple of arguments at the same time; raise the first error."""
+    with ThreadPoolExecutor() as pool:
+        for future in [pool.submit(action, *values) for values in arguments]:
+            future.result()
 
 
 def until(condition: Callable[[], bool], what: str, within_s: float = PATIENT_S) -> None:

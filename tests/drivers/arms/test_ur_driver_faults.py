@@ -8,8 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     driven,
     emulated_cell,
+    in_parallel,
     repair,
     until,
 )
@@ -75,13 +75,6 @@ AFTER: list[Faults] = [
     {"left": "all silent", "right": "refused"},
     {"left": "emergency", "right": "protective"},
 ]
-
-
-def in_parallel(action: Callable[..., None], arguments: Iterable[tuple[Any, ...]]) -> None:
-    """Call ``action`` with each tuple of arguments at the same time; raise the first error."""
-    with ThreadPoolExecutor() as pool:
-        for future in [pool.submit(action, *values) for values in arguments]:
-            future.result()
 
 
 @pytest.fixture(scope="module")

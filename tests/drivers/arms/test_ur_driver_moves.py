@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -62,9 +63,10 @@ from tests.drivers.arms.emulated_ur_cell import (
     warnings_about,
 )
 from tests.latency import attempts
+from tests.loopback import own_address, own_arms
 
 ARMS = ("left", "right")
-TRIAL_HOSTS = {"left": "127.0.0.43", "right": "127.0.0.44"}
+TRIAL_HOSTS, SWAPPED_HOSTS = own_arms(43), own_arms(45)
 
 
 @pytest.fixture(scope="module")
@@ -354,10 +356,9 @@ def test_threads_and_processes_are_gone_afterwards(unconnected: EmulatorProcess)
 
 def test_another_controller_at_the_same_address_is_refused() -> None:
     """The cables were swapped after a fault."""
-    hosts = {"left": "127.0.0.45", "right": "127.0.0.46"}
-    left, right = (replace(config, host=hosts[config.name]) for config in configs())
+    left, right = (replace(config, host=SWAPPED_HOSTS[config.name]) for config in configs())
     with start_in_process([left, right]):
-        arm = UrArm("left", UrSettings(host=hosts["left"]), expectation("left", serial=None))
+        arm = UrArm("left", UrSettings(host=SWAPPED_HOSTS["left"]), expectation("left", serial=None))
         arm.connect()
     with pytest.raises(LinkLost):
         arm.state()
@@ -381,7 +382,7 @@ def test_a_silent_host_is_reported_within_its_time_limit(unconnected: EmulatorPr
             return
         for took in attempts(reported=2.0):
             began = time.monotonic()
-            with pytest.raises(LinkLost, match=r"arm right: .*127\.0\.0\.42"):
+            with pytest.raises(LinkLost, match=f"arm right: .*{re.escape(HOSTS['right'])}"):
                 arm.connect()
             took["reported"] = time.monotonic() - began
         unconnected.control("right", "fault", "*", "none")
@@ -400,8 +401,9 @@ def test_a_closed_port_is_named(unconnected: EmulatorProcess, closed: str) -> No
 def test_a_wrong_host_is_named() -> None:
     with pytest.raises(LinkLost, match=r"arm left: no-such-robot\.invalid: no IPv4 host"):
         UrArm("left", UrSettings(host="no-such-robot.invalid"), expectation("left")).connect()
-    with pytest.raises(LinkLost, match=r"arm left: 127\.0\.0\.47:29999: no connection"):
-        UrArm("left", UrSettings(host="127.0.0.47"), expectation("left")).connect()
+    nobody = own_address(47)
+    with pytest.raises(LinkLost, match=f"arm left: {re.escape(nobody)}:29999: no connection"):
+        UrArm("left", UrSettings(host=nobody), expectation("left")).connect()
 
 
 # -- the plain readers ------------------------------------------------------------------------------------------------

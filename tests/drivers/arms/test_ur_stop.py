@@ -42,6 +42,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     driven,
     emulated_cell,
+    in_parallel,
     repair,
     until,
 )
@@ -277,40 +278,51 @@ PUSHED: dict[str, tuple[tuple[Any, ...] | None, type[ArmError], float]] = {
     "killed": (None, LinkLost, 0.0),
     "protective": (("protective", "now"), ProtectiveStop, 0.0),
 }
+PUSHED_AT_ONCE = [
+    {"left": "fin", "right": "rst"},
+    {"left": "silent", "right": "all silent"},
+    {"left": "protective", "right": "killed"},
+]
 
 
-@pytest.mark.parametrize("fault", PUSHED)
-def test_a_doubt_is_pushed_before_it_is_diagnosed(emulator: EmulatorProcess, right: UrArm, fault: str) -> None:
+@pytest.mark.parametrize("faults", PUSHED_AT_ONCE, ids=str)
+def test_a_doubt_is_pushed_before_it_is_diagnosed(
+    emulator: EmulatorProcess, drivers: dict[str, UrArm], faults: dict[str, str]
+) -> None:
+    in_parallel(doubt_is_pushed, [(emulator, drivers[name], fault) for name, fault in faults.items()])
+
+
+def doubt_is_pushed(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     for took in attempts(told=PUSHED[fault][2] + TOLD_WITHIN_S):
-        make_ready(emulator, right)
-        heard = Heard(right)
-        took["told"] = told_of(emulator, right, fault, heard)
-    right.connect()
-    go(right, AWAY)
-    emulator.control("right", "drop", "rtde", "rst")
+        make_ready(emulator, arm)
+        heard = Heard(arm)
+        took["told"] = told_of(emulator, arm, fault, heard)
+    arm.connect()
+    go(arm, AWAY)
+    emulator.control(arm.name, "drop", "rtde", "rst")
     until(lambda: len(heard.doubts) == 2, "the first doubt after the next connect is told")
 
 
-def told_of(emulator: EmulatorProcess, right: UrArm, fault: str, heard: Heard) -> float:
+def told_of(emulator: EmulatorProcess, arm: UrArm, fault: str, heard: Heard) -> float:
     """Inject a fault during a motion and check what is heard, raised and done; return when it was heard [s]."""
     command, error, _ = PUSHED[fault]
-    start(emulator, right)
-    pid = right.worker_pid
+    start(emulator, arm)
+    pid = arm.worker_pid
     assert pid is not None
     began_s = time.monotonic()
     if command is None:
         os.kill(pid, signal.SIGKILL)
     else:
-        emulator.control("right", *command)
+        emulator.control(arm.name, *command)
     with pytest.raises(error):
-        right.wait_settled(PATIENT_S)
+        arm.wait_settled(PATIENT_S)
     raised_s = time.monotonic()
     heard_s, doubt = heard.first()
     assert type(doubt) is error
-    assert str(doubt).startswith("arm right: ")
+    assert str(doubt).startswith(f"arm {arm.name}: ")
     assert heard_s <= raised_s
-    repair(emulator, "right")
-    assert_braked(emulator, "right", began_s)
+    repair(emulator, arm.name)
+    assert_braked(emulator, arm.name, began_s)
     assert len(heard.doubts) == 1
     return heard_s - began_s
 
@@ -418,7 +430,14 @@ def test_a_paused_program_of_somebody_else_is_left_alone(emulator: EmulatorProce
     until(lambda: emulator.control("right", "status")["runtime_state"] == "STOPPED", "the program has ended")
 
 
-def test_a_slider_that_is_moved_during_a_motion_is_no_fault(emulator: EmulatorProcess, arm: UrArm) -> None:
+def test_a_slider_that_is_moved_during_a_motion_is_no_fault(
+    emulator: EmulatorProcess, drivers: dict[str, UrArm]
+) -> None:
+    in_parallel(slider_is_no_fault, [(emulator, arm) for arm in drivers.values()])
+
+
+def slider_is_no_fault(emulator: EmulatorProcess, arm: UrArm) -> None:
+    make_ready(emulator, arm)
     heard = Heard(arm)
     start(emulator, arm)
     emulator.control(arm.name, "slider", 0.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
-import os
 import subprocess
 import sys
 import time
@@ -17,25 +16,21 @@ import pytest
 
 from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, personality, start_in_process
 from tests.latency import attempts
+from tests.loopback import own_arms
 
 ROOT = Path(__file__).parents[3]
 LONGEST_S = 40.0
+HOSTS = own_arms(61)
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs loopback addresses beyond 127.0.0.1")
 
 
-def hosts() -> tuple[str, str]:
-    """Two loopback addresses of this process's own: the client knows the standard ports only."""
-    high, low = divmod(os.getpid() % 60_000, 250)
-    return f"127.{high % 250 + 3}.{low + 1}.2", f"127.{high % 250 + 3}.{low + 1}.3"
-
-
 @pytest.fixture(scope="module")
 def process() -> Iterator[EmulatorProcess]:
-    left, right = hosts()
+    left = personality("CB3", "UR10", "20153012345")
     arms = [
-        ControllerConfig("left", left, personality("CB3", "UR10", "20153012345"), boot_s=0.2, brake_release_s=0.1),
-        ControllerConfig("right", right, personality("e-Series", "UR5", "20205501234")),
+        ControllerConfig("left", HOSTS["left"], left, boot_s=0.2, brake_release_s=0.1),
+        ControllerConfig("right", HOSTS["right"], personality("e-Series", "UR5", "20205501234")),
     ]
     with start_in_process(arms) as process:
         yield process
@@ -67,7 +62,7 @@ def client(emulator: EmulatorProcess, scenario: str) -> dict[str, Any]:
             "tests.drivers.emulators.ur_rtde_scenario",
             scenario,
             str(emulator.addresses.control[1]),
-            *hosts(),
+            *HOSTS.values(),
         ],
         cwd=ROOT,
         capture_output=True,
@@ -144,7 +139,7 @@ def test_a_late_start_local_control_and_a_second_client_fail_as_on_a_real_contro
 def test_universal_robots_own_client_streams_and_writes(emulator: EmulatorProcess) -> None:
     rtde, serialize = (importlib.import_module(f"rtde.{module}") for module in ("rtde", "serialize"))
 
-    for host, hz in zip(hosts(), (125.0, 500.0), strict=True):
+    for host, hz in zip(HOSTS.values(), (125.0, 500.0), strict=True):
         connection = rtde.RTDE(host)
         connection.connect()
         assert connection.get_controller_version()[0] in (3, 5)

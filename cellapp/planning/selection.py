@@ -1,0 +1,86 @@
+"""Stops that tell most, chosen for each arm from its pool of candidates; what they tell against random ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cellapp.design.block_choice import Candidates, choose_blocks, most_informative_first
+from cellapp.design.block_design import Criterion, Rows, information_of, reference_errors
+from cellapp.design.gaps import close_gaps, gap_limits
+from cellapp.kinematics.transforms import Array
+from cellapp.planning.candidates import CandidatePool
+from cellapp.planning.information import even_conditions, information_model
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+
+_POINTS = 600
+"""Candidates that stand for the workspace: its mean is then known to 2 %, and the worst point to some per cent."""
+
+
+def select_stops(
+    profile: Profile,
+    pools: Mapping[str, CandidatePool],
+    count: int,
+    rng: np.random.Generator,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    kept: Mapping[str, Array] | None = None,
+) -> dict[str, Rows]:
+    """Choose ``count`` candidates of each arm, fewer where its pool has fewer; the most informative first.
+
+    ``kept`` are configurations (k, N) [rad] of each arm that are in the plan already: what they tell is there before
+    the first choice, and they count in the coverage of the joints.
+
+    Raises
+    ------
+    InputError
+        If the profile lists an effect that no plan of this cell can show, or does not describe the cell.
+    Cancelled
+    """
+    cancel = cancel or CancelToken()
+    chosen = {}
+    for number, name in enumerate(pools):
+        cancel.check()
+        listener(Progress("select", number, len(pools), f"arm {name}"))
+        own = None if kept is None else kept.get(name)
+        q = {other: other_pool.q for other, other_pool in pools.items()}
+        with threadpool_limits(limits=1, user_api="blas"):  # the products are narrow
+            chosen[name] = _select(profile, name, q, count, own, rng, cancel)
+    listener(Progress("select", len(pools), len(pools), "done"))
+    return chosen
+
+
+def _select(
+    profile: Profile,
+    name: str,
+    pools: Mapping[str, Array],
+    count: int,
+    kept: Array | None,
+    rng: np.random.Generator,
+    cancel: CancelToken,
+) -> Rows:
+    """Candidates of one arm; ``pools`` are the configurations of all arms."""
+    q, others = pools[name], _others(pools, name)
+    if not count or not len(q):
+        return np.arange(0)
+    conditions = even_conditions(profile, name, q, others, rng)
+    model = information_model(profile, name, q, conditions)
+    kept = np.empty((0, q.shape[1])) if kept is None else kept
+    before = model.rows(kept, even_conditions(profile, name, kept, others, rng))
+    candidates = Candidates(model.rows(q, conditions), np.eye(len(model.size)) + information_of(before))
+    points = rng.permutation(len(q))[:_POINTS]
+    criterion = Criterion(
+        reference_errors(candidates.rows, count, candidates.prior, model.wanted),
+        model.prediction_rows(q[points], conditions.take(points)),
+    )
+    chosen = choose_blocks(candidates, count, criterion, rng, cancel=cancel)
+    limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
+    chosen = close_gaps(candidates, q, chosen, criterion, limits, kept, rng, cancel)
+    return most_informative_first(candidates, chosen, criterion)
+
+
+def _others(pools: Mapping[str, Array], name: str) -> dict[str, Array]:
+    return {other: q for other, q in pools.items() if other != name}
