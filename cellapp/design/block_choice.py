@@ -41,10 +41,10 @@ class Effort:
         Stops at the beginning that are put in order.
     """
 
-    subset: int = 1000
+    subset: int = 1500
     batches: int = 20
     batch: int = 40
-    exchanges: int = 800
+    exchanges: int = 1200
     passes: int = 6
     ordered: int = 400
 
