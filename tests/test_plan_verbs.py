@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from cellapp.collection.collect import collect_run
 from cellapp.commissioning.job_requests import taking_requests
@@ -27,13 +30,14 @@ from cellapp.plan_verbs import (
 from cellapp.planning.planned_stops import PlannedStops, joined, straight_stops
 from cellapp.planning.stop_conditions import proposed_stops, read_stop_conditions
 from cellapp.planning.stored_stops import read_planned_stops, write_planned_stops
+from cellapp.profile import Profile
 from cellapp.profile.collection import Collection, Reference
 from cellapp.progress import Cancelled
-from cellapp.run import RunFile
+from cellapp.run import Outcome, Reading, RunFile
 from cellapp.run.collected import reference_drifts
 from cellapp.run.overview import run_overview
 from drivers.arms.simulated import SimulatedArm
-from tests.planning.hand_made import drivable_stops, same_stops
+from tests.planning.hand_made import drivable_stops, same_stops, some_stops
 from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast
@@ -256,3 +260,67 @@ def test_a_plan_result_counts_and_times_what_is_visited(tmp_path: Path) -> None:
     assert (made.stops, made.reserves, made.design) == ({"left": 4, "right": 4}, 2, None)
     assert made.time is not None
     assert made.time.moving_s > 0.0
+
+
+@pytest.mark.parametrize(("proposed", "says"), [(set(), ""), ({5}, "too few stops can be reached")])
+def test_a_design_of_fewer_stops_than_asked_leaves_the_last_rows_out(
+    run: RunFile, plan: PlannedStops, proposed: set[int], says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fewer(
+        profile: Profile, *more: object, kept: PlannedStops, measured: int, add: int
+    ) -> tuple[PlannedStops, None]:
+        return joined(kept, straight_stops({name: q[: add - 1] + 0.01 for name, q in plan.q.items()})), None
+
+    monkeypatch.setattr("cellapp.plan_verbs.make_stops", fewer)
+    write_planned_stops(run, plan, proposed=proposed)
+    if says:
+        with pytest.raises(InputError, match=says):
+            replan(run)
+        same_stops(read_planned_stops(run), plan)
+        return
+    assert replan(run).stops["left"] == STOPS - 1
+    assert "3 stops were added after stop 5" in extend_plan(run, 4).notes[0]
+
+
+ROWS = st.sets(st.integers(0, 8), max_size=6)
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(measured=ROWS, failed=ROWS, frozen=ROWS, proposed=st.integers(0, 3), reserve=st.integers(0, 2))
+def test_a_new_design_changes_what_it_may_and_nothing_else(
+    measured: set[int], failed: set[int], frozen: set[int], proposed: int, reserve: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nine stops, the last of them proposed; planning itself is replaced by numbers that tell where they come from."""
+
+    def made(*more: object, kept: PlannedStops, measured: int, add: int) -> tuple[PlannedStops, None]:
+        further = np.full((add, 6), 0.5) + np.arange(add)[:, None] * 1e-3
+        return joined(kept, straight_stops({"left": further, "right": -further})), None
+
+    monkeypatch.setattr("cellapp.plan_verbs.make_stops", made)
+    failed -= measured
+    asked = set(range(9 - proposed, 9))
+    stops = replace(some_stops(9), frozen=np.isin(np.arange(9), list(frozen)))
+    profile = small_twin(9 - proposed - reserve, plan={"reserve": reserve})
+    with TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
+        write_planned_stops(run, stops, proposed=asked)
+        for stop in sorted(measured | failed):
+            rows = {name: Reading(q=q[stop], p_M=np.zeros(3)) for name, q in stops.q.items()}
+            outcomes = [Outcome(stop, name, "left out", "a column") for name in rows]
+            run.add_stop(stop, rows if stop in measured else {}, [] if stop in measured else outcomes)
+        stay = measured | (asked - failed)
+        replaced = set(range(9)) - stay - (frozen - failed)
+        if not replaced:
+            with pytest.raises(InputError, match="nothing is left to design"):
+                replan(run)
+            return
+        replan(run)
+        after, proposals = read_planned_stops(run), set(proposed_stops(read_stop_conditions(run)))
+        assert (len(after), run.outcomes(), proposals) == (9, [], asked & stay)
+    for name, q in after.q.items():
+        for stop in stay:
+            np.testing.assert_array_equal(q[stop], stops.q[name][stop])
+            np.testing.assert_array_equal(after.approach_from[name][stop], stops.approach_from[name][stop])
+        left = {tuple(row) for row in q.tolist()}
+        assert {tuple(stops.q[name][stop].tolist()) for stop in frozen - failed} <= left
+        assert not {tuple(stops.q[name][stop].tolist()) for stop in replaced} & left
+        assert len(left) == 9
