@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from cellapp.calibration.linear import inverse_psd
 from cellapp.calibration.parameters import determined_set
 from cellapp.design.block_design import information_of
-from cellapp.design.gaps import largest_gaps
+from cellapp.design.gaps import largest_gaps, without_turns
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.candidates import CandidatePool, random_configurations
@@ -230,7 +230,7 @@ def arm_design(
         random=quality(n, *random[n]),
         equal_to_random=equal_to_random(designed, {size: random[size][0] for size in judge.sizes(n)}, n),
         by_stops=tuple(by_stops),
-        largest_gap=tuple(largest_gaps(q).tolist()),
+        largest_gap=tuple(largest_gaps(without_turns(q, pool.q)).tolist()),
     )
 
 
