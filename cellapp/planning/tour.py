@@ -168,8 +168,9 @@ class _Tours:
         square = ((0, 0), (0, 0), (0, 1), (0, 1))
         self._time = np.pad(task.time_s, square).reshape(arms, -1)
         self._pairs = list(combinations(range(arms), 2))
-        self._pair_cost = np.pad(task.pair_cost, square).reshape(len(self._pairs), -1)
-        self._postures = [np.pad(one, ((0, 0), (0, 1), (0, 0))).reshape(-1, one.shape[2]) for one in task.postures]
+        self._pair_cost = np.pad(task.pair_cost, square).reshape(len(self._pairs), blocks * (m + 1) * (m + 1))
+        padded = [np.pad(one, ((0, 0), (0, 1), (0, 0))) for one in task.postures]
+        self._postures = [one.reshape(one.shape[0] * one.shape[1], one.shape[2]) for one in padded]  # maybe no columns
         self._near = _nearest(task).reshape(arms, blocks * m, -1)
         self._place = np.zeros((arms, blocks, m + 1), dtype=np.intp)
         self._step_s = np.zeros((blocks, m + 2))
