@@ -39,8 +39,6 @@ from cellapp.tui.workspace import Workspace
 from tests.run.small_runs import add_stop, collected_run, planned_run
 from tests.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
 
-pytestmark = pytest.mark.fast
-
 Q0 = (0.5,) * 6
 Q1 = (-1.0, 0.25, 1.0, 1.5, -0.5, 2.0)
 WARM = (31.2, 31.3, 31.4, 31.5, 31.6, 31.7)
