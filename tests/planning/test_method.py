@@ -33,7 +33,7 @@ def test_plans_are_safe_and_follow_what_is_kept(method: str) -> None:
     profile = quick(4, method=method, reserve=1)
     stops, design = make_stops(profile)
     assert (len(stops), design is None) == (5, method == "random")
-    more, _ = make_stops(profile, kept=stops, measured=5, add=1)
+    more, _ = make_stops(profile, kept=stops, add=1)
     same_stops(more.take(range(5)), stops)
     assert len(more) == 6
     assert more.block[5] > stops.block.max()
