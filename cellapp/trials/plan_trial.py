@@ -19,6 +19,7 @@ from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Record, Result
 from cellapp.safety.cell_bodies import cell_bodies
+from cellapp.trials.whole_plans import WholePlan
 
 BARS: Mapping[ErrorName, float] = {"parameters": 2.0, "mean": 1.5, "worst": 3.0}
 """Random stops that one designed stop shall be worth, by each error."""
@@ -58,6 +59,11 @@ class PlanTrialsResult(Result):
     version: Literal[1] = 1
     profile: str
     trials: tuple[PlanTrial, ...]
+    plans: tuple[WholePlan, ...] = ()
+
+    def complaints(self) -> list[str]:
+        """What whole plans must never have."""
+        return [f"seed {one.seed}: {one.collisions} motions collide" for one in self.plans if one.collisions]
 
     def worth(self, arm: str, error: ErrorName) -> float:
         """Random stops that one designed stop of an arm is worth: median over seeds."""
