@@ -160,7 +160,7 @@ def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: 
             _other_seed(run), with_eta(listener), control, kept=kept, measured=len(kept), add=count
         )
         write_planned_stops(run, stops, proposed=proposed, design=design)
-        note = f"{count} stops were added after stop {len(kept)}"
+        note = f"{len(stops) - len(kept)} stops were added after stop {len(kept)}"
         run.log("info", _CHANGED + note)
         return plan_result(run, [note])
 
@@ -195,7 +195,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
             _other_seed(run), with_eta(listener), control, kept=kept, measured=len(parts.fixed), add=needed
         )
         write_planned_stops(run, made.take(parts.places(len(made))), proposed=proposed & {*parts.fixed}, design=design)
-        note = f"{needed} stops were designed again around {len(kept)}"
+        note = f"{len(made) - len(kept)} stops were designed again around {len(kept)}"
         if parts.unreached:
             listed = ", ".join(str(stop + 1) for stop in parts.unreached)
             note += f"; replaced were stops that could not be reached or measured: {listed}"
@@ -254,8 +254,17 @@ class _Parts:
     more: int
 
     def places(self, total: int) -> list[int]:
-        """For each row of the new plan the number of its stop, where those of ``fixed`` come first."""
-        rows = [*self.fixed, *self.open, *range(total - self.more, total)]
+        """For each row of the new plan the number of its stop, where those of ``fixed`` come first.
+
+        Raises ``InputError`` if the new plan is so short that a fixed row would be outside it.
+        """
+        if self.fixed and max(self.fixed) >= total:
+            raise InputError(
+                "plan: too few stops can be reached for the places that are to be filled; ask for a smaller"
+                " plan.clearance, or plan a new run"
+            )
+        before = len(self.fixed) + len(self.open)
+        rows = [*self.fixed, *(row for row in (*self.open, *range(before, total)) if row < total)]
         return sorted(range(total), key=rows.__getitem__)
 
 

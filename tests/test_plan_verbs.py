@@ -262,6 +262,26 @@ def test_a_plan_result_counts_and_times_what_is_visited(tmp_path: Path) -> None:
     assert made.time.moving_s > 0.0
 
 
+@pytest.mark.parametrize(("proposed", "says"), [(set(), ""), ({5}, "too few stops can be reached")])
+def test_a_design_of_fewer_stops_than_asked_leaves_the_last_rows_out(
+    run: RunFile, plan: PlannedStops, proposed: set[int], says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fewer(
+        profile: Profile, *more: object, kept: PlannedStops, measured: int, add: int
+    ) -> tuple[PlannedStops, None]:
+        return joined(kept, straight_stops({name: q[: add - 1] + 0.01 for name, q in plan.q.items()})), None
+
+    monkeypatch.setattr("cellapp.plan_verbs.make_stops", fewer)
+    write_planned_stops(run, plan, proposed=proposed)
+    if says:
+        with pytest.raises(InputError, match=says):
+            replan(run)
+        same_stops(read_planned_stops(run), plan)
+        return
+    assert replan(run).stops["left"] == STOPS - 1
+    assert "3 stops were added after stop 5" in extend_plan(run, 4).notes[0]
+
+
 ROWS = st.sets(st.integers(0, 8), max_size=6)
 
 
@@ -272,7 +292,7 @@ def test_a_new_design_changes_what_it_may_and_nothing_else(
 ) -> None:
     """Nine stops, the last of them proposed; planning itself is replaced by numbers that tell where they come from."""
 
-    def made(profile: Profile, *more: object, kept: PlannedStops, measured: int, add: int) -> tuple[PlannedStops, None]:
+    def made(*more: object, kept: PlannedStops, measured: int, add: int) -> tuple[PlannedStops, None]:
         further = np.full((add, 6), 0.5) + np.arange(add)[:, None] * 1e-3
         return joined(kept, straight_stops({"left": further, "right": -further})), None
 

@@ -295,6 +295,34 @@ def blind_matrix(
         check_bars(result.failed, result.missed)
 
 
+@trials_app.command("plans")
+def plans(
+    profile: ProfilePath,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Seeds, from 0 on.")] = 10,
+    stops: Annotated[int, typer.Option("--stops", min=10, help="Designed stops that are compared with random.")] = 100,
+    whole: Annotated[int, typer.Option("--whole", min=0, help="Stops of whole plans; 0: none.")] = 400,
+    bounded: Annotated[int, typer.Option("--bounded", min=0, help="Seeds with the best possible values; slow.")] = 1,
+    markdown: MarkdownFile = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Designed plans against random ones: what they tell, travel, correlations, and collisions by another library."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.plan_tables import plan_trial_sentences, plan_trial_tables
+    from cellapp.trials.plan_trial import plan_trials
+    from cellapp.trials.whole_plans import whole_plans
+
+    with Job(json_file) as job:
+        check_markdown(markdown)
+        cell = load_profile(profile)
+        result = plan_trials(cell, range(seeds), stops, bounded, job.listen, job.control)
+        if whole:
+            found = whole_plans(cell, range(seeds), whole, job.listen, job.control)
+            result = result.model_copy(update={"plans": found})
+        state_result(job, result, plan_trial_tables(result), plan_trial_sentences(result), markdown)
+        if result.complaints():
+            raise CheckFailed(f"trials plans: {'; '.join(result.complaints())}")
+
+
 @trials_app.command("league")
 def league(
     series: Annotated[str, typer.Option("--series", metavar="LIST", help="Series, separated by commas.")] = "C,D,UR5",

@@ -18,7 +18,11 @@ GAP_OF_EVEN_STOPS = 4.0
 """Largest gap in units of that of evenly spread stops, where none is asked for. With stops at random it is about the
 natural logarithm of their number: 4.6 of 100, 6 of 400."""
 _EMPTY_SHARE = 0.02
-"""A part of the range without any candidate, of at least this share of it, cannot be reached and needs no stop."""
+"""A part of the range without any candidate that is longer than this share of it cannot be reached."""
+_EMPTY_SPACINGS = 10.0
+"""Of few candidates: one that is longer than so many mean distances between them, which is no chance."""
+_IMMOVABLE = 1e-12
+"""Replaces a limit of zero, of a joint that does not move [rad]."""
 _MOST_LOOKED_AT = 100
 """Candidates for one gap that are compared: more of them differ little."""
 
@@ -33,7 +37,8 @@ def gap_limits(q: Array, count: int, asked: float | None) -> Array:
     if asked is not None:
         return np.full(q.shape[1], asked)
     steps = np.diff(np.sort(q, axis=0), axis=0)
-    reached = np.where(steps < _EMPTY_SHARE * steps.sum(axis=0), steps, 0.0).sum(axis=0)
+    empty = max(_EMPTY_SHARE, _EMPTY_SPACINGS / len(q)) * steps.sum(axis=0)
+    reached = np.where(steps <= empty, steps, 0.0).sum(axis=0)
     return np.asarray(GAP_OF_EVEN_STOPS * reached / max(count, 1))
 
 
@@ -92,7 +97,7 @@ def _closing(q: Array, stops: Array, limits: Array, hopeless: set[tuple[int, flo
     ``hopeless`` gaps (joint, beginning) have no candidate; those found are added.
     """
     ends = np.sort(np.concatenate([stops, q.min(axis=0)[None], q.max(axis=0)[None]]), axis=0)
-    ratio = np.diff(ends, axis=0) / limits
+    ratio = np.diff(ends, axis=0) / np.maximum(limits, _IMMOVABLE)
     for place in np.argsort(-ratio, axis=None):
         row, joint = np.unravel_index(place, ratio.shape)
         if ratio[row, joint] <= 1.0:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cellapp.errors import InputError
+from cellapp.planning.design_report import design_result
+from cellapp.planning.designed import design_stops
 from cellapp.planning.plan import further_stops
 from cellapp.planning.planned_stops import PlannedStops, joined, straight_stops
 from cellapp.planning.stored_stops import write_planned_stops
@@ -63,7 +65,10 @@ def make_stops(
             f"plan: {len(kept)} stops are kept, and plan.stops and plan.reserve ask for {wanted}: nothing is left to"
             " design; ask for more stops, or keep fewer"
         )
-    return _random(profile, listener, cancel, kept, add), None
+    if profile.plan.method == "random":
+        return _random(profile, listener, cancel, kept, add), None
+    stops, pools = design_stops(profile, listener, cancel, kept=kept, add=add)
+    return stops, design_result(profile, stops, pools, listener, cancel)
 
 
 def _random(

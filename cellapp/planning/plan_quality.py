@@ -103,6 +103,10 @@ class Judge:
             rng,
         )
 
+    def sizes(self, stops: int) -> list[int]:
+        """Sizes of random plans among which the equal of ``stops`` stops is found."""
+        return sorted({min(round(ratio * stops), len(self.random)) for ratio in _LARGER})
+
     def rows(self, q: Array, conditions: MeasurementConditions | None) -> Array:
         """Whitened rows (n, 3, p) of stops ``q`` (n, N) [rad], under drawn conditions where none are given."""
         if conditions is None:
@@ -201,8 +205,7 @@ def arm_design(
         judge = Judge.of(profile, name, others, n, rng, cancel or CancelToken())
         rows = judge.rows(q, conditions)
         parts = [*(part for part in _PARTS if part < n), n]
-        larger = [min(round(ratio * n), len(judge.random)) for ratio in _LARGER]
-        random = judge.random_plans(sorted({*parts, *larger}))
+        random = judge.random_plans(sorted({*parts, *judge.sizes(n)}))
         geometry = judge.determined(random[n][1])
 
         def quality(stops: int, errors: Errors, information: Array) -> PlanQuality:
@@ -225,7 +228,7 @@ def arm_design(
         rejected=pool.rejected,
         designed=by_stops[-1],
         random=quality(n, *random[n]),
-        equal_to_random=equal_to_random(designed, {size: random[size][0] for size in sorted(set(larger))}, n),
+        equal_to_random=equal_to_random(designed, {size: random[size][0] for size in judge.sizes(n)}, n),
         by_stops=tuple(by_stops),
         largest_gap=tuple(largest_gaps(q).tolist()),
     )
@@ -239,7 +242,7 @@ def equal_to_random(errors: Errors, random: Mapping[int, Errors], stops: int) ->
     unit = random[stops].parameters
 
     def three(one: Errors) -> Array:
-        return np.log(np.array([float(np.mean(one.parameters / unit)), one.mean, one.worst]))
+        return np.asarray(np.log([float(np.mean(one.parameters / unit)), one.mean, one.worst]))
 
     sizes = sorted(random)
     curve = np.array([three(random[size]) for size in sizes])

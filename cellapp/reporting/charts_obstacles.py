@@ -22,7 +22,7 @@ from cellapp.profile.obstacles import (
     SphereObstacle,
 )
 from cellapp.reporting.charts import Series, series
-from cellapp.safety.meshes import load_mesh
+from cellapp.safety.mesh_files import load_mesh
 
 View = Literal["above", "tracker"]
 

@@ -25,7 +25,7 @@ def plan_lines(result: PlanResult) -> list[str]:
 
 def design_tables(design: PlanDesignResult) -> list[Table]:
     """Candidates, expected errors against random stops and largest gaps of each arm; errors by number of stops."""
-    tables = [candidates_table(design), quality_table(design), gaps_table(design)]
+    tables = [candidates_table(design), quality_table(design), indices_table(design), gaps_table(design)]
     return [*tables, *(by_stops_table(name, arm) for name, arm in design.arms.items() if arm.by_stops)]
 
 
@@ -52,22 +52,20 @@ def correlation_words(one: FactorCorrelation) -> str:
 
 def candidates_table(design: PlanDesignResult) -> Table:
     """How many configurations were drawn for each arm, what excluded them, how many candidates are left."""
-    reasons = list(dict.fromkeys(reason for arm in design.arms.values() for reason in arm.rejected))
-    columns = (
-        Column("arm"),
-        number_column("drawn", "d"),
-        *(number_column(reason, "d") for reason in reasons),
-        number_column("candidates", "d"),
-    )
+    found = (reason for arm in design.arms.values() for reason, count in arm.rejected.items() if count)
+    reasons = list(dict.fromkeys(found))
+    columns = (Column("configurations"), *(number_column(f"arm {name}", "d") for name in design.arms))
+    arms = design.arms.values()
     rows: list[tuple[Cell, ...]] = [
-        (name, arm.drawn, *(arm.rejected.get(reason) for reason in reasons), arm.candidates)
-        for name, arm in design.arms.items()
+        ("drawn", *(arm.drawn for arm in arms)),
+        *((f"excluded by {reason}", *(arm.rejected.get(reason) for arm in arms)) for reason in reasons),
+        ("candidates", *(arm.candidates for arm in arms)),
     ]
-    return Table("Candidates: drawn, excluded by constraint, left", columns, tuple(rows))
+    return Table("Candidates", columns, tuple(rows))
 
 
 def quality_table(design: PlanDesignResult) -> Table:
-    """Expected errors and observability of the designed stops and of random ones; how many random ones equal them."""
+    """Expected errors of the designed stops and of random ones; how many random ones equal them."""
     columns = (
         Column("arm"),
         Column("plan"),
@@ -75,18 +73,26 @@ def quality_table(design: PlanDesignResult) -> Table:
         number_column("parameters", ".3f"),
         number_column("mean", ".4f", "mm"),
         number_column("worst", ".4f", "mm"),
-        *(number_column(f"O{index}", ".3g") for index in range(1, 6)),
     )
     rows: list[tuple[Cell, ...]] = []
     for name, arm in design.arms.items():
         for word, one in (("designed", arm.designed), ("random", arm.random)):
-            index = one.indices
-            observed = (index.o1, index.o2, index.o3, index.o4, index.o5)
-            rows.append((name, word, one.stops, one.parameters, one.mean_mm, one.worst_mm, *observed))
+            rows.append((name, word, one.stops, one.parameters, one.mean_mm, one.worst_mm))
         equal = arm.equal_to_random
         counts = (equal.get("parameters"), equal.get("mean"), equal.get("worst"))
-        rows.append((name, "equal to random", None, *(_stops(count) for count in counts), *[None] * 5))
+        rows.append((name, "equal to random", None, *(_stops(count) for count in counts)))
     return Table("Expected errors against random stops", columns, tuple(rows))
+
+
+def indices_table(design: PlanDesignResult) -> Table:
+    """Observability indices of the designed stops and of random ones."""
+    columns = (Column("arm"), Column("plan"), *(number_column(f"O{index}", ".3g") for index in range(1, 6)))
+    rows: list[tuple[Cell, ...]] = [
+        (name, word, index.o1, index.o2, index.o3, index.o4, index.o5)
+        for name, arm in design.arms.items()
+        for word, index in (("designed", arm.designed.indices), ("random", arm.random.indices))
+    ]
+    return Table("Observability", columns, tuple(rows))
 
 
 def gaps_table(design: PlanDesignResult) -> Table:
@@ -109,7 +115,7 @@ def by_stops_table(name: str, arm: ArmDesign) -> Table:
         number_column("worst", ".4f", "mm"),
     )
     rows = tuple((one.stops, one.parameters, one.mean_mm, one.worst_mm) for one in arm.by_stops)
-    return Table(f"Arm {name}: expected errors after the first stops", columns, rows)
+    return Table(f"Arm {name}: errors after the first stops", columns, rows)
 
 
 def _stops(count: float | None) -> str | None:

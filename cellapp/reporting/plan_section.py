@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from cellapp.planning.duration import planned_time
 from cellapp.planning.stored_stops import read_plan_design, read_planned_stops
 from cellapp.reporting.captioned import CaptionedFigure
-from cellapp.reporting.plan_design_text import design_sentences, gaps_table, quality_table
+from cellapp.reporting.plan_design_text import design_sentences, gaps_table, indices_table, quality_table
 from cellapp.reporting.table import Table
 from cellapp.run import RunFile
 from cellapp.run.overview import planned_stops
@@ -65,8 +65,8 @@ def design_charts_of(
 
 
 def design_tables_of(design: PlanDesignResult | None) -> tuple[Table, ...]:
-    """Expected errors against random stops and largest gaps; none of a plan that was not designed."""
-    return () if design is None else (quality_table(design), gaps_table(design))
+    """Expected errors against random stops, observability and largest gaps; none of a plan that was not designed."""
+    return () if design is None else (quality_table(design), indices_table(design), gaps_table(design))
 
 
 def _time(profile: Profile, ways: PlannedStops) -> PlannedTime | None:

@@ -24,7 +24,7 @@ from cellapp.profile.obstacles import (
 from cellapp.safety.bodies import ArmBodies
 from cellapp.safety.covers import cover
 from cellapp.safety.gate import BEAM_RADIUS, CellBodies, TrackerField
-from cellapp.safety.meshes import load_mesh
+from cellapp.safety.mesh_files import load_mesh
 from cellapp.safety.obstacles import Obstacle
 from cellapp.safety.shapes import Cylinder, RoundedBox, Shape
 from cellapp.safety.standing import standings

@@ -12,6 +12,7 @@ from cellapp.trials.league.trial import LeagueResult
 from cellapp.trials.link_results import LinksResult
 from cellapp.trials.paper import PaperResult
 from cellapp.trials.parameter_sets import ParameterSetsResult
+from cellapp.trials.plan_trial import PlanTrialsResult
 from cellapp.trials.sealed import SealResult
 from cellapp.trials.storm import StormResult
 
@@ -27,4 +28,5 @@ TRIAL_RESULTS: tuple[type[Result], ...] = (
     JudgeResult,
     LeagueResult,
     MatrixResult,
+    PlanTrialsResult,
 )

@@ -26,8 +26,10 @@ STOPPED = 4
 UNEXPECTED = 3
 """Exit codes: stopped and resumable; an unexpected error, after which somebody must look at the cell."""
 
-_RESUMED_BY = {"plan": "", "collect": "--resume", "push": "TARGETS --verify"}
-"""What follows ``cellapp JOB DIR`` to go on; a plan that was not finished leaves nothing."""
+_RESUMED_BY = {"collect": "--resume", "calibrate": "", "discover": "", "push": "TARGETS --verify"}
+"""What follows ``cellapp JOB DIR`` to go on."""
+_PLANS = ("plan", "order")
+"""The last events of planning, random and designed; a plan that was not finished leaves nothing."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +89,11 @@ def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
 
 def how_to_resume(last: Progress | None, folder: Path | None) -> str:
     """How to go on after a job that ended after the event ``last``; empty if there is nothing to resume."""
-    if last is None or folder is None or last.job == "replay" or (last.job == "plan" and last.done < last.total):
+    if last is None or folder is None:
         return ""
-    job = last.job if last.job in ("calibrate", "discover", "push") else "collect"
+    job = "collect" if last.job in _PLANS and last.done >= last.total else last.job
+    if job not in _RESUMED_BY:
+        return ""
     command = f"cellapp {job} {shlex.quote(str(folder))} {_RESUMED_BY.get(job, '')}".rstrip()
     return f"go on here with the key of that step, or with: {command}"
 

@@ -23,18 +23,22 @@ pytestmark = pytest.mark.fast
 def test_tables_state_candidates_errors_gaps_and_errors_by_stops() -> None:
     tables = {table.title: table for table in design_tables(plan_design())}
     assert list(tables) == [
-        "Candidates: drawn, excluded by constraint, left",
+        "Candidates",
         "Expected errors against random stops",
+        "Observability",
         "Largest gap of each joint",
-        "Arm left: expected errors after the first stops",
-        "Arm right: expected errors after the first stops",
+        "Arm left: errors after the first stops",
+        "Arm right: errors after the first stops",
     ]
-    candidates = tables["Candidates: drawn, excluded by constraint, left"]
-    assert candidates.headings == ("arm", "drawn", "outside the tracker's view", "collides", "candidates")
-    assert candidates.text_rows()[0] == ("left", "600000", "400000", "180000", "20000")
+    candidates = tables["Candidates"]
+    assert candidates.headings == ("configurations", "arm left", "arm right")
+    assert candidates.text_rows()[0] == ("drawn", "600000", "600000")
+    assert candidates.text_rows()[2] == ("excluded by collides", "180000", "180000")
+    assert candidates.text_rows()[-1] == ("candidates", "20000", "20000")
+    assert tables["Observability"].text_rows()[0] == ("left", "designed", "0.4", "0.02", "0.3", "0.006", "0.05")
     errors = tables["Expected errors against random stops"].text_rows()
-    assert errors[0][:6] == ("left", "designed", "400", "0.700", "0.0070", "0.0210")
-    assert errors[2][:6] == ("left", "equal to random", "", "840 stops", "640 stops", "1280 stops")
+    assert errors[0] == ("left", "designed", "400", "0.700", "0.0070", "0.0210")
+    assert errors[2] == ("left", "equal to random", "", "840 stops", "640 stops", "1280 stops")
     assert tables["Largest gap of each joint"].text_rows()[0][:2] == ("left", "11.5")
 
 

@@ -16,7 +16,7 @@ from cellapp.profile.obstacles import BoxObstacle, CylinderObstacle, MeshObstacl
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.covers import cover
 from cellapp.safety.gate import CellBodies, clear_stops, refuse_motion, refuse_stop, visible
-from cellapp.safety.meshes import load_mesh
+from cellapp.safety.mesh_files import load_mesh
 from cellapp.safety.obstacles import Obstacle
 from cellapp.safety.shapes import RoundedBox
 from cellapp.trials.collision_check import CollisionCheck
@@ -205,7 +205,7 @@ def test_motions_that_the_gate_admits_collide_with_nothing(folder: Path) -> None
     check = CollisionCheck(profile)
     assert list(check.collisions(admitted, np.random.default_rng(0))) == []
     # and it sees collisions: with all motions it names obstacles of every kind, and the arms
-    found = list(check.collisions(motions, np.random.default_rng(0), timings=1, samples=60))
+    found = list(check.collisions(motions, np.random.default_rng(0), timings=1, samples=40))
     met = {name for one in found for name in (one.first, one.second)}
     assert {"table", "ring", "drum", "gripper"} <= met
 

@@ -181,8 +181,9 @@ class PlanScreen(PlanEdits):
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Stops can be marked where they are listed."""
-        listed = self.query_one("#plan-tabs", TabbedContent).active == "tab-stops"
-        return listed or action not in ("mark", "freeze")
+        if action not in ("mark", "freeze"):
+            return True
+        return any(tabs.active == "tab-stops" for tabs in self.query("#plan-tabs").results(TabbedContent))
 
     def action_next_tab(self) -> None:
         """Show the next tab."""

@@ -1,0 +1,47 @@
+"""What is known of a designed plan: what it tells against random stops, correlations of its factors, its time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cellapp.planning.candidates import CandidatePool
+from cellapp.planning.factor_correlations import correlations, travel_time
+from cellapp.planning.plan_quality import arm_design
+from cellapp.planning.planned_stops import PlannedStops
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import PlanDesignResult
+from cellapp.safety.cell_bodies import cell_bodies
+
+_SEED = 0xDE52
+
+
+def design_result(
+    profile: Profile,
+    stops: PlannedStops,
+    pools: Mapping[str, CandidatePool],
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> PlanDesignResult:
+    """Compare the asked stops of a plan with random ones of the same number; reserves do not count.
+
+    Raises ``Cancelled`` on request.
+    """
+    rng = np.random.default_rng([profile.seed, _SEED])
+    reserves = profile.plan.reserves(len(stops))
+    asked = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
+    arms = {}
+    for number, (name, pool) in enumerate(pools.items()):
+        listener(Progress("compare", number, len(pools), f"arm {name} with random stops"))
+        arms[name] = arm_design(profile, pool, name, asked.q, rng, cancel=cancel)
+    listener(Progress("compare", len(pools), len(pools), "done"))
+    return PlanDesignResult(
+        arms=arms,
+        correlations=correlations(profile, cell_bodies(profile), asked),
+        travel=travel_time(profile, asked, rng),
+        detours=sum(bool(legs) for legs in asked.legs),
+        blocks=len(np.unique(asked.block)),
+        repeats=int(np.sum(asked.repeat_of >= 0)),
+    )

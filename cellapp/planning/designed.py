@@ -1,0 +1,127 @@
+"""Designed plans: candidates of each arm, those that tell most, their factors, pairs, order and ways."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.errors import InputError
+from cellapp.kinematics.transforms import Array
+from cellapp.planning.candidates import CandidatePool, draw_pool
+from cellapp.planning.planned_stops import PlannedStops, joined
+from cellapp.planning.selection import select_stops
+from cellapp.planning.sequence import nearest_turns, sequence_stops
+from cellapp.planning.within_reach import within_reach
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.safety.gate import CellBodies, sample_spacing
+
+_SEED = 0xDE51
+_SPARE_SHARE = 0.05
+"""In a crowded cell about one chosen stop in fifty cannot be reached."""
+_LEAST_CHOICE = 3
+"""Candidates within easy reach for each stop; with fewer there is no choice."""
+
+
+def design_stops(
+    profile: Profile,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    kept: PlannedStops | None = None,
+    add: int | None = None,
+) -> tuple[PlannedStops, Mapping[str, CandidatePool]]:
+    """Stops that tell most, in a safe order, after those that are ``kept``; and the candidates they are chosen from.
+
+    Parameters
+    ----------
+    profile : Profile
+    listener, cancel
+        Progress and cancelling.
+    kept : PlannedStops, optional
+        Stops that are in the plan already: what they tell is known before the first choice.
+    add : int, optional
+        Number of further stops; None: up to those that the profile asks for, reserves included.
+
+    Raises
+    ------
+    InputError
+        If an arm has no candidates, or none of them can be reached.
+    Cancelled
+    """
+    cancel = cancel or CancelToken()
+    cell = cell_bodies(profile)
+    # the gate samples ways: a configuration at the very limit could not be reached
+    roomy = replace(cell, clearance=cell.clearance + 0.5 * sample_spacing(cell))
+    before = 0 if kept is None else len(kept)
+    count = profile.plan.stops + profile.plan.reserve - before if add is None else add
+    rng = np.random.default_rng([profile.seed, _SEED, before])
+    pools = {}
+    for number, name in enumerate(cell.arms):
+        listener(Progress("candidates", number, len(cell.arms), f"arm {name}"))
+        pools[name] = _pool(profile, roomy, name, count, rng, cancel)
+    rows = select_stops(profile, pools, count + _spares(count), rng, listener, cancel, None if kept is None else kept.q)
+    chosen = {name: pool.q[rows[name]] for name, pool in pools.items()}
+    return _in_order(profile, cell, chosen, count, kept, rng, listener, cancel), pools
+
+
+def _spares(count: int) -> int:
+    """Stops that are chosen beside ``count``, for those that cannot be reached from the others."""
+    return math.ceil(_SPARE_SHARE * count)
+
+
+def _in_order(
+    profile: Profile,
+    cell: CellBodies,
+    chosen: Mapping[str, Array],
+    count: int,
+    kept: PlannedStops | None,
+    rng: np.random.Generator,
+    listener: Listener,
+    cancel: CancelToken,
+) -> PlannedStops:
+    """The kept stops and ``count`` more, the first ``chosen`` ones first; spares follow in place of those not reached.
+
+    Raises ``InputError`` if fewer than the asked stops can be reached.
+    """
+    stops = kept
+    first = 0
+    wanted = count + (0 if kept is None else len(kept))
+    for plan in (profile.plan, profile.plan.model_copy(update={"repeats": 0})):
+        missing = wanted - (0 if stops is None else len(stops))
+        part = {name: q[first : first + missing] for name, q in chosen.items()}
+        first += missing
+        if missing and all(len(q) for q in part.values()):
+            here = None if stops is None or not len(stops) else stops.q
+            more = sequence_stops(profile.model_copy(update={"plan": plan}), cell, part, rng, listener, cancel, here)
+            stops = more if stops is None or not len(stops) else joined_after(stops, more)
+    reached = 0 if stops is None else len(stops)
+    if stops is None or reached < wanted - profile.plan.reserve:
+        raise InputError(
+            f"plan: only {reached} of {wanted} stops can be reached; ask for fewer stops, a smaller plan.clearance, or"
+            " move bases, tracker or obstacles"
+        )
+    return stops
+
+
+def _pool(
+    profile: Profile, cell: CellBodies, name: str, count: int, rng: np.random.Generator, cancel: CancelToken
+) -> CandidatePool:
+    """Candidates of an arm within easy reach; others too where these are too few for ``count`` stops."""
+    pool = draw_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, cancel)
+    q = nearest_turns(profile, cell, name, pool.q)
+    reached = within_reach(cell, name, q, home_positions(profile).get(name))
+    if int(reached.sum()) < _LEAST_CHOICE * count:
+        return replace(pool, q=q)
+    rejected = {**pool.rejected, "hard to reach": int(np.sum(~reached))}
+    return CandidatePool(q[reached], pool.incidence[reached], pool.drawn, rejected)
+
+
+def joined_after(kept: PlannedStops, further: PlannedStops) -> PlannedStops:
+    """Kept stops and those that were sequenced to follow them: these keep the legs to their first stop."""
+    both = joined(kept, replace(further, block=further.block + int(kept.block.max(initial=-1)) + 1))
+    return replace(both, legs=(*kept.legs, *further.legs))
