@@ -65,8 +65,8 @@ def make_stops(
         )
     if profile.plan.method == "random":
         return _random(profile, listener, cancel, kept, add), None
-    stops, pools = design_stops(profile, listener, cancel, kept=kept, add=add)
-    return stops, design_result(profile, stops, pools, listener, cancel)
+    designed = design_stops(profile, listener, cancel, kept=kept, add=add)
+    return designed.stops, design_result(profile, designed, listener, cancel)
 
 
 def _random(
