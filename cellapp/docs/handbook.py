@@ -18,6 +18,7 @@ CHAPTERS: Mapping[str, str] = {
     "effects": "the physical effects that discovery knows",
     "discovery": "how discovery decides, and what its words mean",
     "terminal": "the terminal application: a day, its screens and its keys",
+    "exports": "calibrated arms for other programs, and what their files cannot hold",
 }
 """Name and subject of each chapter, a Markdown file of this package."""
 _SECTION = re.compile(r"^## (\w+)$", re.MULTILINE)

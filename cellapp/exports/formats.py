@@ -19,6 +19,7 @@ FORMATS: dict[str, ExportFormat] = {entry.name: entry for entry in _FORMATS}
 def format_named(name: str) -> ExportFormat:
     """Return a format. Raises ``InputError``, which lists all formats, if there is none of that name."""
     if name not in FORMATS:
-        listed = "\n".join(f"  {entry.name:14} {entry.what}" for entry in FORMATS.values())
-        raise InputError(f"export: there is no format '{name}'; --as takes one of\n{listed}")
+        raise InputError(
+            f"export: there is no format '{name}'; --as takes {', '.join(FORMATS)}; 'cellapp docs exports' says more"
+        )
     return FORMATS[name]

@@ -54,12 +54,14 @@ def export_arms_run(
         raise InputError(f"export: {run.path} has no calibrated arm '{arm}'; arms are {', '.join(exports)}")
     chosen = {name: export for name, export in exports.items() if arm in (None, name)}
     files = {name: out if len(chosen) == 1 else out.with_stem(f"{out.stem}-{name}") for name in chosen}
-    write_new({files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()})
+    texts = {files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()}
     stale = stages.stale_model()
+    notes = (*([f"the model was used although {stale}"] if stale else []), *rigid_notes(run, stages, chosen))
+    write_new(texts)
     return ExportResult(
         format=form.name,
         arms={name: _arm_file(form, export, files[name]) for name, export in chosen.items()},
-        notes=(*([f"the model was used although {stale}"] if stale else []), *rigid_notes(run, stages, chosen)),
+        notes=notes,
     )
 
 

@@ -150,7 +150,7 @@ def test_the_command_draws_every_screen(finished_run: Path, tmp_path: Path) -> N
 
 
 def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'sorcery' is not a topic; topics are effects, discovery, terminal, joint"):
+    with pytest.raises(InputError, match=f"'sorcery' is not a topic; topics are {', '.join(CHAPTERS)}, joint"):
         topic_text("sorcery")
     for arguments, words in (
         (["docs", "figures"], "needs --out DIR"),
