@@ -28,7 +28,7 @@ def _dh_table(geometry: Geometry, columns: int, sentences: Sequence[str]) -> str
     return yaml_table({"rows": rows, "tool": geometry.tool.tolist()}, geometry, sentences)
 
 
-DH = ExportFormat("dh", "D-H table with Hayati angles, YAML", ".yaml", dh)
+DH = ExportFormat("dh", "D-H table with Hayati angles (YAML)", ".yaml", dh)
 DH_PLAIN = ExportFormat(
-    "dh-plain", "D-H table without Hayati angles, YAML", ".yaml", dh_plain, plain_geometry, smr_in_plain_flange
+    "dh-plain", "D-H table without Hayati angles (YAML)", ".yaml", dh_plain, plain_geometry, smr_in_plain_flange
 )

@@ -40,4 +40,4 @@ def parameters(export: ArmExport, sentences: Sequence[str]) -> str:
     return hashed([*sentences, *_CHAIN, frame]) + text.getvalue()
 
 
-PARAMETERS = ExportFormat("parameters", "every parameter with its standard error, CSV", ".csv", parameters)
+PARAMETERS = ExportFormat("parameters", "parameters and standard errors (CSV)", ".csv", parameters)

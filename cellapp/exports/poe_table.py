@@ -34,4 +34,4 @@ def poe(export: ArmExport, sentences: Sequence[str]) -> str:
     return yaml_table(content, export.geometry, [*sentences, _CHAIN])
 
 
-POE = ExportFormat("poe", "screw axes and home pose (product of exponentials), YAML", ".yaml", poe)
+POE = ExportFormat("poe", "screw axes and home pose (YAML)", ".yaml", poe)

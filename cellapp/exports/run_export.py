@@ -121,6 +121,17 @@ def rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExport
     return notes
 
 
+def lost_by_arm(run: RunFile) -> list[str]:
+    """What no file of a rigid chain holds of each calibrated arm, in words."""
+    lines = []
+    for name, export in calibrated_arms(run, read_stages(run)).items():
+        loss = export.lost_together
+        words = "nothing" if loss is None else f"{loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most"
+        parts = f" ({', '.join(export.lost)})" if export.lost else ""
+        lines.append(f"arm {name}{parts} {words}")
+    return lines
+
+
 def sentences(form: ExportFormat, export: ArmExport) -> list[str]:
     """What stands at the top of every file: the arm, where it is from, what the file does not hold."""
     return [

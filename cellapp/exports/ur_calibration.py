@@ -59,7 +59,7 @@ def _list(values: Array) -> str:
 
 UR_CALIBRATION = ExportFormat(
     "ur-calibration",
-    "the four lines of deltas in a UR controller's calibration.conf",
+    "deltas in a UR arm's calibration.conf",
     ".conf",
     ur_calibration,
     plain_geometry,

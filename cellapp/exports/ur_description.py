@@ -83,7 +83,7 @@ def _murmur(data: bytes) -> int:
 
 UR_DESCRIPTION = ExportFormat(
     "ur-description",
-    "kinematics parameters of UR's ROS 2 description, with their hash",
+    "kinematics of UR's ROS 2 description",
     ".yaml",
     ur_description,
     smr=smr_in_tool0,

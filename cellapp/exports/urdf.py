@@ -80,4 +80,4 @@ def _comment(lines: Sequence[str]) -> str:
     return "\n  " + "\n  ".join(line.replace("--", "- -") for line in lines) + "\n  "
 
 
-URDF = ExportFormat("urdf", "URDF from the tracker to the SMR, with joint limits and masses", ".urdf", urdf)
+URDF = ExportFormat("urdf", "URDF from tracker to SMR, limits, masses", ".urdf", urdf)
