@@ -56,7 +56,7 @@ def export_arms_run(
     files = {name: out if len(chosen) == 1 else out.with_stem(f"{out.stem}-{name}") for name in chosen}
     texts = {files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()}
     stale = stages.stale_model()
-    notes = (*([f"the model was used although {stale}"] if stale else []), *rigid_notes(run, stages, chosen))
+    notes = (*([f"the model was used although {stale}"] if stale else []), *_rigid_notes(run, stages, chosen))
     write_new(texts)
     return ExportResult(
         format=form.name,
@@ -69,19 +69,16 @@ def calibrated_arms(run: RunFile, stages: RunStages, stage_name: str | None = No
     """Return every arm with the geometry of one stage and what that loses of the model in force."""
     in_force = stage_in_force(run, stages)
     stage = in_force if stage_name is None else _stage(run, stages, stage_name)
-    model = model_of(run, stage)
-    best = model if stage is in_force else model_of(run, in_force)
-    spaces = workspaces(run, best)
+    model, best = model_of(run, stage), model_of(run, in_force)
     written = model.provenance.get("written", "an unknown time")
     source = f"run '{run.folder.resolve().name}', model of '{stage.name}' written {written}"
     exports = {}
-    for name, own in model.arms.items():
-        lost = lost_parts(own, spaces[name])
-        full = best.arms[name]
-        together = lost_by(own.geometry, full, spaces[name]) if lost or full is not own else None
-        exports[name] = ArmExport(
-            name, run.profile.arms[name], own, source, spaces[name].q, lost if full is own else {}, together
-        )
+    for name, space in _workspaces(run, best).items():
+        own, full = model.arms[name], best.arms[name]
+        lost = lost_parts(full, space)
+        together = lost_by(own.geometry, full, space) if lost or stage is not in_force else None
+        parts = lost if stage is in_force else {}
+        exports[name] = ArmExport(name, run.profile.arms[name], own, source, space.q, parts, together)
     return exports
 
 
@@ -93,27 +90,23 @@ def _stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
     return found
 
 
-def workspaces(run: RunFile, model: CellModel) -> dict[str, Workspace]:
-    """Return the workspace of each arm, from its readings."""
+def _workspaces(run: RunFile, model: CellModel) -> dict[str, Workspace]:
     readings = {name: run.readings(name) for name in model.arms}
     conditions = conditions_of_arms(model.arms, readings)
     return {name: workspace(own.q, conditions[name], run.profile.seed) for name, own in readings.items()}
 
 
-def rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExport]) -> list[str]:
+def _rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExport]) -> list[str]:
     """Say where the geometry that was identified without effects is nearer to the whole model than the one written.
 
     Without effects in the model, the geometry takes up what it can of them: the better chain for programs without them.
     """
-    calibrated, best = stages.current.get(CALIBRATE), stage_in_force(run, stages)
-    if calibrated is None or calibrated is best:
+    if CALIBRATE not in stages.current or stages.current[CALIBRATE] is stages.in_force:
         return []
-    alone, model = model_of(run, calibrated), model_of(run, best)
-    spaces = workspaces(run, model)
-    notes = []
+    rigid, notes = calibrated_arms(run, stages, CALIBRATE), []
     for name, export in exports.items():
-        loss = lost_by(alone.arms[name].geometry, model.arms[name], spaces[name])
-        if export.lost_together is not None and loss.rms_mm < export.lost_together.rms_mm:
+        loss, own = rigid[name].lost_together, export.lost_together
+        if loss is not None and own is not None and loss.rms_mm < own.rms_mm:
             notes.append(
                 f"arm {name}: the geometry that 'calibrate' identified without effects is off by only"
                 f" {loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most: --stage calibrate writes it"

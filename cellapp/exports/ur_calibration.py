@@ -34,7 +34,7 @@ def ur_calibration(export: ArmExport, sentences: Sequence[str]) -> str:
         "Replace the four lines in the controller's own calibration.conf, section [mounting]; keep its other lines:",
         "they belong to the joints. Keep a copy of the file: every taught pose moves with it.",
         "The deltas are to be added to this published table (theta is zero):",
-        *(f"  {name} = {_list(nominal[:, place])}" for name, place in (("a", 2), ("d", 1), ("alpha", 3))),
+        *(f"  {name} = {nominal[:, place].tolist()}" for name, place in (("a", 2), ("d", 1), ("alpha", 3))),
         *frame_sentences(export),
     ]
     lists = (("theta", 0), ("a", 2), ("d", 1), ("alpha", 3))

@@ -62,10 +62,10 @@ def kinematics_hash(rows: Array) -> str:
     (``KinematicsInfo::toHash`` in UR's client library). For the published UR10e this is calib_5119701370761913513, as
     in ``ur_description``.
     """
-    return f"calib_{_murmur(''.join(f'{value:g}' for row in rows.tolist() for value in row).encode())}"
+    return f"calib_{murmur(''.join(f'{value:g}' for row in rows.tolist() for value in row).encode())}"
 
 
-def _murmur(data: bytes) -> int:
+def murmur(data: bytes) -> int:
     """MurmurHash64A (A. Appleby, public domain) with the seed of the GNU C++ library."""
 
     def mixed(value: int) -> int:

@@ -48,13 +48,18 @@ def points(T: Array, p: Array) -> Array:
     return T[:, :3, :3] @ np.asarray(p) + T[:, :3, 3]
 
 
-def ur_controller(text: str, published: Array, smr: Array, q: Array) -> Array:
-    """What a UR controller with this calibration computes, in its base frame; ``published``: theta, d, a, alpha."""
+def ur_table(text: str, published: Array) -> Array:
+    """The D-H table (6, 4) of a UR controller with this calibration; ``published``: theta, d, a, alpha."""
     file = configparser.ConfigParser()
     file.read_string(text)
     lists = {key: json.loads(value) for key, value in file["mounting"].items()}
     deltas = np.array([lists[f"delta_{name}"] for name in ("theta", "d", "a", "alpha")]).T
-    return points(rows_chain(published + deltas, q), smr)
+    return published + deltas
+
+
+def ur_controller(text: str, published: Array, smr: Array, q: Array) -> Array:
+    """What a UR controller with this calibration computes, in its base frame."""
+    return points(rows_chain(ur_table(text, published), q), smr)
 
 
 def ur_description(text: str, smr: Array, q: Array) -> Array:

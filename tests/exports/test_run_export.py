@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cellapp.errors import InputError
-from cellapp.exports.arm_export import POSES
+from cellapp.exports.arm_export import POSES, ArmExport
+from cellapp.exports.export_format import ExportFormat
 from cellapp.exports.formats import FORMATS
 from cellapp.exports.run_export import export_arms_run
 from cellapp.exports.words import export_lines
@@ -98,3 +100,17 @@ def test_an_outdated_model_is_said(finished_copy: Path, tmp_path: Path) -> None:
         result = export_arms_run(run, "poe", tmp_path / "arm.yaml")
     assert "the model was used although 'calibrate' is out of date" in result.notes[0]
     assert result.notes[0] in export_lines(result)
+
+
+def test_a_new_format_is_a_function_and_an_entry(
+    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reach(export: ArmExport, comment: Sequence[str]) -> str:
+        return f"{comment[1]}\n{np.abs(export.geometry.rows[:, 1:3]).sum()}\n"
+
+    monkeypatch.setitem(FORMATS, "reach", ExportFormat("reach", "sum of the lengths [m]", ".txt", reach))
+    with RunFile.open(finished_run) as run:
+        export_arms_run(run, "reach", tmp_path / "reach.txt", "right")
+    first, second = (tmp_path / "reach.txt").read_text("utf-8").splitlines()
+    assert first.startswith("Arm 'right' (UR5), run 'run', model of 'discover' written ")
+    assert float(second) == pytest.approx(1.18, abs=0.1)
