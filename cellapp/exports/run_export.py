@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cellapp.calibration.measurement_conditions import conditions_of_arms
@@ -53,7 +53,7 @@ def export_arms_run(
     if arm is not None and arm not in exports:
         raise InputError(f"export: {run.path} has no calibrated arm '{arm}'; arms are {', '.join(exports)}")
     chosen = {name: export for name, export in exports.items() if arm in (None, name)}
-    files = {name: out if len(chosen) == 1 else out.with_stem(f"{out.stem}-{name}") for name in chosen}
+    files = _files(out, list(chosen))
     texts = {files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()}
     stale = stages.stale_model()
     notes = (*([f"the model was used although {stale}"] if stale else []), *_rigid_notes(run, stages, chosen))
@@ -63,6 +63,18 @@ def export_arms_run(
         arms={name: _arm_file(form, export, files[name]) for name, export in chosen.items()},
         notes=notes,
     )
+
+
+def _files(out: Path, arms: Sequence[str]) -> dict[str, Path]:
+    """The file of each arm."""
+    if not out.name or out.is_dir():
+        raise InputError(f"export: --out {out} is a folder; give the path of a file")
+    if len(arms) == 1:
+        return {arms[0]: out}
+    for name in arms:
+        if Path(name).name != name:
+            raise InputError(f"export: '{name}' cannot be part of a file's name; write this arm alone with --arm")
+    return {name: out.with_stem(f"{out.stem}-{name}") for name in arms}
 
 
 def calibrated_arms(run: RunFile, stages: RunStages, stage_name: str | None = None) -> dict[str, ArmExport]:
@@ -127,11 +139,12 @@ def lost_by_arm(run: RunFile) -> list[str]:
 
 def sentences(form: ExportFormat, export: ArmExport) -> list[str]:
     """What stands at the top of every file: the arm, where it is from, what the file does not hold."""
-    return [
+    lines = [
         f"{form.what[0].upper()}{form.what[1:]}, by cellapp.",
         f"Arm '{export.name}' ({export.arm.type.model}), {export.source}.",
         *lost_sentences(export.lost, export.lost_together),
     ]
+    return [" ".join(line.splitlines()) for line in lines]  # a name must not end the comment
 
 
 def _arm_file(form: ExportFormat, export: ArmExport, file: Path) -> ArmFile:

@@ -6,6 +6,7 @@ turns about z. A URDF needs an effort limit and inertia tensors, which a profile
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -77,7 +78,7 @@ def _numbers(values: Sequence[float]) -> str:
 
 def _comment(lines: Sequence[str]) -> str:
     """Lines as the text of an XML comment, which must not contain two hyphens in a row."""
-    return "\n  " + "\n  ".join(line.replace("--", "- -") for line in lines) + "\n  "
+    return "\n  " + "\n  ".join(re.sub("-(?=-)", "- ", line) for line in lines) + "\n  "
 
 
 URDF = ExportFormat("urdf", "URDF from tracker to SMR, limits, masses", ".urdf", urdf)

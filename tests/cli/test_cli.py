@@ -525,6 +525,8 @@ BAD = [
     (None, "export done --out out.urdf", ["--as FORMAT and --out FILE belong together"]),
     (None, "export done --as urdf --out out.urdf --csv out.csv", ["without --csv and --geometry"]),
     (None, "export done --as urdf --out out.urdf --arm third", ["no calibrated arm 'third'; arms are left, right"]),
+    (None, "export done --as urdf --out targets", ["--out targets is a folder; give the path of a file"]),
+    (None, "export done --as urdf --out .", ["--out . is a folder; give the path of a file"]),
     (None, "export done --as urdf --out out.urdf --stage plan", ["no model of a stage 'plan'; there are calibrate, "]),
     (None, "export done --as dh --out twin.yaml --arm left", ["twin.yaml exists already; nothing was written"]),
     (None, "export done --as dh --out twin.yaml/dh.yaml", ["cannot be written"]),

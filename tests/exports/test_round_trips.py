@@ -77,7 +77,7 @@ IN_BASE = ("ur-calibration", "ur-description")
 
 def off_m(export: ArmExport, form: str) -> float:
     """Largest distance [m] between what the reader of a format computes and the model's geometry."""
-    text = FORMATS[form].text(export, ["a sentence -- with hyphens"])
+    text = FORMATS[form].text(export, ["a sentence --- with hyphens --"])
     geometry = export.geometry.with_T_M_B(np.eye(4)) if form in IN_BASE else export.geometry
     found = READERS[form](export, text, FORMATS[form].smr(export))
     return float(np.linalg.norm(found - smr_positions(geometry, export.q), axis=1).max())

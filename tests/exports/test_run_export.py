@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -12,13 +14,13 @@ from cellapp.errors import InputError
 from cellapp.exports.arm_export import POSES, ArmExport
 from cellapp.exports.export_format import ExportFormat
 from cellapp.exports.formats import FORMATS
-from cellapp.exports.run_export import export_arms_run
+from cellapp.exports.run_export import _files, calibrated_arms, export_arms_run, sentences
 from cellapp.exports.words import export_lines
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import CellModel
 from cellapp.results import ExportResult
 from cellapp.run import RunFile
-from cellapp.run.stages import CALIBRATION_FILE
+from cellapp.run.stages import CALIBRATION_FILE, read_stages
 from tests.exports import readers
 
 
@@ -114,3 +116,26 @@ def test_a_new_format_is_a_function_and_an_entry(
     first, second = (tmp_path / "reach.txt").read_text("utf-8").splitlines()
     assert first.startswith("Arm 'right' (UR5), run 'run', model of 'discover' written ")
     assert float(second) == pytest.approx(1.18, abs=0.1)
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_names_of_arms_are_only_text(finished_copy: Path, tmp_path: Path, form: str) -> None:
+    """A name with line ends, hyphens and marks stays inside the comment; one that is a path names no file."""
+    name = 'l\n]]--><x>"\nunits: mm'
+    with RunFile.open(finished_copy) as run:
+        export = replace(calibrated_arms(run, read_stages(run))["left"], name=name)
+    plain, hostile = (
+        FORMATS[form].text(one, sentences(FORMATS[form], one)) for one in (replace(export, name="l"), export)
+    )
+    if form == "urdf":
+        assert [joint.get("type") for joint in ElementTree.fromstring(hostile).iter("joint")].count("revolute") == 6
+    else:
+        assert [line for line in plain.splitlines() if line[0] != "#"] == [
+            line for line in hostile.splitlines() if line[0] != "#"
+        ]
+
+
+def test_an_arm_whose_name_is_a_path_is_written_alone(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'a/b' cannot be part of a file's name; write this arm alone with --arm"):
+        _files(tmp_path / "arm.urdf", ["a/b", "right"])
+    assert _files(tmp_path / "arm.urdf", ["a/b"]) == {"a/b": tmp_path / "arm.urdf"}
