@@ -253,7 +253,7 @@ def test_changes_are_the_same_for_the_same_run(plan: PlannedStops, tmp_path: Pat
 
 
 def test_a_plan_result_counts_and_times_what_is_visited(tmp_path: Path) -> None:
-    made = plan_new_run(small_twin(4, plan={"reserve": 2}), tmp_path / "run")
+    made = plan_new_run(small_twin(4, plan={"reserve": 2, "method": "random"}), tmp_path / "run")
     with RunFile.open(tmp_path / "run") as run:
         again = plan_result(run)
     assert made == again

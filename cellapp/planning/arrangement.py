@@ -13,7 +13,7 @@ from cellapp.planning.stop_set import Rows, StopSet
 from cellapp.planning.tour import Order, TourTask, best_order
 from cellapp.progress import CancelToken
 
-_STOPS_PER_BLOCK = 80
+_STOPS_PER_BLOCK = 100
 """Fewer make ways longer, as each block goes through the whole workspace once; more leave too few blocks."""
 _LEAST_BLOCKS, _LEAST_STOPS = 4, 6
 """Blocks of smaller plans: with fewer than four, time and posture correlate along the way; blocks of fewer than six
@@ -25,7 +25,7 @@ _FORBIDDEN_STEPS = 20.0
 """Cost of a pair that must not stand together, in usual steps: never worth it."""
 _PAIR_GOAL = 0.1
 """Correlation of two arms' postures from which on pairs are charged for it: below the largest one that is accepted."""
-_PAIR_WEIGHT = 1.0
+_PAIR_WEIGHT = 0.4
 """Charge of a pair for a correlation that is too large by 1, in usual steps."""
 _DRIFT_GOALS = (0.06, 0.1, 0.1, 0.1)
 """Correlations with posture that are small enough: of time, and of the other courses of a drift."""

@@ -23,6 +23,9 @@ from cellapp.safety.gate import CellBodies, sample_spacing
 _SEED = 0xDE51
 _SPARE_SHARE = 0.05
 """In a crowded cell about one chosen stop in fifty cannot be reached."""
+_LEAST_SPARES = 8
+_ROUNDS = 3
+"""In which spares take the places of stops that cannot be reached."""
 _LEAST_CHOICE = 3
 """Candidates within easy reach for each stop; with fewer there is no choice."""
 
@@ -71,7 +74,7 @@ def design_stops(
 
 def _spares(count: int) -> int:
     """Stops that are chosen beside ``count``, for those that cannot be reached from the others."""
-    return math.ceil(_SPARE_SHARE * count)
+    return max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))
 
 
 def _in_order(
@@ -91,7 +94,8 @@ def _in_order(
     stops = kept
     first = 0
     wanted = count + (0 if kept is None else len(kept))
-    for plan in (profile.plan, profile.plan.model_copy(update={"repeats": 0})):
+    later = profile.plan.model_copy(update={"repeats": 0})
+    for plan in (profile.plan, *[later] * _ROUNDS):
         missing = wanted - (0 if stops is None else len(stops))
         part = {name: q[first : first + missing] for name, q in chosen.items()}
         first += missing

@@ -22,6 +22,12 @@ _MOST_TRIED = 12
 _ROUNDS = 2
 """Passes over all ways: a repair may make another one possible."""
 
+_LEAST_GAIN_S = 0.02
+"""Gain for which the ways between blocks, which were made one by one, are joined in another way."""
+
+_LONGEST_PART = 20
+"""Most stops that a move displaces: more would change when the postures of a block are visited."""
+
 _START, _END = -1, -2
 """Stand for the numbers of the configurations before the first stop and after the last."""
 
@@ -38,12 +44,15 @@ def mend_order(
     Stops stay in their blocks. ``start`` and ``end`` are where the arms are before and after (None: anywhere).
     """
     ways = _Ways(stops, start, end)
+    for place in _between_blocks(arrangement.block):
+        while (better := _better(ways, arrangement, place, -_LEAST_GAIN_S)) is not None:
+            arrangement = better
     limit = _DETOUR_STEPS * stops.usual_step_s
     for _ in range(_ROUNDS):
         refused = 0
         for place in range(arrangement.rows.shape[1] + 1):
             cancel.check()
-            if ways.is_free(arrangement, place):
+            if ways.is_free(arrangement, place - 1, place):
                 continue
             refused += 1
             better = _better(ways, arrangement, place, limit)
@@ -51,6 +60,11 @@ def mend_order(
         if not refused:
             break
     return arrangement
+
+
+def _between_blocks(block: NDArray[np.intp]) -> list[int]:
+    """Places of stops to which the way leads from another block, or from or to the end of the plan."""
+    return [0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]
 
 
 def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangement | None:
@@ -65,10 +79,8 @@ def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangem
         if added_s > limit:
             break
         chosen = Move(move.kind, move.low[k : k + 1], move.high[k : k + 1], _shift(move, k))
-        after = now.taken(chosen.source(positions) - 1)
-        changed = {int(step[0][0]) - 1 for step in chosen.steps()} - {-1}
-        if all(ways.is_free(after, one) for one in changed):
-            return after
+        if all(ways.is_free(now, int(before[0]) - 1, int(here[0]) - 1) for _, before, here in chosen.steps()):
+            return now.taken(chosen.source(positions) - 1)
     return None
 
 
@@ -78,19 +90,22 @@ def _shift(move: Move, k: int) -> NDArray[np.intp] | int:
 
 def _moves(block: NDArray[np.intp], place: int) -> Iterator[Move]:
     """Moves inside a block that change the way to the stop at ``place``; positions count from 1."""
-    n = len(block)
-    if place < n:
-        last = int(np.searchsorted(block, block[place], side="right"))
-        here = place + 1
-        later = np.arange(here + 1, last + 1)
-        first = np.arange(int(np.searchsorted(block, block[place])) + 1, here)
+    here = place + 1
+    if place < len(block):
+        before, later = _beside(block, place)
         yield from _of_part(np.full_like(later, here), later)
-        yield Move("exchange", first, np.full_like(first, here))
+        yield Move("exchange", before, np.full_like(before, here))
     if place > 0:
-        first = np.arange(int(np.searchsorted(block, block[place - 1])) + 1, place)
-        later = np.arange(place + 1, int(np.searchsorted(block, block[place - 1], side="right")) + 1)
-        yield from _of_part(first, np.full_like(first, place))
+        before, later = _beside(block, place - 1)
+        yield from _of_part(before, np.full_like(before, place))
         yield Move("exchange", np.full_like(later, place), later)
+
+
+def _beside(block: NDArray[np.intp], place: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Positions before and after a stop in its block that are not too far from it."""
+    first, end = (int(np.searchsorted(block, block[place], side=side)) for side in ("left", "right"))
+    before = np.arange(max(first, place - _LONGEST_PART) + 1, place + 1)
+    return before, np.arange(place + 2, min(end, place + 1 + _LONGEST_PART) + 1)
 
 
 def _of_part(low: NDArray[np.intp], high: NDArray[np.intp]) -> Iterator[Move]:
@@ -107,11 +122,11 @@ class _Ways:
         self._stops, self._start, self._end = stops, start, end
         self._answers: dict[tuple[tuple[int, ...], tuple[int, ...]], bool] = {}
 
-    def is_free(self, arrangement: Arrangement, place: int) -> bool:
-        """Whether the gate accepts the straight way to the stop at ``place`` (n: to the end)."""
-        here, there = self._key(arrangement, place - 1), self._key(arrangement, place)
+    def is_free(self, arrangement: Arrangement, before: int, place: int) -> bool:
+        """Whether the gate accepts the straight way between two places; -1 is the start, n the end."""
+        here, there = self._key(arrangement, before), self._key(arrangement, place)
         q_here, q_there = self._at(here), self._at(there)
-        if q_here is None or q_there is None:
+        if q_here is None or q_there is None or here == there:
             return True
         if (here, there) not in self._answers:
             self._answers[here, there] = not refuse_motion(self._stops.cell, q_here, q_there)

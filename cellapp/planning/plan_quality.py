@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from cellapp.calibration.linear import inverse_psd
 from cellapp.calibration.parameters import determined_set
 from cellapp.design.block_design import information_of
-from cellapp.design.gaps import largest_gaps
+from cellapp.design.gaps import largest_gaps, without_turns
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.candidates import CandidatePool, random_configurations
@@ -136,22 +136,11 @@ class Judge:
                 total[size] += information / _DRAWS
         return {size: (_mean(errors), total[size]) for size, errors in found.items()}
 
-    def indices(self, information: Array, geometry: Sequence[int], stops: int) -> ObservabilityIndices:
-        """Of the geometric parameters ``geometry``, each in units of its expected size."""
-        chosen = np.array(geometry, dtype=np.intp)
-        squares = np.linalg.eigvalsh(information[chosen[:, None], chosen])[::-1]
-        s = np.sqrt(np.maximum(squares, np.finfo(np.float64).tiny))
-        return ObservabilityIndices(
-            o1=math.exp(float(np.mean(np.log(s)))) / math.sqrt(stops),
-            o2=float(s[-1] / s[0]),
-            o3=float(s[-1]),
-            o4=float(s[-1] ** 2 / s[0]),
-            o5=float(1.0 / np.sum(1.0 / s)),
-        )
-
     def determined(self, information: Array) -> tuple[int, ...]:
-        """Places of the geometric parameters that readings with some information determine: the others are redundant,
-        and with them the least singular value would be zero."""
+        """Places of the geometric parameters that readings with some information determine.
+
+        The others are redundant: with them the least singular value of the Jacobian would be zero.
+        """
         parameters = self.model.parameters
         g = len(parameters.columns)
         size = self.model.size[:g]
@@ -164,6 +153,31 @@ def _mean(errors: Sequence[Errors]) -> Errors:
         np.mean([one.parameters for one in errors], axis=0),
         float(np.mean([one.mean for one in errors])),
         float(np.mean([one.worst for one in errors])),
+    )
+
+
+def observability(information: Array, geometry: Sequence[int], stops: int) -> ObservabilityIndices:
+    """From the information (p, p) of ``stops`` stops about geometric parameters, each in units of its expected size."""
+    chosen = np.array(geometry, dtype=np.intp)
+    squares = np.linalg.eigvalsh(information[chosen[:, None], chosen])[::-1]
+    s = np.sqrt(np.maximum(squares, np.finfo(np.float64).tiny))
+    return ObservabilityIndices(
+        o1=math.exp(float(np.mean(np.log(s)))) / math.sqrt(stops),
+        o2=float(s[-1] / s[0]),
+        o3=float(s[-1]),
+        o4=float(s[-1] ** 2 / s[0]),
+        o5=float(1.0 / np.sum(1.0 / s)),
+    )
+
+
+def _quality(stops: int, errors: Errors, random: Errors, indices: ObservabilityIndices) -> PlanQuality:
+    """``random`` are errors of as many random stops."""
+    return PlanQuality(
+        stops=stops,
+        parameters=float(np.mean(errors.parameters / random.parameters)),
+        mean_mm=1e3 * errors.mean,
+        worst_mm=1e3 * errors.worst,
+        indices=indices,
     )
 
 
@@ -207,30 +221,22 @@ def arm_design(
         parts = [*(part for part in _PARTS if part < n), n]
         random = judge.random_plans(sorted({*parts, *judge.sizes(n)}))
         geometry = judge.determined(random[n][1])
-
-        def quality(stops: int, errors: Errors, information: Array) -> PlanQuality:
-            return PlanQuality(
-                stops=stops,
-                parameters=float(np.mean(errors.parameters / random[stops][0].parameters)),
-                mean_mm=1e3 * errors.mean,
-                worst_mm=1e3 * errors.worst,
-                indices=judge.indices(information, geometry, stops),
-            )
-
         by_stops = []
         for part in parts:
             information = information_of(rows[:part])
-            by_stops.append(quality(part, judge.errors(information), information))
+            indices = observability(information, geometry, part)
+            by_stops.append(_quality(part, judge.errors(information), random[part][0], indices))
         designed = judge.errors(information_of(rows))
+    equal, of_random = random[n]
     return ArmDesign(
         candidates=len(pool.q),
         drawn=pool.drawn,
         rejected=pool.rejected,
         designed=by_stops[-1],
-        random=quality(n, *random[n]),
+        random=_quality(n, equal, equal, observability(of_random, geometry, n)),
         equal_to_random=equal_to_random(designed, {size: random[size][0] for size in judge.sizes(n)}, n),
         by_stops=tuple(by_stops),
-        largest_gap=tuple(largest_gaps(q).tolist()),
+        largest_gap=tuple(largest_gaps(without_turns(q, pool.q)).tolist()),
     )
 
 

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from cellapp.design.block_choice import Candidates, choose_blocks, most_informative_first
 from cellapp.design.block_design import Criterion, Rows, information_of, reference_errors
-from cellapp.design.gaps import close_gaps, gap_limits
+from cellapp.design.gaps import close_gaps, gap_limits, without_turns
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.candidates import CandidatePool
 from cellapp.planning.information import even_conditions, information_model
@@ -78,7 +78,7 @@ def _select(
     )
     chosen = choose_blocks(candidates, count, criterion, rng, cancel=cancel)
     limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
-    chosen = close_gaps(candidates, q, chosen, criterion, limits, kept, rng, cancel)
+    chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, cancel)
     return most_informative_first(candidates, chosen, criterion)
 
 

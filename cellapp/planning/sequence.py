@@ -102,7 +102,7 @@ def sequenced(
     distinct = min(distinct_stops(profile, asked), usable)
     reserve = min(reserve, usable - distinct)
     job = _Job(profile, cell, home, finder, rng, listener, cancel, given_up)
-    repeats = min(asked - distinct, distinct // (_LARGEST_REPEATED_SHARE - 1))
+    repeats = min(asked - distinct_stops(profile, asked), distinct // (_LARGEST_REPEATED_SHARE - 1))
     first = job.part({name: rows[:distinct] for name, rows in q.items()}, repeats, start)
     if reserve:
         rest = {name: rows[distinct : distinct + reserve] for name, rows in q.items()}

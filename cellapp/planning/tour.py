@@ -102,7 +102,7 @@ def _random_order(task: TourTask, rng: np.random.Generator) -> Order:
 
 
 Step = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]
-"""Positions of an order: that which a step leads to, and what shall be before it and there."""
+"""Present positions: that to which a step leads that is given up, and those between which another one shall be."""
 
 
 @dataclass(frozen=True)
@@ -120,13 +120,13 @@ class Move:
     arm: int | None = None
 
     def steps(self) -> tuple[Step, ...]:
-        """The steps that are others after the move; a step that is listed twice leads to the same positions twice."""
+        """The steps that are given up for others. One step for each to be, of one arm alone at the same positions."""
         low, high = self.low, self.high
         if self.kind == "reverse":
             return (low, low - 1, high), (high + 1, low, high + 1)
         if self.kind == "shift":
             cut = high - self.shift
-            return (low, low - 1, cut + 1), (low + self.shift, high, low), (high + 1, cut, high + 1)
+            return (low, low - 1, cut + 1), (cut + 1, high, low), (high + 1, cut, high + 1)
         beside = high == low + 1  # then there is one step between them, not two
         return (
             (low, low - 1, high),
@@ -166,11 +166,12 @@ class _Tours:
         self._at = order.reshape(arms, -1)
         self._first = np.arange(blocks)[:, None]
         square = ((0, 0), (0, 0), (0, 1), (0, 1))
-        self._time = np.pad(task.time_s, square).reshape(arms, -1)
+        self._time = np.pad(task.time_s, square).reshape(arms, blocks * (m + 1) ** 2)
         self._pairs = list(combinations(range(arms), 2))
-        self._pair_cost = np.pad(task.pair_cost, square).reshape(len(self._pairs), blocks * (m + 1) * (m + 1))
-        padded = [np.pad(one, ((0, 0), (0, 1), (0, 0))) for one in task.postures]
-        self._postures = [one.reshape(one.shape[0] * one.shape[1], one.shape[2]) for one in padded]  # maybe no columns
+        self._pair_cost = np.pad(task.pair_cost, square).reshape(len(self._pairs), blocks * (m + 1) ** 2)
+        self._postures = [
+            np.pad(one, ((0, 0), (0, 1), (0, 0))).reshape(blocks * (m + 1), one.shape[2]) for one in task.postures
+        ]
         self._near = _nearest(task).reshape(arms, blocks * m, -1)
         self._place = np.zeros((arms, blocks, m + 1), dtype=np.intp)
         self._step_s = np.zeros((blocks, m + 2))

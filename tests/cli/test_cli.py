@@ -659,12 +659,18 @@ def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
 
 
 @pytest.mark.fast
-@pytest.mark.parametrize("arguments", [["nonsense"], ["plan"], ["plan", "twin.yaml"], ["collect", "--unknown", "done"]])
+@pytest.mark.parametrize("arguments", [["nonsense"], ["plan", "--add", "x"], ["collect", "--unknown", "done"]])
 def test_bad_usage(work: Path, call: Any, arguments: list[str]) -> None:
     ended = call(*arguments)
     assert ended.code == 2
     assert ended.out == ""
     assert "Usage" in ended.err
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(("arguments", "words"), [([], "PROFILE is missing"), (["twin.yaml"], "--run DIR is missing")])
+def test_what_a_plan_needs_is_said(work: Path, call: Any, arguments: list[str], words: str) -> None:
+    one_sentence(call("plan", *arguments), words)
 
 
 # -- processes --------------------------------------------------------------------------------------------------------

@@ -78,11 +78,12 @@ def test_every_refused_stop_and_way_is_named(planned: Path, tmp_path: Path) -> N
     assert any("stop 4: arm left: collides with the floor" in sentence for sentence in sentences)
 
 
-def test_a_way_that_goes_home_first_is_safe(planned: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_way_that_goes_home_first_is_safe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from cellapp.planning import check
     from cellapp.safety.cell_bodies import home_positions
 
-    with RunFile.open(planned) as run:
+    straight = new_planned_run(small_twin(4, plan={"method": "random"}), tmp_path / "run")
+    with straight as run:
         homes, plan = home_positions(run.profile), run.read_plan()
 
         def refuse(cell: object, here: dict[str, np.ndarray], there: dict[str, np.ndarray]) -> str:
