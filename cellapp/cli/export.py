@@ -39,7 +39,8 @@ def export(
 ) -> None:
     """Write the readings or the plan of a run as CSV, or the calibrated arms for other programs.
 
-    Importing the CSV again gives the same readings bit for bit, and so does planning from the plan. 'cellapp docs exports' describes the formats.
+    Importing the CSV again gives the same readings bit for bit, and so does planning from the plan.
+    'cellapp docs exports' describes the formats.
     """
     from cellapp.exports.run_export import export_arms_run, export_run
     from cellapp.exports.words import export_lines

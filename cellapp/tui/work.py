@@ -91,7 +91,7 @@ def write_plan(folder: Path, path: Path) -> Job:
     """Write the plan of a run as CSV."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.pipeline import export_run
+        from cellapp.exports.run_export import export_run
 
         return export_run(run, None, None, path)
 
