@@ -100,9 +100,7 @@ def test_no_phase_of_a_joint_is_left_out(pools: Pools, chosen: Mapping[str, np.n
         q = pools[name].q
         gaps = largest_gaps(q[rows])
         limits, unreachable = gap_limits(q, COUNT, None), largest_gaps(q)
-        parts_without = (
-            unreachable > limits
-        )  # of a joint's range: the nearest stops stand up to a limit from their ends
+        parts_without = unreachable > limits
         assert np.all(gaps <= np.where(parts_without, unreachable + limits, limits))
 
 
