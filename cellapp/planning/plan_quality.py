@@ -2,7 +2,8 @@
 
 Random plans have configurations as the planner with ``method: random`` draws them: uniform over those that are
 visible and clear. Approach, step and time are drawn for both kinds of plan, so that only the choice of stops differs.
-Predictions are judged at further configurations that no choice of stops has seen.
+Predictions are judged at configurations of the workspace that no choice of stops has seen, and that the tracker need
+not see.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.candidates import CandidatePool, random_configurations
 from cellapp.planning.information import InformationModel, drawn_conditions, information_model
+from cellapp.planning.workspace import workspace_configurations
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
 from cellapp.results.plan_design import ArmDesign, ObservabilityIndices, PlanQuality
@@ -86,19 +88,20 @@ class Judge:
         cancel: CancelToken,
     ) -> Judge:
         """For plans of ``stops`` stops of an arm; ``others`` are configurations of the other arms."""
+        cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
         drawn = []
-        for q in islice(random_configurations(cell_bodies(profile), profile, name, rng), number + _POINTS):
+        for q in islice(random_configurations(cell, profile, name, rng), number):
             cancel.check()
             drawn.append(q)
         q = np.array(drawn)
         conditions = drawn_conditions(profile, name, q, others, rng)
         model = information_model(profile, name, q, conditions, potential=False)
-        points, rest = np.arange(_POINTS), np.arange(_POINTS, len(q))
+        targets = workspace_configurations(profile, cell, name, _POINTS, rng)
         return cls(
             model,
-            model.prediction_rows(q[points], conditions.take(points)),
-            model.rows(q[rest], conditions.take(rest)),
+            model.prediction_rows(targets, drawn_conditions(profile, name, targets, others, rng)),
+            model.rows(q, conditions),
             others,
             rng,
         )

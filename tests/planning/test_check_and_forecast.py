@@ -53,8 +53,9 @@ def test_a_plan_that_was_just_made_is_safe(planned: Path) -> None:
     heard: list[Progress] = []
     with RunFile.open(planned) as run:
         result = check_plan_run(run, heard.append)
-    assert (result.stops, result.ways, result.refused) == (STOPS + 2, STOPS + 3, ())
-    assert result.is_safe
+    assert (result.stops, result.ways) == (STOPS + 2, STOPS + 3)
+    assert [one for one in result.refused if one.configuration is not None or not one.is_avoided] == []
+    assert result.is_safe, "home may be reached one arm after the other"
     assert check_sentences(result)[0].startswith("Safe: 26 stops and 27 ways")
     assert heard[-1].done == heard[-1].total == STOPS + 2
     assert PlanCheckResult.from_json(result.to_json(), "check") == result
