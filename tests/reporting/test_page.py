@@ -30,6 +30,7 @@ from cellapp.reporting.discovery_tables import (
     parameter_table,
 )
 from cellapp.reporting.page import page_text, write_page
+from cellapp.reporting.plan_section import plan_section
 from cellapp.reporting.tables import (
     all_tables,
     calibration_tables,
@@ -88,9 +89,11 @@ def test_is_well_formed(whole: RunFile, whole_page: Page) -> None:
     pictures = [picture for arm in found.arms.values() for picture in arm.pictures]
     assert pictures
     certainties = sum(arm.uncertainty_mm is not None for arm in found.arms.values())
-    # errors, histogram, two of vectors, targets, steps and effects, joint ranges of each arm; two of the pair; three of
-    # the cell, three of the plan
-    assert [tag for tag, _ in whole_page.elements].count("svg") == 22 + len(pictures) + certainties
+    plan = plan_section(whole)
+    assert plan is not None
+    # errors, histogram, two of vectors, targets, steps and effects of each arm; two of the pair; three of the cell
+    drawn = 17 + len(pictures) + certainties + len(plan.figures)
+    assert [tag for tag, _ in whole_page.elements].count("svg") == drawn
 
 
 def test_needs_nothing_else(whole_page: Page, whole_text: str) -> None:
