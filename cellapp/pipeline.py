@@ -31,9 +31,8 @@ from cellapp.discovery.proposal.candidate_poses import Effort
 from cellapp.discovery.propose import propose_stops
 from cellapp.discovery.result import discover_result, proposal_result
 from cellapp.errors import InputError
-from cellapp.exports.geometry import geometry_export
 from cellapp.model import CellModel
-from cellapp.plan_verbs import export_plan, plan_result
+from cellapp.plan_verbs import plan_result
 from cellapp.planning.method import plan_run
 from cellapp.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.profile import Profile, load_profile
@@ -49,7 +48,6 @@ from cellapp.results import (
     CollectResult,
     CompensateResult,
     DiscoverResult,
-    ExportResult,
     ImportResult,
     PlanResult,
     Proposal,
@@ -59,7 +57,7 @@ from cellapp.results import (
     VerifyResult,
     WholeRunResult,
 )
-from cellapp.run import Readings, RunFile, import_csv, write_readings_csv
+from cellapp.run import Readings, RunFile, import_csv
 from cellapp.run.collected import missing_share, reference_drifts
 from cellapp.run.in_order import read_in_order
 from cellapp.run.stages import (
@@ -74,6 +72,7 @@ from cellapp.run.stages import (
     read_results,
     read_stages,
 )
+from cellapp.run.stored_model import model_of, stage_in_force
 
 R = TypeVar("R", bound=RunResults)
 
@@ -131,7 +130,7 @@ def run_whole(
         return _shown(WholeRunResult, read_results(run), notes=tuple(notes), collect=collected)
 
 
-# -- plan, collect, import, export ------------------------------------------------------------------------------------
+# -- plan, collect, import --------------------------------------------------------------------------------------------
 
 
 def new_planned_run(
@@ -210,38 +209,6 @@ def import_new_run(profile: Profile, csv: Path, folder: Path, *, in_order: bool 
             in_order=read_in_order(run),
             notes=tuple(event.text for event in run.events() if event.level == "note"),
         )
-
-
-def export_run(run: RunFile, csv: Path | None, geometry: Path | None, plan: Path | None = None) -> ExportResult:
-    """Write the readings or the plan as CSV, the identified arms for other programs, or several of these.
-
-    Raises
-    ------
-    InputError
-        If none is given, there is nothing to write, or a file cannot be written.
-    """
-    if csv is None and geometry is None and plan is None:
-        what = "--csv FILE for the readings, --plan FILE for the plan, --geometry FILE for the arms"
-        raise InputError(f"export: say what to write: {what}")
-    if plan is not None:
-        export_plan(run, plan)
-    if csv is not None:
-        write_readings_csv(run, csv)
-    lost = None
-    if geometry is not None:
-        content = geometry_export(_model(run, _required_model(run, read_stages(run))))
-        try:
-            geometry.write_text(content.to_json(indent=1) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{geometry} cannot be written ({error.strerror}); choose another place") from None
-        lost = {name: arm.ur_deltas.lost.position_mm.rms for name, arm in content.arms.items()}
-    return ExportResult(
-        csv=None if csv is None else str(csv),
-        readings=None if csv is None else _counts(run),
-        plan=None if plan is None else str(plan),
-        geometry=None if geometry is None else str(geometry),
-        ur_lost_rms_mm=lost,
-    )
 
 
 # -- calibrate, discover, propose -------------------------------------------------------------------------------------
@@ -399,7 +366,7 @@ def _push(
             " --out-of-date"
         )
     commands, compensated = _compensate(run, stages, targets)
-    used = _required_model(run, stages)
+    used = stage_in_force(run, stages)
     notes = list(compensated.notes)
 
     def opened(cell: Cell) -> None:
@@ -407,7 +374,7 @@ def _push(
 
     confirm, listener = confirmation(run.profile, ask), with_eta(listener)
     pushed = push(
-        run.profile, _model(run, used), commands, listener, control, verify=verify, confirm=confirm, opened=opened
+        run.profile, model_of(run, used), commands, listener, control, verify=verify, confirm=confirm, opened=opened
     )
     notes += [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
     result = pushed.model_copy(update={"notes": tuple(notes)})
@@ -447,7 +414,7 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
             " run 'cellapp calibrate' again"
         )
     with _one_blas_thread():
-        found = discover_cell(run.profile, _model(run, calibrated), _readings(run), with_eta(listener), cancel)
+        found = discover_cell(run.profile, model_of(run, calibrated), _readings(run), with_eta(listener), cancel)
     result = discover_result(found)
     model = replace(found.model, provenance=provenance_of(run.profile).model_dump())
     _append_with_model(run, DISCOVER, result, model, basis_of(run, {CALIBRATE: calibrated.digest}))
@@ -465,26 +432,14 @@ def _append_with_model(
 
 def _export_model(run: RunFile, stages: RunStages) -> None:
     """Write the model in force for other programs."""
-    _model(run, _required_model(run, stages)).save(run.folder / CALIBRATION_FILE)
-
-
-def _required_model(run: RunFile, stages: RunStages) -> StoredStage:
-    if stages.in_force is None:
-        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
-    return stages.in_force
-
-
-def _model(run: RunFile, stage: StoredStage) -> CellModel:
-    if stage.model is None:
-        raise InputError(f"{run.folder / CALIBRATION_FILE} is missing or damaged; run 'cellapp calibrate' again")
-    return CellModel.from_json(stage.model, f"{run.path}: {stage.name}")
+    model_of(run, stage_in_force(run, stages)).save(run.folder / CALIBRATION_FILE)
 
 
 def _compensate(
     run: RunFile, stages: RunStages, targets: Sequence[Target]
 ) -> tuple[tuple[Command, ...], CompensateResult]:
-    used = _required_model(run, stages)
-    commands = compensate(run.profile, _model(run, used), targets)
+    used = stage_in_force(run, stages)
+    commands = compensate(run.profile, model_of(run, used), targets)
     stale = stages.stale_model()
     notes = [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
     result = compensate_result(commands, notes)

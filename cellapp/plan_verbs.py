@@ -156,9 +156,7 @@ def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: 
     with taking_requests(run.folder, control):
         required_plan(run)
         kept, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
-        stops, design = make_stops(
-            _other_seed(run), with_eta(listener), control, kept=kept, measured=len(kept), add=count
-        )
+        stops, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=count)
         write_planned_stops(run, stops, proposed=proposed, design=design)
         note = f"{len(stops) - len(kept)} stops were added after stop {len(kept)}"
         run.log("info", _CHANGED + note)
@@ -191,9 +189,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
                 f" with 'cellapp plan --run {run.folder} --add N'"
             )
         kept = stops.take([*parts.fixed, *parts.frozen])
-        made, design = make_stops(
-            _other_seed(run), with_eta(listener), control, kept=kept, measured=len(parts.fixed), add=needed
-        )
+        made, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=needed)
         write_planned_stops(run, made.take(parts.places(len(made))), proposed=proposed & {*parts.fixed}, design=design)
         note = f"{len(made) - len(kept)} stops were designed again around {len(kept)}"
         if parts.unreached:

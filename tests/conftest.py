@@ -22,6 +22,15 @@ from tests.twin import PROFILES, finished_twin
 FEW_TARGETS = 2
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Processes for ``pytest -n auto``: three on two cores, as many tests wait for devices. None for a part.
+
+    A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
+    """
+    return 3 if config.args_source == pytest.Config.ArgsSource.TESTPATHS else 0
+
+
 # an example that takes long, on a busy computer, is no fault
 settings.register_profile("cellapp", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("cellapp")

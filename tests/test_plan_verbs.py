@@ -253,7 +253,7 @@ def test_changes_are_the_same_for_the_same_run(plan: PlannedStops, tmp_path: Pat
 
 
 def test_a_plan_result_counts_and_times_what_is_visited(tmp_path: Path) -> None:
-    made = plan_new_run(small_twin(4, plan={"reserve": 2}), tmp_path / "run")
+    made = plan_new_run(small_twin(4, plan={"reserve": 2, "method": "random"}), tmp_path / "run")
     with RunFile.open(tmp_path / "run") as run:
         again = plan_result(run)
     assert made == again
@@ -266,9 +266,7 @@ def test_a_plan_result_counts_and_times_what_is_visited(tmp_path: Path) -> None:
 def test_a_design_of_fewer_stops_than_asked_leaves_the_last_rows_out(
     run: RunFile, plan: PlannedStops, proposed: set[int], says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fewer(
-        profile: Profile, *more: object, kept: PlannedStops, measured: int, add: int
-    ) -> tuple[PlannedStops, None]:
+    def fewer(profile: Profile, *more: object, kept: PlannedStops, add: int) -> tuple[PlannedStops, None]:
         return joined(kept, straight_stops({name: q[: add - 1] + 0.01 for name, q in plan.q.items()})), None
 
     monkeypatch.setattr("cellapp.plan_verbs.make_stops", fewer)
@@ -292,7 +290,7 @@ def test_a_new_design_changes_what_it_may_and_nothing_else(
 ) -> None:
     """Nine stops, the last of them proposed; planning itself is replaced by numbers that tell where they come from."""
 
-    def made(*more: object, kept: PlannedStops, measured: int, add: int) -> tuple[PlannedStops, None]:
+    def made(*more: object, kept: PlannedStops, add: int) -> tuple[PlannedStops, None]:
         further = np.full((add, 6), 0.5) + np.arange(add)[:, None] * 1e-3
         return joined(kept, straight_stops({"left": further, "right": -further})), None
 

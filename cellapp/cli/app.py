@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from cellapp.cli.docs import docs
+from cellapp.cli.export import export
 from cellapp.cli.init import init
 from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.motion import asking
@@ -215,37 +216,6 @@ def import_(
 
 
 @app.command()
-def export(
-    folder: RunFolder,
-    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Where to write the readings.")] = None,
-    plan: Annotated[Path | None, typer.Option("--plan", metavar="FILE", help="Where to write the plan.")] = None,
-    geometry: Annotated[
-        Path | None,
-        typer.Option("--geometry", metavar="FILE", help="Where to write the identified arms as URDF and UR values."),
-    ] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Write the readings or the plan of a run as CSV, or the identified geometry for other programs.
-
-    Importing the readings again gives the same ones bit for bit, and so does planning from the plan.
-    """
-    from cellapp.pipeline import export_run
-
-    with Job(json_file) as job, open_run(folder) as opened:
-        result = export_run(opened, csv, geometry, plan)
-        if result.csv is not None:
-            counts = (result.readings or {}).items()
-            job.say(*(f"arm {name}: {count} readings" for name, count in counts), f"written to {result.csv}")
-        if result.plan is not None:
-            job.say(f"plan written to {result.plan}")
-        for name, rms_mm in (result.ur_lost_rms_mm or {}).items():
-            job.say(f"arm {name}: UR's D-H deltas cannot hold the Hayati angles and lose {rms_mm:.3f} mm rms")
-        if result.geometry is not None:
-            job.say(f"written to {result.geometry}")
-        job.result(result)
-
-
-@app.command()
 def calibrate(
     folder: RunFolder,
     parameters: Annotated[
@@ -354,7 +324,7 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-for command in (init, pause, resume, stop, abort, runs, compare, show, schema, docs):
+for command in (init, export, pause, resume, stop, abort, runs, compare, show, schema, docs):
     app.command()(command)
 
 

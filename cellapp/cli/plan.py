@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import typer
+
 from cellapp.cli.job import Job, open_run
-from cellapp.errors import CheckFailed, InputError
+from cellapp.errors import CheckFailed
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,10 @@ def run_plan(job: Job, choice: PlanChoice) -> None:
 
     Raises
     ------
+    typer.BadParameter
+        If arguments do not belong together.
     InputError
-        If arguments do not belong together, or as the verbs do.
+        As the verbs do.
     CheckFailed
         If a hand-edited plan is refused.
     """
@@ -66,7 +70,7 @@ def run_plan(job: Job, choice: PlanChoice) -> None:
     from cellapp.reporting.plan_design_text import plan_lines, plan_result_tables
 
     if refusal := choice.refusal():
-        raise InputError(f"plan: {refusal}")
+        raise typer.BadParameter(refusal)
     if choice.check is not None:
         _check_file(job, choice)
         return

@@ -35,11 +35,15 @@ Rows = NDArray[np.intp]
 
 
 class Shares(NamedTuple):
-    """Exponents a, b, c of the three errors in the criterion."""
+    """Exponents a, b, c of the three errors in the criterion.
+
+    The worst point gains from a larger share what the two others hardly lose: at 1 a design of 100 stops is worth 205
+    random ones there, at 3 or more 245, with the parameters at 142 throughout.
+    """
 
     parameters: float = 1.0
     mean: float = 1.0
-    worst: float = 1.0
+    worst: float = 3.0
 
 
 class DesignErrors(NamedTuple):

@@ -32,6 +32,17 @@ def largest_gaps(q: Array) -> Array:
     return np.asarray(np.diff(np.sort(q, axis=0), axis=0).max(axis=0, initial=0.0))
 
 
+def without_turns(q: Array, candidates: Array) -> Array:
+    """``q`` (n, N) [rad] less the whole turns by which it is away from the middle of the ``candidates`` (m, N).
+
+    A plan may reach a candidate with joints turned once more: the phase of an error with a period of one turn or less
+    is the same.
+    """
+    middle = 0.5 * (candidates.min(axis=0) + candidates.max(axis=0))
+    turn = 2.0 * np.pi
+    return np.asarray(q - turn * np.round((q - middle) / turn))
+
+
 def gap_limits(q: Array, count: int, asked: float | None) -> Array:
     """Limit of each joint's gaps (N,) [rad]: ``asked``, or what ``count`` stops allow in the range of ``q`` (m, N)."""
     if asked is not None:

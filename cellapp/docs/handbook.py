@@ -20,6 +20,7 @@ CHAPTERS: Mapping[str, str] = {
     "discovery": "how discovery decides, and what its words mean",
     "planning": "which stops are measured, obstacles, editing a plan",
     "terminal": "the terminal application: a day, its screens and its keys",
+    "exports": "calibrated arms for other programs, and what their files cannot hold",
 }
 """Name and subject of each chapter, a Markdown file of this package."""
 _SECTION = re.compile(r"^## (\w+)$", re.MULTILINE)

@@ -1,4 +1,7 @@
-"""The identified geometry for other programs: URDF joint origins, and UR's D-H deltas with the error they leave."""
+"""All arms in one JSON file: URDF joint origins, and differences of the D-H rows with the error they leave.
+
+``formats`` has a format for each program, and the exact UR deltas; this file is kept for programs that read it.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,9 @@ from typing import Literal
 
 import numpy as np
 
+from cellapp.exports.joint_origins import joint_origins
 from cellapp.kinematics.chain import Geometry, smr_positions
-from cellapp.kinematics.transforms import Array, rotation_x, rotation_y, rotation_z, transform, zyx_angles
+from cellapp.kinematics.transforms import Array, zyx_angles
 from cellapp.model.model import CellModel
 from cellapp.results import Record, Result
 
@@ -34,15 +38,15 @@ class LostError(Record):
 
 
 class LostParameters(Record):
-    """Parameters that UR's table cannot hold, and the position error without them."""
+    """Parameters that differences row by row cannot hold, and the position error without them."""
 
     beta_rad: Mapping[str, float]
     position_mm: LostError
-    reason: str = "a plain D-H table has no rotation about y; between parallel axes it cannot say this"
+    reason: str = "a plain D-H row has no rotation about y; 'cellapp export --as ur-calibration' converts it exactly"
 
 
 class UrDeltas(Record):
-    """D-H deltas as in UR's calibration file, and what they lose."""
+    """Differences of the D-H rows, and what they lose without the Hayati angles."""
 
     delta_theta_rad: tuple[float, ...]
     delta_a_m: tuple[float, ...]
@@ -89,16 +93,13 @@ def geometry_export(model: CellModel) -> GeometryExport:
 def urdf_joints(geometry: Geometry) -> tuple[UrdfJoint, ...]:
     """Origins of URDF joints, each rotating about its own z, and of the fixed flange behind the last.
 
-    A URDF joint is ``trans(xyz) rot_z(yaw) rot_y(pitch) rot_x(roll) rot_z(q)``. The part of a D-H row behind its joint,
-    with the next joint's theta, is the next joint's origin: exact for any row, beta included.
+    A URDF joint is ``trans(xyz) rot_z(yaw) rot_y(pitch) rot_x(roll) rot_z(q)``.
     """
-    behind = np.eye(4)
-    joints = []
-    for number, (theta, d, a, alpha, beta) in enumerate(geometry.rows, start=1):
-        joints.append(_origin(f"joint_{number}", "revolute", behind @ transform(rotation_z(theta), np.zeros(3))))
-        behind = transform(rotation_x(alpha) @ rotation_y(beta), [a, 0.0, d])
-    joints.append(_origin("flange", "fixed", behind))
-    return tuple(joints)
+    *joints, flange = joint_origins(geometry)
+    return (
+        *(_origin(f"joint_{number}", "revolute", origin) for number, origin in enumerate(joints, start=1)),
+        _origin("flange", "fixed", flange),
+    )
 
 
 def _origin(name: str, kind: Literal["revolute", "fixed"], T: Array) -> UrdfJoint:

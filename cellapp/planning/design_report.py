@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from cellapp.planning.candidates import CandidatePool
+from cellapp.planning.designed import DesignedStops
 from cellapp.planning.factor_correlations import correlations, travel_time
 from cellapp.planning.plan_quality import arm_design
-from cellapp.planning.planned_stops import PlannedStops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import PlanDesignResult
@@ -20,8 +17,7 @@ _SEED = 0xDE52
 
 def design_result(
     profile: Profile,
-    stops: PlannedStops,
-    pools: Mapping[str, CandidatePool],
+    designed: DesignedStops,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> PlanDesignResult:
@@ -29,6 +25,7 @@ def design_result(
 
     Raises ``Cancelled`` on request.
     """
+    stops, pools = designed.stops, designed.pools
     rng = np.random.default_rng([profile.seed, _SEED])
     reserves = profile.plan.reserves(len(stops))
     asked = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
@@ -44,4 +41,5 @@ def design_result(
         detours=sum(bool(legs) for legs in asked.legs),
         blocks=len(np.unique(asked.block)),
         repeats=int(np.sum(asked.repeat_of >= 0)),
+        notes=designed.given_up,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from cellapp.kinematics.transforms import Array
 from cellapp.planning.candidates import CandidatePool, draw_pool
 from cellapp.planning.planned_stops import PlannedStops, joined
 from cellapp.planning.selection import select_stops
-from cellapp.planning.sequence import nearest_turns, sequence_stops
+from cellapp.planning.sequence import nearest_turns, sequenced
 from cellapp.planning.within_reach import within_reach
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
@@ -23,8 +23,20 @@ from cellapp.safety.gate import CellBodies, sample_spacing
 _SEED = 0xDE51
 _SPARE_SHARE = 0.05
 """In a crowded cell about one chosen stop in fifty cannot be reached."""
+_LEAST_SPARES = 8
+_ROUNDS = 3
+"""In which spares take the places of stops that cannot be reached."""
 _LEAST_CHOICE = 3
 """Candidates within easy reach for each stop; with fewer there is no choice."""
+
+
+@dataclass(frozen=True, eq=False)
+class DesignedStops:
+    """A designed plan, a sentence on each chosen stop that was given up, and the candidates of each arm."""
+
+    stops: PlannedStops
+    given_up: tuple[str, ...]
+    pools: Mapping[str, CandidatePool]
 
 
 def design_stops(
@@ -34,8 +46,8 @@ def design_stops(
     *,
     kept: PlannedStops | None = None,
     add: int | None = None,
-) -> tuple[PlannedStops, Mapping[str, CandidatePool]]:
-    """Stops that tell most, in a safe order, after those that are ``kept``; and the candidates they are chosen from.
+) -> DesignedStops:
+    """Stops that tell most, in a safe order, after those that are ``kept``.
 
     Parameters
     ----------
@@ -66,12 +78,12 @@ def design_stops(
         pools[name] = _pool(profile, roomy, name, count, rng, cancel)
     rows = select_stops(profile, pools, count + _spares(count), rng, listener, cancel, None if kept is None else kept.q)
     chosen = {name: pool.q[rows[name]] for name, pool in pools.items()}
-    return _in_order(profile, cell, chosen, count, kept, rng, listener, cancel), pools
+    return DesignedStops(*_in_order(profile, cell, chosen, count, kept, rng, listener, cancel), pools)
 
 
 def _spares(count: int) -> int:
     """Stops that are chosen beside ``count``, for those that cannot be reached from the others."""
-    return math.ceil(_SPARE_SHARE * count)
+    return max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))
 
 
 def _in_order(
@@ -83,29 +95,38 @@ def _in_order(
     rng: np.random.Generator,
     listener: Listener,
     cancel: CancelToken,
-) -> PlannedStops:
-    """The kept stops and ``count`` more, the first ``chosen`` ones first; spares follow in place of those not reached.
+) -> tuple[PlannedStops, tuple[str, ...]]:
+    """The kept stops and ``count`` more, the first ``chosen`` ones first, and a sentence on each that is given up.
+
+    Spares follow in place of those that cannot be reached.
 
     Raises ``InputError`` if fewer than the asked stops can be reached.
     """
     stops = kept
+    given_up: list[str] = []
     first = 0
     wanted = count + (0 if kept is None else len(kept))
-    for plan in (profile.plan, profile.plan.model_copy(update={"repeats": 0})):
+    later = profile.plan.model_copy(update={"repeats": 0})
+    for plan in (profile.plan, *[later] * _ROUNDS):
         missing = wanted - (0 if stops is None else len(stops))
         part = {name: q[first : first + missing] for name, q in chosen.items()}
         first += missing
         if missing and all(len(q) for q in part.values()):
             here = None if stops is None or not len(stops) else stops.q
-            more = sequence_stops(profile.model_copy(update={"plan": plan}), cell, part, rng, listener, cancel, here)
-            stops = more if stops is None or not len(stops) else joined_after(stops, more)
+            more = sequenced(profile.model_copy(update={"plan": plan}), cell, part, rng, listener, cancel, here)
+            given_up += more.given_up
+            stops = more.stops if stops is None or not len(stops) else joined_after(stops, more.stops)
     reached = 0 if stops is None else len(stops)
     if stops is None or reached < wanted - profile.plan.reserve:
         raise InputError(
             f"plan: only {reached} of {wanted} stops can be reached; ask for fewer stops, a smaller plan.clearance, or"
-            " move bases, tracker or obstacles"
+            f" move bases, tracker or obstacles{_first_of(given_up)}"
         )
-    return stops
+    return stops, tuple(given_up)
+
+
+def _first_of(given_up: list[str]) -> str:
+    return f". {given_up[0]}" if given_up else ""
 
 
 def _pool(

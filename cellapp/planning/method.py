@@ -37,7 +37,6 @@ def make_stops(
     cancel: CancelToken | None = None,
     *,
     kept: PlannedStops | None = None,
-    measured: int = 0,
     add: int | None = None,
 ) -> tuple[PlannedStops, PlanDesignResult | None]:
     """Stops by ``plan.method``, and what is known of their design; None for random ones.
@@ -48,8 +47,7 @@ def make_stops(
     listener, cancel
         Progress and cancelling.
     kept : PlannedStops, optional
-        Stops that are in the plan already; the first ``measured`` of them stay in their places, at its beginning.
-    measured : int
+        Stops that are in the plan already; they stay in their order at its beginning, and what they tell is known.
     add : int, optional
         Number of further stops; None: up to those that the profile asks for, reserves included.
 
@@ -67,8 +65,8 @@ def make_stops(
         )
     if profile.plan.method == "random":
         return _random(profile, listener, cancel, kept, add), None
-    stops, pools = design_stops(profile, listener, cancel, kept=kept, add=add)
-    return stops, design_result(profile, stops, pools, listener, cancel)
+    designed = design_stops(profile, listener, cancel, kept=kept, add=add)
+    return designed.stops, design_result(profile, designed, listener, cancel)
 
 
 def _random(

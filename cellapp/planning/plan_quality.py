@@ -2,7 +2,8 @@
 
 Random plans have configurations as the planner with ``method: random`` draws them: uniform over those that are
 visible and clear. Approach, step and time are drawn for both kinds of plan, so that only the choice of stops differs.
-Predictions are judged at further configurations that no choice of stops has seen.
+Predictions are judged at configurations of the workspace that no choice of stops has seen, and that the tracker need
+not see.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from threadpoolctl import threadpool_limits
 from cellapp.calibration.linear import inverse_psd
 from cellapp.calibration.parameters import determined_set
 from cellapp.design.block_design import information_of
-from cellapp.design.gaps import largest_gaps
+from cellapp.design.gaps import largest_gaps, without_turns
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.candidates import CandidatePool, random_configurations
 from cellapp.planning.information import InformationModel, drawn_conditions, information_model
+from cellapp.planning.workspace import workspace_configurations
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken
 from cellapp.results.plan_design import ArmDesign, ObservabilityIndices, PlanQuality
@@ -86,19 +88,20 @@ class Judge:
         cancel: CancelToken,
     ) -> Judge:
         """For plans of ``stops`` stops of an arm; ``others`` are configurations of the other arms."""
+        cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
         drawn = []
-        for q in islice(random_configurations(cell_bodies(profile), profile, name, rng), number + _POINTS):
+        for q in islice(random_configurations(cell, profile, name, rng), number):
             cancel.check()
             drawn.append(q)
         q = np.array(drawn)
         conditions = drawn_conditions(profile, name, q, others, rng)
         model = information_model(profile, name, q, conditions, potential=False)
-        points, rest = np.arange(_POINTS), np.arange(_POINTS, len(q))
+        targets = workspace_configurations(profile, cell, name, _POINTS, rng)
         return cls(
             model,
-            model.prediction_rows(q[points], conditions.take(points)),
-            model.rows(q[rest], conditions.take(rest)),
+            model.prediction_rows(targets, drawn_conditions(profile, name, targets, others, rng)),
+            model.rows(q, conditions),
             others,
             rng,
         )
@@ -136,22 +139,11 @@ class Judge:
                 total[size] += information / _DRAWS
         return {size: (_mean(errors), total[size]) for size, errors in found.items()}
 
-    def indices(self, information: Array, geometry: Sequence[int], stops: int) -> ObservabilityIndices:
-        """Of the geometric parameters ``geometry``, each in units of its expected size."""
-        chosen = np.array(geometry, dtype=np.intp)
-        squares = np.linalg.eigvalsh(information[chosen[:, None], chosen])[::-1]
-        s = np.sqrt(np.maximum(squares, np.finfo(np.float64).tiny))
-        return ObservabilityIndices(
-            o1=math.exp(float(np.mean(np.log(s)))) / math.sqrt(stops),
-            o2=float(s[-1] / s[0]),
-            o3=float(s[-1]),
-            o4=float(s[-1] ** 2 / s[0]),
-            o5=float(1.0 / np.sum(1.0 / s)),
-        )
-
     def determined(self, information: Array) -> tuple[int, ...]:
-        """Places of the geometric parameters that readings with some information determine: the others are redundant,
-        and with them the least singular value would be zero."""
+        """Places of the geometric parameters that readings with some information determine.
+
+        The others are redundant: with them the least singular value of the Jacobian would be zero.
+        """
         parameters = self.model.parameters
         g = len(parameters.columns)
         size = self.model.size[:g]
@@ -164,6 +156,31 @@ def _mean(errors: Sequence[Errors]) -> Errors:
         np.mean([one.parameters for one in errors], axis=0),
         float(np.mean([one.mean for one in errors])),
         float(np.mean([one.worst for one in errors])),
+    )
+
+
+def observability(information: Array, geometry: Sequence[int], stops: int) -> ObservabilityIndices:
+    """From the information (p, p) of ``stops`` stops about geometric parameters, each in units of its expected size."""
+    chosen = np.array(geometry, dtype=np.intp)
+    squares = np.linalg.eigvalsh(information[chosen[:, None], chosen])[::-1]
+    s = np.sqrt(np.maximum(squares, np.finfo(np.float64).tiny))
+    return ObservabilityIndices(
+        o1=math.exp(float(np.mean(np.log(s)))) / math.sqrt(stops),
+        o2=float(s[-1] / s[0]),
+        o3=float(s[-1]),
+        o4=float(s[-1] ** 2 / s[0]),
+        o5=float(1.0 / np.sum(1.0 / s)),
+    )
+
+
+def _quality(stops: int, errors: Errors, random: Errors, indices: ObservabilityIndices) -> PlanQuality:
+    """``random`` are errors of as many random stops."""
+    return PlanQuality(
+        stops=stops,
+        parameters=float(np.mean(errors.parameters / random.parameters)),
+        mean_mm=1e3 * errors.mean,
+        worst_mm=1e3 * errors.worst,
+        indices=indices,
     )
 
 
@@ -207,30 +224,22 @@ def arm_design(
         parts = [*(part for part in _PARTS if part < n), n]
         random = judge.random_plans(sorted({*parts, *judge.sizes(n)}))
         geometry = judge.determined(random[n][1])
-
-        def quality(stops: int, errors: Errors, information: Array) -> PlanQuality:
-            return PlanQuality(
-                stops=stops,
-                parameters=float(np.mean(errors.parameters / random[stops][0].parameters)),
-                mean_mm=1e3 * errors.mean,
-                worst_mm=1e3 * errors.worst,
-                indices=judge.indices(information, geometry, stops),
-            )
-
         by_stops = []
         for part in parts:
             information = information_of(rows[:part])
-            by_stops.append(quality(part, judge.errors(information), information))
+            indices = observability(information, geometry, part)
+            by_stops.append(_quality(part, judge.errors(information), random[part][0], indices))
         designed = judge.errors(information_of(rows))
+    equal, of_random = random[n]
     return ArmDesign(
         candidates=len(pool.q),
         drawn=pool.drawn,
         rejected=pool.rejected,
         designed=by_stops[-1],
-        random=quality(n, *random[n]),
+        random=_quality(n, equal, equal, observability(of_random, geometry, n)),
         equal_to_random=equal_to_random(designed, {size: random[size][0] for size in judge.sizes(n)}, n),
         by_stops=tuple(by_stops),
-        largest_gap=tuple(largest_gaps(q).tolist()),
+        largest_gap=tuple(largest_gaps(without_turns(q, pool.q)).tolist()),
     )
 
 

@@ -9,15 +9,17 @@ from threadpoolctl import threadpool_limits
 
 from cellapp.design.block_choice import Candidates, choose_blocks, most_informative_first
 from cellapp.design.block_design import Criterion, Rows, information_of, reference_errors
-from cellapp.design.gaps import close_gaps, gap_limits
+from cellapp.design.gaps import close_gaps, gap_limits, without_turns
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.candidates import CandidatePool
 from cellapp.planning.information import even_conditions, information_model
+from cellapp.planning.workspace import workspace_configurations
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.safety.cell_bodies import cell_bodies
 
 _POINTS = 600
-"""Candidates that stand for the workspace: its mean is then known to 2 %, and the worst point to some per cent."""
+"""Configurations that stand for the workspace: its mean is then known to 2 %, the worst point to some per cent."""
 
 
 def select_stops(
@@ -71,14 +73,14 @@ def _select(
     kept = np.empty((0, q.shape[1])) if kept is None else kept
     before = model.rows(kept, even_conditions(profile, name, kept, others, rng))
     candidates = Candidates(model.rows(q, conditions), np.eye(len(model.size)) + information_of(before))
-    points = rng.permutation(len(q))[:_POINTS]
+    targets = workspace_configurations(profile, cell_bodies(profile), name, _POINTS, rng)
     criterion = Criterion(
         reference_errors(candidates.rows, count, candidates.prior, model.wanted),
-        model.prediction_rows(q[points], conditions.take(points)),
+        model.prediction_rows(targets, even_conditions(profile, name, targets, others, rng)),
     )
     chosen = choose_blocks(candidates, count, criterion, rng, cancel=cancel)
     limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
-    chosen = close_gaps(candidates, q, chosen, criterion, limits, kept, rng, cancel)
+    chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, cancel)
     return most_informative_first(candidates, chosen, criterion)
 
 

@@ -30,7 +30,7 @@ class Plan(Section):
     """Further stops, planned after the others; each replaces one that could not be measured."""
     ranges: tuple[tuple[Turn, Turn], ...] | None = None
     """Joint ranges to draw from, for all arms; None: the limits of each arm, at most one turn."""
-    method: Literal["designed", "random"] = "random"
+    method: Literal["designed", "random"] = "designed"
     candidates: Annotated[int, Field(strict=True, ge=100, le=1_000_000)] | None = None
     """Configurations of each arm from which a design is chosen; None: 50 a stop, at most 20 000."""
     effects: tuple[str, ...] | None = None

@@ -138,7 +138,7 @@ def time_chart(travel: TravelTime | None, time: PlannedTime | None) -> Chart:
     if time is not None:
         rest = {"rests": time.resting_s, "measuring": time.measuring_s}
         bars |= rest | {"references": time.references_s, "warm-up": time.warm_up_s}
-    shown = {name: (seconds / 60.0, duration_words(seconds)) for name, seconds in bars.items()}
+    shown = {name: (seconds / 60.0, duration_words(seconds)) for name, seconds in bars.items() if seconds > 0.0}
     sentences = [] if time is None else [f"Collecting takes about {duration_words(time.total_s)}."]
     if travel is not None:
         sentences.append(f"The order of the stops saves {100.0 * travel.saved:.0f} % of the motions' time.")
@@ -150,8 +150,10 @@ def time_chart(travel: TravelTime | None, time: PlannedTime | None) -> Chart:
 
 def correlation_chart(design: PlanDesignResult) -> Chart:
     """The largest correlations of planned factors with each other, with posture and with time."""
-    ordered = sorted(design.correlations, key=lambda one: abs(one.correlation), reverse=True)[:_MOST_BARS]
-    bars = {_pair(one): (abs(one.correlation), f"{abs(one.correlation):.2f}") for one in ordered}
+    ordered = sorted(design.correlations, key=lambda one: abs(one.correlation), reverse=True)
+    pairs = {frozenset((one.factor, one.other)): one for one in reversed(ordered)}  # each is listed for both
+    largest = list(reversed(pairs.values()))[:_MOST_BARS]
+    bars = {_pair(one): (abs(one.correlation), f"{abs(one.correlation):.2f}") for one in largest}
     return bar_chart("Largest correlations of factors", bars, Axis("correlation"), correlation_sentence(design))
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellapp.errors import InputError
+from cellapp.exports.formats import FORMATS
+from cellapp.exports.run_export import lost_by_arm
 from cellapp.reporting.cell_views import cell_views
 from cellapp.reporting.collection_section import collection_state, drift_figures
 from cellapp.reporting.collection_text import collection_tables
@@ -86,6 +88,8 @@ def page_text(run: RunFile, written: datetime) -> str:
         cell_table=base_table(data.model),
         parameter_tables=nominal_and_identified_tables(data.calibrate, data.calibrated),
         merged_tables=merged_tables(data.calibrate),
+        formats=tuple(FORMATS),
+        lost=lost_by_arm(run),
         provenance=provenance_lines(data),
         events=data.events[-_MOST_EVENTS:],
     )

@@ -6,7 +6,10 @@ import math
 
 from cellapp.reporting.plan_text import TIME_RESTS_ON, duration_words, time_sentence
 from cellapp.reporting.table import Cell, Column, Table, number_column
-from cellapp.results import ArmDesign, FactorCorrelation, PlanDesignResult, PlanResult
+from cellapp.results import ArmDesign, FactorCorrelation, ObservabilityIndices, PlanDesignResult, PlanResult
+
+_SINGULAR = 1e-9
+"""Least condition number (O2) of stops that determine all parameters; it is 1e-3 for some tens of stops."""
 
 
 def plan_result_tables(result: PlanResult) -> list[Table]:
@@ -88,11 +91,18 @@ def indices_table(design: PlanDesignResult) -> Table:
     """Observability indices of the designed stops and of random ones."""
     columns = (Column("arm"), Column("plan"), *(number_column(f"O{index}", ".3g") for index in range(1, 6)))
     rows: list[tuple[Cell, ...]] = [
-        (name, word, index.o1, index.o2, index.o3, index.o4, index.o5)
+        (name, word, *_indices(index))
         for name, arm in design.arms.items()
         for word, index in (("designed", arm.designed.indices), ("random", arm.random.indices))
     ]
     return Table("Observability", columns, tuple(rows))
+
+
+def _indices(index: ObservabilityIndices) -> tuple[float | None, ...]:
+    """The five indices; none where the stops are too few to determine all parameters."""
+    if index.o2 < _SINGULAR:
+        return (None,) * 5
+    return index.o1, index.o2, index.o3, index.o4, index.o5
 
 
 def gaps_table(design: PlanDesignResult) -> Table:

@@ -42,7 +42,6 @@ from cellapp.results.collection import (
     ArmOrder,
     CollectionResult,
     CollectResult,
-    ExportResult,
     ImportResult,
     MissingReading,
     PlanResult,
@@ -95,6 +94,7 @@ from cellapp.results.discovery import (
     StructureTest,
     TermDescription,
 )
+from cellapp.results.exports import ArmFile, ExportResult, PositionLoss
 from cellapp.results.plan_design import (
     FEW_CONFIGURATIONS,
     ArmDesign,
@@ -183,6 +183,7 @@ __all__ = [
     "ArmDesign",
     "ArmDiscoveryResult",
     "ArmFigures",
+    "ArmFile",
     "ArmForecast",
     "ArmOrder",
     "ArmState",
@@ -253,6 +254,7 @@ __all__ = [
     "PlannedEffect",
     "PlannedStop",
     "PlannedTime",
+    "PositionLoss",
     "PredictedUncertainty",
     "ProfileDifference",
     "Proposal",

@@ -167,19 +167,3 @@ class ImportResult(Result):
     readings: Mapping[str, int]
     in_order: Mapping[str, ArmOrder] = Field(default_factory=dict)
     notes: tuple[str, ...]
-
-
-class ExportResult(Result):
-    """``export``: the files that were written.
-
-    ``ur_lost_rms_mm`` maps each arm to the rms position error of UR's D-H deltas, which lack the Hayati angles.
-    """
-
-    schema_: Literal["cellapp-export"] = "cellapp-export"
-    version: Literal[1] = 1
-    csv: str | None = None
-    readings: Mapping[str, int] | None = None
-    plan: str | None = None
-    geometry: str | None = None
-    ur_lost_rms_mm: Mapping[str, float] | None = None
-    omitted_when_none = frozenset({"csv", "readings", "plan", "geometry", "ur_lost_rms_mm"})

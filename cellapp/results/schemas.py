@@ -9,7 +9,6 @@ from cellapp.results.calibration import CalibrateResult
 from cellapp.results.collection import (
     CollectionResult,
     CollectResult,
-    ExportResult,
     ImportResult,
     PlanResult,
     ReplayResult,
@@ -17,6 +16,7 @@ from cellapp.results.collection import (
 )
 from cellapp.results.commissioning import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
 from cellapp.results.discovery import DiscoverResult
+from cellapp.results.exports import ExportResult
 from cellapp.results.plan_design import PlanDesignResult, ViewResult
 from cellapp.results.planning import PlanCheckResult, PlanForecastResult
 from cellapp.results.run import (

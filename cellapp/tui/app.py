@@ -63,6 +63,8 @@ _LATER = (
     "cellapp.reporting.report_data",
     *(f"cellapp.tui.screens.{entry.step}" for entry in SCREENS),
     "cellapp.pipeline",
+    "cellapp.reporting.charts_plan",
+    "cellapp.planning.view",
     "cellapp.docs.handbook",
 )
 _MOST_TAKEN = 300

@@ -28,7 +28,7 @@ UNEXPECTED = 3
 
 _RESUMED_BY = {"collect": "--resume", "calibrate": "", "discover": "", "push": "TARGETS --verify"}
 """What follows ``cellapp JOB DIR`` to go on."""
-_PLANS = ("plan", "order")
+_PLANS = ("plan", "compare")
 """The last events of planning, random and designed; a plan that was not finished leaves nothing."""
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cellapp.reporting.report_data import ReportData
     from cellapp.results import Result, RunSummary
     from cellapp.run import RunFile
+    from cellapp.tui.dialogs.export_arms import ExportRequest
 
 
 VERIFY = "verify"
@@ -90,7 +91,7 @@ def write_plan(folder: Path, path: Path) -> Job:
     """Write the plan of a run as CSV."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.pipeline import export_run
+        from cellapp.exports.run_export import export_run
 
         return export_run(run, None, None, path)
 
@@ -221,6 +222,17 @@ def report(folder: Path) -> Job:
         return report_run(run)
 
     return _on_run("report", folder, work)
+
+
+def export_arms(folder: Path, request: ExportRequest) -> Job:
+    """Write the calibrated arms for another program."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.exports.run_export import export_arms_run
+
+        return export_arms_run(run, request.format_name, request.out, request.arm, request.stage_name)
+
+    return _of_run("export", folder, work)
 
 
 def replay(folder: Path, speed: float) -> Job:

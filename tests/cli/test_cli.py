@@ -21,6 +21,7 @@ import pytest
 
 from cellapp import cli
 from cellapp.control import JobControl, Request
+from cellapp.exports.formats import FORMATS
 from cellapp.run import RunFile
 from cellapp.trials.link_results import LinkLog, OtherArm, Struck
 from drivers.findings import Finding
@@ -377,9 +378,24 @@ def test_the_identified_arms_for_other_programs(work: Path, call: Any) -> None:
     assert [len(arm["urdf"]) for arm in arms.values()] == [7, 7]
     assert set(arms["left"]["ur_deltas"]["lost"]["beta_rad"]) == {"beta2", "beta3"}
     assert "lose" in out.out
+    assert "--as writes a file for each program" in out.out
     refused = call("export", "done")
     assert refused.code == 2
     assert "--csv FILE" in refused.err
+
+
+def test_the_calibrated_arms_in_every_format(work: Path, call: Any) -> None:
+    listed = call("export", "--help").out
+    for form in FORMATS:
+        assert form in listed
+        ended = call("export", "done", "--as", form, "--out", f"{form}.txt", "--json", "-")
+        assert ended.code == 0
+        assert ended.json["format"] == form
+        for name, arm in ended.json["arms"].items():
+            assert (work / arm["file"]).is_file()
+            assert arm["conversion_mm"] < 1e-3
+            for part, loss in arm["lost"].items():
+                assert f"{part}: {loss['rms_mm']:.3f} mm rms" in ended.err, name
 
 
 def test_the_league_on_one_series(work: Path, call: Any) -> None:
@@ -504,6 +520,18 @@ BAD = [
     (None, "push collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
     (None, "compensate collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
     (None, "export collected --geometry out.json", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "export collected --as urdf --out out.urdf", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "export done --as jpeg --out out.urdf", ["no format 'jpeg'; --as takes ur-calibration, ur-description, "]),
+    (None, "export done --as urdf", ["--as FORMAT and --out FILE belong together"]),
+    (None, "export done --out out.urdf", ["--as FORMAT and --out FILE belong together"]),
+    (None, "export done --as urdf --out out.urdf --csv out.csv", ["without --csv and --geometry"]),
+    (None, "export done --as urdf --out out.urdf --arm third", ["no calibrated arm 'third'; arms are left, right"]),
+    (None, "export done --as urdf --out targets", ["--out targets is a folder; give the path of a file"]),
+    (None, "export done --as urdf --out .", ["--out . is a folder; give the path of a file"]),
+    (None, "export done --as urdf --out out.urdf --stage plan", ["no model of a stage 'plan'; there are calibrate, "]),
+    (None, "export done --as dh --out twin.yaml --arm left", ["twin.yaml exists already; nothing was written"]),
+    (None, "export done --as dh --out twin.yaml/dh.yaml", ["cannot be written"]),
+    (damaged_model, "export done --as dh --out dh.yaml", ['expected a file with "schema": "cellapp-calibration"']),
     (None, "show planned calibration", ["no calibration is stored; run 'cellapp calibrate' first"]),
     (None, "show planned targets", ["no compensated targets are stored; run 'cellapp compensate' first"]),
     (damaged_basis, "show done", ["run.sqlite is damaged (basis of stage "]),
@@ -659,12 +687,18 @@ def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
 
 
 @pytest.mark.fast
-@pytest.mark.parametrize("arguments", [["nonsense"], ["plan"], ["plan", "twin.yaml"], ["collect", "--unknown", "done"]])
+@pytest.mark.parametrize("arguments", [["nonsense"], ["plan", "--add", "x"], ["collect", "--unknown", "done"]])
 def test_bad_usage(work: Path, call: Any, arguments: list[str]) -> None:
     ended = call(*arguments)
     assert ended.code == 2
     assert ended.out == ""
     assert "Usage" in ended.err
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(("arguments", "words"), [([], "PROFILE is missing"), (["twin.yaml"], "--run DIR is missing")])
+def test_what_a_plan_needs_is_said(work: Path, call: Any, arguments: list[str], words: str) -> None:
+    one_sentence(call("plan", *arguments), words)
 
 
 # -- processes --------------------------------------------------------------------------------------------------------

@@ -97,8 +97,8 @@ def test_a_plan_is_edited_in_batch(tmp_path: Path, capsys: pytest.CaptureFixture
     assert (code, "arm left: 8 stops planned" in said) == (0, True)
     code, said, _ = called(capsys, "plan", "--run", run, "--replan", "--json", "-")
     assert (code, json.loads(said)["stops"]) == (0, {"left": 8, "right": 8})
-    lines = file.read_text("utf-8").splitlines()
-    file.write_text("\n".join(lines[:5]), "utf-8")
+    rows = [line for line in file.read_text("utf-8").splitlines() if line.startswith(("configuration", "0,", "1,"))]
+    file.write_text("\n".join(rows), "utf-8")
     code, said, _ = called(capsys, "plan", profile, "--keep", file, "--run", tmp_path / "kept")
     assert (code, "arm right: 6 stops planned" in said) == (0, True)
 
@@ -142,5 +142,6 @@ def test_arguments_of_plan_that_do_not_belong_together_are_told(
         (("--run", run, "--add", 0), "equal to 1"),
     ):
         code, _, complaint = called(capsys, "plan", *arguments)
-        assert (code, words in complaint) == (2, True), (arguments, complaint)
+        said = " ".join(complaint.replace("│", " ").split())  # a usage error stands in a box
+        assert (code, words in said) == (2, True), (arguments, complaint)
     assert not run.exists()

@@ -53,8 +53,9 @@ def test_a_plan_that_was_just_made_is_safe(planned: Path) -> None:
     heard: list[Progress] = []
     with RunFile.open(planned) as run:
         result = check_plan_run(run, heard.append)
-    assert (result.stops, result.ways, result.refused) == (STOPS + 2, STOPS + 3, ())
-    assert result.is_safe
+    assert (result.stops, result.ways) == (STOPS + 2, STOPS + 3)
+    assert [one for one in result.refused if one.configuration is not None or not one.is_avoided] == []
+    assert result.is_safe, "home may be reached one arm after the other"
     assert check_sentences(result)[0].startswith("Safe: 26 stops and 27 ways")
     assert heard[-1].done == heard[-1].total == STOPS + 2
     assert PlanCheckResult.from_json(result.to_json(), "check") == result
@@ -78,11 +79,12 @@ def test_every_refused_stop_and_way_is_named(planned: Path, tmp_path: Path) -> N
     assert any("stop 4: arm left: collides with the floor" in sentence for sentence in sentences)
 
 
-def test_a_way_that_goes_home_first_is_safe(planned: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_way_that_goes_home_first_is_safe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from cellapp.planning import check
     from cellapp.safety.cell_bodies import home_positions
 
-    with RunFile.open(planned) as run:
+    straight = new_planned_run(small_twin(4, plan={"method": "random"}), tmp_path / "run")
+    with straight as run:
         homes, plan = home_positions(run.profile), run.read_plan()
 
         def refuse(cell: object, here: dict[str, np.ndarray], there: dict[str, np.ndarray]) -> str:

@@ -172,7 +172,7 @@ def test_ranges_outside_the_limits_are_named() -> None:
 
 
 def test_a_plan_is_stored_reported_and_cancelled(tmp_path: Any) -> None:
-    profile = small_twin(12)
+    profile = small_twin(12, plan={"method": "random"})
     heard: list[Progress] = []
     with RunFile.create(tmp_path / "run", profile) as run:
         plans = plan_run(run, heard.append)

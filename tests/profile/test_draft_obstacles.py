@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from cellapp.commissioning.answers import write_answers
 from cellapp.profile import load_profile
-from cellapp.profile.draft import ObstacleDraft, ProfileDraft, draft_of, fields_of, with_text
+from cellapp.profile.draft import ObstacleDraft, ProfileDraft, draft_of, draft_to_yaml, fields_of, with_text
 from cellapp.profile.draft_check import check_draft
 from cellapp.profile.draft_edit import edited_text
 from cellapp.profile.draft_file import open_profile, save_new
@@ -69,6 +70,13 @@ def test_obstacles_survive_the_form(tmp_path: Path) -> None:
     assert [replace(one, source="") for one in again] == list(DRAFTS)
 
 
+def test_obstacles_can_be_answers_too(tmp_path: Path) -> None:
+    answers = draft_to_yaml(replace(twin()[1], obstacles=DRAFTS)).partition("\ncalibration:")[0]
+    (tmp_path / "answers.yaml").write_text(answers, "utf-8")
+    written = write_answers(tmp_path / "answers.yaml", tmp_path)
+    assert list(load_profile(written.path).obstacles) == [one.name for one in DRAFTS]
+
+
 def test_a_shape_has_its_own_fields() -> None:
     for shape, known in SHAPES.items():
         draft = replace(twin()[1], obstacles=(ObstacleDraft("one", shape),))
@@ -86,6 +94,7 @@ def test_problems_stand_at_their_field() -> None:
     assert "expected 'box'" in judged(replace(table, shape="cone"))["obstacles.0.shape"]
     assert "missing" in judged(replace(cable, arm=""))["obstacles.0.arm"]
     assert "unknown arm" in judged(table, replace(cable, arm="middle"))["obstacles.1.arm"]
+    assert "file" in judged(ObstacleDraft("guard", "mesh", file="nowhere.stl"))["obstacles.0.file"]
     assert "needs a name, such as table" in judged(replace(table, name=" "))["obstacles.0.name"]
     assert "given twice" in judged(table, replace(pillar, name="table"))["obstacles.1.name"]
 

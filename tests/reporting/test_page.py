@@ -15,6 +15,8 @@ import pytest
 
 from cellapp.effects import EFFECTS, EffectTerm
 from cellapp.errors import InputError
+from cellapp.exports.formats import FORMATS
+from cellapp.exports.run_export import calibrated_arms
 from cellapp.model import CellModel
 from cellapp.model.nominal import nominal_arm
 from cellapp.pipeline import calibrate_run, discover_run
@@ -455,6 +457,16 @@ def test_parameters_show_how_far_they_are_from_nominal(single: RunFile, single_t
     cells = (f"{nominal * 1e3:.5f}", f"{identified * 1e3:.5f}", f"{(identified - nominal) * 1e3:+.5f}")
     expected = "".join(f'<td class="number">{cell}</td>' for cell in cells)
     assert f'<tr><th scope="row">a2</th>{expected}' in single_text
+
+
+def test_says_what_files_for_other_programs_do_not_hold(whole: RunFile, whole_text: str, single_text: str) -> None:
+    text = " ".join(whole_text.split())
+    assert ", ".join(FORMATS) in text
+    losses = [export.lost_together for export in calibrated_arms(whole, read_stages(whole)).values()]
+    assert any(losses)
+    for loss in losses:
+        assert loss is None or f"{loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most" in text
+    assert "cellapp export DIR --as FORMAT" in single_text
 
 
 def test_other_readings_have_another_hash(single: RunFile, tmp_path: Path) -> None:

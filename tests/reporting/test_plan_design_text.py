@@ -60,7 +60,7 @@ def test_lines_of_a_random_plan_have_no_design() -> None:
 
 
 def test_a_design_is_stored_with_its_plan_and_shown_from_the_run(tmp_path: Path) -> None:
-    with new_planned_run(small_twin(3), tmp_path / "run") as run:
+    with new_planned_run(small_twin(3, plan={"method": "random"}), tmp_path / "run") as run:
         assert stored_plan(run).design is None
         write_planned_stops(run, read_planned_stops(run), design=plan_design(8))
         stops = stored_plan(run)

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.fast
 
 
 def test_every_plan_is_drawn_and_a_designed_one_says_more(tmp_path: Path) -> None:
-    with new_planned_run(small_twin(12), tmp_path / "run") as run:
+    with new_planned_run(small_twin(12, plan={"method": "random"}), tmp_path / "run") as run:
         plain = plan_section(run)
         assert plain is not None
         assert [figure.caption for figure in plain.figures] == [

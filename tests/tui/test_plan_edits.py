@@ -19,6 +19,8 @@ from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.dialogs.new_run import NewRunQuestion
 from cellapp.tui.dialogs.question import Choice
 from cellapp.tui.dialogs.save_as import SaveAs
+from cellapp.tui.plots import ChartPlot
+from cellapp.tui.widgets.charts_view import ChartsView
 from cellapp.tui.widgets.plan_tables import PairsTable, StopsTable
 from tests.tui.pilot import SMALL, ended, until
 from tests.twin import small_twin, write_profile
@@ -57,7 +59,7 @@ async def fill(pilot: Pilot[None], app: CellApp, dialog: type, field: str, text:
     await pilot.press("enter")
 
 
-async def test_marked_stops_are_frozen_and_the_rest_is_added_to_and_designed_again() -> None:
+async def test_marked_stops_are_frozen_and_others_are_added() -> None:
     app = CellApp(Path("profiles"))
     async with app.run_test(size=SMALL) as pilot:
         await shown(pilot, app)
@@ -75,15 +77,38 @@ async def test_marked_stops_are_frozen_and_the_rest_is_added_to_and_designed_aga
         await ended(pilot, app)
         await until(pilot, lambda: table(app).row_count == 10, "the added stops")
         assert np.array_equal(stored().q["left"][:8], before.q["left"])
+
+
+async def test_a_plan_is_designed_and_designed_again_around_what_is_frozen() -> None:
+    path = write_profile(Path("profiles"))
+    text = path.read_text("utf-8").replace(
+        "  stops: 30", "  stops: 10\n  method: designed\n  candidates: 150\n  repeats: 2"
+    )
+    path.write_text(text, "utf-8")
+    app = CellApp(Path("profiles"))
+    async with app.run_test(size=SMALL) as pilot:
+        app.open_profile(path)
+        await until(pilot, lambda: app.workspace.profile_path == path, "the profile")
+        await pilot.press("2", "g")
+        await fill(pilot, app, NewRunQuestion, "#folder", str(RUN))
+        await ended(pilot, app)
+        await until(pilot, lambda: app.workspace.design is not None, "what is known of the design")
+        view = app.day_screen.query_one(ChartsView)
+        app.day_screen.query_one("#plan-tabs", TabbedContent).active = "tab-design"
+        await until(pilot, lambda: len(view.query(ChartPlot)) == 6, "its charts")
+        app.day_screen.query_one("#plan-tabs", TabbedContent).active = "tab-stops"
+        await until(pilot, lambda: table(app).row_count == 10, "the stops")
+        table(app).focus()
+        await pilot.press("down", "space", "z")
+        await ended(pilot, app)
+        before = stored()
         await pilot.press("r")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         await pilot.press("d")
         await ended(pilot, app)
         after = stored()
-        assert after.frozen.sum() == 2
-        kept = after.q["left"][after.frozen]
-        assert np.array_equal(kept, before.q["left"][before.frozen])
-        assert not np.array_equal(after.q["left"][0], before.q["left"][0])
+        assert np.array_equal(after.q["left"][after.frozen], before.q["left"][[1]])
+        assert not np.array_equal(np.sort(after.q["left"], axis=0), np.sort(before.q["left"], axis=0))
 
 
 async def test_a_table_is_written_checked_by_line_and_becomes_a_run() -> None:

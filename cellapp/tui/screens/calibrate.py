@@ -22,8 +22,9 @@ from cellapp.reporting.charts_accuracy import (
 from cellapp.reporting.report_data import ReportData
 from cellapp.reporting.run_tables import merged_sentences
 from cellapp.reporting.tables import calibration_tables, parameter_tables, tracker_sentences
-from cellapp.results import CALIBRATE
+from cellapp.results import CALIBRATE, ExportResult, Result
 from cellapp.tui import work
+from cellapp.tui.dialogs.question import Reading
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.tables import TablesView
@@ -58,6 +59,9 @@ held out. Nothing moves.
 - *Space*: where in the cell the errors are large. **v** looks from above or from the side.
 - *Parameters*: what was identified, with standard errors.
 
+**e** writes the calibrated arms for other programs: UR controllers, ROS, URDF, tables. The handbook's chapter *exports*
+describes the formats.
+
 **a** shows the other arm. **t** goes from tab to tab. In a table, **y** copies and **w** saves.
 The step after this one is Discover (5).
 """
@@ -68,6 +72,7 @@ The step after this one is Discover (5).
         Binding("full_stop", "joint(1)", "Next joint", key_display="."),
         Binding("v", "turn", "View", tooltip="errors in space from above or from the side"),
         Binding("t", "next_tab", "Next tab"),
+        Binding("e", "export", "Export", tooltip="write the calibrated arms for other programs"),
     ]
 
     def __init__(self) -> None:
@@ -118,6 +123,30 @@ The step after this one is Discover (5).
     def action_next_tab(self) -> None:
         """Show the next tab."""
         show_next_tab(self.query_one("#calibration", TabbedContent))
+
+    def action_export(self) -> None:
+        """Ask for format and file, then write the calibrated arms."""
+        folder, results = self.open_folder(), self.workspace.results
+        if folder is None:
+            return
+        if results is None or results.calibrate is None:
+            self.say(_EMPTY, "warning")
+            return
+        from cellapp.tui.dialogs.export_arms import ExportArms, ExportRequest
+
+        def write(request: ExportRequest | None) -> None:
+            if request is not None:
+                self.start(work.export_arms(folder, request))
+
+        self.app.push_screen(ExportArms(folder, tuple(results.calibrate.arms)), write)
+
+    def show_result(self, result: Result) -> None:
+        """Show what was exported, and what the files do not hold."""
+        if isinstance(result, ExportResult) and self.app.screen is self:
+            from cellapp.exports.words import export_lines
+
+            lines = export_lines(result)
+            self.app.push_screen(Reading("\n".join(["# Exported", "", "```text", *lines, "```"])))
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 

@@ -25,6 +25,8 @@ HOSTS = own_arms(41)
 MODELS = {"left": "UR10", "right": "UR5e"}
 HOME = np.array([0.0, -np.pi / 2.0, 0.0, -np.pi / 2.0, 0.0, 0.0])
 SPEED, ACCELERATION = np.full(6, 2.0), np.full(6, 8.0)
+UNHURRIED = 0.5 * SPEED
+"""Of motions that are interrupted on the way: on a busy computer a fault may come late."""
 AWAY = HOME + np.array([0.25, 0.1, -0.2, 0.15, 0.3, -0.35])
 FAR = HOME + np.array([2.4, 0.3, -0.5, 1.0, 1.5, -2.0])
 """More than a second away."""

@@ -27,6 +27,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     HOSTS,
     PATIENT_S,
     SPEED,
+    UNHURRIED,
     assert_braked,
     assert_stays_at_rest,
     driven,
@@ -141,7 +142,7 @@ def test_faults_during_a_motion(emulator: EmulatorProcess, arms: dict[str, UrArm
 
 
 def fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
-    arm.start_move(FAR, SPEED, ACCELERATION)
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
     error = inject(emulator, arm.name, fault)
     with pytest.raises(error, match=f"arm {arm.name}: "):
@@ -198,7 +199,7 @@ def test_a_protective_stop_is_never_released_by_the_program(emulator: EmulatorPr
 
 def protective_stop_stays(emulator: EmulatorProcess, arm: UrArm) -> None:
     emulator.control(arm.name, "protective", "travel", 0.3)
-    arm.start_move(FAR, SPEED, ACCELERATION)
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
     with pytest.raises(ProtectiveStop, match="see what stopped it"):
         arm.wait_settled(PATIENT_S)
     for _ in range(2):
@@ -211,7 +212,7 @@ def protective_stop_stays(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 
 def test_a_stop_on_the_pendant_ends_the_motion_and_the_job(emulator: EmulatorProcess, arm: UrArm) -> None:
-    arm.start_move(FAR, SPEED, ACCELERATION)
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     emulator.control(arm.name, "power-off")
     with pytest.raises(ArmError):
@@ -244,7 +245,7 @@ def test_a_worker_that_crashes_or_hangs_stops_the_arm(emulator: EmulatorProcess,
 
 def signal_worker(emulator: EmulatorProcess, arm: UrArm, signal_number: signal.Signals) -> None:
     """The client may crash or hang when its link breaks at the wrong moment: signals simulate that."""
-    arm.start_move(FAR, SPEED, ACCELERATION)
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     assert arm.worker_pid is not None
     os.kill(arm.worker_pid, signal_number)
@@ -258,11 +259,11 @@ def signal_worker(emulator: EmulatorProcess, arm: UrArm, signal_number: signal.S
 
 APPLICATION = """
 import sys, threading
-from tests.drivers.arms.emulated_ur_cell import ACCELERATION, FAR, SPEED, driven
+from tests.drivers.arms.emulated_ur_cell import ACCELERATION, FAR, UNHURRIED, driven
 
 with driven(sys.argv[1]) as arm:
     arm.connect()
-    arm.start_move(FAR, SPEED, ACCELERATION)
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
     print(arm.worker_pid, flush=True)
     threading.Event().wait()
 """
@@ -311,7 +312,7 @@ def test_stop_from_another_thread(emulator: EmulatorProcess, arms: dict[str, UrA
 
 
 def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
-    arm.start_move(FAR, SPEED, ACCELERATION)
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     stopper = threading.Thread(target=arm.stop)
     stopper.start()
@@ -381,7 +382,7 @@ def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, 
 
 def test_a_dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess, arm: UrArm) -> None:
     """Only the watchdog is left to stop the arm."""
-    arm.start_move(FAR, SPEED, ACCELERATION)
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     emulator.control(arm.name, "fault", "dashboard", "refuse")
     inject(emulator, arm.name, "rst")
@@ -406,7 +407,7 @@ def test_the_watchdogs_rate_is_the_settings(unconnected: EmulatorProcess) -> Non
 def stopped_after_kill_s(emulator: EmulatorProcess, arm: UrArm) -> float:
     """Connect, kill the worker during a motion, and return when the controller stopped its program [s]."""
     make_ready(emulator, arm)
-    arm.start_move(FAR, SPEED * 0.5, ACCELERATION)
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
     assert arm.worker_pid is not None
     until(lambda: emulator.control("right", "status")["moving"], "the arm moves")
     killed_s = time.monotonic()

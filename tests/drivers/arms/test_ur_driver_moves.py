@@ -53,6 +53,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     PATIENT_S,
     SERIALS,
     SPEED,
+    UNHURRIED,
     assert_stays_at_rest,
     configs,
     driven,
@@ -149,7 +150,7 @@ def test_a_motion_takes_the_time_it_needs_and_no_joint_exceeds_its_speed(connect
 
 def test_after_stop_nothing_moves_until_the_next_motion(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> None:
     arm = connected["left"]
-    arm.start_move(FAR, SPEED, ACCELERATION)
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     arm.stop()
     status = emulator.control("left", "status")
@@ -334,7 +335,7 @@ def test_disconnecting_restores_the_state_before_connecting(unconnected: Emulato
 def test_disconnecting_while_it_moves_stops_it(unconnected: EmulatorProcess) -> None:
     with driven("left") as arm:
         arm.connect()
-        arm.start_move(FAR, SPEED, ACCELERATION)
+        arm.start_move(FAR, UNHURRIED, ACCELERATION)
         until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
         arm.disconnect()
         status = unconnected.control("left", "status")

@@ -38,6 +38,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     HOSTS,
     PATIENT_S,
     SPEED,
+    UNHURRIED,
     assert_braked,
     assert_stays_at_rest,
     driven,
@@ -91,11 +92,11 @@ def make_ready(emulator: EmulatorProcess, arm: UrArm) -> UrArm:
     return arm
 
 
-def start(emulator: EmulatorProcess, arm: UrArm) -> None:
+def start(emulator: EmulatorProcess, arm: UrArm, speed: np.ndarray = UNHURRIED) -> None:
     """Begin a long motion and return while it lasts."""
     here = arm.state().q
     goal = FAR if np.abs(here - FAR).max() > np.abs(here - HOME).max() else HOME
-    arm.start_move(goal, SPEED, ACCELERATION)
+    arm.start_move(goal, speed, ACCELERATION)
     until(lambda: float(np.abs(arm.state().q - here).max()) > 0.1, "the arm moves")
 
 
@@ -439,10 +440,10 @@ def test_a_slider_that_is_moved_during_a_motion_is_no_fault(
 def slider_is_no_fault(emulator: EmulatorProcess, arm: UrArm) -> None:
     make_ready(emulator, arm)
     heard = Heard(arm)
-    start(emulator, arm)
+    start(emulator, arm, SPEED)
     emulator.control(arm.name, "slider", 0.0)
     with pytest.raises(ArmTimeout, match=f"arm {arm.name}: .* stands, because the speed slider is at 0 %"):
-        arm.wait_settled(2.5)
+        arm.wait_settled(1.6)  # a motion that stands at full speed is a fault after 1 s
     state = arm.state()
     assert (state.speed_fraction, state.ready, state.moving) == (0.0, True, True)
     emulator.control(arm.name, "slider", 0.5)

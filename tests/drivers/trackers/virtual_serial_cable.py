@@ -17,6 +17,7 @@ def serial_cable() -> Iterator[tuple[str, str]]:
     for _ in range(2):
         master, slave = os.openpty()
         tty.setraw(slave)
+        os.set_blocking(master, False)
         masters.append(master)
         slaves.append(slave)
     stop_read, stop_write = os.pipe()
@@ -27,8 +28,17 @@ def serial_cable() -> Iterator[tuple[str, str]]:
             if stop_read in ready:
                 return
             for source, sink in (masters, masters[::-1]):
-                if source in ready:
-                    os.write(sink, os.read(source, 4096))
+                if source in ready and not deliver(os.read(source, 4096), sink):
+                    return
+
+    def deliver(data: bytes, sink: int) -> bool:
+        """Write all bytes, however long the reader takes; return False when the cable is taken away meanwhile."""
+        while data:
+            stop, _, _ = select.select([stop_read], [sink], [])
+            if stop:
+                return False
+            data = data[os.write(sink, data) :]
+        return True
 
     thread = threading.Thread(target=carry, daemon=True)
     thread.start()

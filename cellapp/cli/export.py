@@ -1,0 +1,56 @@
+"""``export``: readings as CSV, calibrated arms in the formats of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cellapp.cli.job import Job, open_run
+from cellapp.cli.options import JsonOption, RunFolder
+from cellapp.errors import InputError
+
+_FORMATS = "ur-calibration, ur-description, urdf, dh, dh-plain, poe or parameters."
+"""For the help, which must not load the formats; a test compares them."""
+
+
+def export(
+    folder: RunFolder,
+    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Where to write the readings.")] = None,
+    plan: Annotated[Path | None, typer.Option("--plan", metavar="FILE", help="Where to write the plan.")] = None,
+    form: Annotated[
+        str | None, typer.Option("--as", metavar="FORMAT", help="Write the calibrated arms as " + _FORMATS)
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="With --as: the file; several arms get one each, FILE-ARM."),
+    ] = None,
+    arm: Annotated[str | None, typer.Option("--arm", metavar="NAME", help="With --as: this arm only.")] = None,
+    stage: Annotated[
+        str | None,
+        typer.Option("--stage", metavar="STAGE", help="With --as: geometry of calibrate or discover; else in force."),
+    ] = None,
+    geometry: Annotated[
+        Path | None,
+        typer.Option("--geometry", metavar="FILE", help="The arms as one JSON file, for programs that read it."),
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Write the readings or the plan of a run as CSV, or the calibrated arms for other programs.
+
+    Importing the CSV again gives the same readings bit for bit, and so does planning from the plan.
+    'cellapp docs exports' describes the formats.
+    """
+    from cellapp.exports.run_export import export_arms_run, export_run
+    from cellapp.exports.words import export_lines
+
+    with Job(json_file) as job, open_run(folder) as opened:
+        if form is None and out is None and arm is None and stage is None:
+            result = export_run(opened, csv, geometry, plan)
+        elif form is None or out is None or any((csv, geometry, plan)):
+            raise InputError("export: --as FORMAT and --out FILE belong together, without --csv, --plan and --geometry")
+        else:
+            result = export_arms_run(opened, form, out, arm, stage)
+        job.say(*export_lines(result))
+        job.result(result)

@@ -1,0 +1,22 @@
+"""The models that a run stores with its stages."""
+
+from __future__ import annotations
+
+from cellapp.errors import InputError
+from cellapp.model.model import CellModel
+from cellapp.run.file import RunFile
+from cellapp.run.stages import CALIBRATION_FILE, RunStages, StoredStage
+
+
+def stage_in_force(run: RunFile, stages: RunStages) -> StoredStage:
+    """Return the stage whose model compensation uses. Raises ``InputError`` if the run is not calibrated yet."""
+    if stages.in_force is None:
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+    return stages.in_force
+
+
+def model_of(run: RunFile, stage: StoredStage) -> CellModel:
+    """Return the model of a stage. Raises ``InputError`` if it is missing or damaged."""
+    if stage.model is None:
+        raise InputError(f"{run.folder / CALIBRATION_FILE} is missing or damaged; run 'cellapp calibrate' again")
+    return CellModel.from_json(stage.model, f"{run.path}: {stage.name}")

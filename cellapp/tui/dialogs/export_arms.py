@@ -1,0 +1,127 @@
+"""Ask in which format, and where, the calibrated arms are written for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from textual import on
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal
+from textual.suggester import SuggestFromList
+from textual.widgets import Button, Input, OptionList, Static
+from textual.widgets.option_list import Option
+
+from cellapp.exports.formats import FORMATS
+from cellapp.tui.dialogs.file_picker import PathField
+from cellapp.tui.dialogs.question import Question
+
+_STAGES = ("calibrate", "discover")
+
+
+@dataclass(frozen=True)
+class ExportRequest:
+    """What ``export`` is asked for; see ``export_arms_run``."""
+
+    format_name: str
+    out: Path
+    arm: str | None
+    stage_name: str | None
+
+
+class ExportArms(Question[ExportRequest]):
+    """Choose format, file, arm and stage. Returns the request; None where the dialog is closed.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run, where files are proposed.
+    arms : sequence of str
+    """
+
+    DEFAULT_CSS = """
+    ExportArms #formats { height: auto; }
+    ExportArms .field { height: 1; }
+    ExportArms .field Static { width: 20; }
+    ExportArms .field Input { width: 1fr; }
+    """
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "write", "Write", priority=True)]
+
+    def __init__(self, folder: Path, arms: Sequence[str]) -> None:
+        super().__init__()
+        self._folder, self._arms = folder, tuple(arms)
+        self._proposed = ""
+
+    def body(self) -> ComposeResult:
+        yield Static("Calibrated arms for other programs", classes="title", markup=False)
+        options = [Option(f"{entry.name:15} {entry.what}", id=entry.name) for entry in FORMATS.values()]
+        yield OptionList(*options, id="formats", markup=False, compact=True)
+        with Horizontal(classes="field"):
+            yield Static("file", markup=False)
+            yield PathField("", lambda path: True)
+        with Horizontal(classes="field"):
+            yield Static("arm (empty: all)", markup=False)
+            yield Input(id="arm", compact=True, suggester=SuggestFromList(self._arms))
+        with Horizontal(classes="field"):
+            yield Static("geometry of stage", markup=False)
+            yield Input(id="stage", compact=True, placeholder="empty: in force", suggester=SuggestFromList(_STAGES))
+        yield Static(
+            f"Enter goes on and writes, {self.closing_key} closes. Several arms get a file each.",
+            classes="text",
+            markup=False,
+        )
+        with Horizontal(classes="answers"):
+            yield Button("Write (Ctrl+S)", id="write", variant="success", compact=True)
+            yield Button("Close", id="close", compact=True)
+
+    def on_mount(self) -> None:
+        """Begin with the formats."""
+        formats = self.query_one("#formats", OptionList)
+        formats.highlighted = 0
+        formats.focus()
+
+    @on(OptionList.OptionHighlighted)
+    def propose(self, event: OptionList.OptionHighlighted) -> None:
+        """Propose a file for the format, unless a person typed one."""
+        event.stop()
+        field = self.query_one("#path", Input)
+        if field.value == self._proposed:
+            entry = FORMATS[str(event.option.id)]
+            self._proposed = str(self._folder / f"{entry.name}{entry.suffix}")
+            field.value = self._proposed
+
+    @on(OptionList.OptionSelected)
+    def go_on(self, event: OptionList.OptionSelected) -> None:
+        """Go to the file."""
+        event.stop()
+        field = self.query_one("#path", Input)
+        field.focus()
+        field.cursor_position = len(field.value)
+
+    @on(Input.Submitted)
+    def submit(self, event: Input.Submitted) -> None:
+        """Write with Enter in any field."""
+        event.stop()
+        self.action_write()
+
+    @on(Button.Pressed)
+    def press(self, event: Button.Pressed) -> None:
+        """Write or close."""
+        event.stop()
+        if event.button.id == "write":
+            self.action_write()
+        else:
+            self.dismiss(None)
+
+    def action_write(self) -> None:
+        """Close with the request; the verb judges it."""
+        chosen = self.query_one("#formats", OptionList).highlighted_option
+        path = self.query_one("#path", Input).value.strip()
+        if chosen is None or not path:
+            self.query_one("#path").focus()
+            return
+        arm, stage = (self.query_one(f"#{name}", Input).value.strip() or None for name in ("arm", "stage"))
+        self.dismiss(ExportRequest(str(chosen.id), Path(path).expanduser(), arm, stage))

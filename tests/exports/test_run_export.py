@@ -1,0 +1,141 @@
+"""The verb: which files it writes, what it says of the rest of the model, what it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from cellapp.errors import InputError
+from cellapp.exports.arm_export import POSES, ArmExport
+from cellapp.exports.export_format import ExportFormat
+from cellapp.exports.formats import FORMATS
+from cellapp.exports.run_export import _files, calibrated_arms, export_arms_run, sentences
+from cellapp.exports.words import export_lines
+from cellapp.kinematics.chain import smr_positions
+from cellapp.model import CellModel
+from cellapp.results import ExportResult
+from cellapp.run import RunFile
+from cellapp.run.stages import CALIBRATION_FILE, read_stages
+from tests.exports import readers
+
+
+def test_each_arm_has_its_file_and_says_what_is_not_in_it(finished_run: Path, tmp_path: Path) -> None:
+    with RunFile.open(finished_run) as run:
+        result = export_arms_run(run, "urdf", tmp_path / "cell.urdf")
+    assert result.arms is not None
+    assert [arm.file for arm in result.arms.values()] == [str(tmp_path / f"cell-{name}.urdf") for name in result.arms]
+    model = CellModel.load(finished_run / CALIBRATION_FILE)
+    for name, arm in model.arms.items():
+        file = result.arms[name]
+        text = Path(file.file).read_text("utf-8")
+        q = np.random.default_rng(3).uniform(-3.0, 3.0, (100, 6))
+        np.testing.assert_allclose(readers.urdf(text, name, q), smr_positions(arm.geometry, q), atol=1e-9)
+        assert set(file.lost) >= {term.slug for term in arm.effects}
+        assert file.lost
+        for part, loss in file.lost.items():
+            assert 0.0 < loss.rms_mm < loss.max_mm
+            line = f"{part}: {loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most"
+            assert line in text
+            assert f"    {line}" in export_lines(result)
+    assert ExportResult.from_json(result.to_json(), "test") == result
+
+
+def test_the_loss_is_what_the_whole_model_predicts_beside_the_file(finished_run: Path, tmp_path: Path) -> None:
+    """Compliance depends on the configuration alone: the stated error is found again at other configurations."""
+    with RunFile.open(finished_run) as run:
+        result = export_arms_run(run, "dh", tmp_path / "left.yaml", "left")
+        measured = run.readings("left").q
+    assert result.arms is not None
+    assert set(result.arms["left"].lost) == {"joint_compliance"}
+    arm = CellModel.load(finished_run / CALIBRATION_FILE).arms["left"]
+    q = np.random.default_rng(9).uniform(measured.min(axis=0), measured.max(axis=0), (POSES, 6))
+    off = np.linalg.norm(readers.dh((tmp_path / "left.yaml").read_text("utf-8"), q) - arm.predict(q), axis=1) * 1e3
+    stated = result.arms["left"].lost_together
+    assert stated is not None
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(stated.rms_mm, rel=0.1)
+
+
+def test_the_geometry_of_either_stage(finished_run: Path, tmp_path: Path) -> None:
+    with RunFile.open(finished_run) as run:
+        in_force = export_arms_run(run, "dh", tmp_path / "now.yaml", "left")
+        found = export_arms_run(run, "dh", tmp_path / "discover.yaml", "left", "discover")
+        rigid = export_arms_run(run, "dh", tmp_path / "calibrate.yaml", "left", "calibrate")
+    texts = {name: (tmp_path / f"{name}.yaml").read_text("utf-8") for name in ("now", "discover", "calibrate")}
+    assert texts["now"] == texts["discover"]
+    assert in_force.arms is not None
+    assert found.arms is not None
+    assert rigid.arms is not None
+    assert in_force.arms["left"].lost_together == found.arms["left"].lost_together
+    without, own = rigid.arms["left"].lost_together, in_force.arms["left"].lost_together
+    assert without is not None
+    assert own is not None
+    assert rigid.arms["left"].lost == {}, "one number against the whole model"
+    assert f"all that is not rigid: {without.rms_mm:.3f} mm rms" in texts["calibrate"]
+    better = [note for note in in_force.notes if "--stage calibrate" in note]
+    assert bool(better) == (without.rms_mm < own.rms_mm)
+    assert rigid.notes == ()
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_what_exists_is_not_overwritten(finished_run: Path, tmp_path: Path, form: str) -> None:
+    there = tmp_path / "arm-right.txt"
+    there.write_text("mine", encoding="utf-8")
+    with RunFile.open(finished_run) as run:
+        with pytest.raises(InputError, match=r"arm-right\.txt exists already; nothing was written"):
+            export_arms_run(run, form, tmp_path / "arm.txt")
+        assert [path.name for path in tmp_path.iterdir()] == ["arm-right.txt"]
+        export_arms_run(run, form, tmp_path / "new" / "arm.txt", "right")
+        again = (tmp_path / "new" / "arm.txt").read_bytes()
+        export_arms_run(run, form, tmp_path / "new" / "arm.txt", "right")
+    assert (tmp_path / "new" / "arm.txt").read_bytes() == again, "the same run makes the same file"
+
+
+def test_an_outdated_model_is_said(finished_copy: Path, tmp_path: Path) -> None:
+    with RunFile.open(finished_copy, write=True) as run:
+        words = list(run.readings("left").split or ())
+        run.assign_splits("left", [*words[1:], words[0]])
+        result = export_arms_run(run, "poe", tmp_path / "arm.yaml")
+    assert "the model was used although 'calibrate' is out of date" in result.notes[0]
+    assert result.notes[0] in export_lines(result)
+
+
+def test_a_new_format_is_a_function_and_an_entry(
+    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reach(export: ArmExport, comment: Sequence[str]) -> str:
+        return f"{comment[1]}\n{np.abs(export.geometry.rows[:, 1:3]).sum()}\n"
+
+    monkeypatch.setitem(FORMATS, "reach", ExportFormat("reach", "sum of the lengths [m]", ".txt", reach))
+    with RunFile.open(finished_run) as run:
+        export_arms_run(run, "reach", tmp_path / "reach.txt", "right")
+    first, second = (tmp_path / "reach.txt").read_text("utf-8").splitlines()
+    assert first.startswith("Arm 'right' (UR5), run 'run', model of 'discover' written ")
+    assert float(second) == pytest.approx(1.18, abs=0.1)
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_names_of_arms_are_only_text(finished_copy: Path, tmp_path: Path, form: str) -> None:
+    """A name with line ends, hyphens and marks stays inside the comment; one that is a path names no file."""
+    name = 'l\n]]--><x>"\nunits: mm'
+    with RunFile.open(finished_copy) as run:
+        export = replace(calibrated_arms(run, read_stages(run))["left"], name=name)
+    plain, hostile = (
+        FORMATS[form].text(one, sentences(FORMATS[form], one)) for one in (replace(export, name="l"), export)
+    )
+    if form == "urdf":
+        assert [joint.get("type") for joint in ElementTree.fromstring(hostile).iter("joint")].count("revolute") == 6
+    else:
+        assert [line for line in plain.splitlines() if line[0] != "#"] == [
+            line for line in hostile.splitlines() if line[0] != "#"
+        ]
+
+
+def test_an_arm_whose_name_is_a_path_is_written_alone(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'a/b' cannot be part of a file's name; write this arm alone with --arm"):
+        _files(tmp_path / "arm.urdf", ["a/b", "right"])
+    assert _files(tmp_path / "arm.urdf", ["a/b"]) == {"a/b": tmp_path / "arm.urdf"}
