@@ -112,7 +112,7 @@ def test_the_figure_of_obstacles_is_drawn_from_the_example_of_its_chapter() -> N
 
 
 def test_the_commands_of_the_chapter_on_planning_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = write_profile(tmp_path / "profiles").read_text("utf-8").replace("stops: 30", "stops: 8")
+    text = write_profile(tmp_path / "profiles").read_text("utf-8").replace("stops: 30", "stops: 8\n  method: random")
     (tmp_path / "cell.yaml").write_text(text.replace("type: arms/", "type: profiles/arms/"), "utf-8")
     monkeypatch.chdir(tmp_path)
     commands = re.findall(r"^cellapp .*$", topic_text("planning"), re.MULTILINE)

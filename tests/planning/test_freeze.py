@@ -34,7 +34,7 @@ def test_what_is_no_list_is_refused(text: str) -> None:
 
 
 def test_a_new_design_leaves_what_is_frozen(tmp_path: Path) -> None:
-    with new_planned_run(small_twin(6), tmp_path / "run") as run:
+    with new_planned_run(small_twin(6, plan={"method": "random"}), tmp_path / "run") as run:
         before = read_planned_stops(run)
         assert freeze_stops(run, [1, 4]).notes == ("2 of 6 stops are frozen",)
         replan(run)
@@ -47,7 +47,7 @@ def test_a_new_design_leaves_what_is_frozen(tmp_path: Path) -> None:
 
 
 def test_the_command_freezes(tmp_path: Path) -> None:
-    new_planned_run(small_twin(4), tmp_path / "run").close()
+    new_planned_run(small_twin(4, plan={"method": "random"}), tmp_path / "run").close()
     ended = CliRunner().invoke(app, ["plan", "--run", str(tmp_path / "run"), "--freeze", "0-1,3"])
     assert ended.exit_code == 0, ended.output
     assert "3 of 4 stops are frozen" in ended.output

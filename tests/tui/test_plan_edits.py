@@ -38,7 +38,7 @@ def stored(folder: Path = RUN) -> PlannedStops:
 async def shown(pilot: Pilot[None], app: CellApp, tab: str = "stops") -> None:
     """Open the run and show one of the tabs."""
     write_profile(Path("profiles"))
-    new_planned_run(small_twin(8), RUN).close()
+    new_planned_run(small_twin(8, plan={"method": "random"}), RUN).close()
     app.open_profile(Path("profiles/twin.yaml"))
     app.open_run(RUN, Path("profiles/twin.yaml"))
     await until(pilot, lambda: app.workspace.folder == RUN, "the run")

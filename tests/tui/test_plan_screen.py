@@ -33,7 +33,7 @@ pytestmark = pytest.mark.fast
 def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a run with a plan of 24 stops. No test may write to it."""
     folder = tmp_path_factory.mktemp("planned") / "run"
-    new_planned_run(small_twin(24), folder).close()
+    new_planned_run(small_twin(24, plan={"method": "random"}), folder).close()
     return folder
 
 
@@ -97,7 +97,7 @@ async def test_a_designed_plan_is_drawn_and_its_stops_are_listed(planned: Path, 
         await pilot.press("down", "space", "space", "up", "space")
         table = app.day_screen.query_one(StopsTable)
         assert (table.row_count, table.marked) == (24, {1, 3})
-        await until(pilot, lambda: "Straight; frozen" in line(app, "plan-detail"), "what is kept")
+        await until(pilot, lambda: "frozen: a new design" in line(app, "plan-detail"), "what is kept")
 
 
 async def test_a_result_waits_on_its_screen_while_another_one_is_shown(planned: Path) -> None:
@@ -134,7 +134,8 @@ async def test_a_forecast_fits_every_terminal(
 
 
 async def test_a_new_run_goes_into_the_folder_that_one_names(tmp_path: Path) -> None:
-    write_profile(tmp_path / "profiles")
+    twin = write_profile(tmp_path / "profiles")
+    twin.write_text(twin.read_text("utf-8").replace("stops: 30", "stops: 30\n  method: random"), "utf-8")
     for path in (tmp_path / "profiles").glob("*.yaml"):
         if path.stem != "twin":
             path.unlink()
