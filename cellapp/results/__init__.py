@@ -116,6 +116,7 @@ from cellapp.results.planning import (
     PlannedTime,
     PlanRefusal,
 )
+from cellapp.results.programs import CorrectedTarget, CorrectResult, LeftLine
 from cellapp.results.run import (
     ArmState,
     DocsResult,
@@ -192,6 +193,8 @@ __all__ = [
     "CollectionResult",
     "CompensateResult",
     "Contradiction",
+    "CorrectResult",
+    "CorrectedTarget",
     "Correlation",
     "CurveRecord",
     "CycleBand",
@@ -222,6 +225,7 @@ __all__ = [
     "JointCoverage",
     "LastSession",
     "LawRecord",
+    "LeftLine",
     "LogLine",
     "LogResult",
     "MeasuredTarget",
