@@ -30,9 +30,9 @@ from cellapp.results import CorrectedTarget
 
 _RESIDUAL = 1e-6
 """Largest residual of the model [m, rad] at a corrected target."""
-_LARGEST_TURN = 0.05
+_LARGEST_TURN = 0.2
 """Correction of a joint [rad] beyond which a posture counts as singular: away from singularities the deviations of an
-arm, millimetres and milliradians, turn its joints by some milliradians."""
+arm, millimetres and milliradians, turn its joints by some milliradians, and here forty times as far."""
 _SAME = 1e-9
 """A correction below this [m, rad] is rounding; the text stays."""
 

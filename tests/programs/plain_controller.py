@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -109,7 +108,9 @@ class PlainController:
         def moves(target: Any, *_: Any, **__: Any) -> None:
             self.move(target)
 
-        nothing: Callable[..., None] = lambda *_, **__: None
+        def nothing(*_: Any, **__: Any) -> None:
+            return None
+
         return {
             "Pose": Pose,
             "movej": moves,
