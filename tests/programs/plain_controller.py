@@ -29,7 +29,7 @@ def matrix(pose: Any) -> Array:
     return T
 
 
-def pose_of(T: Array) -> Pose:
+def pose_of(T: NDArray[Any]) -> Pose:
     return Pose((*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_rotvec()))
 
 
