@@ -17,6 +17,7 @@ from cellapp.programs.expressions import Call, Expression, Items, Name, Number, 
 from cellapp.programs.urscript import Program, Statement
 
 SIX = 6
+_LONGEST_CHAIN = 40
 _RUNNING = "is known only while the program runs"
 
 
@@ -76,8 +77,7 @@ class Constants:
             case Number(value=value):
                 return Value((value,))
             case Name(name=name):
-                if name in within:
-                    raise Unresolved(f"'{name}' is defined by itself")
+                check_chain(name, within)
                 return self.value(self.definition(name), (*within, name))
             case Items(items=items, pose=pose):
                 return Value(tuple(self._number(item, within) for item in items), pose)
@@ -94,6 +94,14 @@ class Constants:
         if len(numbers) != 1:
             raise Unresolved("a list stands where a number is expected")
         return numbers[0]
+
+
+def check_chain(name: str, within: Sequence[str]) -> None:
+    """Raise ``Unresolved`` if a variable is found in its own definition, or behind very many others."""
+    if name in within:
+        raise Unresolved(f"'{name}' is defined by itself")
+    if len(within) > _LONGEST_CHAIN:
+        raise Unresolved(f"'{name}' stands behind more than {_LONGEST_CHAIN} other variables")
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

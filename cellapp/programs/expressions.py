@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 _TOKEN = re.compile(
-    r"""(?P<space>[ \t\r\f\v]+|\#[^\n]*)
+    r"""(?P<space>[ \t\r\f\v\ufeff]+|\#[^\n]*)
     |(?P<newline>\n)
     |(?P<string>"[^"\n]*"?|'[^'\n]*'?)
     |(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
@@ -21,8 +21,9 @@ _TOKEN = re.compile(
     re.VERBOSE,
 )
 _OPEN, _CLOSE = "([{", ")]}"
-_DEEPEST = 40
-"""Nesting beyond which an expression counts as unreadable: no program of a person has it, and the parser recurses."""
+_DEEPEST, _LONGEST = 40, 100
+"""Nesting, and operations in a row, beyond which an expression counts as unreadable: no program of a person has them,
+and what reads expressions recurses."""
 
 TokenKind = Literal["newline", "string", "number", "name", "sign"]
 
@@ -151,7 +152,7 @@ class _Parser:
     """Recursive descent over the words of one expression."""
 
     def __init__(self, tokens: Sequence[Token]) -> None:
-        self.tokens, self.place, self.depth = tokens, 0, 0
+        self.tokens, self.place, self.depth, self.operations = tokens, 0, 0, 0
 
     def _word(self) -> str:
         return self.tokens[self.place].text if self.place < len(self.tokens) else ""
@@ -161,6 +162,11 @@ class _Parser:
             raise Unreadable
         self.place += 1
         return self.tokens[self.place - 1]
+
+    def _count(self) -> None:
+        self.operations += 1
+        if self.operations > _LONGEST:
+            raise Unreadable
 
     def _expect(self, text: str) -> Token:
         token = self._next()
@@ -174,6 +180,7 @@ class _Parser:
             return self._signed()
         left = self.comparison(level + 1)
         while self._word() in _LEVELS[level]:
+            self._count()
             sign = self._next().text
             right = self.comparison(level + 1)
             left = Operation(left.start, right.end, sign, (left, right))
@@ -218,6 +225,7 @@ class _Parser:
     def _followed(self, expression: Expression) -> Expression:
         """Elements and members: ``x[0]``, ``x.y``."""
         while self._word() in ("[", "."):
+            self._count()
             token = self._next()
             if token.text == ".":
                 expression = Other(expression.start, self._next().end, (expression,))

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from cellapp.errors import InputError
-from cellapp.programs.constants import SIX, Constants, Unresolved, Value
+from cellapp.programs.constants import SIX, Constants, Unresolved, Value, check_chain
 from cellapp.programs.expressions import Call, Expression, Items, Name, Number, Operation, parts_of
 from cellapp.programs.targets import LeftMotion, Place, ProgramTarget, ReadProgram, Six
 from cellapp.programs.urscript import Program, Statement, parse_program
@@ -162,8 +162,7 @@ class _Reader:
     def _goal(self, expression: Expression, within: tuple[str, ...] = ()) -> _Goal:
         """What an expression is as a target; ``within`` are the variables whose definitions it was found in."""
         if isinstance(expression, Name):
-            if expression.name in within:
-                raise Unresolved(f"'{expression.name}' is defined by itself")
+            check_chain(expression.name, within)
             inner = self._goal(self._constants.definition(expression.name), (*within, expression.name))
             return replace(inner, use=expression, variables=(expression.name, *inner.variables))
         if isinstance(expression, Call) and expression.function == "get_inverse_kin":

@@ -182,6 +182,17 @@ def test_poses_and_matrices_are_the_same(pose: list[float]) -> None:
     np.testing.assert_allclose(again, pose_matrix(pose), atol=1e-9)
 
 
-def test_deep_nesting_is_unreadable_and_no_crash() -> None:
+@pytest.mark.parametrize("text", ["(" * 5000 + "1" + ")" * 5000, "[" * 5000, "1" + "+1" * 5000, "x" + "[0]" * 5000])
+def test_very_deep_expressions_are_unreadable_and_no_crash(text: str) -> None:
     with pytest.raises(Unreadable):
-        parse_expression(list(tokens_of("(" * 5000 + "1" + ")" * 5000)))
+        parse_expression(list(tokens_of(text)))
+
+
+def test_very_long_chains_of_variables_are_named() -> None:
+    chain = "".join(f"x{k} = x{k - 1}\n" for k in range(1, 3000))
+    found = reasons(f"x0 = {POSE}\n{chain}movel(x2999)")
+    assert "stands behind more than 40 other variables" in found[3001]
+
+
+def test_a_byte_order_mark_is_no_word() -> None:
+    assert len(read_script(f"\ufeffdef a():\nmovej({JOINTS})\nend".encode(), "a").targets) == 1
