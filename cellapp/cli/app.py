@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from cellapp.cli.correct import correct
 from cellapp.cli.docs import docs
 from cellapp.cli.export import export
 from cellapp.cli.init import init
@@ -324,7 +325,7 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-for command in (init, export, pause, resume, stop, abort, runs, compare, show, schema, docs):
+for command in (init, export, correct, pause, resume, stop, abort, runs, compare, show, schema, docs):
     app.command()(command)
 
 

@@ -18,14 +18,14 @@ _STOPS_PER_BLOCK = 100
 _LEAST_BLOCKS, _LEAST_STOPS = 4, 6
 """Blocks of smaller plans: with fewer than four, time and posture correlate along the way; blocks of fewer than six
 stops are hardly a sample of the workspace."""
-_STEPS_PER_STOP = 30
+_STEPS_PER_STOP = 40
 """Steps of the search for each stop; twice as many save half a percent of travel more."""
 _LEAST_STEPS = 1000
 _FORBIDDEN_STEPS = 20.0
 """Cost of a pair that must not stand together, in usual steps: never worth it."""
 _PAIR_GOAL = 0.1
 """Correlation of two arms' postures from which on pairs are charged for it: below the largest one that is accepted."""
-_PAIR_WEIGHT = 0.4
+_PAIR_WEIGHT = 0.15
 """Charge of a pair for a correlation that is too large by 1, in usual steps."""
 _DRIFT_GOALS = (0.06, 0.1, 0.1, 0.1)
 """Correlations with posture that are small enough: of time, and of the other courses of a drift."""

@@ -23,6 +23,8 @@ _CONSTANT = 1e-6
 """A column whose standard deviation is below this share of the largest one's counts as constant."""
 _POWER = 6
 """Power of correlations that is summed: large enough that the sum is ruled by the largest ones."""
+_BLOCK_DRAWS = 50
+"""Draws of blocks of which the fairest is taken; chance decides among the others."""
 _CANDIDATES = 32
 """Changes of a level whose effect is computed exactly: those with the largest gain to first order."""
 
@@ -79,31 +81,48 @@ def time_and_blocks(time: Array, block: NDArray[np.intp]) -> Columns:
 def fair_blocks(features: Array, sizes: NDArray[np.intp], rng: np.random.Generator) -> NDArray[np.intp]:
     """Block (n,) of each stop: random, but each block gets its part of similar stops.
 
-    Stops are halved along the direction in which they spread most, again and again, until a group has one stop for each
-    block; within a group chance decides (a randomised block design).
+    Within each group of similar stops chance decides to which block each goes (a randomised block design); of many
+    draws the one whose blocks have the most equal means is taken (rerandomisation: Morgan, Rubin, Annals of Statistics
+    40 (2012) 1263).
 
     Parameters
     ----------
     features : array, shape (n, p)
-        Functions of posture; similar stops have similar ones.
+        Functions of posture with mean 0; similar stops have similar ones.
     sizes : array, shape (B,)
         Number of stops of each block, at most one apart; their sum is n.
     rng : numpy.random.Generator
     """
     count, longer = len(sizes), np.flatnonzero(sizes > sizes.min())
-    block = np.empty(len(features), dtype=np.intp)
-    groups = [np.arange(len(features))]
-    while groups:
-        rows = groups.pop()
-        if len(rows) > count:
-            centred = features[rows] - features[rows].mean(axis=0)
-            along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
-            cut = count * max(1, round(len(rows) / (2 * count)))
-            ranked = rows[np.argsort(along, kind="stable")]
-            groups += [ranked[:cut], ranked[cut:]]
-        else:  # the rest that does not fill a group goes to the blocks that have one stop more
+    groups = _similar(features, count)
+    best, least = np.zeros(len(features), dtype=np.intp), np.inf
+    for _ in range(_BLOCK_DRAWS if count > 1 else 0):
+        block = np.empty(len(features), dtype=np.intp)
+        for rows in groups:  # the rest that does not fill a group goes to the blocks that have one stop more
             block[rows] = rng.permutation(count if len(rows) == count else longer)
-    return np.asarray(block)
+        unfair = float(np.sum(((np.arange(count)[:, None] == block) @ features / sizes[:, None]) ** 2))
+        if unfair < least:
+            best, least = block, unfair
+    return best
+
+
+def _similar(features: Array, size: int) -> list[NDArray[np.intp]]:
+    """Groups of ``size`` similar stops: halved again and again along the direction in which they spread most.
+
+    The last group is smaller if the number of stops is no multiple of ``size``.
+    """
+    found, waiting = [], [np.arange(len(features))]
+    while waiting:
+        rows = waiting.pop()
+        if len(rows) <= size:
+            found.append(rows)
+            continue
+        centred = features[rows] - features[rows].mean(axis=0)
+        along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+        cut = size * max(1, round(len(rows) / (2 * size)))
+        ranked = rows[np.argsort(along, kind="stable")]
+        waiting += [ranked[:cut], ranked[cut:]]
+    return found
 
 
 def balanced_levels(

@@ -57,11 +57,12 @@ class FactorPlan:
         time = time_and_blocks(np.arange(len(block), dtype=np.float64), block)
         self._against = _postures(profile, cell, q).with_(time).values
 
-    def dwell_s(self) -> dict[str, Array]:
+    def dwell_s(self, step: Mapping[str, Array]) -> dict[str, Array]:
         """Rest before measuring at each stop, arm -> (n,) [s]: the same for all arms, which wait for each other."""
         levels = np.unique(self._profile.plan.dwell)
         n = len(self._repeat_of)
-        against = _with_constant(self._against)
+        steps = _levels_of(np.concatenate(list(step.values()), axis=1))
+        against = _with_constant(np.concatenate([self._against, steps], axis=1))
         chosen = balanced_levels(levels, np.ones((n, len(levels)), dtype=np.bool_), against, self._rng, _GOAL)
         return {name: levels[chosen].copy() for name in self._q}
 
@@ -122,20 +123,31 @@ class FactorPlan:
         stuck: set[int] = set()
         for _ in range(_IMPROVEMENTS if len(self._sizes) and len(rows) else 0):
             levels = _levels_of(np.concatenate(list(step.values()), axis=1))
-            every = np.concatenate([self._against, levels], axis=1)
-            correlation = every.T @ levels / len(levels)
-            np.fill_diagonal(correlation[self._against.shape[1] :], 0.0)
+            every, correlation = self._correlations(levels)
             largest = np.abs(correlation).max(axis=0)
             largest[list(stuck)] = 0.0
             column = int(np.argmax(largest))
             if largest[column] <= _IMPROVED:
                 break
             name, joint = joints[column % len(joints)]
-            is_side = column < len(joints)
-            if self._change_one(step, rows, name, joint, is_side, every, correlation[:, column], accepts):
+            measure = _MEASURES[column // len(joints)]
+            if self._change_one(step, rows, name, joint, measure, every, correlation[:, column], accepts):
                 stuck.clear()
             else:
                 stuck.add(column)
+
+    def _correlations(self, levels: Array) -> tuple[Array, Array]:
+        """All variables (n, q), and their correlations (q, 3 J) with the ``levels`` (n, 3 J) of the factors.
+
+        Signed steps are compared with posture, time and blocks alone: they follow from sides and sizes.
+        """
+        every = np.concatenate([self._against, levels], axis=1)
+        correlation = every.T @ levels / len(levels)
+        own = correlation[self._against.shape[1] :]
+        np.fill_diagonal(own, 0.0)
+        signed = 2 * levels.shape[1] // 3
+        own[signed:], own[:, signed:] = 0.0, 0.0
+        return every, correlation
 
     def _change_one(
         self,
@@ -143,19 +155,18 @@ class FactorPlan:
         rows: NDArray[np.intp],
         name: str,
         joint: int,
-        is_side: bool,
+        measure: Callable[[Array], Array],
         every: Array,
         correlation: Array,
         accepts: Accepts,
     ) -> bool:
         """Change side or size of one joint at the stop where that helps most and is accepted; False if nowhere."""
         present = step[name][rows, joint]
-        n, found = len(every), []
-        for size in [None] if is_side else self._sizes.tolist():
-            other = -present if size is None else np.sign(present) * size
-            change = (np.sign(other) if is_side else np.abs(other)) - (np.sign(present) if is_side else np.abs(present))
-            spread = (np.sign(step[name][:, joint]) if is_side else np.abs(step[name][:, joint])).std()
-            after = correlation + (change / max(spread, _SMALLEST_RAD))[:, None] * every[rows] / n
+        scale = len(every) * max(float(np.std(measure(step[name][:, joint]))), _SMALLEST_RAD)
+        compared, found = np.where(correlation == 0.0, 0.0, every[rows]), []
+        for other in (-present, *(np.sign(present) * size for size in self._sizes.tolist())):
+            change = (measure(other) - measure(present)) / scale
+            after = correlation + change[:, None] * compared
             total = np.where(change != 0.0, np.sum(after**6, axis=1), np.inf)
             found += list(zip(total.tolist(), rows.tolist(), other.tolist(), strict=True))
         low, high = self._limits[name][joint]
@@ -231,9 +242,17 @@ def _postures(profile: Profile, cell: CellBodies, q: Mapping[str, Array]) -> Col
     return found[0].with_(*found[1:])
 
 
+def _as_it_is(step: Array) -> Array:
+    return step
+
+
+_MEASURES: tuple[Callable[[Array], Array], ...] = (np.sign, np.abs, _as_it_is)
+"""What a signed step is a level of: the side, the size, both."""
+
+
 def _levels_of(step: Array) -> Array:
-    """Sides, then sizes, of signed steps (n, J), (n, 2 J), with mean 0 and standard deviation 1; 0 if constant."""
-    levels = np.concatenate([np.sign(step), np.abs(step)], axis=1)
+    """Sides, sizes and both of signed steps (n, J), (n, 3 J), with mean 0 and standard deviation 1; 0 if constant."""
+    levels = np.concatenate([measure(step) for measure in _MEASURES], axis=1)
     centred = levels - levels.mean(axis=0)
     spread = centred.std(axis=0)
     return np.asarray(np.where(spread > _SMALLEST_RAD, centred / np.maximum(spread, _SMALLEST_RAD), 0.0))

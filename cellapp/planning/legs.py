@@ -65,7 +65,7 @@ class LegPlanner:
         whole = PlannedStops(
             q=self._q,
             approach_from={name: _begin(q, self._step[name]) for name, q in self._q.items()},
-            dwell_s=self._factors.dwell_s(),
+            dwell_s=self._factors.dwell_s(self._step),
             legs=((),) * n,
             block=self._arrangement.block,
             repeat_of=self._arrangement.repeat_of,

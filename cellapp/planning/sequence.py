@@ -87,30 +87,22 @@ def sequenced(
         If no stop can be reached.
     Cancelled
     """
-    cancel = cancel or CancelToken()
     homes = home_positions(profile)
     home: Configuration | None = homes if set(homes) == set(cell.arms) else None
-    start = home if after is None or not len(next(iter(after.values()))) else {k: q[-1] for k, q in after.items()}
-    finder = WayFinder(profile, cell, rng)
-    given_up: list[str] = []
-    q = {name: _reached(profile, cell, name, rows, finder, given_up) for name, rows in chosen.items()}
-    n, usable = min(map(len, chosen.values())), min(map(len, q.values()))
-    if usable == 0:
-        raise InputError(f"plan: none of the chosen stops can be reached. {given_up[0] if given_up else ''}".strip())
-    reserve = 0 if after is not None else min(profile.plan.reserve, n - 1)
-    asked = (n if after is not None else min(n, profile.plan.stops + reserve)) - reserve
-    distinct = min(distinct_stops(profile, asked), usable)
-    reserve = min(reserve, usable - distinct)
-    job = _Job(profile, cell, home, finder, rng, listener, cancel, given_up)
-    repeats = min(asked - distinct_stops(profile, asked), distinct // (_LARGEST_REPEATED_SHARE - 1))
-    first = job.part({name: rows[:distinct] for name, rows in q.items()}, repeats, start)
-    if reserve:
-        rest = {name: rows[distinct : distinct + reserve] for name, rows in q.items()}
-        second = job.part(rest, 0, first.targets(len(first) - 1))
-        both = joined(first, replace(second, block=second.block + first.block[-1] + 1))
-        first = replace(both, legs=(*first.legs, *second.legs))
-    listener(Progress(_JOB, len(first), len(first), "done"))
-    return Sequenced(first, tuple(given_up))
+    begun = after is not None and len(next(iter(after.values()))) > 0
+    start = {name: q[-1] for name, q in after.items()} if begun and after is not None else home
+    job = _Job(profile, cell, home, WayFinder(profile, cell, rng), rng, listener, cancel or CancelToken(), [])
+    q = {name: _reached(profile, cell, name, rows, job.finder, job.given_up) for name, rows in chosen.items()}
+    if not min(map(len, q.values())):
+        raise InputError(f"plan: none of the chosen stops can be reached. {' '.join(job.given_up[:1])}".strip())
+    n = min(map(len, chosen.values()))
+    if after is not None:
+        planned = job.all_of(q, n, 0, start)
+    else:
+        reserve = min(profile.plan.reserve, n - 1)
+        planned = job.all_of(q, min(n - reserve, profile.plan.stops), reserve, start)
+    listener(Progress(_JOB, len(planned), len(planned), "done"))
+    return Sequenced(planned, tuple(job.given_up))
 
 
 def _reached(profile: Profile, cell: CellBodies, name: str, q: Array, finder: WayFinder, given_up: list[str]) -> Array:
@@ -153,15 +145,30 @@ class _Job:
     cancel: CancelToken
     given_up: list[str]
 
+    def all_of(self, q: Mapping[str, Array], asked: int, reserve: int, start: Configuration | None) -> PlannedStops:
+        """Plan ``asked`` stops, with repeats, and reserves after them, as far as there are configurations for them."""
+        usable = min(map(len, q.values()))
+        repeats = asked - distinct_stops(self.profile, asked)
+        distinct = min(asked - repeats, usable)
+        repeats = min(repeats, distinct // (_LARGEST_REPEATED_SHARE - 1))
+        first = self.part({name: rows[:distinct] for name, rows in q.items()}, repeats, start)
+        if not min(reserve, usable - distinct):
+            return first
+        rest = {name: rows[distinct : min(distinct + reserve, usable)] for name, rows in q.items()}
+        second = self.part(rest, 0, first.targets(len(first) - 1))
+        both = joined(first, replace(second, block=second.block + first.block[-1] + 1))
+        return replace(both, legs=(*first.legs, *second.legs))
+
     def part(self, q: Mapping[str, Array], repeats: int, start: Configuration | None) -> PlannedStops:
         """Plan stops that follow ``start``; after the last one the arms can go home."""
-        n = len(next(iter(q.values()))) + repeats
+        n = min(map(len, q.values())) + repeats
 
         def report(done: int, words: str) -> None:
             self.listener(Progress(_JOB, done, n, words))
 
         report(0, "pairs and order")
-        stops = StopSet(self.profile, self.cell, q)
+        least = min(map(len, q.values()))
+        stops = StopSet(self.profile, self.cell, {name: rows[:least] for name, rows in q.items()})
         arrangement = arrange(stops, block_count(self.profile.plan.blocks, n), repeats, self.rng, self.cancel)
         arrangement = mend_order(stops, arrangement, start, self.home, self.cancel)
         at = stops.at(arrangement.rows)

@@ -11,6 +11,11 @@ from cellapp.errors import InputError
 
 
 def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text as ``write_bytes`` does."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, data: bytes) -> None:
     """Write a file through a temporary one beside it, so that a full disk leaves the old file whole.
 
     Raises
@@ -22,8 +27,8 @@ def write_text(path: Path, text: str) -> None:
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
+        with part.open("wb") as file:
+            file.write(data)
             file.flush()
             os.fsync(file.fileno())
         if path.exists():
@@ -38,21 +43,26 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_new(files: dict[Path, str]) -> tuple[Path, ...]:
-    """Write files that do not exist yet; return their paths. A file that has the same text already is left as it is.
+    """Write files of UTF-8 text as ``write_new_bytes`` does."""
+    return write_new_bytes({path: text.encode("utf-8") for path, text in files.items()})
+
+
+def write_new_bytes(files: dict[Path, bytes]) -> tuple[Path, ...]:
+    """Write files that do not exist yet; return their paths. A file that has the same content is left as it is.
 
     Raises
     ------
     InputError
-        If a file with another text exists, or one cannot be written. In the first case nothing was written.
+        If a file with other content exists, or one cannot be written. In the first case nothing was written.
     """
-    for path, text in files.items():
-        if path_exists(path) and _text_of(path) != text:
+    for path, data in files.items():
+        if path_exists(path) and _content_of(path) != data:
             raise InputError(
                 f"{path} exists already; nothing was written. Give another name or folder, or move it away"
             )
-    for path, text in files.items():
+    for path, data in files.items():
         if not path_exists(path):
-            write_text(path, text)
+            write_bytes(path, data)
     return tuple(files)
 
 
@@ -64,9 +74,9 @@ def path_exists(path: Path) -> bool:
         raise InputError(f"{path}: cannot be reached ({error.strerror}); give another folder") from None
 
 
-def _text_of(path: Path) -> str | None:
-    """The text of a file; None if it cannot be read as text."""
+def _content_of(path: Path) -> bytes | None:
+    """The content of a file; None if it cannot be read."""
     try:
-        return path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError):
+        return path.read_bytes()
+    except OSError:
         return None

@@ -119,6 +119,7 @@ from cellapp.results.planning import (
     PlannedTime,
     PlanRefusal,
 )
+from cellapp.results.programs import CorrectedTarget, CorrectResult, LeftLine
 from cellapp.results.run import (
     ArmState,
     DocsResult,
@@ -197,6 +198,8 @@ __all__ = [
     "CompensateResult",
     "ConstraintShare",
     "Contradiction",
+    "CorrectResult",
+    "CorrectedTarget",
     "Correlation",
     "CurveRecord",
     "CycleBand",
@@ -227,6 +230,7 @@ __all__ = [
     "JointCoverage",
     "LastSession",
     "LawRecord",
+    "LeftLine",
     "LogLine",
     "LogResult",
     "MeasuredTarget",

@@ -19,6 +19,7 @@ from cellapp.results.discovery import DiscoverResult
 from cellapp.results.exports import ExportResult
 from cellapp.results.plan_design import PlanDesignResult, ViewResult
 from cellapp.results.planning import PlanCheckResult, PlanForecastResult
+from cellapp.results.programs import CorrectResult
 from cellapp.results.run import (
     DocsResult,
     HistoryResult,
@@ -49,6 +50,7 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     DiscoverResult,
     CompensateResult,
     VerifyResult,
+    CorrectResult,
     ReportResult,
     WholeRunResult,
     EmulateResult,

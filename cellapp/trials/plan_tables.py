@@ -99,6 +99,6 @@ def plan_trial_sentences(result: PlanTrialsResult) -> list[str]:
         "Errors: mean standard error of geometry parameters and effect coefficients, standard uncertainty of predicted"
         " positions over the workspace, and at its worst point; at configurations that no choice has seen.",
         "Best possible: convex relaxation over all candidates, each error alone. Correlation: the largest of a factor"
-        " that can be chosen. Collisions: every motion of the designed plan, finely sampled at four relative timings,"
+        " that can be chosen. Collisions: every motion of the designed plan, finely sampled, in step and one late,"
         " by a collision library that the gate does not use.",
     ]

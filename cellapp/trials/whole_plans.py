@@ -21,6 +21,8 @@ from cellapp.trials.collision_check import CollisionCheck
 
 _SEED = 0x9A9
 """Beside the trial's seed."""
+_TIMINGS = 2
+"""Times that each motion is run in the check: all arms in step, and one of them late and at another speed."""
 
 
 class WholePlan(Record):
@@ -97,7 +99,7 @@ def _whole_plan(profile: Profile, seed: int, stops: int, cancel: CancelToken) ->
         random_correlation=_largest(correlations(profile, cell_bodies(profile), as_driven(random, homes))),
         detours=design.detours,
         motions=len(motions),
-        collisions=sum(1 for _ in check.collisions(motions, np.random.default_rng([seed, _SEED]))),
+        collisions=sum(1 for _ in check.collisions(motions, np.random.default_rng([seed, _SEED]), timings=_TIMINGS)),
     )
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cellapp.reporting.report_data import ReportData
     from cellapp.results import Result, RunSummary
     from cellapp.run import RunFile
+    from cellapp.tui.dialogs.correct_program import CorrectRequest
     from cellapp.tui.dialogs.export_arms import ExportRequest
 
 
@@ -233,6 +234,25 @@ def export_arms(folder: Path, request: ExportRequest) -> Job:
         return export_arms_run(run, request.format_name, request.out, request.arm, request.stage_name)
 
     return _of_run("export", folder, work)
+
+
+def correct(folder: Path, request: CorrectRequest) -> Job:
+    """Correct the targets of a controller's program."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.programs.correct import correct_run, typed_tcp
+
+        return correct_run(
+            run,
+            request.program,
+            request.out,
+            request.arm,
+            tcp=None if request.tcp is None else typed_tcp(request.tcp),
+            partly=request.partly,
+            extrapolate=request.extrapolate,
+        )
+
+    return _of_run("correct", folder, work)
 
 
 def replay(folder: Path, speed: float) -> Job:

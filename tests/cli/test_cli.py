@@ -746,7 +746,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     assert ended.code == 0
     for command in ("run", "doctor", "plan", "collect", "replay", "import", "export", "calibrate", "discover",
                     "compensate", "push", "report", "show", "schema", "docs", "trials", "emulate", "tracker-bridge",
-                    "pause", "resume", "stop", "abort", "runs", "compare"):  # fmt: skip
+                    "pause", "resume", "stop", "abort", "runs", "compare", "correct"):  # fmt: skip
         assert f" {command} " in ended.out
 
 

@@ -83,7 +83,7 @@ def test_tight_cells_are_planned_with_detours_or_sentences(plane: dict[str, floa
 
 
 def test_the_seed_makes_the_plan() -> None:
-    profile = planned_twin(20)
+    profile = planned_twin(8)
     same_stops(planned(profile).stops, planned(profile).stops)
     assert not np.array_equal(planned(profile, 2).stops.q["left"], planned(profile).stops.q["left"])
 

@@ -15,7 +15,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.events import Resize
 from textual.message import Message
-from textual.widgets import DataTable, Static, TabbedContent, TabPane
+from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
 from textual.worker import get_current_worker
 
 from cellapp.compensation.target_text import targets_text, typed_texts
@@ -24,19 +24,21 @@ from cellapp.errors import InputError
 from cellapp.profile import Profile
 from cellapp.reporting.charts_accuracy import target_chart
 from cellapp.reporting.page_tables import target_tables as measured_tables
+from cellapp.reporting.program_table import correct_table
 from cellapp.reporting.run_tables import target_tables
 from cellapp.reporting.tables import verification_tables
 from cellapp.reporting.target_list import COLUMN_GROUPS, stale_model, target_list, target_words
-from cellapp.results import RunResults
+from cellapp.results import CorrectResult, Result, RunResults
 from cellapp.tui import work
+from cellapp.tui.dialogs.correct_program import CorrectProgram, CorrectRequest
 from cellapp.tui.dialogs.file_picker import FilePicker
-from cellapp.tui.dialogs.question import Answer, Choice
+from cellapp.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.tui.dialogs.save_as import SaveAs
 from cellapp.tui.dialogs.target_form import TargetForm
 from cellapp.tui.offers import BEGIN, arms_words
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
-from cellapp.tui.screens.targets_state import TargetEdits, listed_path, new_name, why_not
+from cellapp.tui.screens.targets_state import NOT_CALIBRATED, TargetEdits, listed_path, new_name, why_not
 from cellapp.tui.widgets.tables import TablesView
 from cellapp.tui.widgets.tabs import show_next_tab
 from cellapp.tui.workspace import NO_PROFILE, Step, Workspace
@@ -78,6 +80,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
 - **b** compensates: computes the joint positions by the calibrated model. Nothing moves.
 - **g** drives the arms there. **v** drives with the nominal and with the compensated command and measures both. Each
   asks first; real arms ask again, with the first path.
+- **c** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true poses.
 - *tol.* is how far the SMR may be from the target. *state* says whether that is met: predicted from the uncertainty of
   the model (in, out, cannot say), or measured; or why the target is refused.
 - *Measured*: the errors before and after compensation. **a** shows the other arm. *Tables*: joint positions, errors.
@@ -94,6 +97,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
         Binding("ctrl+y", "redo", "Redo", show=False),
         Binding("i", "open_list", "Open", tooltip="open another list (YAML)"),
         Binding("w", "save", "Save", tooltip="save the list (YAML)"),
+        Binding("c", "correct", "Program", tooltip="correct the targets of a UR program; nothing moves"),
         Binding("a", "other_arm", "Other arm", show=False, tooltip="show the errors of the other arm"),
         Binding("t", "next_tab", "Next tab"),
     ]
@@ -111,6 +115,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
         self._drawn: Workspace | None = None
         self._opened_for: Path | None = None
         self._arm = 0
+        self._corrected: CorrectResult | None = None
 
     def body(self) -> ComposeResult:
         with TabbedContent(id="targets"):
@@ -281,6 +286,40 @@ Points to which the calibrated arms are sent. The list that the profile names is
         title = "Push and verify?" if verify else "Push?"
         self.app.push_screen(Choice(title, text, _STALE if stale else BEGIN), begin)
 
+    def action_correct(self) -> None:
+        """Ask for a program and where its corrected copy is written."""
+        folder, results = self.open_folder(), self.workspace.results
+        if folder is None:
+            return
+        if results is None or results.calibrate is None:
+            self.say(NOT_CALIBRATED, "warning")
+            return
+        arms = tuple(results.calibrate.arms)
+
+        def write(request: CorrectRequest | None) -> None:
+            if request is not None:
+                self.start(work.correct(folder, request))
+
+        def ask(program: Path | None) -> None:
+            if program is not None:
+                self.app.push_screen(CorrectProgram(program, arms), write)
+
+        title = "A program of a UR controller (.script, .urp)"
+        self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in (".script", ".urp")), ask)
+
+    def show_result(self, result: Result) -> None:
+        """Show the targets of a program that was corrected, and why some were not."""
+        if isinstance(result, CorrectResult) and self.app.screen is self:
+            from cellapp.programs.words import correct_lines
+
+            self._corrected = result
+            self._draw_tables()
+            tabs = self.query_one("#targets", TabbedContent)
+            tabs.active = "target-tables-pane"
+            tabs.query_one(Tabs).focus()  # the list, which has the focus, would bring its tab back
+            lines = correct_lines(result)
+            self.app.push_screen(Reading("\n".join(["# Program", "", "```text", *lines, "```"])))
+
     # -- tabs and plots ------------------------------------------------------------------------------------------------
 
     def action_other_arm(self) -> None:
@@ -350,14 +389,15 @@ Points to which the calibrated arms are sent. The list that the profile names is
 
     def _draw_tables(self) -> None:
         results, view = self._results, self.query_one("#target-tables", TablesView)
+        program = [] if self._corrected is None else [correct_table(self._corrected)]
         if results is None:
-            view.show([])
+            view.show(program)
             return
         verify, compensate = results.verify, results.compensate
         measured = [] if verify is None else [*verification_tables(verify), *measured_tables(verify)]
         commands = [] if compensate is None else target_tables(compensate)
         notes = [] if compensate is None else [*compensate.notes]
-        view.show([*measured, *commands], [] if verify is None else verify.complaints(), notes)
+        view.show([*program, *measured, *commands], [] if verify is None else verify.complaints(), notes)
 
     def _draw_plots(self) -> None:
         results, profile = self._results, self.workspace.profile

@@ -12,6 +12,7 @@ from cellapp.compensation.targets import Target, set_problem
 from cellapp.profile import Profile
 from cellapp.tui.workspace import NO_PROFILE, NO_RUN, Workspace
 
+NOT_CALIBRATED = "This run is not calibrated yet: collect (key 3), then calibrate (key 4)."
 EMPTY = "No targets: i opens a list (YAML), + adds a target."
 
 
@@ -106,7 +107,7 @@ def why_not(workspace: Workspace, targets: Sequence[Target]) -> str:
     if workspace.folder is None or workspace.results is None:
         return NO_RUN
     if workspace.results.calibrate is None:
-        return "This run is not calibrated yet: collect (key 3), then calibrate (key 4)."
+        return NOT_CALIBRATED
     if not targets:
         return EMPTY
     return _unfit(targets, workspace.profile)

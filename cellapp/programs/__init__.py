@@ -1,0 +1,1 @@
+"""Programs of Universal Robots' controllers: their targets read, corrected by the calibrated model, written back."""
