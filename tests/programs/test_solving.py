@@ -161,6 +161,15 @@ def test_targets_without_a_correction_say_why(source: str, words: str) -> None:
     assert words in result.reason
 
 
+def test_a_shorter_arm_does_not_reach_what_the_published_one_just_does() -> None:
+    arm = arm_model(None)
+    rows = arm.geometry.rows.copy()
+    rows[1, 2] += 2e-3
+    short = replace(arm, geometry=replace(arm.geometry, rows=rows))
+    (result,) = solved("movej([0.3, -1.4, 0.0, -1.7, 1.2, 0.4])", place(short, extrapolate=True))
+    assert "edge of the reach: the calibrated arm stays" in result.reason
+
+
 def test_only_the_position_of_the_point_on_the_way_changes() -> None:
     q = HOME + np.array([0.1, 0.05, 0, 0, 0, 0])
     via = [*tcp_pose(q)[:3], 0.0, 0.0, 0.0]
