@@ -20,7 +20,8 @@ from cellapp.programs.correction import aim, controller_chain, flange_of, neares
 from cellapp.programs.rewriting import rewritten
 from cellapp.programs.script_targets import read_script
 from cellapp.programs.solving import Workplace, solve_targets
-from cellapp.results import CorrectedTarget
+from cellapp.reporting.program_table import correct_table
+from cellapp.results import CorrectedTarget, CorrectResult
 from tests.arms import OFF_AXIS, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 
 pytestmark = pytest.mark.fast
@@ -203,3 +204,13 @@ def test_a_rotation_vector_stays_near_the_old_one() -> None:
     here = nearest_vector([0.0, 0.0, -3.1], [0.0, 0.0, 3.2])
     np.testing.assert_allclose(here, [0.0, 0.0, 2.0 * np.pi - 3.1], atol=1e-12)
     np.testing.assert_allclose(nearest_vector([0.1, 0.2, 0.3], [0.1, 0.2, 0.3]), [0.1, 0.2, 0.3])
+
+
+def test_the_table_has_old_and_new_numbers() -> None:
+    targets = solved(f"movej({HOME.tolist()})\nmovel(p[3, 0, 0, 0, 0, 0])", place(arm_model()))
+    result = CorrectResult(program="a", out=None, arm="left", targets=tuple(targets), left=(), assumptions=())
+    rows = correct_table(result).text_rows()
+    assert [row[0] for row in rows] == ["1", "", "2", ""]
+    assert rows[0][2] == " 0.3000 -1.4000  1.6000 -1.7000  1.2000  0.4000"
+    assert float(rows[1][3]) == pytest.approx(targets[0].correction_mm, abs=6e-4)
+    assert rows[3][2] == "not corrected, see below"
