@@ -211,6 +211,6 @@ def test_the_table_has_old_and_new_numbers() -> None:
     result = CorrectResult(program="a", out=None, arm="left", targets=tuple(targets), left=(), assumptions=())
     rows = correct_table(result).text_rows()
     assert [row[0] for row in rows] == ["1", "", "2", ""]
-    assert rows[0][2] == " 0.3000 -1.4000  1.6000 -1.7000  1.2000  0.4000"
+    assert rows[0][2] == "0.300,-1.400,1.600,-1.700,1.200,0.400"
     assert float(rows[1][3]) == pytest.approx(targets[0].correction_mm, abs=6e-4)
     assert rows[3][2] == "not corrected, see below"
