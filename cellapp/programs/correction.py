@@ -32,6 +32,9 @@ _ROUNDS = 12
 """Fixed-point rounds of aiming: each gains two decades, since what the model adds to its chain varies slowly."""
 _SAME = 1e-10
 """Residual [m, rad] at which that iteration ends, far below any controller's resolution."""
+_MARGIN = np.radians(2.0)
+"""A posture [rad] beside the outermost readings is still theirs: what a model adds to its chain varies over tens of
+degrees, and a correction alone may lead a program's posture past the last reading."""
 _TWIN = 1e-6
 """Solutions that agree to 1 urad in every joint are one."""
 
@@ -95,13 +98,13 @@ def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementCon
 def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: int) -> list[Array]:
     """All joint positions (k, N) [rad] within limits (N, 2) that reach each of n flange poses (n, 4, 4).
 
-    ``near`` (m, N) are starts that are tried besides random ones.
+    ``near`` (n, N) is a start for each that is tried besides random ones.
     """
     n, joints = len(poses), chain.joints
     random = np.random.default_rng([seed, 0x9A0]).uniform(-np.pi, np.pi, (_STARTS, joints))
-    starts = np.vstack([near, random])
-    which = np.repeat(np.arange(n), len(starts))
-    solved = solve_pose(chain, poses[which, :3, 3], poses[which, :3, :3], np.tile(starts, (n, 1)))
+    starts = np.concatenate([near[:, None], np.tile(random, (n, 1, 1))], axis=1).reshape(-1, joints)
+    which = np.repeat(np.arange(n), _STARTS + 1)
+    solved = solve_pose(chain, poses[which, :3, 3], poses[which, :3, :3], starts)
     q = np.mod(solved.q + np.pi, 2.0 * np.pi) - np.pi
     within = np.all(_turned_into(q, limits, np.zeros(joints))[1], axis=1)
     good = solved.reached & within
@@ -154,7 +157,7 @@ def orientation_spread(arm: ArmModel, q: Array) -> Array | None:
 
 def outside(q: Array, measured: Array) -> list[int]:
     """Joints, from 0, whose position in ``q`` (N,) lies outside the range of the readings (n, N), whole turns aside."""
-    low, high = measured.min(axis=0), measured.max(axis=0)
+    low, high = measured.min(axis=0) - _MARGIN, measured.max(axis=0) + _MARGIN
     turned = q + 2.0 * np.pi * np.ceil((low - q) / (2.0 * np.pi))
     return np.flatnonzero(turned > high).tolist()
 

@@ -87,22 +87,21 @@ def solve_targets(place: Workplace, targets: Sequence[ProgramTarget]) -> list[Co
     solved = aim(arm, arm.nominal.T_M_B() @ meant[found], q_old, conditions)
     told = flange_of(chain, solved.q)
     angles = orientation_spread(place.arm, solved.q)
+    tcps = [np.eye(4) if (tcp := targets[k].tcp) is None else pose_matrix(tcp) for k in found]
+    spreads = _spreads(place, solved.q, np.array(tcps)[:, :3, 3])
     results = list(refused)
     for row, k in enumerate(found):
-        one = slice(row, row + 1)
         residual = max(solved.residual_m[row], solved.residual_rad[row])
         if reason := _why_not(place, q_old[row], solved.q[row], residual):
             results[k] = _refused(targets[k], reason)
             continue
-        tcp = np.eye(4) if targets[k].tcp is None else pose_matrix(targets[k].tcp)  # type: ignore[arg-type]
-        spread = position_spread(place.arm, solved.q[one], tcp[:3, 3], place.conditions(1))
         results[k] = _corrected(
             targets[k],
             q_new=solved.q[row],
-            meant=meant[k] @ tcp,
-            told=told[row] @ tcp,
+            meant=meant[k] @ tcps[row],
+            told=told[row] @ tcps[row],
             nearest_to=chosen[k][1],
-            spread_mm=None if spread is None else float(spread[0]) * 1e3,
+            spread_mm=None if spreads is None else float(spreads[row]) * 1e3,
             spread_mrad=None if angles is None else float(angles[row]) * 1e3,
         )
     return results
@@ -122,8 +121,7 @@ def _meant(
     poses = [k for k, target in enumerate(targets) if target.kind == "pose"]
     for k in poses:
         meant[k] = _wanted_tcp(targets[k]) @ invert(pose_matrix(targets[k].tcp or (0.0,) * 6))
-    known = [target.near for target in targets if target.near is not None]
-    near = np.array([place.home.tolist(), *known])
+    near = np.array([targets[k].near or place.home.tolist() for k in poses]).reshape(-1, len(place.home))
     solutions = dict(zip(poses, branches(chain, meant[poses], place.limits, near, place.seed), strict=True))
     chosen: list[tuple[Array | None, str]] = []
     last, function, line = place.home, None, 0
@@ -142,6 +140,18 @@ def _meant(
         if q is not None:
             last, line = q, target.line
     return meant, chosen
+
+
+def _spreads(place: Workplace, q: Array, tcps: Array) -> Array | None:
+    """Standard deviation (n,) [m] of a coordinate of the TCPs (n, 3) at ``q`` (n, N); None where none is stated."""
+    spreads = np.zeros(len(q))
+    for tcp in np.unique(tcps, axis=0):
+        same = np.all(tcps == tcp, axis=1)
+        found = position_spread(place.arm, q[same], tcp, place.conditions(int(same.sum())))
+        if found is None:
+            return None
+        spreads[same] = found
+    return spreads
 
 
 def _wanted_tcp(target: ProgramTarget) -> Array:
@@ -168,7 +178,7 @@ def _why_not(place: Workplace, q_old: Array, q_new: Array, residual: float) -> s
     if turn[joint] > _LARGEST_TURN:
         return f"singular posture: its correction would turn joint {joint + 1} by {np.degrees(turn[joint]):.1f} deg"
     if not residual < _RESIDUAL:
-        return "singular posture: the calibrated model does not reach the pose"
+        return f"singular posture or edge of the reach: the calibrated arm stays {residual * 1e3:.3f} mm or mrad away"
     if not place.extrapolate and (joints := outside(q_new, place.measured)):
         joint = joints[0]
         low, high = place.measured.min(axis=0), place.measured.max(axis=0)

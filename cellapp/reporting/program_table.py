@@ -4,41 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.reporting.table import Column, Number, Table, number_column
-from cellapp.results import CorrectResult
+from cellapp.reporting.table import Cell, Column, Table, number_column
+from cellapp.results import CorrectedTarget, CorrectResult
 
 
 def correct_table(result: CorrectResult) -> Table:
-    """One row for each target: old and new numbers, the size of its correction, its uncertainty."""
-    rows = tuple(
-        (
-            one.line,
-            one.command,
-            _numbers(one.old),
-            "" if one.new is None else _numbers(one.new),
-            _number(one.correction_mm, 3),
-            _number(one.correction_mrad, 3),
-            _number(one.uncertainty_mm, 3),
-            one.reason or (f"nearest to {one.nearest_to}" if one.nearest_to else ""),
-        )
-        for one in result.targets
-    )
+    """Two rows for each target, its old and its new numbers; with these the size and uncertainty of the correction.
+
+    Below the motion stands what its solution is nearest to.
+    """
     columns = (
-        number_column("line", "d"),
+        Column("line"),
         Column("motion"),
-        Column("old (m, rad)"),
-        Column("new (m, rad)"),
+        Column("target (m, rad)"),
         number_column("moves", ".3f", "mm"),
         number_column("turns", ".3f", "mrad"),
-        number_column("uncertainty", ".3f", "mm"),
-        Column("remark"),
+        number_column("sigma", ".3f", "mm"),
     )
+    rows = tuple(row for target in result.targets for row in _rows(target))
     return Table(f"Targets of {result.program}", columns, rows)
 
 
-def _number(value: float | None, decimals: int) -> Number | None:
-    return None if value is None else Number(value, decimals)
+def _rows(target: CorrectedTarget) -> list[tuple[Cell, ...]]:
+    old: tuple[Cell, ...] = (str(target.line), target.command, _numbers(target.old), None, None, None)
+    if target.new is None:
+        return [old, ("", "", "not corrected, see below", None, None, None)]
+    sizes = (target.correction_mm, target.correction_mrad, target.uncertainty_mm)
+    return [old, ("", target.nearest_to, _numbers(target.new), *sizes)]
 
 
 def _numbers(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:.6f}" for value in values)
+    return ",".join(f"{value:.3f}" for value in values)  # without spaces, at which a narrow terminal would break it

@@ -20,7 +20,8 @@ from cellapp.programs.correction import aim, controller_chain, flange_of, neares
 from cellapp.programs.rewriting import rewritten
 from cellapp.programs.script_targets import read_script
 from cellapp.programs.solving import Workplace, solve_targets
-from cellapp.results import CorrectedTarget
+from cellapp.reporting.program_table import correct_table
+from cellapp.results import CorrectedTarget, CorrectResult
 from tests.arms import OFF_AXIS, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 
 pytestmark = pytest.mark.fast
@@ -161,6 +162,15 @@ def test_targets_without_a_correction_say_why(source: str, words: str) -> None:
     assert words in result.reason
 
 
+def test_a_shorter_arm_does_not_reach_what_the_published_one_just_does() -> None:
+    arm = arm_model(None)
+    rows = arm.geometry.rows.copy()
+    rows[1, 2] += 2e-3
+    short = replace(arm, geometry=replace(arm.geometry, rows=rows))
+    (result,) = solved("movej([0.3, -1.4, 0.0, -1.7, 1.2, 0.4])", place(short, extrapolate=True))
+    assert "edge of the reach: the calibrated arm stays" in result.reason
+
+
 def test_only_the_position_of_the_point_on_the_way_changes() -> None:
     q = HOME + np.array([0.1, 0.05, 0, 0, 0, 0])
     via = [*tcp_pose(q)[:3], 0.0, 0.0, 0.0]
@@ -194,3 +204,13 @@ def test_a_rotation_vector_stays_near_the_old_one() -> None:
     here = nearest_vector([0.0, 0.0, -3.1], [0.0, 0.0, 3.2])
     np.testing.assert_allclose(here, [0.0, 0.0, 2.0 * np.pi - 3.1], atol=1e-12)
     np.testing.assert_allclose(nearest_vector([0.1, 0.2, 0.3], [0.1, 0.2, 0.3]), [0.1, 0.2, 0.3])
+
+
+def test_the_table_has_old_and_new_numbers() -> None:
+    targets = solved(f"movej({HOME.tolist()})\nmovel(p[3, 0, 0, 0, 0, 0])", place(arm_model()))
+    result = CorrectResult(program="a", out=None, arm="left", targets=tuple(targets), left=(), assumptions=())
+    rows = correct_table(result).text_rows()
+    assert [row[0] for row in rows] == ["1", "", "2", ""]
+    assert rows[0][2] == "0.300,-1.400,1.600,-1.700,1.200,0.400"
+    assert float(rows[1][3]) == pytest.approx(targets[0].correction_mm, abs=6e-4)
+    assert rows[3][2] == "not corrected, see below"
