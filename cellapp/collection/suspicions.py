@@ -1,8 +1,9 @@
 """Suspicions while stops are measured: a wrong SMR, a loose SMR, a bumped tracker, drift.
 
 Each reading is compared with the model that did not know it (``online.Innovation``). Without a fault these deviations
-are independent from stop to stop, about zero, with the covariance that the model states; unmodelled physics is part of
-it. A fault leaves a pattern in them:
+are about zero, with the covariance that the model states; unmodelled physics is part of it. Where stops follow each
+other on short ways it makes neighbours alike: their dependence over the run so far reduces what they count together
+(integrated autocorrelation: Bartlett, J. R. Stat. Soc. B 8 (1946) 27). A fault leaves a pattern in the deviations:
 
 - an SMR that slipped: the same offset in the flange frame at every stop since then, of one arm;
 - an SMR with play: more scatter than before, of one arm;
@@ -61,6 +62,12 @@ _ELSEWHERE_M = 1e-3
 """Least distance from the expected position at which a reading is compared with the other arms' SMRs."""
 _GROSS = 12.0
 """The same in standard uncertainties; the fit gives such a reading no weight."""
+_SETTLED_AFTER = 15
+"""Stops after which a deviation counts for the dependence: a fault makes neighbours alike too, but is found before."""
+_INDEPENDENT_PAIRS = 20.0
+"""Weight of the assumption that neighbours are independent."""
+_MOST_ALIKE = 0.8
+"""Largest correlation of neighbours that is allowed for: nine such stops tell as much as one."""
 _LIKELY_CHANGE = 0.05
 """Standard deviation of an offset [m] or motion [m, rad]: far above any, it only settles what readings leave open."""
 _NO_GEOMETRY_M = 2e-3
@@ -131,6 +138,14 @@ class _History:
     def __init__(self) -> None:
         self._table = np.zeros((_HISTORY, _COLUMNS))
         self.freedom = _LEAST_FREEDOM
+        self._recent: deque[Array] = deque()
+        self._product, self._square = 0.0, 3.0 * _INDEPENDENT_PAIRS
+
+    @property
+    def dependence(self) -> float:
+        """How many stops tell as much as an independent one: (1 + r) / (1 - r) with the correlation r of neighbours."""
+        r = min(max(self._product / self._square, 0.0), _MOST_ALIKE)
+        return (1.0 + r) / (1.0 - r)
 
     @property
     def count(self) -> int:
@@ -160,6 +175,11 @@ class _History:
             row[clipped], row[normal] = clip * row[raw], (weighted @ basis).ravel()
         row[_SQUARE], row[_COUNT] = min(square, _CLIP**2), 1.0
         self.freedom = found.freedom
+        self._recent.append(clip * np.linalg.solve(np.linalg.cholesky(found.covariance_M), found.off_M))
+        if len(self._recent) > _SETTLED_AFTER:
+            first, second = self._recent.popleft(), self._recent[0]
+            self._product += float(first @ second)
+            self._square += 0.5 * float(first @ first + second @ second)
 
     def sums(self) -> tuple[Array, Array]:
         """Sums of the columns over the stops of each pattern (patterns, columns), with its shares and their squares."""
@@ -213,17 +233,20 @@ class Suspicions:
         """The best explanation of each kind, for each arm and for all together."""
         sums = {name: history.sums() for name, history in self._histories.items() if history.count}
         freedom = {name: history.freedom for name, history in self._histories.items()}
+        depends = {name: history.dependence for name, history in self._histories.items()}
         found = []
         for name in sums:
-            found += _slip(name, *sums[name], freedom[name]) + _play(name, sums[name][0], freedom[name])
+            found += _slip(name, *sums[name], freedom[name], depends[name])
+            found += _play(name, sums[name][0], freedom[name])
             if len(sums) > 1:
-                found += _motion("move", name, *sums[name], freedom[name])
+                found += _motion("move", name, *sums[name], freedom[name], depends[name])
         explained = {arm for _, arm in self._quiet}
         free = [name for name in sums if name not in explained]
         if len(free) > 1 or (free and len(sums) == 1):
             linear, squared = (np.sum([sums[name][which] for name in free], axis=0) for which in (0, 1))
-            least = min(freedom[name] for name in free)
-            found += _motion("move", None, linear, squared, least) + _motion("drift", None, linear, squared, least)
+            least, most = min(freedom[name] for name in free), max(depends[name] for name in free)
+            found += _motion("move", None, linear, squared, least, most)
+            found += _motion("drift", None, linear, squared, least, most)
             found += _play(None, linear, least) if len(sums) > 1 else []
         return found
 
@@ -280,23 +303,35 @@ class Suspicions:
                     self._histories[name].clear()
 
 
-def _slip(arm: str, linear: Array, squared: Array, freedom: float) -> list[_Explanation]:
+def _slip(arm: str, linear: Array, squared: Array, freedom: float, depends: float) -> list[_Explanation]:
     """The best offset of an arm's SMR in the flange frame, as a list of one; empty without readings."""
     columns = linear[_SUDDEN, _SLIP_B], squared[_SUDDEN, _SLIP_A], linear[_SUDDEN, _SLIP_RAW]
-    return _best("slip", arm, *columns, linear[_SUDDEN, _COUNT], freedom)
+    return _best("slip", arm, *columns, linear[_SUDDEN, _COUNT], freedom, depends)
 
 
 def _motion(
-    kind: Literal["move", "drift"], arm: str | None, linear: Array, squared: Array, freedom: float
+    kind: Literal["move", "drift"],
+    arm: str | None,
+    linear: Array,
+    squared: Array,
+    freedom: float,
+    depends: float,
 ) -> list[_Explanation]:
     """The best motion in the tracker frame, sudden or slow, as a list of one; empty without readings."""
     rows = _SUDDEN if kind == "move" else _SLOW
     columns = linear[rows, _MOVE_B], squared[rows, _MOVE_A], linear[rows, _MOVE_RAW]
-    return _best(kind, arm, *columns, linear[rows, _COUNT], freedom)
+    return _best(kind, arm, *columns, linear[rows, _COUNT], freedom, depends)
 
 
 def _best(
-    kind: ChangeKind, arm: str | None, b: Array, A: Array, raw: Array, count: Array, freedom: float
+    kind: ChangeKind,
+    arm: str | None,
+    b: Array,
+    A: Array,
+    raw: Array,
+    count: Array,
+    freedom: float,
+    depends: float,
 ) -> list[_Explanation]:
     """The best of the patterns by their normal equations, b (patterns, p) and A (patterns, p p).
 
@@ -307,7 +342,7 @@ def _best(
     values = np.asarray(np.linalg.solve(normal, np.stack([b, raw], axis=2)), dtype=np.float64)
     chi_square = np.where(3.0 * count >= 2.0 * parameters, np.sum(values[:, :, 0] * b, axis=1), 0.0)
     place = int(np.argmax(chi_square))
-    largest = float(chi_square[place])
+    largest = float(chi_square[place]) / depends
     if largest <= 0.0:
         return []
     chance = float(fdtrc(parameters, freedom, largest / parameters))
