@@ -153,7 +153,7 @@ def correlation_chart(design: PlanDesignResult) -> Chart:
     ordered = sorted(design.correlations, key=lambda one: abs(one.correlation), reverse=True)
     pairs = {frozenset((one.factor, one.other)): one for one in reversed(ordered)}  # each is listed for both
     largest = list(reversed(pairs.values()))[:_MOST_BARS]
-    bars = {_pair(one): (abs(one.correlation), f"{abs(one.correlation):.2f}") for one in largest}
+    bars = {_short(_pair(one)): (abs(one.correlation), f"{abs(one.correlation):.2f}") for one in largest}
     return bar_chart("Largest correlations of factors", bars, Axis("correlation"), correlation_sentence(design))
 
 
@@ -165,6 +165,13 @@ def correlation_sentence(design: PlanDesignResult) -> str:
     size = abs(largest.correlation)
     verdict = "as wanted" if size <= MOST_CORRELATION else "more than wanted: these two may be mistaken for each other"
     return f"Largest correlation where a factor can be chosen: {size:.2f}, {_pair(largest)}; {verdict}."
+
+
+def _short(words: str) -> str:
+    """Words for a bar, which has less room than a sentence."""
+    for long, short in (("approach side", "side"), ("step size", "size"), ("gravity torque", "torque")):
+        words = words.replace(long, short)
+    return words
 
 
 def _pair(one: FactorCorrelation) -> str:
