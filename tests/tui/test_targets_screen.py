@@ -101,14 +101,14 @@ async def test_the_list_of_the_profile_with_what_the_run_says(finished_copy: Pat
     app = CellApp(PROFILES)
     async with app.run_test(size=size) as pilot:
         await show_targets(pilot, app, finished_copy)
-        await until(pilot, lambda: "measured" in about(app), "the first target")
+        await until(pilot, lambda: "mm from the target" in shown_text(app), "the first target")
         text = shown_text(app)
         assert "40 targets" in text
         assert "left-01" in text
-        assert "mm from the target" in text
         assert column(app, 3)[:3] == ["measured", "measured", ""]
         assert len(grid(app).columns) == (5 if size == SMALL else 11)
-        assert "mm; roll 121.67, pitch 46.27, yaw 17.13 deg" in text
+        pose = "mm; roll 121.67, pitch 46.27, yaw 17.13 deg"
+        await until(pilot, lambda: pose in shown_text(app), "the pose of the first target")
         await pilot.press("t")
         await until(pilot, lambda: "noise floor" in shown_text(app), "the errors of the left arm")
         assert ("Arm right" in shown_text(app)) == (size != SMALL)
