@@ -11,7 +11,7 @@ import numpy as np
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.candidates import CandidatePool, draw_pool
-from cellapp.planning.planned_stops import PlannedStops, joined
+from cellapp.planning.planned_stops import PlannedStops, joined_after
 from cellapp.planning.selection import select_stops
 from cellapp.planning.sequence import nearest_turns, sequenced
 from cellapp.planning.within_reach import within_reach
@@ -41,23 +41,22 @@ class DesignedStops:
 
 def design_stops(
     profile: Profile,
+    count: int,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-    *,
     kept: PlannedStops | None = None,
-    add: int | None = None,
 ) -> DesignedStops:
-    """Stops that tell most, in a safe order, after those that are ``kept``.
+    """``count`` stops that tell most, in a safe order, after those that are ``kept``.
 
     Parameters
     ----------
     profile : Profile
+    count : int
+        Number of further stops, reserves included.
     listener, cancel
         Progress and cancelling.
     kept : PlannedStops, optional
         Stops that are in the plan already: what they tell is known before the first choice.
-    add : int, optional
-        Number of further stops; None: up to those that the profile asks for, reserves included.
 
     Raises
     ------
@@ -70,7 +69,6 @@ def design_stops(
     # the gate samples ways: a configuration at the very limit could not be reached
     roomy = replace(cell, clearance=cell.clearance + 0.5 * sample_spacing(cell))
     before = 0 if kept is None else len(kept)
-    count = profile.plan.stops + profile.plan.reserve - before if add is None else add
     rng = np.random.default_rng([profile.seed, _SEED, before])
     pools = {}
     for number, name in enumerate(cell.arms):
@@ -140,9 +138,3 @@ def _pool(
         return replace(pool, q=q)
     rejected = {**pool.rejected, "hard to reach": int(np.sum(~reached))}
     return CandidatePool(q[reached], pool.incidence[reached], pool.drawn, rejected)
-
-
-def joined_after(kept: PlannedStops, further: PlannedStops) -> PlannedStops:
-    """Kept stops and those that were sequenced to follow them: these keep the legs to their first stop."""
-    both = joined(kept, replace(further, block=further.block + int(kept.block.max(initial=-1)) + 1))
-    return replace(both, legs=(*kept.legs, *further.legs))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from cellapp.errors import InputError
 from cellapp.planning.design_report import design_result
 from cellapp.planning.designed import design_stops
 from cellapp.planning.plan import further_stops
-from cellapp.planning.planned_stops import PlannedStops, joined, straight_stops
+from cellapp.planning.planned_stops import PlannedStops, joined_after, straight_stops
 from cellapp.planning.stored_stops import write_planned_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, ignore
@@ -63,20 +61,18 @@ def make_stops(
             f"plan: {len(kept)} stops are kept, and plan.stops and plan.reserve ask for {wanted}: nothing is left to"
             " design; ask for more stops, or keep fewer"
         )
+    count = wanted - (0 if kept is None else len(kept)) if add is None else add
     if profile.plan.method == "random":
-        return _random(profile, listener, cancel, kept, add), None
-    designed = design_stops(profile, listener, cancel, kept=kept, add=add)
+        return _random(profile, count, listener, cancel, kept), None
+    designed = design_stops(profile, count, listener, cancel, kept)
     return designed.stops, design_result(profile, designed, listener, cancel)
 
 
 def _random(
-    profile: Profile, listener: Listener, cancel: CancelToken | None, kept: PlannedStops | None, add: int | None
+    profile: Profile, count: int, listener: Listener, cancel: CancelToken | None, kept: PlannedStops | None
 ) -> PlannedStops:
     """Random stops with straight ways, after those that are kept."""
-    before = 0 if kept is None else len(kept)
-    count = profile.plan.stops + profile.plan.reserve - before if add is None else add
-    if kept is None or not before:
+    if kept is None or not len(kept):
         return straight_stops(further_stops(profile, home_positions(profile), count, (), listener, cancel))
-    here = kept.targets(before - 1)
-    further = straight_stops(further_stops(profile, here, count, (before,), listener, cancel))
-    return joined(kept, replace(further, block=further.block + kept.block.max() + 1))
+    here = kept.targets(len(kept) - 1)
+    return joined_after(kept, straight_stops(further_stops(profile, here, count, (len(kept),), listener, cancel)))

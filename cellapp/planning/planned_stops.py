@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -125,6 +125,12 @@ def last_motions(stops: PlannedStops, homes: Configuration) -> dict[str, Array]:
         begin = stops.approach_from[name]
         motions[name] = q - np.where(np.isfinite(begin), begin, before)
     return motions
+
+
+def joined_after(first: PlannedStops, second: PlannedStops) -> PlannedStops:
+    """As ``joined``, for stops that were planned to follow the first: with all their legs, in blocks of their own."""
+    both = joined(first, replace(second, block=second.block + int(first.block.max(initial=-1)) + 1))
+    return replace(both, legs=(*first.legs, *second.legs))
 
 
 def routes(stops: PlannedStops, stop: int, *, as_planned: bool) -> Iterator[Route]:

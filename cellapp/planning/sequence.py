@@ -14,7 +14,7 @@ from cellapp.planning.factors import FactorPlan
 from cellapp.planning.joint_draws import joint_ranges
 from cellapp.planning.legs import LegPlanner, can_end
 from cellapp.planning.order_repair import mend_order
-from cellapp.planning.planned_stops import Configuration, PlannedStops, joined
+from cellapp.planning.planned_stops import Configuration, PlannedStops, joined_after
 from cellapp.planning.stop_set import StopSet
 from cellapp.planning.ways import WayFinder
 from cellapp.profile import Profile
@@ -39,19 +39,6 @@ class Sequenced:
 def distinct_stops(profile: Profile, stops: int) -> int:
     """Number of different stops of a plan of some stops; the others are repeats."""
     return stops - min(profile.plan.repeats, stops // _LARGEST_REPEATED_SHARE)
-
-
-def sequence_stops(
-    profile: Profile,
-    cell: CellBodies,
-    chosen: Mapping[str, Array],
-    rng: np.random.Generator,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-    after: Mapping[str, Array] | None = None,
-) -> PlannedStops:
-    """The plan of ``sequenced`` alone."""
-    return sequenced(profile, cell, chosen, rng, listener, cancel, after).stops
 
 
 def sequenced(
@@ -156,8 +143,7 @@ class _Job:
             return first
         rest = {name: rows[distinct : min(distinct + reserve, usable)] for name, rows in q.items()}
         second = self.part(rest, 0, first.targets(len(first) - 1))
-        both = joined(first, replace(second, block=second.block + first.block[-1] + 1))
-        return replace(both, legs=(*first.legs, *second.legs))
+        return joined_after(first, second)
 
     def part(self, q: Mapping[str, Array], repeats: int, start: Configuration | None) -> PlannedStops:
         """Plan stops that follow ``start``; after the last one the arms can go home."""

@@ -13,7 +13,7 @@ from cellapp.errors import InputError
 from cellapp.planning.factor_correlations import correlations, travel_time
 from cellapp.planning.plan import all_smrs_visible, draw_stops
 from cellapp.planning.planned_stops import PlannedStops
-from cellapp.planning.sequence import Sequenced, distinct_stops, nearest_turns, sequence_stops, sequenced
+from cellapp.planning.sequence import Sequenced, distinct_stops, nearest_turns, sequenced
 from cellapp.profile import Profile
 from cellapp.progress import Cancelled, CancelToken
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
@@ -176,7 +176,7 @@ def test_an_extension_begins_at_the_last_stop_that_exists() -> None:
     cell, homes = cell_bodies(profile), home_positions(profile)
     kept = {name: q.copy() for name, q in before.q.items()}
     chosen = draw_stops(cell, profile, 12, np.random.default_rng(9))
-    stops = sequence_stops(profile, cell, chosen, np.random.default_rng(9), after=kept)
+    stops = sequenced(profile, cell, chosen, np.random.default_rng(9), after=kept).stops
     assert refusals(cell, stops, before.targets(99), homes) == []
     for name, q in kept.items():
         np.testing.assert_array_equal(q, before.q[name])

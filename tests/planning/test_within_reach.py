@@ -49,12 +49,12 @@ def test_poses_beyond_a_locked_range_are_out_of_reach() -> None:
 
 def test_a_design_is_the_same_by_seed_and_keeps_what_it_is_given() -> None:
     profile = small_twin(12, plan={"candidates": 200})
-    first, again = design_stops(profile), design_stops(profile)
-    other = design_stops(profile.model_copy(update={"seed": 8}))
+    first, again = design_stops(profile, 12), design_stops(profile, 12)
+    other = design_stops(profile.model_copy(update={"seed": 8}), 12)
     for name, q in first.stops.q.items():
         np.testing.assert_array_equal(q, again.stops.q[name])
         assert not np.array_equal(q, other.stops.q[name])
-    longer = design_stops(profile, kept=first.stops, add=3)
+    longer = design_stops(profile, 3, kept=first.stops)
     assert len(longer.stops) == 15
     for name, q in first.stops.q.items():
         np.testing.assert_array_equal(longer.stops.q[name][:12], q)
