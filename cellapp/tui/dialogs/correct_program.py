@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
-from textual import on
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.suggester import SuggestFromList
 from textual.widgets import Button, Checkbox, Input, Static
 
 from cellapp.tui.dialogs.file_picker import PathField
-from cellapp.tui.dialogs.question import Question
+from cellapp.tui.dialogs.write_question import WriteQuestion
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,7 @@ class CorrectRequest:
     extrapolate: bool
 
 
-class CorrectProgram(Question[CorrectRequest]):
+class CorrectProgram(WriteQuestion[CorrectRequest]):
     """Ask how a program is corrected. Returns the request; None where the dialog is closed.
 
     Parameters
@@ -44,7 +41,6 @@ class CorrectProgram(Question[CorrectRequest]):
     CorrectProgram .field Static { width: 20; }
     CorrectProgram .field Input { width: 1fr; }
     """
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "write", "Write", priority=True)]
 
     def __init__(self, program: Path, arms: Sequence[str]) -> None:
         super().__init__()
@@ -74,21 +70,6 @@ class CorrectProgram(Question[CorrectRequest]):
     def on_mount(self) -> None:
         """Begin with the arm, or with the file where there is but one."""
         self.query_one("#arm" if len(self._arms) > 1 else "#path", Input).focus()
-
-    @on(Input.Submitted)
-    def submit(self, event: Input.Submitted) -> None:
-        """Write with Enter in any field."""
-        event.stop()
-        self.action_write()
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Write or close."""
-        event.stop()
-        if event.button.id == "write":
-            self.action_write()
-        else:
-            self.dismiss(None)
 
     def action_write(self) -> None:
         """Close with the request; the verb judges it."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 from textual import on
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.suggester import SuggestFromList
 from textual.widgets import Button, Input, OptionList, Static
@@ -17,7 +15,7 @@ from textual.widgets.option_list import Option
 
 from cellapp.exports.formats import FORMATS
 from cellapp.tui.dialogs.file_picker import PathField
-from cellapp.tui.dialogs.question import Question
+from cellapp.tui.dialogs.write_question import WriteQuestion
 
 _STAGES = ("calibrate", "discover")
 
@@ -32,7 +30,7 @@ class ExportRequest:
     stage_name: str | None
 
 
-class ExportArms(Question[ExportRequest]):
+class ExportArms(WriteQuestion[ExportRequest]):
     """Choose format, file, arm and stage. Returns the request; None where the dialog is closed.
 
     Parameters
@@ -48,7 +46,6 @@ class ExportArms(Question[ExportRequest]):
     ExportArms .field Static { width: 20; }
     ExportArms .field Input { width: 1fr; }
     """
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "write", "Write", priority=True)]
 
     def __init__(self, folder: Path, arms: Sequence[str]) -> None:
         super().__init__()
@@ -100,21 +97,6 @@ class ExportArms(Question[ExportRequest]):
         field = self.query_one("#path", Input)
         field.focus()
         field.cursor_position = len(field.value)
-
-    @on(Input.Submitted)
-    def submit(self, event: Input.Submitted) -> None:
-        """Write with Enter in any field."""
-        event.stop()
-        self.action_write()
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Write or close."""
-        event.stop()
-        if event.button.id == "write":
-            self.action_write()
-        else:
-            self.dismiss(None)
 
     def action_write(self) -> None:
         """Close with the request; the verb judges it."""
