@@ -82,6 +82,7 @@ def test_other_motions_are_named_by_line(body: str, line: int, reason: str) -> N
         (gzip.compress(GROWING), "document type"),
         (gzip.compress(b" " * (33 * 2**20)), "more than 32 MB"),
     ],
+    ids=["unpacked", "cut", "open element", "page", "foreign entity", "growing entity", "too large"],
 )  # fmt: skip
 def test_damaged_and_hostile_files_are_refused_in_words(data: bytes, words: str) -> None:
     with pytest.raises(InputError, match=words):
