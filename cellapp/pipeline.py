@@ -450,4 +450,4 @@ def _compensate(
 
 
 def _targets_json(targets: Sequence[Target]) -> str:
-    return "\n".join(target.model_dump_json(exclude_none=True) for target in targets)
+    return "\n".join(target.model_dump_json(exclude_none=True, exclude_defaults=True) for target in targets)

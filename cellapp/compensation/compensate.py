@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cellapp.compensation.goals import goals_of_arm
 from cellapp.compensation.targets import Target
 from cellapp.compensation.tolerance import predicted_verdict
 from cellapp.errors import InputError
 from cellapp.kinematics.inverse import solve_pose
-from cellapp.kinematics.transforms import Array, rotation_zyx
+from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
 from cellapp.results import CompensateResult, TargetCommand
@@ -43,6 +44,8 @@ class Command:
     Attributes
     ----------
     target : Target
+    arm : str
+        The arm; a cooperative target has one command for each of its arms.
     q_nominal, q_compensated : array, shape (N,), or None
         Joint positions [rad] by the published and by the calibrated model; None where the target was refused.
     expected_M, nominal_M : array, shape (3,), or None
@@ -55,6 +58,7 @@ class Command:
     """
 
     target: Target
+    arm: str
     q_nominal: Array | None
     q_compensated: Array | None
     expected_M: Array | None
@@ -129,7 +133,8 @@ def compensate_result(commands: Sequence[Command], notes: Sequence[str] = ()) ->
         targets=tuple(
             TargetCommand(
                 name=command.target.name,
-                arm=command.target.arm,
+                arm=command.arm,
+                frame=command.target.frame,
                 position=command.target.position,
                 rpy=command.target.rpy,
                 tolerance_mm=command.target.tolerance_mm,
@@ -152,27 +157,22 @@ def compensate_result(commands: Sequence[Command], notes: Sequence[str] = ()) ->
 
 def _compensate_arm(profile: Profile, model: CellModel, name: str, targets: Sequence[Target]) -> list[Command]:
     arm = model.arms[name]
-    position_B = np.array([target.position for target in targets])
-    rotation_B = np.array([rotation_zyx(target.rpy[2], target.rpy[1], target.rpy[0]) for target in targets])
-    T_nominal, T_calibrated = arm.nominal.T_M_B(), arm.geometry.T_M_B()
-    nominal_M = position_B @ T_nominal[:3, :3].T + T_nominal[:3, 3]
-    expected_M = position_B @ T_calibrated[:3, :3].T + T_calibrated[:3, 3]
+    goals = goals_of_arm(model, targets, name)
+    nominal_M, expected_M = goals.nominal_position_M, goals.position_M
     cell = cell_bodies(profile, model)
     homes = home_positions(profile)
-    solutions = _nominal_solutions(profile, arm, cell.arms[name].limits, nominal_M, T_nominal[:3, :3] @ rotation_B)
+    solutions = _nominal_solutions(profile, arm, cell.arms[name].limits, nominal_M, goals.nominal_rotation_M)
     commands = []
     for k, target in enumerate(targets):
         nearest_first = _nearest_first(solutions[k], homes[name])
-        command = Command(target, None, None, None, None, "out of reach")
+        command = Command(target, name, None, None, None, None, "out of reach")
         for q in solutions[k][nearest_first]:
-            q_compensated, refusal = _compensated(
-                cell, homes, name, arm, expected_M[k], T_calibrated[:3, :3] @ rotation_B[k], q
-            )
+            q_compensated, refusal = _compensated(cell, homes, name, arm, expected_M[k], goals.rotation_M[k], q)
             if not refusal:
-                command = Command(target, q, q_compensated, expected_M[k], nominal_M[k], "")
+                command = Command(target, name, q, q_compensated, expected_M[k], nominal_M[k], "")
                 command = replace(command, uncertainty_mm=_uncertainty_mm(arm, q_compensated))
                 break
-            command = Command(target, None, None, None, None, refusal)
+            command = Command(target, name, None, None, None, None, refusal)
         commands.append(command)
     return commands
 

@@ -72,7 +72,7 @@ def push(
             hold_while_paused(cell, control, reaction)
             mover.speed = slow.speed if done < slow_targets else 1.0
             listener(Progress("push", done, len(commands), command.target.name))
-            name = command.target.arm
+            name = command.arm
             if busy and busy != name:
                 mover.move({busy: homes[busy]})
             busy = name
@@ -99,7 +99,8 @@ def _push_target(
     target = command.target
     return MeasuredTarget(
         name=target.name,
-        arm=target.arm,
+        arm=command.arm,
+        frame=target.frame,
         position=target.position,
         rpy=target.rpy,
         tolerance_mm=target.tolerance_mm,
@@ -114,7 +115,7 @@ def _go_and_measure(
     mover: Mover, arm: ArmModel, command: Command, kind: CommandKind, home: Array, *, measure: bool
 ) -> float | None:
     """Move to a target and, with ``measure``, return the distance of the measured SMR from it [m]."""
-    name = command.target.arm
+    name = command.arm
     expected_M = command.nominal_M if kind == "nominal" else command.expected_M
     if expected_M is None:
         return None

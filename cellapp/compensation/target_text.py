@@ -54,7 +54,7 @@ def typed_texts(target: Target) -> dict[str, str]:
         "name": target.name,
         "arm": target.arm,
         "position": ", ".join(f"{value * 1e3:.10g} mm" for value in target.position),
-        "rpy": ", ".join(f"{math.degrees(value):.10g} deg" for value in target.rpy),
+        "rpy": ", ".join(f"{math.degrees(value):.10g} deg" for value in target.rpy or ()),
         "tolerance": "" if target.tolerance_mm is None else f"{target.tolerance_mm:.10g} mm",
     }
 
@@ -101,8 +101,9 @@ def _flow(target: Target) -> str:
         "name": target.name,
         "arm": target.arm,
         "position": list(target.position),
-        "rpy": list(target.rpy),
     }
+    if target.rpy is not None:
+        values["rpy"] = list(target.rpy)
     if target.tolerance is not None:
         text = f"{target.tolerance * 1e3:.12g} mm"  # in mm where that is the same number
         values["tolerance"] = text if parse_quantity("length", text) == target.tolerance else target.tolerance

@@ -13,7 +13,7 @@ from cellapp.errors import InputError
 from cellapp.profile import CellPoint, Profile
 from cellapp.profile.messages import value_message
 from cellapp.results import TargetRecord
-from drivers.quantities import Length, Turn
+from drivers.quantities import Length, Mass, Temperature, Time, Turn
 from drivers.settings import Section
 
 _LOOSEST_M = 0.01
@@ -29,22 +29,101 @@ def _tolerance(value: float) -> float:
     return value
 
 
-class Target(Section):
-    """One target: SMR position in the arm's base frame and flange rotation ``rot_z(yaw) rot_y(pitch) rot_x(roll)``.
+class FramePoint(Section):
+    """One point of a work frame: its coordinates in that frame and where it was measured [m]."""
 
-    ``tolerance`` [m] is how far the SMR may be from it; None where that is not said.
+    nominal: CellPoint
+    measured: CellPoint
+
+
+class WorkFrame(Section):
+    """A work frame W, given by three or more points measured in ``parent``: "tracker" or the name of an arm (its base).
+
+    The pose of W in ``parent`` is the rigid registration of the points.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    parent: str = "tracker"
+    points: Annotated[tuple[FramePoint, ...], Field(min_length=3)]
+
+
+class WorkingConditions(Section):
+    """Conditions at a target that effects depend on; None where not stated.
+
+    Attributes
+    ----------
+    payload : float or None
+        [kg]; None: that of the profile.
+    temperature : float or None
+        Of arm and air [degC].
+    time : float or None
+        Since the run began [s]; None: now, the state at the end of the run.
+    dwell : float or None
+        Rest before the arm works or is measured [s].
+    """
+
+    payload: Mass | None = None
+    temperature: Temperature | None = None
+    time: Time | None = None
+    dwell: Time | None = None
+
+
+class Partner(Section):
+    """The second arm of a cooperative target: where its SMR is, seen from the first arm's SMR.
+
+    ``position`` [m] and ``rpy`` are in the frame with its origin at the first arm's SMR centre and the axes of the
+    first arm's flange. Without ``rpy`` the rotation of the second flange is free.
+    """
+
+    arm: str
+    position: CellPoint
+    rpy: tuple[Turn, Turn, Turn] | None = None
+    conditions: WorkingConditions = WorkingConditions()
+
+
+class Target(Section):
+    """One target: SMR position and flange rotation ``rot_z(yaw) rot_y(pitch) rot_x(roll)`` in a frame.
+
+    Attributes
+    ----------
+    name, arm : str
+    position : three numbers
+        SMR centre [m].
+    rpy : three numbers or None
+        Roll, pitch, yaw [rad]; None: any rotation will do.
+    frame : str
+        "base": the arm's own base; "tracker"; the name of an arm: that arm's base; else the name of ``work_frame``.
+    work_frame : WorkFrame or None
+    tolerance : float or None
+        How far the SMR may be from the target, and the distance between two SMRs from the wanted one [m].
+    approach : signs or None
+        Preferred sign of each joint's last motion, 0 where it does not matter; None: as the way leads.
+    conditions : WorkingConditions
+        Of ``arm``.
+    partner : Partner or None
+        The other arm of a cooperative target.
     """
 
     name: Annotated[str, Field(min_length=1)]
     arm: str
     position: CellPoint
-    rpy: tuple[Turn, Turn, Turn]
+    rpy: tuple[Turn, Turn, Turn] | None = None
+    frame: str = "base"
+    work_frame: WorkFrame | None = None
     tolerance: Annotated[Length, AfterValidator(_tolerance)] | None = None
+    approach: tuple[Literal[-1, 0, 1], ...] | None = None
+    conditions: WorkingConditions = WorkingConditions()
+    partner: Partner | None = None
 
     @property
     def tolerance_mm(self) -> float | None:
         """Tolerance [mm]."""
         return None if self.tolerance is None else self.tolerance * 1e3
+
+    @property
+    def arms(self) -> tuple[str, ...]:
+        """The arms that go there."""
+        return (self.arm,) if self.partner is None else (self.arm, self.partner.arm)
 
 
 class TargetList(Section):
@@ -105,5 +184,11 @@ def _line_of(text: str, location: Sequence[int | str]) -> int:
 
 def same_target(target: Target, stored: TargetRecord) -> bool:
     """Whether a stored result is about this target as it is now. A result of an earlier version does not say."""
-    now = (target.name, target.arm, target.position, target.rpy, target.tolerance_mm)
-    return now == (stored.name, stored.arm, stored.position, stored.rpy, stored.tolerance_mm)
+    now = (target.name, target.frame, target.position, target.rpy, target.tolerance_mm)
+    return stored.arm in target.arms and now == (
+        stored.name,
+        stored.frame,
+        stored.position,
+        stored.rpy,
+        stored.tolerance_mm,
+    )

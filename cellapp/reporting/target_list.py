@@ -33,8 +33,10 @@ def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
 def target_words(target: Target, results: RunResults | None) -> str:
     """Where one target is, and what the run says about it."""
     x, y, z = (f"{value * 1e3:.1f}" for value in target.position)
-    roll, pitch, yaw = (f"{math.degrees(angle):.2f}" for angle in target.rpy)
-    return f"{_result_words(target, results)}\nx {x}, y {y}, z {z} mm; roll {roll}, pitch {pitch}, yaw {yaw} deg"
+    rotation = "any rotation"
+    if target.rpy is not None:
+        rotation = "roll {:.2f}, pitch {:.2f}, yaw {:.2f} deg".format(*(math.degrees(angle) for angle in target.rpy))
+    return f"{_result_words(target, results)}\nx {x}, y {y}, z {z} mm; {rotation}"
 
 
 def _result_words(target: Target, results: RunResults | None) -> str:
@@ -72,7 +74,7 @@ def _row(target: Target, results: RunResults | None) -> tuple[Cell, ...]:
     if measured is not None and measured.compensated_mm is not None:
         before = "" if measured.nominal_mm is None else f"{measured.nominal_mm:.3f} -> "
         errors = f"{before}{measured.compensated_mm:.3f}"
-    degrees = (math.degrees(angle) for angle in target.rpy)
+    degrees = (None, None, None) if target.rpy is None else [math.degrees(angle) for angle in target.rpy]
     state = _state(_command(target, results), measured)
     return (
         target.name,

@@ -14,9 +14,11 @@ _MOST_NAMED = 5
 
 
 class TargetRecord(Record):
-    """The target that a result is about: SMR position [m] and roll, pitch, yaw [rad] in the arm's base frame.
+    """The target that a result is about, as it was written, and one arm's part in it.
 
-    Position and rotation are None in results of earlier versions.
+    ``position`` [m] and ``rpy`` [rad] are in ``frame``; both are None in results of earlier versions, ``rpy`` also
+    where the rotation is free. ``partner`` is the other arm of a cooperative target, which has a record of its own
+    under the same name.
     """
 
     name: str
@@ -24,19 +26,72 @@ class TargetRecord(Record):
     position: tuple[float, float, float] | None = None
     rpy: tuple[float, float, float] | None = None
     tolerance_mm: float | None = None
+    frame: str = "base"
+    partner: str = ""
+
+
+class UncertaintyParts(Record):
+    """Standard uncertainty of a coordinate of the SMR at a command by its sources [mm].
+
+    ``extrapolation`` is what the command's distance from the measured joint ranges adds; ``noise`` is the scatter of
+    the readings about the model: tracker and repeatability; ``conditions`` is what unknown working conditions add.
+    """
+
+    parameters: float
+    effects: float
+    network: float
+    extrapolation: float
+    noise: float
+    conditions: float
+
+
+class UnknownCondition(Record):
+    """A working condition that the model depends on and nobody stated: by how much the SMR may be elsewhere [mm]."""
+
+    condition: str
+    effects: tuple[str, ...]
+    mm: float
 
 
 class TargetCommand(TargetRecord):
-    """Joint positions [rad] for one target with the nominal and with the calibrated model, or why there are none.
+    """Joint positions [rad] for one arm at one target with the nominal and the calibrated model, or why there are none.
 
-    ``uncertainty_mm`` is the model's standard uncertainty of a coordinate of the SMR at the compensated command, None
-    where the model states none; ``verdict`` is the prediction made from it.
+    Attributes
+    ----------
+    refusal : str
+        Why the target is not commanded; empty if it is.
+    q_nominal, q_compensated : sequence or None
+        None where the target was refused.
+    branches : int or None
+        Solutions of the inverse within the joint limits; one was chosen.
+    visible : bool or None
+        Whether the tracker sees the SMR there.
+    residual_um, residual_urad : float or None
+        Distance and angle by which the calibrated model misses the target at the command.
+    uncertainty_mm : float or None
+        Standard uncertainty of a coordinate of the SMR, without noise; None where the model states none.
+    parts : UncertaintyParts or None
+    within_mm : float or None
+        Distance from the target that a measurement keeps with 95 % probability.
+    unknown : sequence of UnknownCondition
+    approach : signs or None
+        Sign of each joint's last motion for which the command was made; None: at the middle of both sides.
+    verdict : str
+        Prediction from the uncertainty.
     """
 
     refusal: str
     q_nominal: tuple[float, ...] | None
     q_compensated: tuple[float, ...] | None
+    branches: int | None = None
+    visible: bool | None = None
+    residual_um: float | None = None
+    residual_urad: float | None = None
     uncertainty_mm: float | None = None
+    parts: UncertaintyParts | None = None
+    within_mm: float | None = None
+    unknown: tuple[UnknownCondition, ...] = ()
+    approach: tuple[int, ...] | None = None
     verdict: ToleranceVerdict = ""
 
 
@@ -49,20 +104,47 @@ class CompensateResult(Result):
     notes: tuple[str, ...] = ()
 
 
-class MeasuredTarget(TargetRecord):
-    """Distance of the measured SMR from one target with either command [mm]; None where it was not measured.
+Point = tuple[float, float, float]
 
-    ``verdict`` judges the distance with the compensated command: "in", "out" or empty.
+
+class MeasuredTarget(TargetRecord):
+    """Distance of one arm's measured SMR from one target with either command [mm]; None where it was not measured.
+
+    ``wanted_M``, ``predicted_M``, ``measured_M`` [m] are in the tracker frame: the target, what the calibrated model
+    expects at the joint positions that were reached, and the measurement with the compensated command. ``rounds_mm``
+    are the distances after the model alone and after each correction by measuring. ``verdict`` judges the last one.
     """
 
     nominal_mm: float | None
     compensated_mm: float | None
     note: str
     verdict: ToleranceVerdict = ""
+    wanted_M: Point | None = None
+    predicted_M: Point | None = None
+    measured_M: Point | None = None
+    within_mm: float | None = None
+    rounds_mm: tuple[float, ...] = ()
+
+
+class MeasuredPair(Record):
+    """A cooperative target as measured: by how much the distance between both SMRs is off [mm].
+
+    ``wanted_mm`` is the wanted distance; ``rounds_mm`` as in ``MeasuredTarget``.
+    """
+
+    name: str
+    arms: tuple[str, str]
+    wanted_mm: float
+    nominal_mm: float | None
+    compensated_mm: float | None
+    tolerance_mm: float | None = None
+    verdict: ToleranceVerdict = ""
+    rounds_mm: tuple[float, ...] = ()
+    note: str = ""
 
 
 class ArmVerification(Record):
-    """Distances from the targets of one arm with nominal and with compensated commands."""
+    """Distances from targets, or errors of distances between SMRs, with nominal and with compensated commands."""
 
     nominal_mm: ErrorSummary
     compensated_mm: ErrorSummary
@@ -78,6 +160,8 @@ class VerifyResult(Result):
     version: Literal[1] = 1
     arms: Mapping[str, ArmVerification]
     targets: tuple[MeasuredTarget, ...]
+    pairs: tuple[MeasuredPair, ...] = ()
+    cooperative: ArmVerification | None = None
     notes: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:

@@ -67,7 +67,7 @@ def test_the_prediction_of_a_compensated_command_is_its_target(model: CellModel,
         wanted = T[:3, :3] @ np.array(command.target.position) + T[:3, 3]
         np.testing.assert_allclose(command.expected_M, wanted, atol=1e-12)
         np.testing.assert_allclose(arm.predict(command.q_compensated[None])[0], wanted, atol=1e-9)
-        roll, pitch, yaw = command.target.rpy
+        roll, pitch, yaw = command.target.rpy or (0.0, 0.0, 0.0)
         rotation, _ = arm.flange(command.q_compensated[None])
         np.testing.assert_allclose(rotation[0], T[:3, :3] @ rotation_zyx(yaw, pitch, roll), atol=1e-9)
         differences.append(np.abs(command.q_compensated - command.q_nominal).max())
@@ -152,7 +152,7 @@ def one(arm: str, position: tuple[float, float, float], rpy: tuple[float, float,
 def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) -> None:
     looking_away = []
     for target in TARGETS[:8]:
-        roll, pitch, yaw = target.rpy
+        roll, pitch, yaw = target.rpy or (0.0, 0.0, 0.0)
         z, y, x = zyx_angles(rotation_zyx(yaw, pitch, roll) @ np.diag([1.0, -1.0, -1.0]))
         looking_away.append(target.model_copy(update={"rpy": (x, y, z)}))
     refused = compensate(run.profile, model, [*looking_away, one("left", (3.0, 0.0, 0.5))])

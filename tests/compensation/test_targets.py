@@ -56,7 +56,7 @@ def test_the_list_of_the_twin() -> None:
         (HEAD + GOOD.replace("0.25", "'250 deg'"), "targets.0.position.1: 'deg' is not a unit of length"),
         (HEAD + GOOD.replace("rpy: [0, 0, 0]", "rpy: [90, 0, 0]"), "targets.0.rpy.0: 90 rad is more than two turns"),
         (HEAD + GOOD.replace("rpy: [0, 0, 0]", "rpy: [0, 0]"), "targets.0.rpy.2: "),
-        (HEAD + GOOD.replace(", rpy: [0, 0, 0]", ""), "targets.0.rpy: missing; it must be given"),
+        (HEAD + GOOD.replace("position: [-0.4, 0.25, 1.0], ", ""), "targets.0.position: missing; it must be given"),
         (HEAD + GOOD.replace("[0, 0, 0]", "[x, 0, 0]"), "targets.0.rpy.0: expected an angle: a number in rad"),
         (HEAD + GOOD.replace("rpy", "rpx"), "targets.0.rpy: "),
         (HEAD + GOOD.replace("name: one", "name: 1"), "targets.0.name: "),
