@@ -58,7 +58,7 @@ def test_the_list_of_the_twin() -> None:
         (HEAD + GOOD.replace("rpy: [0, 0, 0]", "rpy: [0, 0]"), "targets.0.rpy.2: "),
         (HEAD + GOOD.replace("position: [-0.4, 0.25, 1.0], ", ""), "targets.0.position: missing; it must be given"),
         (HEAD + GOOD.replace("[0, 0, 0]", "[x, 0, 0]"), "targets.0.rpy.0: expected an angle: a number in rad"),
-        (HEAD + GOOD.replace("rpy", "rpx"), "targets.0.rpy: "),
+        (HEAD + GOOD.replace("rpy", "rpx"), "targets.0.rpx: unknown key"),
         (HEAD + GOOD.replace("name: one", "name: 1"), "targets.0.name: "),
         (HEAD + "  - {name: one, arm: [left\n", ":5: not YAML: "),
         (HEAD + "  - !!python/object/apply:os.system ['true']\n", ":4: not YAML: "),
