@@ -271,14 +271,13 @@ def compensate(folder: RunFolder, targets: TargetsPath, json_file: JsonOption = 
     """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
     from cellapp.compensation.targets import load_targets
     from cellapp.pipeline import compensate_run
-    from cellapp.reporting.run_tables import predicted_tolerance_tables, refusal_sentences
+    from cellapp.reporting.target_tables import compensate_tables
+    from cellapp.reporting.target_words import compensate_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         result = compensate_run(opened, load_targets(targets, opened.profile))
-        refused = refusal_sentences(result)
-        job.show(predicted_tolerance_tables(result))
-        job.say(f"{len(result.targets) - len(refused)} of {len(result.targets)} targets compensated")
-        job.say(*refused, *result.notes)
+        job.show(compensate_tables(result))
+        job.say(*compensate_lines(result))
         job.result(result)
 
 
@@ -297,16 +296,14 @@ def push(
     from cellapp.compensation.targets import load_targets
     from cellapp.pipeline import push_run
     from cellapp.reporting.tables import verification_tables
+    from cellapp.reporting.target_words import push_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         listed = load_targets(targets, opened.profile)
         ask = asking(job, opened.profile.name, allowed=allow_motion)
         result = push_run(opened, listed, job.listen, job.control, verify=verify, out_of_date=out_of_date, ask=ask)
         job.show(verification_tables(result))
-        if not verify:
-            reached = sum(not target.note for target in result.targets)
-            job.say(f"{reached} of {len(result.targets)} targets reached")
-        job.say(*result.notes)
+        job.say(*push_lines(result))
         job.result(result)
         if verify:
             _check(result.complaints(), "verification")

@@ -158,10 +158,13 @@ from cellapp.results.schemas import (
 from cellapp.results.targets import (
     ArmVerification,
     CompensateResult,
+    MeasuredPair,
     MeasuredTarget,
     TargetCommand,
     TargetRecord,
     ToleranceVerdict,
+    UncertaintyParts,
+    UnknownCondition,
     VerifyResult,
 )
 
@@ -233,6 +236,7 @@ __all__ = [
     "LeftLine",
     "LogLine",
     "LogResult",
+    "MeasuredPair",
     "MeasuredTarget",
     "Method",
     "MissingReading",
@@ -298,6 +302,8 @@ __all__ = [
     "ToleranceVerdict",
     "TrackerBridgeResult",
     "TravelTime",
+    "UncertaintyParts",
+    "UnknownCondition",
     "ValueComparison",
     "Verdict",
     "VerifyResult",
