@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from cellapp.calibration.evaluation import summarise
 from cellapp.collection.cell import Cell, open_cell
+from cellapp.collection.collect import Opened
 from cellapp.collection.motion import Confirm, MotionRefused, Mover
 from cellapp.collection.supervision import hold_while_paused, reacting
 from cellapp.compensation.compensate import Command, with_approach
@@ -36,11 +37,12 @@ def push(
     verify: bool,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
+    open_with: Opened | None = None,
 ) -> VerifyResult:
     """Send every command to its arm, the other arms at home; with ``verify`` both commands, and measure.
 
     ``opened`` is called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked
-    before the first motion.
+    before the first motion. ``open_with`` opens the cell.
 
     Raises
     ------
@@ -58,7 +60,7 @@ def push(
     homes = home_positions(profile)
     measured: list[MeasuredTarget] = []
     kinds: tuple[CommandKind, ...] = ("nominal", "compensated") if verify else ("compensated",)
-    with open_cell(profile) as cell, reacting(cell, control) as reaction:
+    with (open_with or open_cell)(profile) as cell, reacting(cell, control) as reaction:
         opened(cell)
         cell.require_tracker()
         mover = Mover(profile, cell, bodies, reaction)
@@ -87,15 +89,19 @@ def _push_target(
 ) -> MeasuredTarget:
     """Send one target's commands and measure each; a refused motion or measurement becomes the target's note."""
     errors_mm: dict[CommandKind, float] = {}
+    q = measured_M = predicted_M = None
     note = command.refusal
     for kind in kinds if not note else ():
         try:
-            off = _go_and_measure(mover, arm, command, kind, home, measure=verify)
+            here = _go_and_measure(mover, arm, command, kind, home, measure=verify)
         except (MotionRefused, TrackerError) as error:
             note = str(error)
             break
-        if off is not None:
-            errors_mm[kind] = off * 1e3
+        expected_M = command.nominal_M if kind == "nominal" else command.expected_M
+        if here is not None and expected_M is not None:
+            q, measured_M = here
+            predicted_M = arm.predict(q[None], mover.approach(command.arm)[None])[0]
+            errors_mm[kind] = float(np.linalg.norm(measured_M - expected_M)) * 1e3
     target = command.target
     return MeasuredTarget(
         name=target.name,
@@ -108,17 +114,17 @@ def _push_target(
         compensated_mm=errors_mm.get("compensated"),
         note=note,
         verdict=measured_verdict(errors_mm.get("compensated"), target.tolerance_mm),
+        q=_tuple(q),
+        measured_M=_tuple(measured_M),
+        predicted_M=_tuple(predicted_M),
     )
 
 
 def _go_and_measure(
     mover: Mover, arm: ArmModel, command: Command, kind: CommandKind, home: Array, *, measure: bool
-) -> float | None:
-    """Move to a target and, with ``measure``, return the distance of the measured SMR from it [m]."""
+) -> tuple[Array, Array] | None:
+    """Move to a target and, with ``measure``, return the joint positions reached and the measured SMR in M [m]."""
     name = command.arm
-    expected_M = command.nominal_M if kind == "nominal" else command.expected_M
-    if expected_M is None:
-        return None
 
     def joints() -> Array:
         if kind == "nominal":
@@ -131,7 +137,11 @@ def _go_and_measure(
     states = mover.move({name: joints()})
     if not measure:
         return None
-    return float(np.linalg.norm(mover.measure(name, states[name].q).p_M - expected_M))
+    return states[name].q, mover.measure(name, states[name].q).p_M
+
+
+def _tuple(vector: Array | None) -> Any:
+    return None if vector is None else tuple(vector.tolist())
 
 
 def _by_arm(targets: Sequence[MeasuredTarget]) -> Mapping[str, ArmVerification]:

@@ -111,8 +111,9 @@ class MeasuredTarget(TargetRecord):
     """Distance of one arm's measured SMR from one target with either command [mm]; None where it was not measured.
 
     ``wanted_M``, ``predicted_M``, ``measured_M`` [m] are in the tracker frame: the target, what the calibrated model
-    expects at the joint positions that were reached, and the measurement with the compensated command. ``rounds_mm``
-    are the distances after the model alone and after each correction by measuring. ``verdict`` judges the last one.
+    expects at the joint positions ``q`` [rad] that were reached, and the measurement with the compensated command.
+    ``rounds_mm`` are the distances after the model alone and after each correction by measuring. ``verdict`` judges
+    the last one.
     """
 
     nominal_mm: float | None
@@ -122,6 +123,7 @@ class MeasuredTarget(TargetRecord):
     wanted_M: Point | None = None
     predicted_M: Point | None = None
     measured_M: Point | None = None
+    q: tuple[float, ...] | None = None
     within_mm: float | None = None
     rounds_mm: tuple[float, ...] = ()
 
