@@ -89,7 +89,7 @@ def rounds_chart(verify: VerifyResult) -> Chart:
         series("mean", number, drawable_mm(mean), style=_AFTER),
     )
     message = f"Mean error at {len(corrected)} targets: {mm(mean[0])} by the model alone, {mm(mean[-1])} in the end."
-    return Chart(title, x, y, drawn, message)
+    return Chart(title, x, y, drawn, message, by_stage=True)
 
 
 def parts_chart(title: str, parts: Sequence[UncertaintyParts]) -> Chart:
@@ -116,7 +116,7 @@ def _errors(title: str, label: str, measured: Sequence[Measured], floor_mm: floa
     after, last = (np.array([mm_of(one) for one in measured], dtype=np.float64) for mm_of in (alone_mm, last_mm))
     drawn = [
         series("uncompensated", number, drawable_mm(before), "points", style=_BEFORE),
-        series("compensated", number, drawable_mm(after), "points", style=_AFTER),
+        series("compensated", number, drawable_mm(after), "points", style=_AFTER, mark="■"),
     ]
     corrected = np.array([len(one.rounds_mm) > 1 for one in measured])
     if corrected.any():
@@ -130,4 +130,4 @@ def _errors(title: str, label: str, measured: Sequence[Measured], floor_mm: floa
         f"Mean error at {len(measured)} targets: {mm(float(before.mean()))} uncompensated, {mm(float(after.mean()))}"
         f" compensated{by_measuring}; {'all' if better == len(measured) else better} became better."
     )
-    return Chart(title, x, y, tuple(drawn), message, noise_limit(floor_mm))
+    return Chart(title, x, y, tuple(drawn), message, noise_limit(floor_mm), by_stage=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -191,22 +191,21 @@ def push_lines(pushed: VerifyResult) -> list[str]:
     notes = {target.name: target.note for target in reversed(pushed.targets) if target.note}
     count = len({target.name for target in pushed.targets})
     missing = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
-    return [f"{count - len(notes)} of {count} targets reached", *missing, *pushed.notes]
+    return [f"{count - len(notes)} of {count} targets reached", *dict.fromkeys([*missing, *pushed.notes])]
 
 
 def verify_lines(verify: VerifyResult) -> list[str]:
     """What ``push --verify`` prints: the summary, what was not measured, notes."""
     missing = [f"target {target.name}: {target.note}" for target in verify.targets if target.note]
     missing += [f"target {pair.name}, both arms: {pair.note}" for pair in verify.pairs if pair.note]
-    return [*verify_summary(verify), *missing, *verify.notes]
+    return [*verify_summary(verify), *dict.fromkeys([*missing, *verify.notes])]
 
 
 def verify_summary(verify: VerifyResult) -> list[str]:
-    """The message, what is out of tolerance, how far the model alone came, whether its bounds held."""
+    """The message, how far the model alone came, whether its bounds held."""
     message = verify_message(verify)
     return [
         *([message] if message else []),
-        *(f"out of tolerance: {words}" for words in _out_words(verify)),
         *rounds_words(verify),
         *promise_words(verify),
     ]
@@ -250,10 +249,10 @@ def by_name(commands: Sequence[TargetCommand]) -> dict[str, list[TargetCommand]]
     return found
 
 
-def named_few(names: Sequence[str], words: Callable[[str], str] = str) -> str:
+def named_few(names: Sequence[str]) -> str:
     """Some names; further ones are counted."""
     more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
-    return ", ".join([*map(words, names[:_MOST_NAMED]), *more])
+    return ", ".join([*names[:_MOST_NAMED], *more])
 
 
 def _judged(verify: VerifyResult) -> list[Measured]:
@@ -262,15 +261,6 @@ def _judged(verify: VerifyResult) -> list[Measured]:
 
 def _tolerance_message(verify: VerifyResult) -> str:
     judged = _judged(verify)
-    out = [one.name for one in judged if one.verdict == "out"]
+    out = [f"{one.name} ({last_mm(one) or 0.0:.3f} mm)" for one in judged if one.verdict == "out"]
     within = f"{len(judged) - len(out)} of {len(judged)} measurements within tolerance"
-    return within + (f", {len(out)} out: {named_few(list(dict.fromkeys(out)))}" if out else "")
-
-
-def _out_words(verify: VerifyResult) -> list[str]:
-    out = [one for one in _judged(verify) if one.verdict == "out"]
-    words = []
-    for one in out[:_MOST_NAMED]:
-        what = f"arm {one.arm}" if isinstance(one, MeasuredTarget) else f"distance of {arms_words(one.arms)}"
-        words.append(f"{one.name}, {what}: {last_mm(one) or 0.0:.3f} mm, tolerance {one.tolerance_mm or 0.0:g} mm")
-    return words + ([f"{len(out) - _MOST_NAMED} more"] if len(out) > _MOST_NAMED else [])
+    return within + (f", {len(out)} out: {named_few(out)}" if out else "")
