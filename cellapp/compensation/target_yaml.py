@@ -28,7 +28,7 @@ class _Loader(yaml.CSafeLoader):
         result = super().construct_mapping(node, deep)
         if len(result) < len(written):
             names = [key.value for key in written]
-            for key in written:
+            for key in reversed(written):
                 if names.count(key.value) > 1:
                     raise yaml.MarkedYAMLError(problem=f"key '{key.value}' is there twice", problem_mark=key.start_mark)
         return result
@@ -95,16 +95,19 @@ def _collector_paused() -> Iterator[None]:
 
 def _places(path: Path, root: yaml.Node | None) -> Callable[[KeyPath], str]:
     def place(location: KeyPath) -> str:
-        """The line of the innermost part that a location leads to."""
-        node = root
+        """The line of the innermost part that a location leads to: that of its key, where it has one."""
+        node, line = root, 1
         for key in location:
             if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
-                node = node.value[key]
+                node = at = node.value[key]
             elif isinstance(node, yaml.MappingNode):
-                below = [value for name, value in node.value if name.value == key]
+                below = [(name, value) for name, value in node.value if name.value == key]
                 if not below:
                     break
-                node = below[0]
-        return f"{path}:{1 if node is None else node.start_mark.line + 1}"
+                at, node = below[-1]
+            else:
+                break
+            line = at.start_mark.line + 1
+        return f"{path}:{line}"
 
     return place

@@ -78,7 +78,8 @@ def _of_matrix(value: object) -> Array:
         )
     if np.linalg.det(matrix) < 0.0:
         raise placed_error(("matrix",), "its determinant is -1: a reflection, no rotation; give right-handed axes")
-    return np.asarray(Rotation.from_matrix(matrix).as_matrix())
+    u, _, vt = np.linalg.svd(matrix)
+    return np.asarray(u @ vt)  # the nearest rotation
 
 
 _READERS: Mapping[str, Callable[[object], Array]] = {
