@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +40,9 @@ def read_yaml(path: Path) -> TargetSource:
     text = _text(path)
     try:
         _check_levels(path, text)
-        with _collector_paused():
-            loader = _Loader(text)
-            root = loader.get_single_node()
-            content = None if root is None else loader.construct_document(root)
+        loader = _Loader(text)
+        root = loader.get_single_node()
+        content = None if root is None else loader.construct_document(root)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = "" if mark is None else f":{mark.line + 1}"
@@ -79,18 +76,6 @@ def _check_levels(path: Path, text: str) -> None:
         if level > _MOST_LEVELS:
             line = "" if event.start_mark is None else f":{event.start_mark.line + 1}"
             raise InputError(f"{path}{line}: nested too deeply; a target list has a few levels")
-
-
-@contextlib.contextmanager
-def _collector_paused() -> Iterator[None]:
-    """Without the cyclic garbage collector: it would take two thirds of the time of a long list."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def _places(path: Path, root: yaml.Node | None) -> Callable[[KeyPath], str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -222,13 +224,15 @@ def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
     InputError
         With file, line and target of the first few problems.
     """
-    source = _source(Path(path), {name: len(arm.type.joints) for name, arm in profile.arms.items()})
-    try:
-        listed = TargetList.model_validate(source.content)
-    except ValidationError as error:
-        raise refusal(source, sentences(source, error, _known_keys)) from None
-    if misfits := [*_section_problems(listed, profile), *_target_problems(listed, profile)]:
-        raise refusal(source, misfits)
+    joints = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
+    with _collector_paused():
+        source = _source(Path(path), joints)
+        try:
+            listed = TargetList.model_validate(source.content)
+        except ValidationError as error:
+            raise refusal(source, sentences(source, error, _known_keys)) from None
+        if misfits := [*_section_problems(listed, profile), *_target_problems(listed, profile)]:
+            raise refusal(source, misfits)
     return listed.targets
 
 
@@ -307,6 +311,18 @@ def partner_of(target: Target, arm: str) -> str:
 def definition(target: Target) -> str:
     """A digest of all that a target says: frame, partner and conditions too."""
     return hashlib.sha256(target.model_dump_json().encode()).hexdigest()[:_DIGEST]
+
+
+@contextlib.contextmanager
+def _collector_paused() -> Iterator[None]:
+    """Without the cyclic garbage collector: on a long list it would take most of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 # -- what is written --------------------------------------------------------------------------------------------------
