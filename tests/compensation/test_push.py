@@ -207,7 +207,7 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
     assert 0.0 < wide.uncertainty_mm < 0.1
     assert (wide.verdict, narrow.verdict, none.verdict, far.verdict) == ("in", "out", "", "")
     assert wide.tolerance_mm == pytest.approx(2.0)
-    said = [row[-1].split(":")[0] for row in predicted_tolerance_tables(predicted)[0].rows]
+    said = [str(row[-1]).split(":")[0] for row in predicted_tolerance_tables(predicted)[0].rows]
     assert said == ["in", "out", "out of reach"]
     found = push(run.profile, model, commands, verify=True)
     assert [target.verdict for target in found.targets] == ["in", "out", "", ""]
