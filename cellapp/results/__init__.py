@@ -162,6 +162,8 @@ from cellapp.results.targets import (
     TargetCommand,
     TargetRecord,
     ToleranceVerdict,
+    UncertaintyParts,
+    UnknownCondition,
     VerifyResult,
 )
 
@@ -298,6 +300,8 @@ __all__ = [
     "ToleranceVerdict",
     "TrackerBridgeResult",
     "TravelTime",
+    "UncertaintyParts",
+    "UnknownCondition",
     "ValueComparison",
     "Verdict",
     "VerifyResult",
