@@ -55,6 +55,12 @@ class Command:
     uncertainty_mm : float or None
         Standard uncertainty [mm] of a coordinate of the SMR at the compensated command; None where the target was
         refused or the model states none.
+    within_mm : float or None
+        Distance from the target that a measurement keeps with 95 % probability; None where it is not known.
+    visible : bool or None
+        Whether the tracker sees the SMR there; None where it is not known.
+    approach : signs or None
+        Sign of each joint's last motion for which the command was made; None: at the middle of both sides.
     """
 
     target: Target
@@ -65,6 +71,9 @@ class Command:
     nominal_M: Array | None
     refusal: str
     uncertainty_mm: float | None = None
+    within_mm: float | None = None
+    visible: bool | None = None
+    approach: tuple[int, ...] | None = None
 
 
 def compensate(profile: Profile, model: CellModel, targets: Sequence[Target]) -> tuple[Command, ...]:
