@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from cellapp.collection.cell import Cell, open_cell
+from cellapp.collection.collect import Opened
 from cellapp.collection.motion import Confirm, Mover
 from cellapp.collection.supervision import hold_while_paused, reacting
+from cellapp.compensation.cell_checks import require_same_arms
 from cellapp.compensation.compensate import Command
 from cellapp.compensation.driving import Driver
-from cellapp.compensation.refusals import require_same_arms
 from cellapp.compensation.target_visit import TargetVisit
 from cellapp.compensation.verification import Agreement, Findings, by_arm, summary_of
 from cellapp.control import JobControl
@@ -59,6 +60,7 @@ def push(
     repeatability_m: Mapping[str, float] | None = None,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
+    open_with: Opened | None = None,
     visited: Visited | None = None,
 ) -> VerifyResult:
     """Send every command to its arm, the other arms at home; with ``verify`` both commands, and measure.
@@ -68,7 +70,7 @@ def push(
     of each arm's SMR as measured after repeated motions, below which nothing is corrected; zero where it is not known.
 
     ``opened`` is called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked
-    before the first motion. ``visited`` takes each target as soon as it is done.
+    before the first motion. ``open_with`` opens the cell. ``visited`` takes each target as soon as it is done.
 
     Raises
     ------
@@ -88,7 +90,7 @@ def push(
         by_target.setdefault(command.target.name, []).append(command)
     bodies, homes = cell_bodies(profile, model), home_positions(profile)
     agreement, stopped = Agreement(), ""
-    with open_cell(profile) as cell, reacting(cell, control) as reaction:
+    with (open_with or open_cell)(profile) as cell, reacting(cell, control) as reaction:
         opened(cell)
         cell.require_tracker()
         mover = Mover(profile, cell, bodies, reaction)

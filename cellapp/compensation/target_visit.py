@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.collection.motion import MotionRefused, Vector
+from cellapp.compensation.cell_checks import conditions_of
 from cellapp.compensation.compensate import Command, with_approach
 from cellapp.compensation.driving import Driver
 from cellapp.compensation.iteration import CorrectionRefused, corrected_command, not_explained
-from cellapp.compensation.refusals import conditions_of
 from cellapp.compensation.verification import CommandKind, Findings, Measured, Rest, predict_at_rest, rms_error_m
 from cellapp.control import JobControl
 from cellapp.kinematics.transforms import Array

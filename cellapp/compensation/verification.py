@@ -190,6 +190,7 @@ class Findings:
             wanted_M=_point(None if alone is None else alone.wanted_M),
             predicted_M=_point(None if alone is None else alone.predicted_M),
             measured_M=_point(None if alone is None else alone.point.p_M),
+            q=None if alone is None else tuple(alone.q.tolist()),
             within_mm=command.within_mm,
             rounds_mm=tuple(one.error_m * 1e3 for one in rounds) if self.corrected else (),
             corrected_mm=_error_mm(corrected),

@@ -119,6 +119,8 @@ class MeasuredTarget(TargetRecord):
     wanted_M, predicted_M, measured_M : point or None
         In the tracker frame [m], with the compensated command: the target, what the calibrated model expects at the
         joint positions that were reached, and the measurement.
+    q : sequence or None
+        Those joint positions [rad].
     within_mm : float or None
         As in ``TargetCommand``.
     rounds_mm : sequence
@@ -138,6 +140,7 @@ class MeasuredTarget(TargetRecord):
     wanted_M: Point | None = None
     predicted_M: Point | None = None
     measured_M: Point | None = None
+    q: tuple[float, ...] | None = None
     within_mm: float | None = None
     rounds_mm: tuple[float, ...] = ()
     corrected_mm: float | None = None
