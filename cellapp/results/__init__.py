@@ -163,6 +163,8 @@ from cellapp.results.targets import (
     TargetCommand,
     TargetRecord,
     ToleranceVerdict,
+    UncertaintyParts,
+    UnknownCondition,
     VerifyResult,
 )
 
@@ -300,6 +302,8 @@ __all__ = [
     "ToleranceVerdict",
     "TrackerBridgeResult",
     "TravelTime",
+    "UncertaintyParts",
+    "UnknownCondition",
     "ValueComparison",
     "Verdict",
     "VerifyResult",

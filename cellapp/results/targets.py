@@ -67,7 +67,9 @@ class TargetCommand(TargetRecord):
     visible : bool or None
         Whether the tracker sees the SMR there.
     residual_um, residual_urad : float or None
-        Distance and angle by which the calibrated model misses the target at the command.
+        Distance and angle by which the calibrated model misses the target at the command; no angle where it is free.
+    note : str
+        What to know about a command that is not refused.
     uncertainty_mm : float or None
         Standard uncertainty of a coordinate of the SMR, without noise; None where the model states none.
     parts : UncertaintyParts or None
@@ -75,7 +77,9 @@ class TargetCommand(TargetRecord):
         Distance from the target that a measurement keeps with 95 % probability.
     unknown : sequence of UnknownCondition
     approach : signs or None
-        Sign of each joint's last motion for which the command was made; None: at the middle of both sides.
+        Sign of each joint's last motion, 0 where it does not matter: those that the target states, for which the
+        command was made; else, where ``unknown`` names the approach, those that are offered: the command itself is at
+        the middle of both sides.
     verdict : str
         Prediction from the uncertainty.
     """
@@ -87,6 +91,7 @@ class TargetCommand(TargetRecord):
     visible: bool | None = None
     residual_um: float | None = None
     residual_urad: float | None = None
+    note: str = ""
     uncertainty_mm: float | None = None
     parts: UncertaintyParts | None = None
     within_mm: float | None = None

@@ -177,7 +177,7 @@ def test_the_steps_one_by_one(made: Path) -> None:
         assert verified["compensated_mm"]["mean"] < 0.2 * verified["nominal_mm"]["mean"]
     assert results["calibrate"]["pair"]["method_1"]["cooperative_mm"]["n"] == 10
     notes = [target["note"] for target in results["push"]["targets"]]
-    assert notes[-1] == "out of reach"
+    assert notes[-1].startswith("out of reach: ")
     assert notes.count("") >= 6
 
 
@@ -204,7 +204,7 @@ def test_calibrate_discover_compensate_push_report_to_standard_output(work: Path
     assert call("calibrate", "collected", "--json", "-").json["schema"] == "cellapp-calibrate"
     assert call("discover", "collected", "--json", "-").json["schema"] == "cellapp-discover"
     found = call("compensate", "collected", "targets.yaml", "--json", "-").json
-    assert found["targets"][-1]["refusal"] == "out of reach"
+    assert found["targets"][-1]["refusal"].startswith("out of reach: ")
     assert {len(entry["q_compensated"]) for entry in found["targets"] if not entry["refusal"]} == {6}
     assert call("push", "collected", "targets.yaml", "--json", "-").json["arms"] == {}
     assert call("push", "collected", "targets.yaml", "--verify", "--json", "-").json["arms"]["left"]
