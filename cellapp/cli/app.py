@@ -287,6 +287,10 @@ def push(
     folder: RunFolder,
     targets: TargetsPath,
     verify: Annotated[bool, typer.Option("--verify", help="Measure where the SMR really goes.")] = False,
+    iterate: Annotated[
+        int | None,
+        typer.Option("--iterate", metavar="N", help="Correct what remains by measuring, at most N times a target."),
+    ] = None,
     out_of_date: Annotated[
         bool, typer.Option("--out-of-date", help="Use the latest model even if it no longer fits the run's data.")
     ] = False,
@@ -297,12 +301,23 @@ def push(
     from cellapp.compensation.targets import load_targets
     from cellapp.pipeline import push_run
     from cellapp.reporting.tables import verification_tables
+    from cellapp.reporting.verification_text import verification_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         listed = load_targets(targets, opened.profile)
         ask = asking(job, opened.profile.name, allowed=allow_motion)
-        result = push_run(opened, listed, job.listen, job.control, verify=verify, out_of_date=out_of_date, ask=ask)
+        result = push_run(
+            opened,
+            listed,
+            job.listen,
+            job.control,
+            verify=verify,
+            iterate=iterate,
+            out_of_date=out_of_date,
+            ask=ask,
+        )
         job.show(verification_tables(result))
+        job.say(*verification_lines(result))
         if not verify:
             reached = sum(not target.note for target in result.targets)
             job.say(f"{reached} of {len(result.targets)} targets reached")

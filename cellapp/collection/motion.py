@@ -202,13 +202,13 @@ class Mover:
             text = f"arm {name}: it came to rest {np.degrees(miss):.3f} deg from its target"
             raise self.stop_cell(StopCause("gate", text, name))
 
-    def go_home(self) -> None:
-        """Move the arms home one at a time, in an order that the gate accepts.
+    def go_home(self, names: Sequence[str] | None = None) -> None:
+        """Move the arms, or those of ``names``, home one at a time, in an order that the gate accepts.
 
         Raises as ``move`` does; ``MotionRefused`` if none of the remaining arms can move home.
         """
         homes = home_positions(self._profile)
-        waiting = list(homes)
+        waiting = list(homes if names is None else names)
         while waiting:
             name = next((name for name in waiting if not self.refusal({name: homes[name]})), waiting[0])
             self.move({name: homes[name]})

@@ -158,6 +158,7 @@ from cellapp.results.schemas import (
 from cellapp.results.targets import (
     ArmVerification,
     CompensateResult,
+    MeasuredPair,
     MeasuredTarget,
     TargetCommand,
     TargetRecord,
@@ -235,6 +236,7 @@ __all__ = [
     "LeftLine",
     "LogLine",
     "LogResult",
+    "MeasuredPair",
     "MeasuredTarget",
     "Method",
     "MissingReading",

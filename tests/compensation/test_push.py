@@ -13,6 +13,7 @@ import pytest
 
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.compensation import push as pushing
+from cellapp.compensation import target_visit
 from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets, same_target
@@ -93,7 +94,7 @@ def test_without_the_arriving_side_backlash_would_be_seen(
 ) -> None:
     right = [command for command in commands if command.target.arm == "right"]
     good = push(run.profile, model, right, verify=True).arms["right"].compensated_mm.mean
-    monkeypatch.setattr(pushing, "with_approach", lambda arm, command, here: command)
+    monkeypatch.setattr(target_visit, "with_approach", lambda arm, command, here: command)
     bad = push(run.profile, model, right, verify=True).arms["right"].compensated_mm.mean
     assert bad > 2.0 * good
 
