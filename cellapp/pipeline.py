@@ -31,6 +31,7 @@ from cellapp.discovery.proposal.candidate_poses import Effort
 from cellapp.discovery.propose import propose_stops
 from cellapp.discovery.result import discover_result, proposal_result
 from cellapp.errors import InputError
+from cellapp.locate_verb import profile_at_station, refuse_second_station
 from cellapp.model import CellModel
 from cellapp.plan_verbs import plan_result
 from cellapp.planning.method import plan_run
@@ -186,6 +187,7 @@ def _collect(
     resume: bool = False,
     accept_drift: bool = False,
 ) -> CollectResult:
+    refuse_second_station(run)
     confirm = confirmation(run.profile, ask)
     summary = collect_run(run, with_eta(listener), control, resume=resume, accept_drift=accept_drift, confirm=confirm)
     return CollectResult(
@@ -373,9 +375,8 @@ def _push(
         notes.extend(check_controllers(run, cell).notes)
 
     confirm, listener = confirmation(run.profile, ask), with_eta(listener)
-    pushed = push(
-        run.profile, model_of(run, used), commands, listener, control, verify=verify, confirm=confirm, opened=opened
-    )
+    profile, model = profile_at_station(run, stages), model_of(run, used)
+    pushed = push(profile, model, commands, listener, control, verify=verify, confirm=confirm, opened=opened)
     notes += [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
     result = pushed.model_copy(update={"notes": tuple(notes)})
     append_stage(run, VERIFY if verify else PUSH, result, basis_on_model(run, used, _targets_json(targets)))
