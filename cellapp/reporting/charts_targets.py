@@ -18,7 +18,7 @@ from cellapp.reporting.charts import (
     styles,
 )
 from cellapp.reporting.target_tables import measured_targets
-from cellapp.reporting.target_words import PART_WORDS, Measured, alone_mm, bounds_and_errors, last_mm, promise_words
+from cellapp.reporting.target_words import PART_WORDS, Measured, bounds_and_errors, promise_words
 from cellapp.results import UncertaintyParts, VerifyResult
 
 _BEFORE, _AFTER = STAGE_STYLES["nominal"], STAGE_STYLES["effects"]
@@ -113,7 +113,8 @@ def _errors(title: str, label: str, measured: Sequence[Measured], floor_mm: floa
         return Chart(title, x, y, (), _NOT_YET)
     number = np.arange(1.0, len(measured) + 1.0)
     before = np.array([one.nominal_mm for one in measured], dtype=np.float64)
-    after, last = (np.array([mm_of(one) for one in measured], dtype=np.float64) for mm_of in (alone_mm, last_mm))
+    after = np.array([one.compensated_mm for one in measured], dtype=np.float64)
+    last = np.array([one.final_mm for one in measured], dtype=np.float64)
     drawn = [
         series("uncompensated", number, drawable_mm(before), "points", style=_BEFORE),
         series("compensated", number, drawable_mm(after), "points", style=_AFTER, mark="■"),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.reporting.verification_text import verification_lines
 from cellapp.results import CompensateResult, MeasuredPair, MeasuredTarget, TargetCommand, VerifyResult
 
 PART_WORDS: Mapping[str, str] = {
@@ -57,16 +58,6 @@ def advice(reason: str) -> str:
 def all_measured(verify: VerifyResult) -> list[Measured]:
     """Single and cooperative targets."""
     return [*verify.targets, *verify.pairs]
-
-
-def alone_mm(measured: Measured) -> float | None:
-    """Error with the model alone, before any correction by measuring."""
-    return measured.rounds_mm[0] if measured.rounds_mm else measured.compensated_mm
-
-
-def last_mm(measured: Measured) -> float | None:
-    """Error after the last correction."""
-    return measured.rounds_mm[-1] if measured.rounds_mm else measured.compensated_mm
 
 
 def shown_tolerance(tolerance_mm: float | None) -> float | None:
@@ -173,13 +164,13 @@ def verify_message(verify: VerifyResult) -> str:
     """The verification in one sentence: how many targets are within tolerance, and the mean error before and after."""
     parts = [_tolerance_message(verify)] if _judged(verify) else []
     before = [target.nominal_mm for target in verify.targets if target.nominal_mm is not None]
-    after = [mm for target in verify.targets if (mm := last_mm(target)) is not None]
+    after = [mm for target in verify.targets if (mm := target.final_mm) is not None]
     if before and after:
         parts.append(f"mean error {np.mean(before):.2f} -> {np.mean(after):.3f} mm at {len(after)} targets")
-    pairs = [pair for pair in verify.pairs if pair.nominal_mm is not None and last_mm(pair) is not None]
+    pairs = [pair for pair in verify.pairs if pair.nominal_mm is not None and pair.final_mm is not None]
     if pairs:
         nominal = np.mean([pair.nominal_mm for pair in pairs if pair.nominal_mm is not None])
-        last = np.mean([mm for pair in pairs if (mm := last_mm(pair)) is not None])
+        last = np.mean([mm for pair in pairs if (mm := pair.final_mm) is not None])
         parts.append(f"distance of both SMRs {nominal:.2f} -> {last:.3f} mm at {len(pairs)} cooperative targets")
     return "; ".join(parts)
 
@@ -206,21 +197,9 @@ def verify_summary(verify: VerifyResult) -> list[str]:
     message = verify_message(verify)
     return [
         *([message] if message else []),
-        *rounds_words(verify),
+        *verification_lines(verify),
         *promise_words(verify),
     ]
-
-
-def rounds_words(verify: VerifyResult) -> list[str]:
-    """How far the model alone came, and what each correction by measuring left; empty without corrections."""
-    corrected = [target for target in verify.targets if len(target.rounds_mm) > 1]
-    if not corrected:
-        return []
-    alone = np.mean([target.rounds_mm[0] for target in corrected])
-    last = np.mean([target.rounds_mm[-1] for target in corrected])
-    rounds = max(len(target.rounds_mm) for target in corrected) - 1
-    times = "1 correction" if rounds == 1 else f"up to {rounds} corrections"
-    return [f"the model alone came to {alone:.4f} mm in the mean; {times} by measuring brought it to {last:.4f} mm"]
 
 
 def promise_words(verify: VerifyResult) -> list[str]:
@@ -237,7 +216,7 @@ def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tupl
     return [
         (target.within_mm, error)
         for target in verify.targets
-        if arm in (None, target.arm) and target.within_mm is not None and (error := alone_mm(target)) is not None
+        if arm in (None, target.arm) and target.within_mm is not None and (error := target.compensated_mm) is not None
     ]
 
 
@@ -261,6 +240,6 @@ def _judged(verify: VerifyResult) -> list[Measured]:
 
 def _tolerance_message(verify: VerifyResult) -> str:
     judged = _judged(verify)
-    out = [f"{one.name} ({last_mm(one) or 0.0:.3f} mm)" for one in judged if one.verdict == "out"]
+    out = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "out"]
     within = f"{len(judged) - len(out)} of {len(judged)} measurements within tolerance"
     return within + (f", {len(out)} out: {named_few(out)}" if out else "")

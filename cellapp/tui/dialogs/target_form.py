@@ -12,14 +12,11 @@ from textual.containers import Horizontal, VerticalScroll
 from textual.events import DescendantFocus
 from textual.widgets import Button, Input, Static
 
-from cellapp.compensation.target_text import FIELDS, TypedTarget, typed_target
+from cellapp.compensation.target_text import FIELDS, TypedTarget, frame_choices, typed_target
 from cellapp.compensation.targets import Target
 from cellapp.profile import Profile
 from cellapp.tui.dialogs.question import Question
 from cellapp.tui.widgets.form_fields import FieldRow
-
-_ARMS = ("arm", "partner", "partner_arm")
-"""Fields that the right arrow completes with the name of an arm."""
 
 
 class TargetForm(Question[Target]):
@@ -57,10 +54,11 @@ class TargetForm(Question[Target]):
 
     def body(self) -> ComposeResult:
         yield Static(self._title, classes="title", markup=False)
+        listed = self._others if self._before is None else [self._before, *self._others]
+        choices = {"arm": tuple(self._profile.arms), "frame": frame_choices(listed, self._profile)}
         with VerticalScroll(classes="fields", can_focus=False):
             for field in FIELDS:
-                choices = tuple(self._profile.arms) if field.name in _ARMS else ()
-                row = FieldRow(field.name, field, self._texts.get(field.name, ""), choices)
+                row = FieldRow(field.name, field, self._texts[field.name], choices.get(field.name, ()))
                 row.input.tooltip = field.help
                 yield row
         yield Static("", id="target-help", classes="text", markup=False)

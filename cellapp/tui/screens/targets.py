@@ -17,7 +17,7 @@ from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
 from textual.worker import get_current_worker
 
-from cellapp.compensation.target_text import targets_text, typed_texts
+from cellapp.compensation.target_text import new_texts, targets_text, typed_texts
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.errors import InputError
 from cellapp.profile import Profile
@@ -215,7 +215,7 @@ explains frames, conditions and verdicts.
             self.say(NO_PROFILE, "warning")
             return
         arm = next(iter(profile.arms))
-        texts = {"name": f"{arm}-01", "arm": arm, "rpy": "0 deg, 0 deg, 0 deg"}
+        texts = new_texts(arm)
         like = targets[self._index] if self._rows else None
         if like is not None:
             texts = {**typed_texts(like), "name": new_name(like.name, targets)}
@@ -266,7 +266,7 @@ explains frames, conditions and verdicts.
         if not targets:
             self.say("An empty list cannot be saved: + adds a target, Ctrl+Z brings back what was removed.", "warning")
             return
-        proposed = self._edits.path or Path("targets.yaml")
+        proposed = (self._edits.path or Path("targets.yaml")).with_suffix(".yaml")
 
         def saved(path: Path | None) -> None:
             if path is not None:

@@ -50,7 +50,7 @@ def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
 
     def begin(rounds: int | None) -> None:
         if rounds is not None:
-            screen.start(work.push(folder, targets, verify=True, out_of_date=bool(stale)))
+            screen.start(work.push(folder, targets, verify=True, iterate=rounds or None, out_of_date=bool(stale)))
 
     measured = " with the nominal and the compensated command, measured by the tracker"
     text = _push_words(screen, targets, measured, stale)
