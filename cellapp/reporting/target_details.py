@@ -47,11 +47,24 @@ def target_details(state: TargetState) -> TargetDetails:
     return TargetDetails(tuple(sentences), tuple(tables), tuple(charts))
 
 
+def details_tables(details: TargetDetails) -> list[Table]:
+    """The tables, with charts of bars as tables: what a shell prints."""
+    columns = (Column("source"), number_column("standard uncertainty", ".4f", "mm"))
+    parts = [
+        Table(chart.title, columns, tuple(zip(chart.categories, chart.series[0].y.tolist(), strict=True)))
+        for chart in details.charts
+        if chart.categories
+    ]
+    return [*parts, *details.tables]
+
+
 def stored_state(results: RunResults, name: str) -> TargetState | None:
     """What a run stored last about the target of a name; None if it knows none of that name."""
     commands = () if results.compensate is None else _named(results.compensate.targets, name)
     pushed = results.verify or results.push
     measured = () if pushed is None else _named(pushed.targets, name)
+    if commands:  # an earlier target of that name was measured
+        measured = tuple(one for one in measured if one.definition == commands[0].definition)
     if not commands and not measured:
         return None
     pairs = () if pushed is None else pushed.pairs

@@ -19,7 +19,10 @@ PART_WORDS: Mapping[str, str] = {
     "conditions": "conditions",
 }
 """Column headings of the parts of an uncertainty."""
+_MOST_NOTES = 20
+"""Notes on single targets that are printed; all are in the JSON."""
 Measured = MeasuredTarget | MeasuredPair
+"""A measured target of one arm, or of two."""
 _MOST_NAMED = 5
 """Targets that a sentence names; further ones are counted."""
 _ADVICE: Mapping[str, str] = {
@@ -27,14 +30,12 @@ _ADVICE: Mapping[str, str] = {
     "payload": "state conditions: {payload: ...} of the target, or the payload of the arm in the profile",
     "time": "state conditions: {time: ...} of the target, or calibrate again shortly before the work",
     "dwell": "state conditions: {dwell: ...} of the target: how long the arm rests before it works",
-    "approach": "prefer a side: approach: [1, ...] of the target, one sign for each joint",
-    "other arm": "make it a cooperative target, or leave the other arm at home",
-    "reach": "move the target nearer to the arm, or leave its rotation free",
-    "limit": "turn the target about the tool's axis, or leave its rotation free",
-    "singular": "turn or move the target a little: near a singular posture a joint turns fast",
-    "tracker": "turn the target so that the SMR faces the tracker, or move what hides it",
-    "collide": "move or turn the target; the profile's obstacles and bodies are what is checked",
-    "closer": "move or turn the target; the profile's obstacles and bodies are what is checked",
+    "approach": "state a side: approach: [1, 0, ...] of the target, one sign for each joint",
+    "out of reach": "move the target nearer to the arm, or leave its rotation free",
+    "beyond limits": "turn the target about the tool's axis, or leave its rotation free",
+    "singular": "turn or move the target a little, or leave its rotation free",
+    "collide": "move or turn the target; bodies and obstacles are those of the profile",
+    "asked": "move or turn the target; clearance, bodies and obstacles are those of the profile",
 }
 """What to do, by a word of the condition or of the reason."""
 
@@ -89,7 +90,8 @@ def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
 
 def compensate_lines(result: CompensateResult) -> list[str]:
     """What ``compensate`` prints: the summary, what is unknown, each refusal, notes."""
-    return [*compensate_summary(result), *unknown_lines(result.targets), *refusal_lines(result), *result.notes]
+    lines = [*unknown_lines(result.targets), *note_lines(result.targets), *refusal_lines(result), *result.notes]
+    return [*compensate_summary(result), *dict.fromkeys(lines)]
 
 
 def compensate_summary(result: CompensateResult) -> list[str]:
@@ -106,6 +108,13 @@ def refusal_lines(result: CompensateResult) -> list[str]:
             what = advice(target.refusal)
             lines.append(f"target {target.name}{arm}: {target.refusal}" + (f"; {what}" if what else ""))
     return lines
+
+
+def note_lines(targets: Sequence[TargetCommand]) -> list[str]:
+    """What to know about commands that are not refused; of many, the first ones."""
+    lines = [f"target {target.name}, arm {target.arm}: {target.note}" for target in targets if target.note]
+    more = [f"and {len(lines) - _MOST_NOTES} more notes on targets"] if len(lines) > _MOST_NOTES else []
+    return [*lines[:_MOST_NOTES], *more]
 
 
 def unknown_lines(targets: Sequence[TargetCommand]) -> list[str]:
