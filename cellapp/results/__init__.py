@@ -12,6 +12,7 @@ from cellapp.results.base import (
     COMPENSATE,
     DISCOVER,
     METHODS,
+    PATH,
     PUSH,
     STAGE_NAMES,
     STAGES,
@@ -95,6 +96,7 @@ from cellapp.results.discovery import (
     TermDescription,
 )
 from cellapp.results.exports import ArmFile, ExportResult, PositionLoss
+from cellapp.results.paths import DrivenPath, PathLag, PathRecord, PathResult, PathReversal
 from cellapp.results.plan_design import (
     FEW_CONFIGURATIONS,
     ArmDesign,
@@ -172,6 +174,7 @@ __all__ = [
     "FEW_CONFIGURATIONS",
     "METHODS",
     "MOST_Z",
+    "PATH",
     "PUSH",
     "STAGES",
     "STAGE_NAMES",
@@ -208,6 +211,7 @@ __all__ = [
     "Discrimination",
     "DocsResult",
     "DoctorResult",
+    "DrivenPath",
     "EffectComparison",
     "EffectMeaning",
     "EmulateResult",
@@ -246,6 +250,10 @@ __all__ = [
     "PairEstimate",
     "PairHeldOut",
     "PairMethodResult",
+    "PathLag",
+    "PathRecord",
+    "PathResult",
+    "PathReversal",
     "Picture",
     "Place",
     "PlanCheckResult",

@@ -26,6 +26,7 @@ from cellapp.results import (
     CALIBRATE,
     COMPENSATE,
     DISCOVER,
+    PATH,
     PUSH,
     STAGE_NAMES,
     VERIFY,
@@ -33,6 +34,7 @@ from cellapp.results import (
     CompensateResult,
     DiscoverResult,
     NextVerb,
+    PathResult,
     Record,
     Result,
     RunResults,
@@ -279,6 +281,7 @@ _RESULTS: Mapping[StageName, type[Result]] = {
     COMPENSATE: CompensateResult,
     PUSH: VerifyResult,
     VERIFY: VerifyResult,
+    PATH: PathResult,
 }
 
 
