@@ -11,6 +11,7 @@ import typer
 from cellapp.cli.correct import correct
 from cellapp.cli.docs import docs
 from cellapp.cli.export import export
+from cellapp.cli.follow import follow
 from cellapp.cli.init import init
 from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.motion import asking
@@ -376,7 +377,7 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-for command in (init, export, correct, pause, resume, stop, abort, runs, compare, show, schema, docs):
+for command in (follow, init, export, correct, pause, resume, stop, abort, runs, compare, show, schema, docs):
     app.command()(command)
 
 

@@ -13,6 +13,7 @@ from cellapp.results.base import (
     DISCOVER,
     LOCATE,
     METHODS,
+    PATH,
     PUSH,
     STAGE_NAMES,
     STAGES,
@@ -97,6 +98,7 @@ from cellapp.results.discovery import (
 )
 from cellapp.results.exports import ArmFile, ExportResult, PositionLoss
 from cellapp.results.locate import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
+from cellapp.results.paths import DrivenPath, PathLag, PathRecord, PathResult, PathReversal
 from cellapp.results.plan_design import (
     FEW_CONFIGURATIONS,
     ArmDesign,
@@ -178,6 +180,7 @@ __all__ = [
     "LOCATE",
     "METHODS",
     "MOST_Z",
+    "PATH",
     "PUSH",
     "STAGES",
     "STAGE_NAMES",
@@ -214,6 +217,7 @@ __all__ = [
     "Discrimination",
     "DocsResult",
     "DoctorResult",
+    "DrivenPath",
     "EffectComparison",
     "EffectMeaning",
     "EmulateResult",
@@ -257,6 +261,10 @@ __all__ = [
     "PairEstimate",
     "PairHeldOut",
     "PairMethodResult",
+    "PathLag",
+    "PathRecord",
+    "PathResult",
+    "PathReversal",
     "Picture",
     "Place",
     "PlanCheckResult",

@@ -27,6 +27,7 @@ from cellapp.results import (
     COMPENSATE,
     DISCOVER,
     LOCATE,
+    PATH,
     PUSH,
     STAGE_NAMES,
     VERIFY,
@@ -35,6 +36,7 @@ from cellapp.results import (
     DiscoverResult,
     LocateResult,
     NextVerb,
+    PathResult,
     Record,
     Result,
     RunResults,
@@ -299,6 +301,7 @@ _RESULTS: Mapping[StageName, type[Result]] = {
     COMPENSATE: CompensateResult,
     PUSH: VerifyResult,
     VERIFY: VerifyResult,
+    PATH: PathResult,
 }
 
 
