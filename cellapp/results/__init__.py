@@ -29,14 +29,18 @@ from cellapp.results.base import (
 )
 from cellapp.results.calibration import (
     ArmCalibrationResult,
+    ArmPriorResult,
     CalibrateResult,
     NetworkResult,
     NetworkTrial,
     PairEstimate,
     PairHeldOut,
     PairMethodResult,
+    PartDrift,
     Repeatability,
     Scatter,
+    SignatureChange,
+    SignaturePart,
 )
 from cellapp.results.collection import (
     ArmOrder,
@@ -187,6 +191,7 @@ __all__ = [
     "ArmFile",
     "ArmForecast",
     "ArmOrder",
+    "ArmPriorResult",
     "ArmState",
     "ArmVerification",
     "ArmView",
@@ -246,6 +251,7 @@ __all__ = [
     "PairEstimate",
     "PairHeldOut",
     "PairMethodResult",
+    "PartDrift",
     "Picture",
     "Place",
     "PlanCheckResult",
@@ -282,6 +288,8 @@ __all__ = [
     "SeenCell",
     "SessionRecord",
     "SessionRequest",
+    "SignatureChange",
+    "SignaturePart",
     "SizeSource",
     "SmallestSize",
     "Stage",
