@@ -29,8 +29,8 @@ from cellapp.signature.evidence import Drifts, Evidence, evidence
 from cellapp.signature.linear_model import Measured, design, term_columns
 from cellapp.signature.posterior import Posterior, posterior
 
-_MOST_CHANGES = 6
-"""Jumps at most. An arm with more of them is another arm, and the drifts say so."""
+_MOST_CHANGES = 10
+"""Jumps at most: all joints of an arm may have got new gears."""
 _MOST_READINGS = 300
 """Readings that judge drifts and jumps at most: the cost grows with the cube, and a few hundred show them."""
 _SUBSET_SEED = 0x51A7
