@@ -14,6 +14,7 @@ from cellapp.compensation.following import follow
 from cellapp.compensation.path_result import path_csv, path_result
 from cellapp.control import JobControl
 from cellapp.errors import InputError
+from cellapp.locate_verb import profile_at_station
 from cellapp.model import CellModel
 from cellapp.paths.path_file import PathSpec
 from cellapp.paths.plan_path import PathPlan, plan_path
@@ -79,7 +80,7 @@ def follow_run(
         confirm = confirmation(run.profile, ask)
         with taking_requests(run.folder, control):
             followed = follow(
-                run.profile,
+                profile_at_station(run, stages),
                 model,
                 plans,
                 with_eta(listener),

@@ -31,14 +31,18 @@ from cellapp.results.base import (
 )
 from cellapp.results.calibration import (
     ArmCalibrationResult,
+    ArmPriorResult,
     CalibrateResult,
     NetworkResult,
     NetworkTrial,
     PairEstimate,
     PairHeldOut,
     PairMethodResult,
+    PartDrift,
     Repeatability,
     Scatter,
+    SignatureChange,
+    SignaturePart,
 )
 from cellapp.results.collection import (
     ArmOrder,
@@ -196,6 +200,7 @@ __all__ = [
     "ArmFile",
     "ArmForecast",
     "ArmOrder",
+    "ArmPriorResult",
     "ArmState",
     "ArmVerification",
     "ArmView",
@@ -261,6 +266,7 @@ __all__ = [
     "PairEstimate",
     "PairHeldOut",
     "PairMethodResult",
+    "PartDrift",
     "PathLag",
     "PathRecord",
     "PathResult",
@@ -301,6 +307,8 @@ __all__ = [
     "SeenCell",
     "SessionRecord",
     "SessionRequest",
+    "SignatureChange",
+    "SignaturePart",
     "SizeSource",
     "SmallestSize",
     "Stage",
