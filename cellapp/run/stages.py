@@ -406,7 +406,7 @@ def earlier_digest(run: RunFile, arm: str) -> str:
 
     Raises ``InputError`` if the run is not calibrated.
     """
-    in_force = _in_force({stage.name: stage for stage in read_history(run)})
+    in_force = _in_force_before_moving({stage.name: stage for stage in read_history(run)})
     if in_force is None:
         raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
     return _sha256(f"{in_force.digest} {readings_digest(run.readings(arm))}")
