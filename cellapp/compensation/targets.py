@@ -205,7 +205,7 @@ class TargetList(Section):
         frames, conditions = info.data.get("frames", {}), info.data.get("conditions", {})
         if not isinstance(targets, list):
             return targets
-        return [_resolved(keys, frames, conditions) if isinstance(keys, dict) else keys for keys in targets]
+        return [_with_sections(keys, frames, conditions) if isinstance(keys, dict) else keys for keys in targets]
 
 
 @dataclass(frozen=True)
@@ -348,7 +348,7 @@ def _source(path: Path, joints: Mapping[str, int]) -> TargetSource:
     return TargetSource(content, place, rows.key, rows.words)
 
 
-def _resolved(
+def _with_sections(
     keys: Mapping[str, Any], frames: Mapping[str, WorkFrame], conditions: Mapping[str, WorkingConditions]
 ) -> dict[str, Any]:
     """The keys of a target with its work frame and the conditions of its arms."""
