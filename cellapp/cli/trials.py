@@ -323,6 +323,31 @@ def plans(
             raise CheckFailed(f"trials plans: {'; '.join(result.complaints())}")
 
 
+@trials_app.command("targets")
+def targets(
+    profile: ProfilePath,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells.")] = 10,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first; the next has the next one.")] = 0,
+    count: Annotated[int, typer.Option("--targets", min=1, help="New targets of each arm.")] = 200,
+    pairs: Annotated[int, typer.Option("--pairs", min=0, help="Cooperative targets; 0: none.")] = 200,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
+    markdown: MarkdownFile = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Whole simulated cells with mixed hidden effects: errors at new targets that are measured, against bars."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.target_tables import target_trial_sentences, target_trial_tables
+    from cellapp.trials.target_trial import target_trials
+
+    with Job(json_file) as job:
+        check_markdown(markdown)
+        chosen = range(seed, seed + seeds)
+        result = target_trials(load_profile(profile), chosen, count, pairs, jobs, job.listen, job.control)
+        state_result(job, result, target_trial_tables(result), target_trial_sentences(result), markdown)
+        if result.complaints():
+            raise CheckFailed(f"trials targets: {'; '.join(result.complaints())}")
+
+
 @trials_app.command("league")
 def league(
     series: Annotated[str, typer.Option("--series", metavar="LIST", help="Series, separated by commas.")] = "C,D,UR5",

@@ -66,10 +66,11 @@ class Cell:
 
 
 @contextmanager
-def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Cell]:
+def open_cell(profile: Profile, *, watch_clearance: bool = False, plant: Plant | None = None) -> Iterator[Cell]:
     """Connect to all devices of a profile; at the end they are disconnected, whatever happens.
 
-    ``watch_clearance`` observes the distances in a simulated cell; this takes time.
+    ``watch_clearance`` observes the distances in a simulated cell; this takes time. ``plant`` is the simulated cell, as
+    an earlier job left it; None: a new one that the profile describes.
 
     Raises
     ------
@@ -78,7 +79,8 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
     HardwareError
         If a device cannot be reached or is not ready.
     """
-    plant = build_plant(profile, watch_clearance=watch_clearance) if _needs_plant(profile) else None
+    if plant is None and _needs_plant(profile):
+        plant = build_plant(profile, watch_clearance=watch_clearance)
     arms = {name: _driver_of(name, arm, plant) for name, arm in profile.arms.items()}
     tracker = tracker_driver(profile, plant)
     air = _air_sensor(profile, plant)
@@ -217,7 +219,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
             seed=settings.seed,
             arms=tuple(plant_arm(name, arm, settings.effects.get(name, {})) for name, arm in profile.arms.items()),
             tracker=TrackerConfig(
-                T_C_M=pose_matrix(tracker.pose),
+                T_C_M=pose_matrix(settings.tracker_pose or tracker.pose),
                 transverse=accuracy.transverse,
                 range=accuracy.range,
                 azimuth=tracker.azimuth,

@@ -6,7 +6,6 @@ import math
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from cellapp.compensation.target_text import TypedTarget, targets_text, typed_target, typed_texts
@@ -167,22 +166,12 @@ def test_a_field_is_judged_while_it_is_typed(field: str, text: str, says: str) -
 
 
 def test_what_is_predicted_and_what_is_measured() -> None:
-    assert [predicted_verdict(0.01, size) for size in (0.04, 0.0339, 0.006, 0.0059, None)] == [
+    assert [predicted_verdict(0.006, 0.034, size) for size in (0.04, 0.0339, 0.006, 0.0059, None)] == [
         "in",
         "cannot say",
         "cannot say",
         "out",
         "",
     ]
-    assert predicted_verdict(None, 0.1) == "cannot say"
     assert [measured_verdict(0.1, size) for size in (0.1, 0.09, None)] == ["in", "out", ""]
     assert measured_verdict(None, 0.1) == ""
-
-
-def test_the_bounds_hold_for_errors_of_one_line_and_of_all_directions() -> None:
-    rng = np.random.default_rng(2)
-    normal = rng.standard_normal((200_000, 3))
-    for spread in ([1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]):
-        errors = np.linalg.norm(normal * np.sqrt(3.0 / sum(spread)) * spread, axis=1)
-        assert np.mean(errors <= 3.395) >= 0.949
-    assert np.mean(np.linalg.norm(normal, axis=1) > 0.593) == pytest.approx(0.95, abs=0.003)
