@@ -12,6 +12,7 @@ import numpy as np
 from cellapp.calibration.evaluation import summarise
 from cellapp.collection.motion import Mover
 from cellapp.compensation.compensate import Command
+from cellapp.compensation.targets import target_record
 from cellapp.compensation.tolerance import measured_verdict
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.statics import base_moment
@@ -176,13 +177,7 @@ class Findings:
         nominal = self.nominal.get(name)
         corrected = kept if self.best else None
         return MeasuredTarget(
-            name=target.name,
-            arm=name,
-            position=target.position,
-            rpy=target.rpy,
-            tolerance_mm=target.tolerance_mm,
-            frame=target.frame,
-            partner=next((other for other in self.commands if other != name), ""),
+            **dict(target_record(target, name)),
             nominal_mm=_error_mm(nominal),
             compensated_mm=_error_mm(alone),
             note=self.notes.get(name, ""),
