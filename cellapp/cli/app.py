@@ -312,14 +312,13 @@ def compensate(folder: RunFolder, targets: TargetsPath, json_file: JsonOption = 
     """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
     from cellapp.compensation.targets import load_targets
     from cellapp.pipeline import compensate_run
-    from cellapp.reporting.run_tables import predicted_tolerance_tables, refusal_sentences
+    from cellapp.reporting.target_tables import compensate_tables
+    from cellapp.reporting.target_words import compensate_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         result = compensate_run(opened, load_targets(targets, opened.profile))
-        refused = refusal_sentences(result)
-        job.show(predicted_tolerance_tables(result))
-        job.say(f"{len(result.targets) - len(refused)} of {len(result.targets)} targets compensated")
-        job.say(*refused, *result.notes)
+        job.show(compensate_tables(result))
+        job.say(*compensate_lines(result))
         job.result(result)
 
 
@@ -342,7 +341,7 @@ def push(
     from cellapp.compensation.targets import load_targets
     from cellapp.pipeline import push_run
     from cellapp.reporting.tables import verification_tables
-    from cellapp.reporting.verification_text import verification_lines
+    from cellapp.reporting.target_words import push_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         listed = load_targets(targets, opened.profile)
@@ -358,11 +357,7 @@ def push(
             ask=ask,
         )
         job.show(verification_tables(result))
-        job.say(*verification_lines(result))
-        if not verify:
-            reached = sum(not target.note for target in result.targets)
-            job.say(f"{reached} of {len(result.targets)} targets reached")
-        job.say(*result.notes)
+        job.say(*push_lines(result))
         job.result(result)
         if verify:
             _check(result.complaints(), "verification")

@@ -85,6 +85,16 @@ class Command:
         """Standard uncertainty [mm] of a coordinate of the SMR there; None where the model states none."""
         return None if self.prediction is None else self.prediction.uncertainty_mm
 
+    @property
+    def within_mm(self) -> float | None:
+        """Distance [mm] from the target that a measurement keeps with 95 % probability; None where none is stated."""
+        return None if self.prediction is None else self.prediction.within_mm
+
+    @property
+    def approach(self) -> tuple[int, ...] | None:
+        """Side of each joint from which the target is to be approached; None where the target states none."""
+        return self.target.approach if self.arm == self.target.arm else None
+
 
 def refused(target: Target, arm: str, refusal: str, branches: int | None = None) -> Command:
     """A target that is not commanded, and why."""
@@ -95,7 +105,7 @@ def command_record(command: Command) -> TargetCommand:
     """A command as result."""
     target, found = command.target, command.prediction
     judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "cannot say"
-    stated = target.approach if command.arm == target.arm else None
+    stated = command.approach
     return TargetCommand(
         **dict(target_record(target, command.arm)),
         refusal=command.refusal,

@@ -79,7 +79,7 @@ class TargetVisit:
             one = found.commands[name]
             sent[name] = np.asarray(one.q_nominal if kind == "nominal" else one.q_compensated)
             if kind == "compensated" and one.approach is None:
-                sent[name] = with_approach(self.model.arms[name], sent[name], start)
+                sent[name] = with_approach(self.model.arms[name], sent[name], start, one.conditions)
             return sent[name]
 
         states = self.driver.to(list(found.commands), command)

@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 
 from cellapp.reporting.discovery_tables import discovery_tables
-from cellapp.reporting.table import Cell, Column, Interval, Table, number_column
+from cellapp.reporting.table import Cell, Column, Interval, Table, most_urgent, number_column, part_table
+from cellapp.reporting.target_words import all_measured, arms_words, last_mm, shown_tolerance
 from cellapp.reporting.words import geometry_unit
 from cellapp.results import (
     METHODS,
@@ -14,6 +15,7 @@ from cellapp.results import (
     ArmCalibrationResult,
     CalibrateResult,
     ErrorSummary,
+    MeasuredTarget,
     RunResults,
     VerifyResult,
 )
@@ -30,6 +32,7 @@ _DETAILED_COLUMNS = (
     number_column("n", "d"),
 )
 _TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
+_PAIRS = "cooperative (distance of both SMRs)"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
@@ -125,13 +128,14 @@ def merged_words(shares: Mapping[str, float]) -> str:
 
 
 def verification_tables(result: VerifyResult) -> list[Table]:
-    """Errors at new targets before and after compensation, and each target with a tolerance.
+    """Errors at new targets before and after compensation, and the targets with a tolerance.
 
     Empty if no target was measured with both commands.
     """
+    measured = dict(result.arms) if result.cooperative is None else {**result.arms, _PAIRS: result.cooperative}
     rows = [
         (f"{name}, {label}", *_error_cells(summary))
-        for name, arm in result.arms.items()
+        for name, arm in measured.items()
         for label, summary in (("uncompensated", arm.nominal_mm), ("compensated", arm.compensated_mm))
     ]
     if not rows:
@@ -141,19 +145,26 @@ def verification_tables(result: VerifyResult) -> list[Table]:
 
 
 def _tolerance_tables(result: VerifyResult) -> list[Table]:
+    """Single and cooperative targets with a tolerance; where these are many, those with the largest share of it."""
+    judged = [one for one in all_measured(result) if one.tolerance_mm is not None]
     rows: list[tuple[Cell, ...]] = [
-        (target.name, target.arm, target.compensated_mm, f"{target.tolerance_mm:g}", target.verdict)
-        for target in result.targets
-        if target.tolerance_mm is not None
+        (
+            one.name,
+            one.arm if isinstance(one, MeasuredTarget) else arms_words(one.arms),
+            last_mm(one),
+            shown_tolerance(one.tolerance_mm),
+            one.verdict,
+        )
+        for one in most_urgent(judged, lambda one: (last_mm(one) or 0.0) / (one.tolerance_mm or math.inf))
     ]
     columns = (
         Column("target"),
         Column("arm"),
         number_column("compensated", MM),
-        number_column("tolerance", ""),
+        number_column("tolerance", "g"),
         Column("tolerance met"),
     )
-    return [Table("Targets with a tolerance [mm]", columns, tuple(rows))] if rows else []
+    return [part_table("Targets with a tolerance [mm]", columns, rows, len(judged))] if rows else []
 
 
 def tracker_sentences(result: CalibrateResult) -> list[str]:
