@@ -399,7 +399,8 @@ def _misfit(target: Target, profile: Profile, frames: Iterable[str]) -> TargetPr
         names = ", ".join([*known, *frames])
         return TargetProblem(
             "frame",
-            f": no frame '{short(target.frame)}'; frames are {names}; points give others (frames: in the YAML list)",
+            f": no frame '{short(target.frame)}'; frames are {names}; a YAML list, whose targets: may name a CSV file,"
+            " gives others under frames:",
         )
     if frame is not None and (frame.name != target.frame or frame_problem(frame, profile)):
         return TargetProblem("frame", f": {frame_problem(frame, profile) or 'its work frame has another name'}")
