@@ -38,6 +38,9 @@ def test_the_examples_show_every_frame_and_both_arms() -> None:
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_is_compensated(run: RunFile, model: CellModel, name: str) -> None:
     listed = load_targets(PROFILES / "targets" / name, run.profile)
-    given = [target for target in listed if target.rpy is not None]
-    refused = {command.target.name: command.refusal for command in compensate(run.profile, model, given)}
-    assert set(refused.values()) == {""}, refused
+    commands = compensate(run.profile, model, listed)
+    assert [(command.target.name, command.arm) for command in commands] == [
+        (target.name, arm) for target in listed for arm in target.arms
+    ]
+    refused = {f"{command.target.name} {command.arm}": command.refusal for command in commands if command.refusal}
+    assert not refused
