@@ -11,10 +11,11 @@ import typer
 from cellapp.cli.correct import correct
 from cellapp.cli.docs import docs
 from cellapp.cli.export import export
+from cellapp.cli.follow import follow
 from cellapp.cli.init import init
 from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.motion import asking
-from cellapp.cli.options import AllowMotion, JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
+from cellapp.cli.options import AllowMotion, JsonOption, NewRun, PriorOption, ProfilePath, RunFolder, TargetsPath
 from cellapp.cli.requests import abort, pause, resume, stop
 from cellapp.cli.runs import compare, runs
 from cellapp.cli.show import schema, show
@@ -222,6 +223,7 @@ def calibrate(
     parameters: Annotated[
         bool, typer.Option("--parameters", help="Print the parameters too; 'show DIR parameters' prints stored ones.")
     ] = False,
+    prior: PriorOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Identify arms and pair, evaluate on held-out stops, write calibration.json."""
@@ -230,7 +232,7 @@ def calibrate(
     from cellapp.reporting.tables import calibration_tables, parameter_tables, tracker_sentences
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = calibrate_run(opened, job.listen, job.control)
+        result = calibrate_run(opened, job.listen, job.control, prior=prior)
         job.show(calibration_tables(result))
         if parameters:
             job.show(parameter_tables(result))
@@ -376,7 +378,7 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-for command in (init, export, correct, pause, resume, stop, abort, runs, compare, show, schema, docs):
+for command in (follow, init, export, correct, pause, resume, stop, abort, runs, compare, show, schema, docs):
     app.command()(command)
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 from cellapp.reporting.discovery_tables import discovery_tables
+from cellapp.reporting.signature_tables import prior_sentences, prior_tables
 from cellapp.reporting.table import Cell, Column, Interval, Table, most_urgent, number_column, part_table
 from cellapp.reporting.target_words import all_measured, arms_words, last_mm, shown_tolerance
 from cellapp.reporting.words import geometry_unit
@@ -54,7 +55,7 @@ def out_of_date_sentences(results: RunResults) -> list[str]:
 
 
 def calibration_tables(result: CalibrateResult) -> list[Table]:
-    """Held-out errors by stage, one table for each arm, and of the pair by method."""
+    """Held-out errors by stage, one table for each arm, and of the pair by method; priors and what has changed."""
     tables = []
     for name, arm in result.arms.items():
         rows = [(label, *_error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
@@ -64,7 +65,7 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
             (method, *_error_cells(result.pair[method].cooperative_mm)) for method in METHODS if method in result.pair
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *_ERROR_COLUMNS), tuple(rows)))
-    return tables
+    return [*tables, *prior_tables(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -86,7 +87,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
         summaries = {method: result.pair[method].cooperative_mm for method in METHODS if method in result.pair}
         rows = [(method, *_detailed_cells(errors), _ratio(errors, noise)) for method, errors in summaries.items()]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
-    return tables
+    return [*tables, *prior_tables(result)]
 
 
 def transform_tables(result: CalibrateResult) -> list[Table]:
@@ -168,7 +169,7 @@ def _tolerance_tables(result: VerifyResult) -> list[Table]:
 
 
 def tracker_sentences(result: CalibrateResult) -> list[str]:
-    """Compare the error of each arm's last stage with the stated uncertainty of the tracker."""
+    """Compare the error of each arm's last stage with the stated uncertainty of the tracker; where priors come from."""
     sentences = []
     for name, arm in result.arms.items():
         if arm.tracker_mm is None:
@@ -179,7 +180,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    return sentences
+    return [*sentences, *prior_sentences(result)]
 
 
 def distance_mm(first: float | None, second: float | None) -> float | None:
