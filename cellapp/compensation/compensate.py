@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.compensation.choice import Branches, Chosen, Positions, choose, judged_branches
+from cellapp.compensation.choice import Branches, Chosen, Positions, choose, judged_branches, liked_configurations
 from cellapp.compensation.command import Command, command_record, refused
 from cellapp.compensation.goals import ArmGoals, goals_of_arm
 from cellapp.compensation.invert import Inverted, invert, invert_model, with_approach, without_effects
@@ -133,6 +133,7 @@ class _Group:
         }
         branches = {}
         for name, goal in goals.items():
+            free = bool(np.isnan(goal.rotation_M).any())
             solutions = all_branches(
                 model.arms[name].nominal,
                 goal.nominal_position_M,
@@ -140,6 +141,7 @@ class _Group:
                 cell.arms[name].limits,
                 homes[name],
                 profile.seed,
+                liked_configurations(cell, homes, name, profile.seed) if free else None,
             )
             branches[name] = judged_branches(cell, homes, name, solutions)
         return cls(model, cell, homes, targets, goals, stated, branches, ranges)
