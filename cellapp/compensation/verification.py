@@ -11,7 +11,7 @@ import numpy as np
 
 from cellapp.calibration.evaluation import summarise
 from cellapp.collection.motion import Mover
-from cellapp.compensation.compensate import Command
+from cellapp.compensation.command import Command
 from cellapp.compensation.tolerance import measured_verdict
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.statics import base_moment
@@ -134,7 +134,7 @@ class Findings:
         for name, command in self.commands.items():
             measured = [rest[name] for rest in (self.nominal, *self.rounds[:1]) if name in rest]
             if measured or name in self.lost:
-                found[name] = disagreement(measured, command.within_mm) if measured else self.lost[name]
+                found[name] = disagreement(measured, _within_mm(command)) if measured else self.lost[name]
         return found
 
     def targets(self) -> list[MeasuredTarget]:
@@ -154,6 +154,7 @@ class Findings:
         def off_mm(rest: Rest) -> float | None:
             return abs(distance_error_m(rest[names[0]], rest[names[1]])) * 1e3 if len(rest) == 2 else None
 
+        notes = [note if note.startswith("arm") else f"arm {name}: {note}" for name, note in self.notes.items()]
         rounds_mm = [off_mm(rest) for rest in self.rounds]
         tolerance_mm = first.target.tolerance_mm
         return MeasuredPair(
@@ -166,7 +167,7 @@ class Findings:
             verdict=measured_verdict(rounds_mm[self.best] if rounds_mm else None, tolerance_mm),
             rounds_mm=tuple(off for off in rounds_mm if off is not None) if self.corrected else (),
             corrected_mm=rounds_mm[self.best] if self.best else None,
-            note="; ".join(f"arm {name}: {note}" for name, note in self.notes.items()),
+            note="; ".join(dict.fromkeys(notes)),
         )
 
     def _target(self, command: Command) -> MeasuredTarget:
@@ -191,12 +192,16 @@ class Findings:
             predicted_M=_point(None if alone is None else alone.predicted_M),
             measured_M=_point(None if alone is None else alone.point.p_M),
             q=None if alone is None else tuple(alone.q.tolist()),
-            within_mm=command.within_mm,
+            within_mm=_within_mm(command),
             rounds_mm=tuple(one.error_m * 1e3 for one in rounds) if self.corrected else (),
             corrected_mm=_error_mm(corrected),
             q_corrected=None if corrected is None else tuple(corrected.sent.tolist()),
             approach=None if alone is None else tuple(int(sign) for sign in alone.approach),
         )
+
+
+def _within_mm(command: Command) -> float | None:
+    return None if command.prediction is None else command.prediction.within_mm
 
 
 def _error_mm(measured: Measured | None) -> float | None:

@@ -94,7 +94,7 @@ def test_without_the_arriving_side_backlash_would_be_seen(
 ) -> None:
     right = [command for command in commands if command.target.arm == "right"]
     good = push(run.profile, model, right, verify=True).arms["right"].compensated_mm.mean
-    monkeypatch.setattr(target_visit, "with_approach", lambda arm, command, here: command)
+    monkeypatch.setattr(target_visit, "with_approach", lambda arm, command, here, conditions: command)
     bad = push(run.profile, model, right, verify=True).arms["right"].compensated_mm.mean
     assert bad > 2.0 * good
 
