@@ -28,6 +28,7 @@ from cellapp.discovery.proposal.candidate_poses import Effort
 from cellapp.discovery.propose import propose_stops
 from cellapp.discovery.result import discover_result, proposal_result
 from cellapp.errors import InputError
+from cellapp.locate_verb import profile_at_station, refuse_second_station
 from cellapp.model import CellModel
 from cellapp.plan_verbs import plan_result
 from cellapp.planning.method import plan_run
@@ -182,6 +183,7 @@ def _collect(
     resume: bool = False,
     accept_drift: bool = False,
 ) -> CollectResult:
+    refuse_second_station(run)
     confirm = confirmation(run.profile, ask)
     summary = collect_run(run, with_eta(listener), control, resume=resume, accept_drift=accept_drift, confirm=confirm)
     return CollectResult(
@@ -364,6 +366,7 @@ def _push(
     commands, compensated = _compensate(run, stages, targets)
     job = PushJob(
         run=run,
+        profile=profile_at_station(run, stages),
         model=stage_in_force(run, stages),
         commands=commands,
         targets_json=_targets_json(targets),

@@ -13,6 +13,7 @@ from cellapp.compensation.command import Command
 from cellapp.compensation.push import Visited, push
 from cellapp.control import JobControl
 from cellapp.errors import CellappError, InputError
+from cellapp.profile import Profile
 from cellapp.progress import Cancelled, Listener
 from cellapp.results import PUSH, VERIFY, VerifyResult
 from cellapp.run import RunFile
@@ -29,11 +30,13 @@ _MEAN_LENGTH = 2.0 * math.sqrt(2.0 / math.pi)
 class PushJob:
     """What is pushed: the commands that ``model`` gave for targets (JSON), and how.
 
+    ``profile`` is that of the run, with the tracker of a simulated cell where it stands now.
     ``notes`` are those of the commands. ``rounds`` and ``verify`` are as in ``push``; ``out_of_date`` accepts a
     controller whose own D-H has changed.
     """
 
     run: RunFile
+    profile: Profile
     model: StoredStage
     commands: tuple[Command, ...]
     targets_json: str
@@ -75,7 +78,7 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
 
     try:
         pushed = push(
-            run.profile,
+            job.profile,
             model_of(run, job.model),
             job.commands,
             listener,

@@ -267,6 +267,47 @@ def discover(
 
 
 @app.command()
+def locate(
+    folder: RunFolder,
+    points: Annotated[int, typer.Option("--points", metavar="N", min=3, help="Points of all arms together.")] = 4,
+    tracker_pose: Annotated[
+        str | None,
+        typer.Option(
+            "--tracker-pose",
+            metavar="X,Y,Z,R,P,Y",
+            help="Where the tracker stands now in the cell, to about 50 mm and 1 deg: m, and roll, pitch, yaw in deg.",
+        ),
+    ] = None,
+    simulated_pose: Annotated[
+        str | None,
+        typer.Option(
+            "--simulated-pose", metavar="X,Y,Z,R,P,Y", help="Simulated cells only: put the tracker there first."
+        ),
+    ] = None,
+    allow_motion: AllowMotion = False,
+    json_file: JsonOption = None,
+) -> None:
+    """After the tracker was moved: measure a few points, so that the calibration holds from where it stands now."""
+    from cellapp.locate_verb import locate_run, typed_pose
+    from cellapp.reporting.location_text import location_sentences, location_tables
+
+    with Job(json_file) as job, open_run(folder, write=True) as opened:
+        result = locate_run(
+            opened,
+            points,
+            job.listen,
+            job.control,
+            tracker_pose=None if tracker_pose is None else typed_pose(tracker_pose, "--tracker-pose"),
+            simulated_pose=None if simulated_pose is None else typed_pose(simulated_pose, "--simulated-pose"),
+            ask=asking(job, opened.profile.name, allowed=allow_motion),
+        )
+        job.show(location_tables(result))
+        job.say(*location_sentences(result))
+        job.result(result)
+        _check(result.complaints(), "location")
+
+
+@app.command()
 def compensate(folder: RunFolder, targets: TargetsPath, json_file: JsonOption = None) -> None:
     """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
     from cellapp.compensation.targets import load_targets

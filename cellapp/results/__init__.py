@@ -11,6 +11,7 @@ from cellapp.results.base import (
     CALIBRATE,
     COMPENSATE,
     DISCOVER,
+    LOCATE,
     METHODS,
     PUSH,
     STAGE_NAMES,
@@ -95,6 +96,7 @@ from cellapp.results.discovery import (
     TermDescription,
 )
 from cellapp.results.exports import ArmFile, ExportResult, PositionLoss
+from cellapp.results.locate import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
 from cellapp.results.plan_design import (
     FEW_CONFIGURATIONS,
     ArmDesign,
@@ -173,6 +175,7 @@ __all__ = [
     "COMPENSATE",
     "DISCOVER",
     "FEW_CONFIGURATIONS",
+    "LOCATE",
     "METHODS",
     "MOST_Z",
     "PUSH",
@@ -234,6 +237,9 @@ __all__ = [
     "LastSession",
     "LawRecord",
     "LeftLine",
+    "LocateResult",
+    "LocateVerdict",
+    "LocatedPoint",
     "LogLine",
     "LogResult",
     "MeasuredPair",
@@ -245,6 +251,7 @@ __all__ = [
     "NextVerb",
     "Noise",
     "ObservabilityIndices",
+    "OtherMotion",
     "OverviewResult",
     "PairComparison",
     "PairEstimate",
@@ -293,6 +300,7 @@ __all__ = [
     "StageName",
     "StageState",
     "StageSummary",
+    "StationPose",
     "StopsResult",
     "StructureKind",
     "StructureTest",

@@ -18,7 +18,7 @@ class TargetRecord(Record):
 
     ``position`` [m] and ``rpy`` [rad] are in ``frame``; both are None in results of earlier versions, ``rpy`` also
     where the rotation is free. ``partner`` is the other arm of a cooperative target, which has a record of its own
-    under the same name.
+    under the same name. ``definition`` is a digest of all that the target says; empty in results of earlier versions.
     """
 
     name: str
@@ -28,6 +28,7 @@ class TargetRecord(Record):
     tolerance_mm: float | None = None
     frame: str = "base"
     partner: str = ""
+    definition: str = ""
 
 
 class UncertaintyParts(Record):
