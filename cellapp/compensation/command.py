@@ -86,6 +86,16 @@ class Command:
         return None if self.prediction is None else self.prediction.uncertainty_mm
 
     @property
+    def within_mm(self) -> float | None:
+        """Distance [mm] from the target that a measurement keeps with 95 % probability; None where none is stated."""
+        return None if self.prediction is None else self.prediction.within_mm
+
+    @property
+    def approach(self) -> tuple[int, ...] | None:
+        """Side of each joint from which the target is to be approached; None where the target states none."""
+        return self.target.approach if self.arm == self.target.arm else None
+
+    @property
     def partner(self) -> str:
         """The other arm of a cooperative target; empty if it has none."""
         return next((name for name in self.target.arms if name != self.arm), "")
@@ -100,7 +110,7 @@ def command_record(command: Command) -> TargetCommand:
     """A command as result."""
     target, found = command.target, command.prediction
     judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "cannot say"
-    stated = target.approach if command.arm == target.arm else None
+    stated = command.approach
     return TargetCommand(
         name=target.name,
         arm=command.arm,

@@ -157,7 +157,7 @@ class TargetVisit:
 def _stated_sides(found: Findings) -> dict[str, Vector]:
     """The sides from which a target's first arm is to come."""
     return {
-        name: np.array(command.target.approach, dtype=np.float64)
+        name: np.array(command.approach, dtype=np.float64)
         for name, command in found.commands.items()
-        if command.target.approach is not None and name == command.target.arm
+        if command.approach is not None
     }

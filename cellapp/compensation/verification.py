@@ -134,7 +134,7 @@ class Findings:
         for name, command in self.commands.items():
             measured = [rest[name] for rest in (self.nominal, *self.rounds[:1]) if name in rest]
             if measured or name in self.lost:
-                found[name] = disagreement(measured, _within_mm(command)) if measured else self.lost[name]
+                found[name] = disagreement(measured, command.within_mm) if measured else self.lost[name]
         return found
 
     def targets(self) -> list[MeasuredTarget]:
@@ -192,16 +192,12 @@ class Findings:
             predicted_M=_point(None if alone is None else alone.predicted_M),
             measured_M=_point(None if alone is None else alone.point.p_M),
             q=None if alone is None else tuple(alone.q.tolist()),
-            within_mm=_within_mm(command),
+            within_mm=command.within_mm,
             rounds_mm=tuple(one.error_m * 1e3 for one in rounds) if self.corrected else (),
             corrected_mm=_error_mm(corrected),
             q_corrected=None if corrected is None else tuple(corrected.sent.tolist()),
             approach=None if alone is None else tuple(int(sign) for sign in alone.approach),
         )
-
-
-def _within_mm(command: Command) -> float | None:
-    return None if command.prediction is None else command.prediction.within_mm
 
 
 def _error_mm(measured: Measured | None) -> float | None:
