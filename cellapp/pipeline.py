@@ -16,13 +16,10 @@ from threadpoolctl import threadpool_limits
 
 from cellapp.calibration.calibrate import calibrate_readings, missing_splits, provenance_of
 from cellapp.calibration.result import calibrate_result
-from cellapp.collection.cell import Cell
 from cellapp.collection.collect import collect_run
-from cellapp.collection.controllers import check_controllers
 from cellapp.commissioning.confirm import Ask, asked_once, confirmation, require_permission
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.compensation.compensate import Command, compensate, compensate_result
-from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.control import JobControl
 from cellapp.discovery.discover import discover_cell
@@ -38,13 +35,12 @@ from cellapp.planning.method import plan_run
 from cellapp.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.push_verb import PushJob, check_rounds, push_commands, require_current_model
 from cellapp.reporting.page import write_page
 from cellapp.results import (
     CALIBRATE,
     COMPENSATE,
     DISCOVER,
-    PUSH,
-    VERIFY,
     CalibrateResult,
     CollectResult,
     CompensateResult,
@@ -74,6 +70,9 @@ from cellapp.run.stages import (
     read_stages,
 )
 from cellapp.run.stored_model import model_of, stage_in_force
+from cellapp.signature.calibrate import with_prior
+from cellapp.signature.discovery import SearchWithPriors
+from cellapp.signature.source import basis_of_priors, earlier_arms, earlier_of_calibration
 
 R = TypeVar("R", bound=RunResults)
 
@@ -216,23 +215,31 @@ def import_new_run(profile: Profile, csv: Path, folder: Path, *, in_order: bool 
 # -- calibrate, discover, propose -------------------------------------------------------------------------------------
 
 
-def calibrate_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> CalibrateResult:
+def calibrate_run(
+    run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None, *, prior: Path | None = None
+) -> CalibrateResult:
     """Calibrate a run: draw missing splits, identify, evaluate, append the stage, export the model in force.
 
-    The notes also say whether an earlier discovery and verification still hold.
+    ``prior`` is the folder of an earlier run of the same arms, whose calibration is taken as prior. The notes also say
+    whether an earlier discovery and verification still hold.
 
     Raises
     ------
     InputError
-        If an arm has no readings or too few of them.
+        If an arm has no readings or too few of them, or the earlier run does not suit, see ``earlier_arms``.
     Cancelled
         On request; nothing is stored then.
     """
     notes = draw_missing_splits(run)
+    readings = _readings(run)
     with _one_blas_thread():
-        calibration = calibrate_readings(run.profile, _readings(run), with_eta(listener), cancel)
+        earlier = {} if prior is None else earlier_arms(run, prior)
+        calibration = calibrate_readings(run.profile, readings, with_eta(listener), cancel)
+        if earlier:
+            calibration = with_prior(run.profile, readings, calibration, earlier)
     result = calibrate_result(replace(calibration, notes=(*notes, *calibration.notes)))
-    _append_with_model(run, CALIBRATE, result, calibration.model, basis_of(run))
+    basis = basis_of(run).model_copy(update={"priors": basis_of_priors(earlier)})
+    _append_with_model(run, CALIBRATE, result, calibration.model, basis)
     stages = read_stages(run)
     _export_model(run, stages)
     return result.model_copy(update={"notes": (*result.notes, *note_later_stages(run, stages))})
@@ -327,27 +334,31 @@ def push_run(
     control: JobControl | None = None,
     *,
     verify: bool,
+    iterate: int | None = None,
     out_of_date: bool = False,
     ask: Ask | None = None,
 ) -> VerifyResult:
     """Compensate and push targets; with ``verify`` measure them before and after compensation.
 
-    ``out_of_date`` uses the model in force even where it, or a discovery, is out of date; result and log say so.
-    ``ask`` is asked before the first motion of real arms.
+    ``iterate`` is how often at most what remains at a target is corrected by measuring. ``out_of_date`` uses the model
+    in force even where it, or a discovery, is out of date or a controller's own D-H has changed; result and log say so.
+    ``ask`` is asked before the first motion of real arms. A job that is stopped stores what it has measured.
 
     Raises
     ------
     InputError
-        If the model is out of date and the operator does not insist, or no target can be commanded. Nothing has moved.
+        If the model is out of date and the operator does not insist, no target can be commanded, or the SMR mount in
+        the profile is not the calibrated one. Nothing has moved.
     CheckFailed
         If the doctor finds a fault before real arms move. Nothing has moved.
     HardwareError
-        If a device refused or failed.
+        If a device refused or failed, or a controller or its payload is not the calibrated one.
     Cancelled
     """
     control = control or JobControl()
+    check_rounds(iterate, verify=verify)
     with taking_requests(run.folder, control):
-        return _push(run, targets, listener, control, ask, verify=verify, out_of_date=out_of_date)
+        return _push(run, targets, listener, control, ask, verify=verify, iterate=iterate, out_of_date=out_of_date)
 
 
 def _push(
@@ -358,29 +369,24 @@ def _push(
     ask: Ask | None,
     *,
     verify: bool,
+    iterate: int | None = None,
     out_of_date: bool = False,
 ) -> VerifyResult:
     stages = read_stages(run)
-    stale = stages.stale_model()
-    if stale and not out_of_date:
-        raise InputError(
-            f"push: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
-            " --out-of-date"
-        )
+    require_current_model(run, stages, out_of_date=out_of_date)
     commands, compensated = _compensate(run, stages, targets)
-    used = stage_in_force(run, stages)
-    notes = list(compensated.notes)
-
-    def opened(cell: Cell) -> None:
-        notes.extend(check_controllers(run, cell).notes)
-
-    confirm, listener = confirmation(run.profile, ask), with_eta(listener)
-    profile, model = profile_at_station(run, stages), model_of(run, used)
-    pushed = push(profile, model, commands, listener, control, verify=verify, confirm=confirm, opened=opened)
-    notes += [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
-    result = pushed.model_copy(update={"notes": tuple(notes)})
-    append_stage(run, VERIFY if verify else PUSH, result, basis_on_model(run, used, _targets_json(targets)))
-    return result
+    job = PushJob(
+        run=run,
+        profile=profile_at_station(run, stages),
+        model=stage_in_force(run, stages),
+        commands=commands,
+        targets_json=_targets_json(targets),
+        notes=compensated.notes,
+        verify=verify,
+        rounds=iterate or 0,
+        out_of_date=out_of_date,
+    )
+    return push_commands(job, with_eta(listener), control, confirmation(run.profile, ask))
 
 
 def report_run(run: RunFile) -> ReportResult:
@@ -415,10 +421,14 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
             " run 'cellapp calibrate' again"
         )
     with _one_blas_thread():
-        found = discover_cell(run.profile, model_of(run, calibrated), _readings(run), with_eta(listener), cancel)
+        earlier = earlier_of_calibration(run)
+        search = SearchWithPriors(earlier) if earlier else None
+        model = model_of(run, calibrated)
+        found = discover_cell(run.profile, model, _readings(run), with_eta(listener), cancel, search)
     result = discover_result(found)
     model = replace(found.model, provenance=provenance_of(run.profile).model_dump())
-    _append_with_model(run, DISCOVER, result, model, basis_of(run, {CALIBRATE: calibrated.digest}))
+    basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
+    _append_with_model(run, DISCOVER, result, model, basis)
     _export_model(run, read_stages(run))
     return result, found
 

@@ -323,6 +323,31 @@ def plans(
             raise CheckFailed(f"trials plans: {'; '.join(result.complaints())}")
 
 
+@trials_app.command("targets")
+def targets(
+    profile: ProfilePath,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells.")] = 10,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first; the next has the next one.")] = 0,
+    count: Annotated[int, typer.Option("--targets", min=1, help="New targets of each arm.")] = 200,
+    pairs: Annotated[int, typer.Option("--pairs", min=0, help="Cooperative targets; 0: none.")] = 200,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
+    markdown: MarkdownFile = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Whole simulated cells with mixed hidden effects: errors at new targets that are measured, against bars."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.target_tables import target_trial_sentences, target_trial_tables
+    from cellapp.trials.target_trial import target_trials
+
+    with Job(json_file) as job:
+        check_markdown(markdown)
+        chosen = range(seed, seed + seeds)
+        result = target_trials(load_profile(profile), chosen, count, pairs, jobs, job.listen, job.control)
+        state_result(job, result, target_trial_tables(result), target_trial_sentences(result), markdown)
+        if result.complaints():
+            raise CheckFailed(f"trials targets: {'; '.join(result.complaints())}")
+
+
 @trials_app.command("league")
 def league(
     series: Annotated[str, typer.Option("--series", metavar="LIST", help="Series, separated by commas.")] = "C,D,UR5",
@@ -362,3 +387,59 @@ def league(
         state_result(job, result, league_tables(result), league_sentences(result), markdown)
         if result.complaints():
             raise CheckFailed(f"trials league: {'; '.join(result.complaints())}")
+
+
+@trials_app.command("signature")
+def signature(
+    profile: Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")] = Path(
+        "profiles/twin.yaml"
+    ),
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells, or draws of rows.")] = 10,
+    first: Annotated[int, typer.Option("--first", min=0, help="The first seed.")] = 0,
+    earlier: Annotated[int, typer.Option("--earlier", min=40, help="Stops of the earlier calibration.")] = 400,
+    few: Annotated[int, typer.Option("--few", min=5, help="Stops with the earlier calibration.")] = 30,
+    many: Annotated[int, typer.Option("--many", min=10, help="Stops without it, to compare with.")] = 150,
+    real: Annotated[bool, typer.Option("--real", help="Series D of a real UR10 with series C as prior.")] = False,
+    rows: Annotated[
+        str, typer.Option("--rows", metavar="LIST", help="With --real: numbers of rows, separated by commas.")
+    ] = "30,60,100",
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
+    data: Annotated[Path, typer.Option("--data", metavar="DIR", help="Folder of the series.")] = Path("tests/fixtures"),
+    profiles: Annotated[Path, typer.Option("--profiles", metavar="DIR", help="Folder of their profiles.")] = Path(
+        "profiles"
+    ),
+    markdown: MarkdownFile = None,
+    json_file: JsonOption = None,
+) -> None:
+    """What an arm's earlier calibration is worth when it is calibrated again from few stops, mounted elsewhere."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.league.series import parse_rows
+    from cellapp.trials.signature import real_trials, twin_trials
+    from cellapp.trials.signature_tables import signature_sentences, signature_tables
+
+    with Job(json_file) as job:
+        check_markdown(markdown)
+        if real:
+            result = real_trials(
+                parse_rows(rows),
+                range(first, first + seeds),
+                data=data,
+                profiles=profiles,
+                jobs=jobs,
+                listener=job.listen,
+                cancel=job.control,
+            )
+        else:
+            result = twin_trials(
+                load_profile(profile),
+                range(first, first + seeds),
+                earlier=earlier,
+                few=few,
+                many=many,
+                jobs=jobs,
+                listener=job.listen,
+                cancel=job.control,
+            )
+        state_result(job, result, signature_tables(result), signature_sentences(result), markdown)
+        if result.complaints():
+            raise CheckFailed(f"trials signature: {'; '.join(result.complaints())}")

@@ -66,10 +66,11 @@ class Cell:
 
 
 @contextmanager
-def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Cell]:
+def open_cell(profile: Profile, *, watch_clearance: bool = False, plant: Plant | None = None) -> Iterator[Cell]:
     """Connect to all devices of a profile; at the end they are disconnected, whatever happens.
 
-    ``watch_clearance`` observes the distances in a simulated cell; this takes time.
+    ``watch_clearance`` observes the distances in a simulated cell; this takes time. ``plant`` is the simulated cell, as
+    an earlier job left it; None: a new one that the profile describes.
 
     Raises
     ------
@@ -78,7 +79,8 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False) -> Iterator[Ce
     HardwareError
         If a device cannot be reached or is not ready.
     """
-    plant = build_plant(profile, watch_clearance=watch_clearance) if _needs_plant(profile) else None
+    if plant is None and _needs_plant(profile):
+        plant = build_plant(profile, watch_clearance=watch_clearance)
     arms = {name: _driver_of(name, arm, plant) for name, arm in profile.arms.items()}
     tracker = tracker_driver(profile, plant)
     air = _air_sensor(profile, plant)

@@ -68,7 +68,8 @@ IN_THE_LIBRARY = {"tracker_drift": "base_drift"}
 ONE, NONE, OUT, PAIR, TRIPLE, FLIP = "one", "none", "outside", "pair", "triple", "flipped"
 KINDS = (ONE, NONE, OUT, PAIR, TRIPLE)
 MIXED = "mixed"
-_MIXTURE = (ONE, ONE, NONE, ONE, OUT, ONE, ONE, PAIR, ONE, NONE)
+MIXTURE = (ONE, ONE, NONE, ONE, OUT, ONE, ONE, PAIR, ONE, NONE)
+"""Kinds of mixed cases, each as often as it occurs."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
     counts = dict.fromkeys(menus, 0)
     found = []
     for place in range(n):
-        here = _MIXTURE[place % len(_MIXTURE)] if kind == MIXED else kind
+        here = MIXTURE[place % len(MIXTURE)] if kind == MIXED else kind
         menu, turn = menus[here], counts[here]
         counts[here] += 1
         slugs, look_alikes = menu[(seed + turn) % len(menu)]

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from drivers.plant import effects as hidden
 from drivers.plant.clearance import Clearance
 from drivers.plant.climate import Air, joint_rise
-from drivers.plant.config import ArmConfig, Array, PlantConfig
+from drivers.plant.config import ArmConfig, Array, PlantConfig, broadcast
 from drivers.plant.effect import Situation
 from drivers.plant.executed import Executed, executed_clearance
 from drivers.plant.lines import carry, inverse, rigid
@@ -30,20 +29,12 @@ from drivers.plant.mechanism import (
 from drivers.plant.motion import braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.schedule import Schedule
+from drivers.plant.servo import follow
 from drivers.plant.true_arm import Target, TrueArm, largest_change, watch
 
 _EQUILIBRIUM_RAD = 1e-12
 _MAX_ITERATIONS = 200
 _SAMPLE_S = 0.02
-
-
-def _broadcast(name: str, value: ArrayLike | None, default: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return ``value``, or ``default`` if it is None, broadcast to ``shape``."""
-    array = np.asarray(default if value is None else value, dtype=np.float64)
-    try:
-        return np.broadcast_to(array, shape)
-    except ValueError:
-        raise ValueError(f"{name} has shape {array.shape}, expected {shape}") from None
 
 
 class Plant:
@@ -185,7 +176,7 @@ class Plant:
                 load=None
                 if name not in loads
                 else Load(
-                    _broadcast("other_payloads", loads[name], 0.0, (n,)),
+                    broadcast("other_payloads", loads[name], 0.0, (n,)),
                     np.broadcast_to(other.mechanism.payload_center, (n, 3)),
                 ),
             )
@@ -235,23 +226,23 @@ class Plant:
         arm = self._arm(name)
         q = np.asarray(q, dtype=np.float64)
         n, joints = len(q), arm.config.joints
-        step = _broadcast("last_step", last_step, np.zeros_like(q), (n, joints))
-        times = _broadcast("time_s", time_s, self._clock_s, (n,))
-        air = _broadcast("air_c", air_c, self._air.temperature_c(times), (n,))
+        step = broadcast("last_step", last_step, np.zeros_like(q), (n, joints))
+        times = broadcast("time_s", time_s, self._clock_s, (n,))
+        air = broadcast("air_c", air_c, self._air.temperature_c(times), (n,))
         mass, center = arm.mechanism.payload_mass, arm.mechanism.payload_center
         load = Load(
-            _broadcast("payload", payload, mass, (n,)), _broadcast("payload_center", payload_center, center, (n, 3))
+            broadcast("payload", payload, mass, (n,)), broadcast("payload_center", payload_center, center, (n, 3))
         )
         if (load.mass < 0.0).any():
             raise ValueError(f"payload must be at least 0 kg, not {load.mass.min():g}")
         situation = Situation(
             q=q,
-            approach=np.sign(_broadcast("approach", approach, step, (n, joints))),
+            approach=np.sign(broadcast("approach", approach, step, (n, joints))),
             last_step=step,
-            since_rest_s=_broadcast("since_rest_s", since_rest_s, np.inf, (n,)),
+            since_rest_s=broadcast("since_rest_s", since_rest_s, np.inf, (n,)),
             time_s=times,
             air_c=air,
-            joints_c=_broadcast("joints_c", joints_c, air[:, None] + arm.rise, (n, joints)),
+            joints_c=broadcast("joints_c", joints_c, air[:, None] + arm.rise, (n, joints)),
             others=self._other_postures(arm, {} if others is None else others, n, other_payloads),
             T_B_others=self._T_B_others(arm),
             mechanism=arm.mechanism,
@@ -357,6 +348,16 @@ class Plant:
         self._end_motion(arm, self._q(arm), self._clock_s)
         arm.motion = shortened
 
+    def servo(self, name: str, goal: Array, rate: float) -> None:
+        """Let an arm follow ``goal`` (N,) [rad] from now on, with the lag ``rate`` [1/s] of ``ServoMotion``.
+
+        Called once in each control cycle with the next goal of a stream; the arm may be at rest or follow one already.
+        Raises ``ValueError`` in another motion.
+        """
+        arm = self._arm(name)
+        if (ended := follow(arm, goal, self._clock_s, rate, self.config.repeatability)) and self._executed is not None:
+            self._executed[name].append(Executed(ended, self._clock_s))
+
     def braking_s(self, name: str) -> float:
         """Time that an arm would need to come to rest if ``stop`` were called now [s]."""
         arm = self._arm(name)
@@ -376,7 +377,7 @@ class Plant:
         arm.last_step = step
         arm.q = q
         arm.rest_since_s = time_s
-        arm.motion = None
+        arm.motion, arm.streamed = None, None
 
     def advance(self, duration_s: float) -> None:
         """Advance the clock; actions of ``schedule`` happen at their time. An error that one raises passes through."""
