@@ -32,6 +32,7 @@ from cellapp.results import (
     StationPose,
 )
 from cellapp.run import RunFile
+from cellapp.run.readings import stated_uncertainty
 from cellapp.run.stages import (
     CALIBRATION_FILE,
     RunStages,
@@ -94,7 +95,7 @@ def locate_run(
             model=model,
             rough_T=rough,
             candidates={name: run.readings(name).q for name in model.arms},
-            noise_m=_scatter(run, model),
+            excess_m=_excess(run, model),
             points=points,
             still_m=profile.collection.reference.drift,
         )
@@ -180,16 +181,27 @@ def _rough_station(run: RunFile, stages: RunStages, tracker_pose: Pose | None) -
     return np.eye(4) if station is None else station
 
 
-def _scatter(run: RunFile, model: CellModel) -> dict[str, float]:
-    """Scatter of a coordinate about the model [m]: as it states, else from the errors at held-out stops."""
+def _excess(run: RunFile, model: CellModel) -> dict[str, float]:
+    """Scatter of a coordinate about the model beyond the tracker's covariance at the readings [m], by arm.
+
+    As the model states it, else from the errors at held-out stops.
+    """
     stored = read_results(run).calibrate
     found = {}
     for name, arm in model.arms.items():
-        found[name] = 0.0 if arm.posterior is None else arm.posterior.noise_m
+        noise_m = 0.0 if arm.posterior is None else arm.posterior.noise_m
         if arm.posterior is None and stored is not None:
             result = stored.arms[name]
-            found[name] = result.validate_[result.best_stage].position_mm.rms * 1e-3 / np.sqrt(3.0)
+            noise_m = result.validate_[result.best_stage].position_mm.rms * 1e-3 / math.sqrt(3.0)
+        stated = stated_uncertainty(run.readings(name))
+        tracker = 0.0 if stated is None else float(np.mean(_variances(stated)))
+        found[name] = math.sqrt(max(noise_m**2 - tracker, 0.0))
     return found
+
+
+def _variances(stated: Array) -> Array:
+    """Variance of a coordinate (n,) [m^2] of standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
+    return np.asarray(stated**2 if stated.ndim == 1 else np.trace(stated, axis1=1, axis2=2) / 3.0)
 
 
 def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tuple[str, ...]) -> LocateResult:
