@@ -94,7 +94,7 @@ from cellapp.results.discovery import (
     StructureTest,
     TermDescription,
 )
-from cellapp.results.exports import ArmFile, ExportResult, PositionLoss
+from cellapp.results.exports import ArmFile, CommandFile, ExportResult, PositionLoss
 from cellapp.results.plan_design import (
     FEW_CONFIGURATIONS,
     ArmDesign,
@@ -195,6 +195,7 @@ __all__ = [
     "CellKind",
     "CollectResult",
     "CollectionResult",
+    "CommandFile",
     "CompensateResult",
     "ConstraintShare",
     "Contradiction",

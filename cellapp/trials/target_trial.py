@@ -174,7 +174,7 @@ def _measured(bench: _Bench, targets: Sequence[Target]) -> VerifyResult:
 
 
 def _arm_figures(bench: _Bench, name: str, targets: Sequence[MeasuredTarget]) -> ArmFigures:
-    done = [target for target in targets if target.nominal_mm is not None and target.q is not None]
+    done = [one for one in targets if None not in (one.nominal_mm, one.compensated_mm, one.q)]
     if not done:
         raise InputError(f"seed {bench.seed}, arm {name}: no target could be measured: {targets[0].note}")
     q, measured_M = _rows([one.q for one in done]), _rows([one.measured_M for one in done])
