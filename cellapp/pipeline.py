@@ -16,13 +16,10 @@ from threadpoolctl import threadpool_limits
 
 from cellapp.calibration.calibrate import calibrate_readings, missing_splits, provenance_of
 from cellapp.calibration.result import calibrate_result
-from cellapp.collection.cell import Cell
 from cellapp.collection.collect import collect_run
-from cellapp.collection.controllers import check_controllers
 from cellapp.commissioning.confirm import Ask, asked_once, confirmation, require_permission
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.compensation.compensate import Command, compensate, compensate_result
-from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.control import JobControl
 from cellapp.discovery.discover import discover_cell
@@ -31,19 +28,19 @@ from cellapp.discovery.proposal.candidate_poses import Effort
 from cellapp.discovery.propose import propose_stops
 from cellapp.discovery.result import discover_result, proposal_result
 from cellapp.errors import InputError
+from cellapp.locate_verb import profile_at_station, refuse_second_station
 from cellapp.model import CellModel
 from cellapp.plan_verbs import plan_result
 from cellapp.planning.method import plan_run
 from cellapp.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.push_verb import PushJob, check_rounds, push_commands, require_current_model
 from cellapp.reporting.page import write_page
 from cellapp.results import (
     CALIBRATE,
     COMPENSATE,
     DISCOVER,
-    PUSH,
-    VERIFY,
     CalibrateResult,
     CollectResult,
     CompensateResult,
@@ -186,6 +183,7 @@ def _collect(
     resume: bool = False,
     accept_drift: bool = False,
 ) -> CollectResult:
+    refuse_second_station(run)
     confirm = confirmation(run.profile, ask)
     summary = collect_run(run, with_eta(listener), control, resume=resume, accept_drift=accept_drift, confirm=confirm)
     return CollectResult(
@@ -325,27 +323,31 @@ def push_run(
     control: JobControl | None = None,
     *,
     verify: bool,
+    iterate: int | None = None,
     out_of_date: bool = False,
     ask: Ask | None = None,
 ) -> VerifyResult:
     """Compensate and push targets; with ``verify`` measure them before and after compensation.
 
-    ``out_of_date`` uses the model in force even where it, or a discovery, is out of date; result and log say so.
-    ``ask`` is asked before the first motion of real arms.
+    ``iterate`` is how often at most what remains at a target is corrected by measuring. ``out_of_date`` uses the model
+    in force even where it, or a discovery, is out of date or a controller's own D-H has changed; result and log say so.
+    ``ask`` is asked before the first motion of real arms. A job that is stopped stores what it has measured.
 
     Raises
     ------
     InputError
-        If the model is out of date and the operator does not insist, or no target can be commanded. Nothing has moved.
+        If the model is out of date and the operator does not insist, no target can be commanded, or the SMR mount in
+        the profile is not the calibrated one. Nothing has moved.
     CheckFailed
         If the doctor finds a fault before real arms move. Nothing has moved.
     HardwareError
-        If a device refused or failed.
+        If a device refused or failed, or a controller or its payload is not the calibrated one.
     Cancelled
     """
     control = control or JobControl()
+    check_rounds(iterate, verify=verify)
     with taking_requests(run.folder, control):
-        return _push(run, targets, listener, control, ask, verify=verify, out_of_date=out_of_date)
+        return _push(run, targets, listener, control, ask, verify=verify, iterate=iterate, out_of_date=out_of_date)
 
 
 def _push(
@@ -356,30 +358,24 @@ def _push(
     ask: Ask | None,
     *,
     verify: bool,
+    iterate: int | None = None,
     out_of_date: bool = False,
 ) -> VerifyResult:
     stages = read_stages(run)
-    stale = stages.stale_model()
-    if stale and not out_of_date:
-        raise InputError(
-            f"push: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
-            " --out-of-date"
-        )
+    require_current_model(run, stages, out_of_date=out_of_date)
     commands, compensated = _compensate(run, stages, targets)
-    used = stage_in_force(run, stages)
-    notes = list(compensated.notes)
-
-    def opened(cell: Cell) -> None:
-        notes.extend(check_controllers(run, cell).notes)
-
-    confirm, listener = confirmation(run.profile, ask), with_eta(listener)
-    pushed = push(
-        run.profile, model_of(run, used), commands, listener, control, verify=verify, confirm=confirm, opened=opened
+    job = PushJob(
+        run=run,
+        profile=profile_at_station(run, stages),
+        model=stage_in_force(run, stages),
+        commands=commands,
+        targets_json=_targets_json(targets),
+        notes=compensated.notes,
+        verify=verify,
+        rounds=iterate or 0,
+        out_of_date=out_of_date,
     )
-    notes += [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
-    result = pushed.model_copy(update={"notes": tuple(notes)})
-    append_stage(run, VERIFY if verify else PUSH, result, basis_on_model(run, used, _targets_json(targets)))
-    return result
+    return push_commands(job, with_eta(listener), control, confirmation(run.profile, ask))
 
 
 def report_run(run: RunFile) -> ReportResult:

@@ -24,11 +24,12 @@ FEW_TARGETS = 2
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Processes for ``pytest -n auto``: three on two cores, as many tests wait for devices. None for a part.
+    """Processes for ``pytest -n auto``: two, so that an emulated cell and a calculation have a core each.
 
-    A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
+    More let the emulated controllers wait for the processor until their clients take them for dead. None for a part of
+    the tests. A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
     """
-    return 3 if config.args_source == pytest.Config.ArgsSource.TESTPATHS else 0
+    return 2 if config.args_source == pytest.Config.ArgsSource.TESTPATHS else 0
 
 
 # an example that takes long, on a busy computer, is no fault

@@ -267,6 +267,47 @@ def discover(
 
 
 @app.command()
+def locate(
+    folder: RunFolder,
+    points: Annotated[int, typer.Option("--points", metavar="N", min=3, help="Points of all arms together.")] = 4,
+    tracker_pose: Annotated[
+        str | None,
+        typer.Option(
+            "--tracker-pose",
+            metavar="X,Y,Z,R,P,Y",
+            help="Where the tracker stands now in the cell, to about 50 mm and 1 deg: m, and roll, pitch, yaw in deg.",
+        ),
+    ] = None,
+    simulated_pose: Annotated[
+        str | None,
+        typer.Option(
+            "--simulated-pose", metavar="X,Y,Z,R,P,Y", help="Simulated cells only: put the tracker there first."
+        ),
+    ] = None,
+    allow_motion: AllowMotion = False,
+    json_file: JsonOption = None,
+) -> None:
+    """After the tracker was moved: measure a few points, so that the calibration holds from where it stands now."""
+    from cellapp.locate_verb import locate_run, typed_pose
+    from cellapp.reporting.location_text import location_sentences, location_tables
+
+    with Job(json_file) as job, open_run(folder, write=True) as opened:
+        result = locate_run(
+            opened,
+            points,
+            job.listen,
+            job.control,
+            tracker_pose=None if tracker_pose is None else typed_pose(tracker_pose, "--tracker-pose"),
+            simulated_pose=None if simulated_pose is None else typed_pose(simulated_pose, "--simulated-pose"),
+            ask=asking(job, opened.profile.name, allowed=allow_motion),
+        )
+        job.show(location_tables(result))
+        job.say(*location_sentences(result))
+        job.result(result)
+        _check(result.complaints(), "location")
+
+
+@app.command()
 def compensate(folder: RunFolder, targets: TargetsPath, json_file: JsonOption = None) -> None:
     """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
     from cellapp.compensation.targets import load_targets
@@ -287,6 +328,10 @@ def push(
     folder: RunFolder,
     targets: TargetsPath,
     verify: Annotated[bool, typer.Option("--verify", help="Measure where the SMR really goes.")] = False,
+    iterate: Annotated[
+        int | None,
+        typer.Option("--iterate", metavar="N", help="Correct what remains by measuring, at most N times a target."),
+    ] = None,
     out_of_date: Annotated[
         bool, typer.Option("--out-of-date", help="Use the latest model even if it no longer fits the run's data.")
     ] = False,
@@ -297,12 +342,23 @@ def push(
     from cellapp.compensation.targets import load_targets
     from cellapp.pipeline import push_run
     from cellapp.reporting.tables import verification_tables
+    from cellapp.reporting.verification_text import verification_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         listed = load_targets(targets, opened.profile)
         ask = asking(job, opened.profile.name, allowed=allow_motion)
-        result = push_run(opened, listed, job.listen, job.control, verify=verify, out_of_date=out_of_date, ask=ask)
+        result = push_run(
+            opened,
+            listed,
+            job.listen,
+            job.control,
+            verify=verify,
+            iterate=iterate,
+            out_of_date=out_of_date,
+            ask=ask,
+        )
         job.show(verification_tables(result))
+        job.say(*verification_lines(result))
         if not verify:
             reached = sum(not target.note for target in result.targets)
             job.say(f"{reached} of {len(result.targets)} targets reached")

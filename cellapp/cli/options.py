@@ -10,7 +10,7 @@ import typer
 ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The run's folder.")]
 NewRun = Annotated[Path, typer.Option("--run", metavar="DIR", help="Folder of the new run; must not hold one yet.")]
-TargetsPath = Annotated[Path, typer.Argument(metavar="TARGETS", help="Target list, YAML.")]
+TargetsPath = Annotated[Path, typer.Argument(metavar="TARGETS", help="Target list: .yaml or .csv.")]
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
 ]

@@ -25,6 +25,7 @@ class Part(StrEnum):
     DISCOVERY = "discovery"
     PLAN = "plan"
     COLLECTION = "collection"
+    LOCATION = "location"
     TARGETS = "targets"
     VERIFICATION = "verification"
     LOG = "log"
@@ -36,6 +37,7 @@ _NOTHING = {
     Part.CALIBRATION: "no calibration is",
     Part.PARAMETERS: "no calibration is",
     Part.DISCOVERY: "no discovery is",
+    Part.LOCATION: "no station of the tracker is",
     Part.TARGETS: "no compensated targets are",
     Part.VERIFICATION: "no verification is",
 }
@@ -176,6 +178,7 @@ def _show_result(job: Job, run: RunFile, part: Part) -> None:
         Part.CALIBRATION: ("calibrate", "cellapp calibrate", _show_calibration),
         Part.PARAMETERS: ("calibrate", "cellapp calibrate", _show_parameters),
         Part.DISCOVERY: ("discover", "cellapp discover", _show_discovery),
+        Part.LOCATION: ("locate", "cellapp locate", _show_location),
         Part.TARGETS: ("compensate", "cellapp compensate", _show_targets),
         Part.VERIFICATION: ("verify", "cellapp push --verify", _show_verification),
     }[part]
@@ -214,6 +217,14 @@ def _show_discovery(job: Job, results: RunResults) -> None:
     assert results.discover is not None
     job.show(discovery_tables(results.discover))
     job.say(*discovery_lines(results.discover), *meaning_lines(results.discover))
+
+
+def _show_location(job: Job, results: RunResults) -> None:
+    from cellapp.reporting.location_text import location_sentences, location_tables
+
+    assert results.locate is not None
+    job.show(location_tables(results.locate))
+    job.say(*location_sentences(results.locate))
 
 
 def _show_targets(job: Job, results: RunResults) -> None:

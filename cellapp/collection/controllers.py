@@ -28,10 +28,14 @@ class ControllerIdentity:
 
 @dataclass(frozen=True)
 class ControllerCheck:
-    """The controllers of an open cell by arm, and what a person must know about them."""
+    """The controllers of an open cell by arm, and what a person must know about them.
+
+    ``changed`` are those notes that make an earlier model stale.
+    """
 
     identities: Mapping[str, ControllerIdentity]
     notes: tuple[str, ...]
+    changed: tuple[str, ...] = ()
 
 
 _STORED = TypeAdapter(dict[str, ControllerIdentity])
@@ -63,16 +67,18 @@ def check_controllers(run: RunFile, cell: Cell) -> ControllerCheck:
     recorded = recorded_controllers(run)
     identities: dict[str, ControllerIdentity] = {}
     notes: list[str] = []
+    changed: list[str] = []
     for name, arm in cell.arms.items():
         identities[name], warnings = _query(arm)
         notes += warnings
         if name in recorded:
-            notes += _compare(name, recorded[name], identities[name])
+            changed += _compare(name, recorded[name], identities[name])
+    notes += changed
     if set(identities) - set(recorded):
         run.write_result(CONTROLLERS_RESULT, _STORED.dump_json(identities | recorded).decode("utf-8"))
     for note in notes:
         run.log("warning", note)
-    return ControllerCheck(identities, tuple(notes))
+    return ControllerCheck(identities, tuple(notes), tuple(changed))
 
 
 def _query(arm: Arm) -> tuple[ControllerIdentity, tuple[str, ...]]:

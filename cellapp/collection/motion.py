@@ -202,13 +202,13 @@ class Mover:
             text = f"arm {name}: it came to rest {np.degrees(miss):.3f} deg from its target"
             raise self.stop_cell(StopCause("gate", text, name))
 
-    def go_home(self) -> None:
-        """Move the arms home one at a time, in an order that the gate accepts.
+    def go_home(self, names: Sequence[str] | None = None) -> None:
+        """Move the arms, or those of ``names``, home one at a time, in an order that the gate accepts.
 
         Raises as ``move`` does; ``MotionRefused`` if none of the remaining arms can move home.
         """
         homes = home_positions(self._profile)
-        waiting = list(homes)
+        waiting = list(homes if names is None else names)
         while waiting:
             name = next((name for name in waiting if not self.refusal({name: homes[name]})), waiting[0])
             self.move({name: homes[name]})
@@ -290,10 +290,12 @@ class Mover:
         """
         return self.measure_at(predicted_smr(self._bodies, name, q[None])[0], f"arm {name}")
 
-    def measure_at(self, expected_M: Vector, what: str) -> Point:
-        """Measure the SMR of ``what`` at ``expected_M`` (3,) [m] in M. Raises as ``measure``."""
+    def measure_at(
+        self, expected_M: Vector, what: str, within_m: float = _WRONG_TARGET_M, tries: int = _MEASURING_TRIES
+    ) -> Point:
+        """Measure the SMR of ``what`` within ``within_m`` [m] of ``expected_M`` (3,) [m]. Raises as ``measure``."""
         problem: TrackerError = TargetLost("not tried")
-        for _ in range(_MEASURING_TRIES):
+        for _ in range(tries):
             self._reaction.check()
             try:
                 point = self._cell.tracker.measure(expected_M, self._profile.tracker.averaging)
@@ -308,7 +310,7 @@ class Mover:
                 raise self.stop_cell(StopCause("tracker", str(error))) from error
             self._reaction.check()  # the arms may have moved while they braked
             off = float(np.linalg.norm(point.p_M - expected_M))
-            if off <= _WRONG_TARGET_M:
+            if off <= within_m:
                 return point
             problem = WrongTarget(f"{what}: the tracker locked an SMR {off * 1e3:.0f} mm from where this one should be")
         self._reaction.check()

@@ -1,30 +1,51 @@
-"""Push compensated targets to the arms and, with verification, measure where the SMR really goes."""
+"""Push compensated targets to the arms; with verification, measure where the SMRs really go, and correct the rest."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from dataclasses import dataclass, field
 
-import numpy as np
-
-from cellapp.calibration.evaluation import summarise
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.collect import Opened
-from cellapp.collection.motion import Confirm, MotionRefused, Mover
+from cellapp.collection.motion import Confirm, Mover
 from cellapp.collection.supervision import hold_while_paused, reacting
-from cellapp.compensation.compensate import Command, with_approach
-from cellapp.compensation.tolerance import measured_verdict
+from cellapp.compensation.cell_checks import require_same_arms
+from cellapp.compensation.compensate import Command
+from cellapp.compensation.driving import Driver
+from cellapp.compensation.target_visit import TargetVisit
+from cellapp.compensation.verification import Agreement, Findings, by_arm, summary_of
 from cellapp.control import JobControl
 from cellapp.errors import InputError
-from cellapp.kinematics.transforms import Array
-from cellapp.model import ArmModel, CellModel
+from cellapp.model import CellModel
 from cellapp.profile import Profile
 from cellapp.progress import Listener, Progress, ignore
-from cellapp.results import ArmVerification, MeasuredTarget, VerifyResult
+from cellapp.results import MeasuredPair, MeasuredTarget, VerifyResult
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
-from drivers.trackers.protocol import TrackerError
 
-CommandKind = Literal["nominal", "compensated"]
+
+@dataclass
+class Visited:
+    """What was done so far; the caller keeps it if the job is stopped."""
+
+    targets: list[MeasuredTarget] = field(default_factory=list)
+    pairs: list[MeasuredPair] = field(default_factory=list)
+
+    def add(self, found: Findings, *, verify: bool) -> None:
+        """Take what was found at one target."""
+        self.targets += found.targets()
+        pair = found.pair() if verify else None
+        if pair is not None:
+            self.pairs.append(pair)
+
+    def result(self, stopped: str = "") -> VerifyResult:
+        """The result of what was done; ``stopped`` says why it is not all."""
+        return VerifyResult(
+            arms=by_arm(self.targets),
+            targets=tuple(self.targets),
+            pairs=tuple(self.pairs),
+            cooperative=summary_of(self.pairs),
+            stopped=stopped,
+        )
 
 
 def push(
@@ -35,31 +56,40 @@ def push(
     control: JobControl | None = None,
     *,
     verify: bool,
+    rounds: int = 0,
+    repeatability_m: Mapping[str, float] | None = None,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
     open_with: Opened | None = None,
+    visited: Visited | None = None,
 ) -> VerifyResult:
     """Send every command to its arm, the other arms at home; with ``verify`` both commands, and measure.
 
+    The two arms of a cooperative target go there together and are measured while both rest. ``rounds`` is how often at
+    most the remaining error is measured and corrected. ``repeatability_m`` is the standard deviation of a coordinate
+    of each arm's SMR as measured after repeated motions, below which nothing is corrected; zero where it is not known.
+
     ``opened`` is called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked
-    before the first motion. ``open_with`` opens the cell.
+    before the first motion. ``open_with`` opens the cell. ``visited`` takes each target as soon as it is done.
 
     Raises
     ------
     InputError
-        If no target can be commanded at all.
+        If no target can be commanded at all, or commands, model and profile are of other arms or SMR mounts.
     HardwareError
         If an arm or the tracker fails; all arms have been stopped.
     Stopped, Aborted
         On request; the arms have been braked.
     """
-    control = control or JobControl()
+    control, visited = control or JobControl(), visited or Visited()
+    require_same_arms(profile, model, commands)
     if not any(command.q_compensated is not None for command in commands):
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
-    bodies = cell_bodies(profile, model)
-    homes = home_positions(profile)
-    measured: list[MeasuredTarget] = []
-    kinds: tuple[CommandKind, ...] = ("nominal", "compensated") if verify else ("compensated",)
+    by_target: dict[str, list[Command]] = {}
+    for command in commands:
+        by_target.setdefault(command.target.name, []).append(command)
+    bodies, homes = cell_bodies(profile, model), home_positions(profile)
+    agreement, stopped = Agreement(), ""
     with (open_with or open_cell)(profile) as cell, reacting(cell, control) as reaction:
         opened(cell)
         cell.require_tracker()
@@ -69,91 +99,24 @@ def push(
         slow_targets = slow.stops if profile.moves_hardware else 0
         mover.speed = slow.speed if slow_targets else 1.0
         mover.go_home()
-        busy = ""
-        for done, command in enumerate(commands):
+        visit = TargetVisit(
+            model=model,
+            driver=Driver(mover, homes),
+            control=control,
+            hold=lambda: hold_while_paused(cell, control, reaction),
+            verify=verify,
+            rounds=rounds,
+            repeatability_m=repeatability_m or {},
+        )
+        for done, (name, own) in enumerate(by_target.items()):
             hold_while_paused(cell, control, reaction)
             mover.speed = slow.speed if done < slow_targets else 1.0
-            listener(Progress("push", done, len(commands), command.target.name))
-            name = command.arm
-            if busy and busy != name:
-                mover.move({busy: homes[busy]})
-            busy = name
-            measured.append(_push_target(mover, model.arms[name], command, kinds, homes[name], verify=verify))
+            listener(Progress("push", done, len(by_target), name))
+            found = visit.to(own)
+            visited.add(found, verify=verify)
+            agreement.add(found.contradictions())
+            if stopped := agreement.broken(ended=done + 1 == len(by_target)):
+                break
         mover.go_home()
-    listener(Progress("push", len(commands), len(commands), "done"))
-    return VerifyResult(arms=_by_arm(measured), targets=tuple(measured))
-
-
-def _push_target(
-    mover: Mover, arm: ArmModel, command: Command, kinds: Sequence[CommandKind], home: Array, *, verify: bool
-) -> MeasuredTarget:
-    """Send one target's commands and measure each; a refused motion or measurement becomes the target's note."""
-    errors_mm: dict[CommandKind, float] = {}
-    q = measured_M = predicted_M = None
-    note = command.refusal
-    for kind in kinds if not note else ():
-        try:
-            here = _go_and_measure(mover, arm, command, kind, home, measure=verify)
-        except (MotionRefused, TrackerError) as error:
-            note = str(error)
-            break
-        expected_M = command.nominal_M if kind == "nominal" else command.expected_M
-        if here is not None and expected_M is not None:
-            q, measured_M = here
-            predicted_M = arm.predict(q[None], mover.approach(command.arm)[None])[0]
-            errors_mm[kind] = float(np.linalg.norm(measured_M - expected_M)) * 1e3
-    target = command.target
-    return MeasuredTarget(
-        name=target.name,
-        arm=command.arm,
-        frame=target.frame,
-        position=target.position,
-        rpy=target.rpy,
-        tolerance_mm=target.tolerance_mm,
-        nominal_mm=errors_mm.get("nominal"),
-        compensated_mm=errors_mm.get("compensated"),
-        note=note,
-        verdict=measured_verdict(errors_mm.get("compensated"), target.tolerance_mm),
-        q=_tuple(q),
-        measured_M=_tuple(measured_M),
-        predicted_M=_tuple(predicted_M),
-    )
-
-
-def _go_and_measure(
-    mover: Mover, arm: ArmModel, command: Command, kind: CommandKind, home: Array, *, measure: bool
-) -> tuple[Array, Array] | None:
-    """Move to a target and, with ``measure``, return the joint positions reached and the measured SMR in M [m]."""
-    name = command.arm
-
-    def joints() -> Array:
-        if kind == "nominal":
-            return np.asarray(command.q_nominal)
-        return with_approach(arm, np.asarray(command.q_compensated), mover.positions()[name])
-
-    # straight if the arm can return home from there, so that it is never stranded; else via home
-    if mover.refusal({name: joints()}, {name: home}):
-        mover.move({name: home})
-    states = mover.move({name: joints()})
-    if not measure:
-        return None
-    return states[name].q, mover.measure(name, states[name].q).p_M
-
-
-def _tuple(vector: Array | None) -> Any:
-    return None if vector is None else tuple(vector.tolist())
-
-
-def _by_arm(targets: Sequence[MeasuredTarget]) -> Mapping[str, ArmVerification]:
-    """Error statistics by arm, over the targets that were measured with both commands."""
-    arms: dict[str, ArmVerification] = {}
-    for name in dict.fromkeys(target.arm for target in targets):
-        pairs = [
-            (target.nominal_mm, target.compensated_mm)
-            for target in targets
-            if target.arm == name and target.nominal_mm is not None and target.compensated_mm is not None
-        ]
-        if pairs:
-            nominal_m, compensated_m = np.array(pairs).T * 1e-3
-            arms[name] = ArmVerification(nominal_mm=summarise(nominal_m), compensated_mm=summarise(compensated_m))
-    return arms
+    listener(Progress("push", len(by_target), len(by_target), "done"))
+    return visited.result(stopped)

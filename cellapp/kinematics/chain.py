@@ -233,6 +233,26 @@ def jacobian(geometry: Geometry, angles: JointAngles, columns: tuple[int, ...]) 
     return P, J if sources.restore is None else J[:, sources.restore]
 
 
+def base_twists(geometry: Geometry) -> Array:
+    """Twist of the base frame per unit of each base parameter, shape (6, 6): a column for each of ``BASE_NAMES``.
+
+    The first three components are the velocity of a point of the base that is at the tracker's origin, the last three
+    the rotation, both in the tracker frame: a point at p moves by ``v + w x p``.
+    """
+    vectors = geometry.base_vectors
+    first = 4 - 4 * (geometry.joints + 1)  # ``_source`` counts the fixed vectors after those of all D-H frames
+    twists = np.zeros((6, 6))
+    for k, name in enumerate(BASE_NAMES):
+        axis, center = _source(k, geometry.joints)
+        u = vectors[axis if axis < 4 else axis + first]
+        if parameter_unit(name) == "m":
+            twists[:3, k] = u
+        else:
+            c = vectors[center if center < 4 else center + first]
+            twists[:3, k], twists[3:, k] = np.cross(c, u), u
+    return twists
+
+
 def joint_jacobian(geometry: Geometry, angles: JointAngles) -> tuple[Array, Array]:
     """SMR positions (3, n) [m] and their derivatives by the joint angles (3, N, n) [m/rad], in the tracker frame."""
     return jacobian(geometry, angles, tuple(6 + 5 * i for i in range(geometry.joints)))

@@ -72,21 +72,21 @@ def solve_pose(
     best, best_error = start.copy(), np.full(len(start), np.inf)
     q, active = start.copy(), np.arange(len(start))
     for _ in range(max_iterations):
-        errors, J = _errors_and_jacobian(geometry, position_M[active], rotation_M[active], q)
+        errors, J = errors_and_jacobian(geometry, position_M[active], rotation_M[active], q)
         largest = np.abs(errors).max(axis=1)
         better = largest < best_error[active]
         best[active[better]], best_error[active[better]] = q[better], largest[better]
         unsolved = best_error[active] >= 0.1 * tolerance
         if not unsolved.any():
             break
-        active, q = active[unsolved], q[unsolved] + _step(J[unsolved], errors[unsolved])
-    errors, _ = _errors_and_jacobian(geometry, position_M, rotation_M, best)
+        active, q = active[unsolved], q[unsolved] + damped_step(J[unsolved], errors[unsolved])
+    errors, _ = errors_and_jacobian(geometry, position_M, rotation_M, best)
     position_error, rotation_error = (np.linalg.norm(part, axis=1) for part in (errors[:, :3], errors[:, 3:]))
     reached = (position_error < tolerance) & (rotation_error < tolerance)
     return InverseSolution(best, reached, position_error, rotation_error)
 
 
-def _errors_and_jacobian(geometry: Geometry, position_M: Array, rotation_M: Array, q: Array) -> tuple[Array, Array]:
+def errors_and_jacobian(geometry: Geometry, position_M: Array, rotation_M: Array, q: Array) -> tuple[Array, Array]:
     """Position error [m] and rotation vector [rad] to the wanted pose (n, 6), and the geometric Jacobian (n, 6, N)."""
     rotations, origins = frame_poses(geometry, q)
     flange = rotations[-1]
@@ -98,8 +98,8 @@ def _errors_and_jacobian(geometry: Geometry, position_M: Array, rotation_M: Arra
     return errors, J
 
 
-def _step(J: Array, errors: Array) -> Array:
-    """Damped least-squares step (n, N) [rad], its largest component limited."""
+def damped_step(J: Array, errors: Array) -> Array:
+    """Damped least-squares step (n, N) [rad], its largest component limited, from errors (n, 6) and ``J`` (n, 6, N)."""
     share, most, least = _DAMPING
     damping = np.minimum(most, share * np.einsum("na,na->n", errors, errors)) + least
     A = J.transpose(0, 2, 1) @ J + damping[:, None, None] * np.eye(J.shape[2])

@@ -195,12 +195,16 @@ class CellModel:
     pair : tuple of two names, or None
     provenance : mapping
         Profile, seed, time and versions of the programs that made the model.
+    T_M_M0 : array, shape (4, 4), or None
+        Maps coordinates in the tracker frame at the station where the readings were taken, which the profile's
+        ``tracker.pose`` describes, into the tracker frame M of this model. None: the tracker stands there still.
     """
 
     arms: Mapping[str, ArmModel]
     T_R_L: Array | None = None
     pair: tuple[str, str] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    T_M_M0: Array | None = None
 
     def predict(
         self,
@@ -215,6 +219,7 @@ class CellModel:
 
     def to_json(self) -> str:
         """JSON text with floats in their shortest exact form."""
+        station = {} if self.T_M_M0 is None else {"T_M_M0": self.T_M_M0.tolist()}
         return json.dumps(
             {
                 "schema": MODEL_SCHEMA,
@@ -225,6 +230,7 @@ class CellModel:
                 "pair": None
                 if self.pair is None or self.T_R_L is None
                 else {"arms": list(self.pair), "T_second_first": self.T_R_L.tolist()},
+                **station,
             },
             indent=1,
         )
@@ -249,6 +255,7 @@ class CellModel:
                 T_R_L=None if pair is None else np.array(pair["T_second_first"], dtype=np.float64),
                 pair=None if pair is None else (pair["arms"][0], pair["arms"][1]),
                 provenance=content["provenance"],
+                T_M_M0=np.array(content["T_M_M0"], dtype=np.float64).reshape(4, 4) if "T_M_M0" in content else None,
             )
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise InputError(

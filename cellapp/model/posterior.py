@@ -61,16 +61,25 @@ class PosteriorDraws:
 
     def displacements(self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
         """Deviations (S, n, 3) [m] of the SMR from its prediction, to first order."""
+        by_geometry, by_terms = self.displacements_by_part(geometry, terms, context)
+        return by_geometry + by_terms
+
+    def displacements_by_part(
+        self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext
+    ) -> tuple[Array, Array]:
+        """Deviations (S, n, 3) [m] of the SMR by the geometric parameters and by the terms: their sum is the whole."""
         angles = JointAngles.of(context.q)
         _, J = jacobian(geometry, angles, self.columns)
         _, by_joint = joint_jacobian(geometry, angles)
-        moved = np.einsum("sk,ckn->snc", self.geometry, J, optimize=True)
+        by_geometry = np.einsum("sk,ckn->snc", self.geometry, J, optimize=True)
+        moved = np.zeros_like(by_geometry)
         joints = np.zeros((len(self.geometry), *context.q.shape))
         for term, drawn in zip(terms, self.terms, strict=True):
             of_law = EFFECTS[term.slug].columns(context, term.law, frozenset(term.law_names))
             by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
             _add(joints, moved, [by_name[name] for name in term.names], drawn)
-        return np.asarray(moved + np.einsum("snj,cjn->snc", joints, by_joint, optimize=True))
+        moved += np.einsum("snj,cjn->snc", joints, by_joint, optimize=True)
+        return np.asarray(by_geometry), moved
 
 
 def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], drawn: Array) -> None:

@@ -26,15 +26,15 @@ _SURROGATES = frozenset(map(chr, range(0xD800, 0xE000)))
 """Halves of characters: YAML's escapes can write them, UTF-8 cannot store them."""
 
 
+EXPONENT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
+"""Numbers such as 1e-8 and 2.5e4, which YAML 1.1 reads as texts."""
+
+
 class _Loader(yaml.SafeLoader):
-    """YAML's safe loader that also reads 1e-8 and 2.5e4 as numbers; YAML 1.1 reads them as texts."""
+    """YAML's safe loader that also reads numbers with an exponent."""
 
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
-)
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
 
 
 def load_profile(path: Path) -> Profile:

@@ -10,7 +10,14 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, StrictFloat, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    StrictFloat,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from cellapp.profile.collection import Collection
 from cellapp.profile.obstacles import Obstacles
@@ -268,6 +275,13 @@ class Plant(Section):
     noise: Annotated[bool, Field(strict=True)] = True
     effects: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
     """Arm -> effect -> parameters; see ``drivers/plant/effects``."""
+    tracker_pose: Pose | None = None
+    """Where the simulated tracker really stands, if that is not ``tracker.pose``, as after it was moved."""
+
+    @model_serializer(mode="wrap")
+    def _without_tracker_pose(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        content: dict[str, Any] = handler(self)
+        return {key: value for key, value in content.items() if key != "tracker_pose" or value is not None}
 
 
 class Profile(Section):

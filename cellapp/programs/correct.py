@@ -10,6 +10,7 @@ import numpy as np
 from cellapp.errors import InputError
 from cellapp.model import ArmModel
 from cellapp.profile.files import write_new_bytes
+from cellapp.programs.gate_findings import gate_findings
 from cellapp.programs.rewriting import rewritten
 from cellapp.programs.script_targets import read_script, six
 from cellapp.programs.solving import Workplace, solve_targets
@@ -82,7 +83,12 @@ def correct_run(
             LeftLine(line=one.line, command=one.command, reason=one.reason, refused=one.refused) for one in read.left
         ),
         assumptions=tuple(assumptions(place, settings, read, corrected)),
-        notes=(*([f"the model was used although {stale}"] if stale else []), *model_notes(model_arm), *read.notes),
+        notes=(
+            *([f"the model was used although {stale}"] if stale else []),
+            *model_notes(model_arm),
+            *read.notes,
+            *gate_findings(run.profile, model, name, corrected),
+        ),
     )
     if result.refused and not partly:
         return result.model_copy(update={"out": None})

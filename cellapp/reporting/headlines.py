@@ -27,6 +27,7 @@ _BEST_METHODS: tuple[Method, ...] = ("effects", "proposed", "method_1", "nominal
 STAGE_TITLES: dict[StageName, str] = {
     "calibrate": "Calibration",
     "discover": "Missing effects",
+    "locate": "Station of the tracker",
     "compensate": "Compensated targets",
     "push": "Pushed targets",
     "verify": "Verification at new targets",

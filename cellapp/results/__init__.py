@@ -11,6 +11,7 @@ from cellapp.results.base import (
     CALIBRATE,
     COMPENSATE,
     DISCOVER,
+    LOCATE,
     METHODS,
     PUSH,
     STAGE_NAMES,
@@ -95,6 +96,7 @@ from cellapp.results.discovery import (
     TermDescription,
 )
 from cellapp.results.exports import ArmFile, CommandFile, ExportResult, PositionLoss
+from cellapp.results.locate import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
 from cellapp.results.plan_design import (
     FEW_CONFIGURATIONS,
     ArmDesign,
@@ -158,10 +160,13 @@ from cellapp.results.schemas import (
 from cellapp.results.targets import (
     ArmVerification,
     CompensateResult,
+    MeasuredPair,
     MeasuredTarget,
     TargetCommand,
     TargetRecord,
     ToleranceVerdict,
+    UncertaintyParts,
+    UnknownCondition,
     VerifyResult,
 )
 
@@ -170,6 +175,7 @@ __all__ = [
     "COMPENSATE",
     "DISCOVER",
     "FEW_CONFIGURATIONS",
+    "LOCATE",
     "METHODS",
     "MOST_Z",
     "PUSH",
@@ -232,8 +238,12 @@ __all__ = [
     "LastSession",
     "LawRecord",
     "LeftLine",
+    "LocateResult",
+    "LocateVerdict",
+    "LocatedPoint",
     "LogLine",
     "LogResult",
+    "MeasuredPair",
     "MeasuredTarget",
     "Method",
     "MissingReading",
@@ -242,6 +252,7 @@ __all__ = [
     "NextVerb",
     "Noise",
     "ObservabilityIndices",
+    "OtherMotion",
     "OverviewResult",
     "PairComparison",
     "PairEstimate",
@@ -290,6 +301,7 @@ __all__ = [
     "StageName",
     "StageState",
     "StageSummary",
+    "StationPose",
     "StopsResult",
     "StructureKind",
     "StructureTest",
@@ -299,6 +311,8 @@ __all__ = [
     "ToleranceVerdict",
     "TrackerBridgeResult",
     "TravelTime",
+    "UncertaintyParts",
+    "UnknownCondition",
     "ValueComparison",
     "Verdict",
     "VerifyResult",

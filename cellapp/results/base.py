@@ -18,14 +18,16 @@ METHODS: tuple[Method, ...] = ("nominal", "method_1", "method_2", "proposed", "e
 
 Verdict = Literal["explained", "nothing missing", "unknown effect", "ambiguous"]
 
-StageName = Literal["calibrate", "discover", "compensate", "push", "verify"]
+StageName = Literal["calibrate", "discover", "locate", "compensate", "push", "verify"]
 CALIBRATE: StageName = "calibrate"
 DISCOVER: StageName = "discover"
+LOCATE: StageName = "locate"
+"""The tracker's station after it was moved; its model is that of an earlier stage in the new tracker frame."""
 COMPENSATE: StageName = "compensate"
 PUSH: StageName = "push"
 """Targets that were pushed without measuring them; it does not replace a verification."""
 VERIFY: StageName = "verify"
-STAGE_NAMES: tuple[StageName, ...] = (CALIBRATE, DISCOVER, COMPENSATE, PUSH, VERIFY)
+STAGE_NAMES: tuple[StageName, ...] = (CALIBRATE, DISCOVER, LOCATE, COMPENSATE, PUSH, VERIFY)
 """What verbs store in a run, in the order of the work."""
 
 

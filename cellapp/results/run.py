@@ -9,6 +9,7 @@ from cellapp.results.base import Record, Result, StageName
 from cellapp.results.calibration import CalibrateResult
 from cellapp.results.collection import ArmOrder, CollectResult
 from cellapp.results.discovery import DiscoverResult
+from cellapp.results.locate import LocateResult
 from cellapp.results.plan_design import PlanDesignResult
 from cellapp.results.targets import CompensateResult, VerifyResult
 
@@ -26,11 +27,12 @@ class RunResults(Result):
     run: str
     calibrate: CalibrateResult | None = None
     discover: DiscoverResult | None = None
+    locate: LocateResult | None = None
     compensate: CompensateResult | None = None
     push: VerifyResult | None = None
     verify: VerifyResult | None = None
     out_of_date: Mapping[StageName, str] = {}
-    omitted_when_none = frozenset({"calibrate", "discover", "compensate", "push", "verify"})
+    omitted_when_none = frozenset({"calibrate", "discover", "locate", "compensate", "push", "verify"})
 
 
 class WholeRunResult(RunResults):
@@ -86,7 +88,7 @@ class StageState(Record):
     out_of_date: str | None = None
 
 
-NextVerb = Literal["collect", "calibrate", "discover", "push", "report", ""]
+NextVerb = Literal["collect", "calibrate", "discover", "locate", "push", "report", ""]
 """The verb that comes next in a run; ``push`` stands for compensated targets that are verified, empty for none."""
 
 

@@ -17,6 +17,7 @@ from cellapp.results.collection import (
 from cellapp.results.commissioning import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
 from cellapp.results.discovery import DiscoverResult
 from cellapp.results.exports import ExportResult
+from cellapp.results.locate import LocateResult
 from cellapp.results.plan_design import PlanDesignResult, ViewResult
 from cellapp.results.planning import PlanCheckResult, PlanForecastResult
 from cellapp.results.programs import CorrectResult
@@ -48,6 +49,7 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     DoctorResult,
     CalibrateResult,
     DiscoverResult,
+    LocateResult,
     CompensateResult,
     VerifyResult,
     CorrectResult,

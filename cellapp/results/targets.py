@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from cellapp.results.base import ErrorSummary, Record, Result
@@ -18,7 +18,7 @@ class TargetRecord(Record):
 
     ``position`` [m] and ``rpy`` [rad] are in ``frame``; both are None in results of earlier versions, ``rpy`` also
     where the rotation is free. ``partner`` is the other arm of a cooperative target, which has a record of its own
-    under the same name.
+    under the same name. ``definition`` is a digest of all that the target says; empty in results of earlier versions.
     """
 
     name: str
@@ -28,6 +28,7 @@ class TargetRecord(Record):
     tolerance_mm: float | None = None
     frame: str = "base"
     partner: str = ""
+    definition: str = ""
 
 
 class UncertaintyParts(Record):
@@ -67,7 +68,9 @@ class TargetCommand(TargetRecord):
     visible : bool or None
         Whether the tracker sees the SMR there.
     residual_um, residual_urad : float or None
-        Distance and angle by which the calibrated model misses the target at the command.
+        Distance and angle by which the calibrated model misses the target at the command; no angle where it is free.
+    note : str
+        What to know about a command that is not refused.
     uncertainty_mm : float or None
         Standard uncertainty of a coordinate of the SMR, without noise; None where the model states none.
     parts : UncertaintyParts or None
@@ -75,7 +78,9 @@ class TargetCommand(TargetRecord):
         Distance from the target that a measurement keeps with 95 % probability.
     unknown : sequence of UnknownCondition
     approach : signs or None
-        Sign of each joint's last motion for which the command was made; None: at the middle of both sides.
+        Sign of each joint's last motion, 0 where it does not matter: those that the target states, for which the
+        command was made; else, where ``unknown`` names the approach, those that are offered: the command itself is at
+        the middle of both sides.
     verdict : str
         Prediction from the uncertainty.
     """
@@ -87,6 +92,7 @@ class TargetCommand(TargetRecord):
     visible: bool | None = None
     residual_um: float | None = None
     residual_urad: float | None = None
+    note: str = ""
     uncertainty_mm: float | None = None
     parts: UncertaintyParts | None = None
     within_mm: float | None = None
@@ -108,12 +114,29 @@ Point = tuple[float, float, float]
 
 
 class MeasuredTarget(TargetRecord):
-    """Distance of one arm's measured SMR from one target with either command [mm]; None where it was not measured.
+    """Distance of one arm's measured SMR from one target [mm]; None where it was not measured.
 
-    ``wanted_M``, ``predicted_M``, ``measured_M`` [m] are in the tracker frame: the target, what the calibrated model
-    expects at the joint positions ``q`` [rad] that were reached, and the measurement with the compensated command.
-    ``rounds_mm`` are the distances after the model alone and after each correction by measuring. ``verdict`` judges
-    the last one.
+    Attributes
+    ----------
+    nominal_mm, compensated_mm : float or None
+        With the command of the published geometry, and with that of the calibrated model alone.
+    note : str
+        Why something was not driven, not measured or not corrected; empty if all went well.
+    wanted_M, predicted_M, measured_M : point or None
+        In the tracker frame [m], with the compensated command: the target, what the calibrated model expects at the
+        joint positions that were reached, and the measurement.
+    q : sequence or None
+        Those joint positions [rad].
+    within_mm : float or None
+        As in ``TargetCommand``.
+    rounds_mm : sequence
+        Distances after the model alone and after each correction by measuring; empty where none was asked for.
+    corrected_mm, q_corrected : float and sequence, or None
+        Distance and joint positions [rad] with the best correction; None where the model alone was the best.
+    approach : signs or None
+        Sign of each joint's last motion at ``compensated_mm`` and at every correction, 0 where unknown.
+    verdict : str
+        Of ``final_mm`` against the tolerance.
     """
 
     nominal_mm: float | None
@@ -126,35 +149,55 @@ class MeasuredTarget(TargetRecord):
     q: tuple[float, ...] | None = None
     within_mm: float | None = None
     rounds_mm: tuple[float, ...] = ()
+    corrected_mm: float | None = None
+    q_corrected: tuple[float, ...] | None = None
+    approach: tuple[int, ...] | None = None
+
+    @property
+    def final_mm(self) -> float | None:
+        """Distance with the command that is kept: the correction, or the compensated command without one [mm]."""
+        return self.compensated_mm if self.corrected_mm is None else self.corrected_mm
 
 
 class MeasuredPair(Record):
     """A cooperative target as measured: by how much the distance between both SMRs is off [mm].
 
-    ``wanted_mm`` is the wanted distance; ``rounds_mm`` as in ``MeasuredTarget``.
+    ``wanted_mm`` is the wanted distance; ``rounds_mm``, ``corrected_mm`` and ``verdict`` as in ``MeasuredTarget``.
     """
 
     name: str
     arms: tuple[str, str]
-    wanted_mm: float
+    wanted_mm: float | None
     nominal_mm: float | None
     compensated_mm: float | None
     tolerance_mm: float | None = None
     verdict: ToleranceVerdict = ""
     rounds_mm: tuple[float, ...] = ()
+    corrected_mm: float | None = None
     note: str = ""
+
+    @property
+    def final_mm(self) -> float | None:
+        """As in ``MeasuredTarget``."""
+        return self.compensated_mm if self.corrected_mm is None else self.corrected_mm
 
 
 class ArmVerification(Record):
-    """Distances from targets, or errors of distances between SMRs, with nominal and with compensated commands."""
+    """Distances from targets, or errors of distances between SMRs, with nominal and with compensated commands.
+
+    ``corrected_mm`` is of the commands that were kept after correcting; None where no correction was asked for.
+    """
 
     nominal_mm: ErrorSummary
     compensated_mm: ErrorSummary
+    corrected_mm: ErrorSummary | None = None
+    omitted_when_none = frozenset({"corrected_mm"})
 
 
 class VerifyResult(Result):
     """``push``: every target, and with ``--verify`` the errors of each arm before and after compensation.
 
+    ``cooperative`` summarises the pairs. ``stopped`` says why not all targets were visited; empty if they were.
     ``notes`` also say where the model that was used was out of date.
     """
 
@@ -164,30 +207,37 @@ class VerifyResult(Result):
     targets: tuple[MeasuredTarget, ...]
     pairs: tuple[MeasuredPair, ...] = ()
     cooperative: ArmVerification | None = None
+    stopped: str = ""
     notes: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
-        """Why the verification did not hold: arms that became no better, targets out of tolerance; empty if it did."""
-        found = []
+        """Why the verification did not hold: it was stopped, became no better, or is out of tolerance; empty if not."""
+        found = [self.stopped] if self.stopped else []
         for name in dict.fromkeys(target.arm for target in self.targets):
             arm = self.arms.get(name)
             if arm is None:
                 found.append(f"arm {name}: no target could be measured")
-            elif arm.compensated_mm.mean >= arm.nominal_mm.mean:
-                found.append(
-                    f"arm {name}: the mean error at compensated targets is {arm.compensated_mm.mean:.3f} mm,"
-                    f" at uncompensated ones {arm.nominal_mm.mean:.3f} mm; do not use this calibration"
-                )
-        return found + self._out_of_tolerance()
+            else:
+                found += _no_better(f"arm {name}: the mean error at", arm)
+        if self.cooperative is not None:
+            found += _no_better("pairs: the mean error of the distance at", self.cooperative)
+        return found + _out_of_tolerance("targets", self.targets) + _out_of_tolerance("pairs", self.pairs)
 
-    def _out_of_tolerance(self) -> list[str]:
-        out = [target for target in self.targets if target.verdict == "out"]
-        if not out:
-            return []
-        named = [
-            f"{target.name} ({target.compensated_mm:.3f} mm, tolerance {target.tolerance_mm:g} mm)"
-            for target in out[:_MOST_NAMED]
-        ]
-        more = [f"{len(out) - _MOST_NAMED} more"] if len(out) > _MOST_NAMED else []
-        judged = sum(target.verdict != "" for target in self.targets)
-        return [f"{len(out)} of {judged} targets with a tolerance are out of it: {', '.join(named + more)}"]
+
+def _no_better(subject: str, errors: ArmVerification) -> list[str]:
+    if errors.compensated_mm.mean < errors.nominal_mm.mean:
+        return []
+    return [
+        f"{subject} compensated targets is {errors.compensated_mm.mean:.3f} mm,"
+        f" at uncompensated ones {errors.nominal_mm.mean:.3f} mm; do not use this calibration"
+    ]
+
+
+def _out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPair]) -> list[str]:
+    out = [one for one in measured if one.verdict == "out"]
+    if not out:
+        return []
+    named = [f"{one.name} ({one.final_mm:.3f} mm, tolerance {one.tolerance_mm:g} mm)" for one in out[:_MOST_NAMED]]
+    more = [f"{len(out) - _MOST_NAMED} more"] if len(out) > _MOST_NAMED else []
+    judged = sum(one.verdict != "" for one in measured)
+    return [f"{len(out)} of {judged} {what} with a tolerance are out of it: {', '.join(named + more)}"]

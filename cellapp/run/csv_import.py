@@ -23,7 +23,7 @@ from cellapp.errors import InputError
 from cellapp.profile import Profile
 from cellapp.results import ArmOrder
 from cellapp.run.columns import COLUMNS, CONFIGURATION, Column, Values
-from cellapp.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, read_csv_table, short
+from cellapp.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, check_names, read_csv_table, short
 from cellapp.run.file import RunFile
 from cellapp.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.run.readings import Readings, readings_from_columns
@@ -148,13 +148,7 @@ def _read(
 
 def _check_header(table: CsvTable, problems: Problems) -> None:
     path, names = table.path, table.names
-    if len(names) == 1 and re.search(r"[;\t|]", names[0]):
-        raise InputError(f"{path}:1: the header is one column; separate columns by commas, and write 0.5, not 0,5")
-    for number, name in enumerate(names, start=1):
-        if not name:
-            problems.add(1, f"column {number}", "has no name; name it or remove it")
-    for name in dict.fromkeys(name for name in names if name and names.count(name) > 1):
-        problems.add(1, name, "the column is there twice; keep one")
+    check_names(table, problems)
     unknown = [name for name in names if not is_known(name)]
     required = [name for column in COLUMNS if column.required for name in column.csv_names(1)]
     for name in ("arm", *required):

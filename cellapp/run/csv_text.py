@@ -82,8 +82,10 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) 
         raise InputError(f"{path} cannot be written: {error.strerror}; check the folder and its permissions") from error
 
 
-def read_csv_table(path: Path, what: str = "readings") -> CsvTable:
-    """Read a UTF-8, comma-separated file; blank rows are skipped. ``what`` it should hold is said in messages.
+def read_csv_table(path: Path, what: str = "readings", row: str = "a row per arm per stop") -> CsvTable:
+    """Read a UTF-8, comma-separated file; blank rows are skipped.
+
+    ``what`` it should hold, and what a ``row`` is, is said in messages.
 
     Raises
     ------
@@ -92,7 +94,7 @@ def read_csv_table(path: Path, what: str = "readings") -> CsvTable:
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            return _parse(path, file)
+            return _parse(path, file, row)
     except FileNotFoundError:
         raise InputError(f"{path}: file not found; give a CSV file of {what}") from None
     except OSError as error:
@@ -101,7 +103,16 @@ def read_csv_table(path: Path, what: str = "readings") -> CsvTable:
         raise InputError(f"{path}: not UTF-8 text ({error.reason}); save the file as CSV in UTF-8") from None
 
 
-def _parse(path: Path, file: Iterable[str]) -> CsvTable:
+def check_names(table: CsvTable, problems: Problems) -> None:
+    """Note columns without a name, and names that are there twice."""
+    for number, name in enumerate(table.names, start=1):
+        if not name:
+            problems.add(1, f"column {number}", "has no name; name it or remove it")
+    for name in dict.fromkeys(name for name in table.names if name and table.names.count(name) > 1):
+        problems.add(1, name, "the column is there twice; keep one")
+
+
+def _parse(path: Path, file: Iterable[str], expected: str) -> CsvTable:
     reader = csv.reader(file, strict=True)
     rows: list[list[str]] = []
     lines: list[int] = []
@@ -114,15 +125,22 @@ def _parse(path: Path, file: Iterable[str]) -> CsvTable:
                 continue
             if names is None:
                 names = tuple(name.strip() for name in row)
+                if len(names) == 1 and re.search(r"[;\t|]", names[0]):
+                    raise InputError(
+                        f"{path}:{line}: the header is one column; separate columns by commas, and write 0.5, not 0,5"
+                    )
                 continue
             if len(row) != len(names):
                 column = names[len(row)] if len(row) < len(names) else f"column {len(names) + 1}"
-                raise InputError(f"{path}:{line}: {column}: the row has {len(row)} cells, the header has {len(names)}")
+                hint = "; write 0.5, not 0,5, and texts with commas in quotes" if len(row) > len(names) else ""
+                raise InputError(
+                    f"{path}:{line}: {column}: the row has {len(row)} cells, the header has {len(names)}{hint}"
+                )
             rows.append(row)
             lines.append(line)
     except csv.Error as error:
         raise InputError(f"{path}:{line + 1}: not CSV: {error}; correct the line") from None
     if names is None:
-        raise InputError(f"{path} is empty; expected a header row and a row per arm per stop")
+        raise InputError(f"{path} is empty; expected a header row and {expected}")
     columns = zip(*rows, strict=True) if rows else [()] * len(names)
     return CsvTable(path, names, tuple(lines), dict(zip(names, columns, strict=True)))

@@ -26,12 +26,14 @@ from cellapp.results import (
     CALIBRATE,
     COMPENSATE,
     DISCOVER,
+    LOCATE,
     PUSH,
     STAGE_NAMES,
     VERIFY,
     CalibrateResult,
     CompensateResult,
     DiscoverResult,
+    LocateResult,
     NextVerb,
     Record,
     Result,
@@ -132,7 +134,8 @@ class RunStages:
     out_of_date : mapping
         Name -> reason, a phrase such as "20 readings were added since".
     in_force : StoredStage or None
-        The stage whose model is used: the discovery if it rests on the current calibration, else the calibration.
+        The stage whose model is used: the discovery if it rests on the current calibration, else the calibration; the
+        same in the tracker frame of a later station, if the tracker was located on that model.
     """
 
     current: Mapping[StageName, StoredStage]
@@ -146,6 +149,11 @@ class RunStages:
             for name in (CALIBRATE, DISCOVER)
             if name in self.out_of_date
         ]
+        located = self.current.get(LOCATE)
+        if located is not None and located.model is None:
+            reasons.append("no motion of the tracker explains the points of the last 'locate'")
+        elif tracker_moved(located) and LOCATE in self.out_of_date:
+            reasons.append(f"the tracker was moved, and '{LOCATE}' is out of date ({self.out_of_date[LOCATE]})")
         return "; ".join(reasons)
 
     def next_verb(self) -> NextVerb:
@@ -154,6 +162,9 @@ class RunStages:
             return "calibrate"
         if DISCOVER not in self.current or DISCOVER in self.out_of_date:
             return "discover"
+        located = self.current.get(LOCATE)
+        if located is not None and (located.model is None or (tracker_moved(located) and LOCATE in self.out_of_date)):
+            return "locate"
         return "push" if VERIFY not in self.current or VERIFY in self.out_of_date else ""
 
     def next_step(self, folder: Path) -> str:
@@ -170,6 +181,12 @@ def next_command(verb: NextVerb, folder: Path) -> str:
             return f"cellapp push {folder} TARGETS --verify"
         case _:
             return f"cellapp {verb} {folder}"
+
+
+def tracker_moved(located: StoredStage | None) -> bool:
+    """Whether the tracker stands elsewhere than where the readings were taken, by the stage of ``locate``."""
+    content = None if located is None else _json_object(located.text)
+    return content is not None and content.get("moved") is True
 
 
 def append_stage(
@@ -195,10 +212,12 @@ def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = Non
     """
     newest = {stage.name: stage for stage in read_history(run)}
     current = {name: newest[name] for name in STAGE_NAMES if name in newest}
-    in_force = _in_force(current)
+    unmoved = _in_force_before_moving(current)
+    in_force = _in_force(current, unmoved)
     recorded = any(stage.basis is not None for stage in current.values())
     now = (basis_now or basis_of)(run) if recorded else None
-    reasons = {name: _why_outdated(stage, now, current, in_force) for name, stage in current.items()}
+    used = {CALIBRATE: None, DISCOVER: current.get(CALIBRATE), LOCATE: unmoved}
+    reasons = {name: _why_outdated(stage, now, used.get(name, in_force)) for name, stage in current.items()}
     return RunStages(current, {name: reason for name, reason in reasons.items() if reason}, in_force)
 
 
@@ -276,10 +295,19 @@ def readings_digest(readings: Readings) -> str:
 _RESULTS: Mapping[StageName, type[Result]] = {
     CALIBRATE: CalibrateResult,
     DISCOVER: DiscoverResult,
+    LOCATE: LocateResult,
     COMPENSATE: CompensateResult,
     PUSH: VerifyResult,
     VERIFY: VerifyResult,
 }
+
+
+_DONE: Mapping[StageName, str] = {
+    CALIBRATE: "the run was calibrated",
+    DISCOVER: "the run was searched for missing effects",
+    LOCATE: "the tracker was located",
+}
+"""What was done by the verbs that make a model."""
 
 
 def _stage(run: RunFile, row: StageRow) -> StoredStage:
@@ -325,7 +353,16 @@ def _json_object(text: str) -> dict[str, object] | None:
     return content if isinstance(content, dict) else None
 
 
-def _in_force(current: Mapping[StageName, StoredStage]) -> StoredStage | None:
+def _in_force(current: Mapping[StageName, StoredStage], unmoved: StoredStage | None) -> StoredStage | None:
+    """The model in force: that of ``locate`` while it rests on the model in force before the tracker was moved."""
+    located = current.get(LOCATE)
+    if unmoved is None or located is None or located.model is None or located.basis is None:
+        return unmoved
+    rests = (unmoved.has_outcome(name, digest) for name, digest in located.basis.stages.items())
+    return located if all(rests) else unmoved
+
+
+def _in_force_before_moving(current: Mapping[StageName, StoredStage]) -> StoredStage | None:
     calibrate, discover = current.get(CALIBRATE), current.get(DISCOVER)
     if calibrate is None or discover is None:
         return calibrate
@@ -335,13 +372,8 @@ def _in_force(current: Mapping[StageName, StoredStage]) -> StoredStage | None:
     return discover if used is not None and calibrate.has_outcome(CALIBRATE, used) else calibrate
 
 
-def _why_outdated(
-    stage: StoredStage,
-    now: Basis | None,
-    current: Mapping[StageName, StoredStage],
-    in_force: StoredStage | None,
-) -> str:
-    """Why a stage no longer holds; empty if it does."""
+def _why_outdated(stage: StoredStage, now: Basis | None, used: StoredStage | None) -> str:
+    """Why a stage no longer holds; empty if it does. ``used`` is the stage whose model it would use now."""
     if stage.basis is None or now is None:
         return NOT_RECORDED
     reasons = []
@@ -349,11 +381,10 @@ def _why_outdated(
         reasons.append("the profile was changed since")
     reasons += _changed_readings(stage.basis.readings, now.readings)
     for name, digest in stage.basis.stages.items():
-        used = current[name] if stage.name == DISCOVER else in_force
         if used is not None and not used.has_outcome(name, digest):
-            verb = "calibrated" if used.name == CALIBRATE else "searched for missing effects"
+            verb = _DONE[used.name]
             again = "again since, with another outcome" if used.name == name else "since, and another model is in force"
-            reasons.append(f"the run was {verb} {again}")
+            reasons.append(f"{verb} {again}")
     return ", ".join(reasons)
 
 

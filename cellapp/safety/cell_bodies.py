@@ -9,7 +9,7 @@ import numpy as np
 
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import Geometry
-from cellapp.kinematics.transforms import Array, rotation_zyx, transform
+from cellapp.kinematics.transforms import Array, invert, rotation_zyx, transform
 from cellapp.model import CellModel
 from cellapp.model.nominal import nominal_arm, pose_matrix
 from cellapp.profile import Arm, Profile
@@ -31,7 +31,8 @@ from cellapp.safety.standing import standings
 
 
 def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
-    """Bodies of the profile's cell; with a model, bases and chains of the arms are the identified ones.
+    """Bodies of the profile's cell; with a model, bases and chains of the arms are the identified ones, and the tracker
+    stands where the model says.
 
     Obstacles that are fixed to a base stand where that base is found.
 
@@ -43,6 +44,8 @@ def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
     """
     tracker = profile.tracker
     T_C_M = None if tracker.pose is None else pose_matrix(tracker.pose)
+    if T_C_M is not None and model is not None and model.T_M_M0 is not None:
+        T_C_M = T_C_M @ invert(model.T_M_M0)
     geometries = {}
     for name, arm in profile.arms.items():
         if arm.base is None or T_C_M is None:

@@ -203,13 +203,25 @@ def compensate(folder: Path, targets: Sequence[Target]) -> Job:
     return _on_run("compensate", folder, work)
 
 
-def push(folder: Path, targets: Sequence[Target], *, verify: bool, out_of_date: bool = False) -> Job:
-    """Move the arms to compensated targets; with ``verify`` measure them before and after compensation."""
+def push(
+    folder: Path,
+    targets: Sequence[Target],
+    *,
+    verify: bool,
+    iterate: int | None = None,
+    out_of_date: bool = False,
+) -> Job:
+    """Move the arms to compensated targets; with ``verify`` measure them before and after compensation.
+
+    ``iterate`` is how often at most what remains is corrected by measuring.
+    """
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.pipeline import push_run
 
-        return push_run(run, targets, listener, control, verify=verify, out_of_date=out_of_date, ask=ask)
+        return push_run(
+            run, targets, listener, control, verify=verify, iterate=iterate, out_of_date=out_of_date, ask=ask
+        )
 
     return _on_run(VERIFY if verify else "push", folder, work, moves=True)
 

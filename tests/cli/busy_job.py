@@ -60,6 +60,12 @@ def receive(job: Job) -> None:
             continue
 
 
+def persist(job: Job) -> None:
+    """A job that a stop alone does not end: it waits for an abort."""
+    job.control.wait_while("none", "stop")
+    job.control.check()
+
+
 def hold(job: Job) -> None:
     """Rest, and say when a pause begins and ends."""
     request: Request = "none"
@@ -78,7 +84,7 @@ def main() -> None:
 
     with Job(None) as job, job.control.brakes(brake):
         say("ready")
-        {load.__name__: load for load in (spin, multiply, query, receive, hold)}[sys.argv[1]](job)
+        {load.__name__: load for load in (spin, multiply, query, receive, persist, hold)}[sys.argv[1]](job)
 
 
 if __name__ == "__main__":

@@ -177,7 +177,7 @@ def test_the_steps_one_by_one(made: Path) -> None:
         assert verified["compensated_mm"]["mean"] < 0.2 * verified["nominal_mm"]["mean"]
     assert results["calibrate"]["pair"]["method_1"]["cooperative_mm"]["n"] == 10
     notes = [target["note"] for target in results["push"]["targets"]]
-    assert notes[-1] == "out of reach"
+    assert notes[-1].startswith("out of reach: ")
     assert notes.count("") >= 6
 
 
@@ -204,7 +204,7 @@ def test_calibrate_discover_compensate_push_report_to_standard_output(work: Path
     assert call("calibrate", "collected", "--json", "-").json["schema"] == "cellapp-calibrate"
     assert call("discover", "collected", "--json", "-").json["schema"] == "cellapp-discover"
     found = call("compensate", "collected", "targets.yaml", "--json", "-").json
-    assert found["targets"][-1]["refusal"] == "out of reach"
+    assert found["targets"][-1]["refusal"].startswith("out of reach: ")
     assert {len(entry["q_compensated"]) for entry in found["targets"] if not entry["refusal"]} == {6}
     assert call("push", "collected", "targets.yaml", "--json", "-").json["arms"] == {}
     assert call("push", "collected", "targets.yaml", "--verify", "--json", "-").json["arms"]["left"]
@@ -362,7 +362,7 @@ def test_a_bridge_that_would_stand_open_is_refused(work: Path, call: Any, argume
 def test_a_verification_that_does_not_hold_exits_with_one(
     work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cellapp.compensation.push.with_approach", lambda arm, command, here: command + 0.02)
+    monkeypatch.setattr("cellapp.compensation.target_visit.with_approach", lambda arm, command, here: command + 0.02)
     ended = call("push", "done", "targets.yaml", "--verify", "--json", "-")
     assert ended.code == 1
     assert "verification: arm left: the mean error at compensated targets is" in ended.err

@@ -78,7 +78,7 @@ def test_other_ways_to_end_a_program_stop_too(number: int) -> None:
 
 
 def test_the_second_interrupt_aborts_at_once() -> None:
-    with busy("receive") as process:
+    with busy("persist") as process:
         assert brake_after(process, signal.SIGINT)[0] == "stop"
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=WAIT_S)

@@ -6,7 +6,6 @@ import math
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from cellapp.compensation.target_text import TypedTarget, targets_text, typed_target, typed_texts
@@ -50,16 +49,19 @@ def test_the_list_of_the_twin() -> None:
         ("schema: cellapp-targets\nversion: 2\ntargets:\n" + GOOD, "version: expected 1, got 2"),
         (HEAD + GOOD.replace("left", "middle"), "target 'one': no arm 'middle'; arms are left, right"),
         (HEAD + GOOD + GOOD, "target 'one' is listed twice; give every target its own name"),
-        (HEAD + GOOD.replace("0.25", ".nan"), "targets.0.position.1: "),
-        (HEAD + GOOD.replace("0.25", ".inf"), "targets.0.position.1: "),
-        (HEAD + GOOD.replace("0.25", "250"), "targets.0.position.1: 250 m is beyond 100 m"),
-        (HEAD + GOOD.replace("0.25", "'250 deg'"), "targets.0.position.1: 'deg' is not a unit of length"),
-        (HEAD + GOOD.replace("rpy: [0, 0, 0]", "rpy: [90, 0, 0]"), "targets.0.rpy.0: 90 rad is more than two turns"),
-        (HEAD + GOOD.replace("rpy: [0, 0, 0]", "rpy: [0, 0]"), "targets.0.rpy.2: "),
-        (HEAD + GOOD.replace("position: [-0.4, 0.25, 1.0], ", ""), "targets.0.position: missing; it must be given"),
-        (HEAD + GOOD.replace("[0, 0, 0]", "[x, 0, 0]"), "targets.0.rpy.0: expected an angle: a number in rad"),
-        (HEAD + GOOD.replace("rpy", "rpx"), "targets.0.rpx: unknown key"),
-        (HEAD + GOOD.replace("name: one", "name: 1"), "targets.0.name: "),
+        (HEAD + GOOD.replace("0.25", ".nan"), "target 'one': position[1]: "),
+        (HEAD + GOOD.replace("0.25", ".inf"), "target 'one': position[1]: "),
+        (HEAD + GOOD.replace("0.25", "250"), "target 'one': position[1]: 250 m is beyond 100 m"),
+        (HEAD + GOOD.replace("0.25", "'250 deg'"), "target 'one': position[1]: 'deg' is not a unit of length"),
+        (
+            HEAD + GOOD.replace("rpy: [0, 0, 0]", "rpy: [90, 0, 0]"),
+            "target 'one': rpy[0]: 90 rad is more than two turns",
+        ),
+        (HEAD + GOOD.replace("rpy: [0, 0, 0]", "rpy: [0, 0]"), "target 'one': rpy[2]: "),
+        (HEAD + GOOD.replace("position: [-0.4, 0.25, 1.0], ", ""), "target 'one': position: missing; it must be given"),
+        (HEAD + GOOD.replace("[0, 0, 0]", "[x, 0, 0]"), "target 'one': rpy[0]: expected an angle: a number in rad"),
+        (HEAD + GOOD.replace("rpy", "rpx"), "target 'one': rpx: unknown key"),
+        (HEAD + GOOD.replace("name: one", "name: 1"), "target 1: name: "),
         (HEAD + "  - {name: one, arm: [left\n", ":5: not YAML: "),
         (HEAD + "  - !!python/object/apply:os.system ['true']\n", ":4: not YAML: "),
     ],
@@ -96,10 +98,10 @@ def test_a_tolerance_with_its_unit(path: Path) -> None:
     [
         (
             GOOD.replace("}", ", tolerance: 2}"),
-            "4: targets.0.tolerance: expected a tolerance above 0 and at",
+            "4: target 'one': tolerance: expected a tolerance above 0 and at",
         ),
         (GOOD + GOOD.replace("one, arm: left", "two, arm: middle"), "5: target 'two': no arm 'middle'"),
-        (GOOD + GOOD.replace("[0, 0, 0]", "[0, 0, 90]").replace("one", "two"), "5: targets.1.rpy.2: 90 rad"),
+        (GOOD + GOOD.replace("[0, 0, 0]", "[0, 0, 90]").replace("one", "two"), "5: target 'two': rpy[2]: 90 rad"),
     ],
 )
 def test_a_refusal_names_the_line(path: Path, text: str, says: str) -> None:
@@ -164,22 +166,12 @@ def test_a_field_is_judged_while_it_is_typed(field: str, text: str, says: str) -
 
 
 def test_what_is_predicted_and_what_is_measured() -> None:
-    assert [predicted_verdict(0.01, size) for size in (0.04, 0.0339, 0.006, 0.0059, None)] == [
+    assert [predicted_verdict(0.006, 0.034, size) for size in (0.04, 0.0339, 0.006, 0.0059, None)] == [
         "in",
         "cannot say",
         "cannot say",
         "out",
         "",
     ]
-    assert predicted_verdict(None, 0.1) == "cannot say"
     assert [measured_verdict(0.1, size) for size in (0.1, 0.09, None)] == ["in", "out", ""]
     assert measured_verdict(None, 0.1) == ""
-
-
-def test_the_bounds_hold_for_errors_of_one_line_and_of_all_directions() -> None:
-    rng = np.random.default_rng(2)
-    normal = rng.standard_normal((200_000, 3))
-    for spread in ([1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]):
-        errors = np.linalg.norm(normal * np.sqrt(3.0 / sum(spread)) * spread, axis=1)
-        assert np.mean(errors <= 3.395) >= 0.949
-    assert np.mean(np.linalg.norm(normal, axis=1) > 0.593) == pytest.approx(0.95, abs=0.003)

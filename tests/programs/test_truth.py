@@ -52,14 +52,18 @@ class Cell:
 
 @pytest.fixture(scope="module")
 def cell(finished_run: Path) -> Cell:
-    with RunFile.open(finished_run) as run:
-        model = CellModel.load(finished_run / CALIBRATION_FILE).arms["left"]
-        measured = run.readings("left").q
+    return cell_of(finished_run, "left")
+
+
+def cell_of(folder: Path, name: str) -> Cell:
+    with RunFile.open(folder) as run:
+        model = CellModel.load(folder / CALIBRATION_FILE).arms[name]
+        measured = run.readings(name).q
         tcp = Pose((*model.geometry.tool, 0.3, -0.2, 0.5))
         q = measured[::10] + np.random.default_rng(3).uniform(-0.02, 0.02, measured[::10].shape)
         q = np.clip(q, measured.min(axis=0) + 0.02, measured.max(axis=0) - 0.02)
         rows = model.nominal.rows[:, :4]
-        return Cell("left", run, build_plant(run.profile), rows, tcp, model.nominal.T_M_B(), q)
+        return Cell(name, run, build_plant(run.profile), rows, tcp, model.nominal.T_M_B(), q)
 
 
 def text(numbers: object) -> str:
@@ -141,6 +145,26 @@ def test_a_corrected_program_reaches_the_true_poses(cell: Cell, tmp_path: Path) 
     assert all(size is not None and 0.05 < size < 20.0 for size in asked)
     changed = [(a, b) for a, b in zip(source.split("\n"), new.split("\n"), strict=True) if a != b]
     assert len(changed) == len(cell.q), "a line for each target, all others byte for byte"
+
+
+def test_the_other_arm_reaches_its_true_poses_too(finished_run: Path, tmp_path: Path) -> None:
+    cell = cell_of(finished_run, "right")
+    source = program(cell)
+    new, result = corrected(cell, source, tmp_path)
+    before, _ = errors(cell, driven(cell, source))
+    after, _ = errors(cell, driven(cell, new))
+    assert after.mean() < before.mean() / FACTOR
+    assert any("approach: unknown" in line for line in result.assumptions)
+
+
+def test_a_posture_that_the_gate_refuses_is_said_by_its_line(cell: Cell, tmp_path: Path) -> None:
+    under = cell.q[0].copy()
+    under[1:3] = 0.9, 0.3
+    (tmp_path / "old.script").write_text(f"movej({text(cell.q[0])})\nmovej({text(under)})\n")
+    with RunFile.open(cell.run.folder) as run:
+        result = correct_run(run, tmp_path / "old.script", tmp_path / "new.script", "left", extrapolate=True)
+    (note,) = [note for note in result.notes if note.startswith("line ")]
+    assert note.startswith("line 2: movej: with the other arms at home, arm left: collides with the floor")
 
 
 def waypoint(number: int, q: Array) -> str:

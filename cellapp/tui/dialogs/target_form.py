@@ -12,7 +12,7 @@ from textual.containers import Horizontal
 from textual.events import DescendantFocus
 from textual.widgets import Button, Input, Static
 
-from cellapp.compensation.target_text import FIELDS, TypedTarget, typed_target
+from cellapp.compensation.target_text import FIELDS, TypedTarget, frame_choices, typed_target
 from cellapp.compensation.targets import Target
 from cellapp.profile import Profile
 from cellapp.tui.dialogs.question import Question
@@ -51,9 +51,10 @@ class TargetForm(Question[Target]):
 
     def body(self) -> ComposeResult:
         yield Static(self._title, classes="title", markup=False)
+        listed = self._others if self._before is None else [self._before, *self._others]
+        choices = {"arm": tuple(self._profile.arms), "frame": frame_choices(listed, self._profile)}
         for field in FIELDS:
-            choices = tuple(self._profile.arms) if field.name == "arm" else ()
-            row = FieldRow(field.name, field, self._texts[field.name], choices)
+            row = FieldRow(field.name, field, self._texts[field.name], choices.get(field.name, ()))
             row.input.tooltip = field.help
             yield row
         yield Static("", id="target-help", classes="text", markup=False)

@@ -18,7 +18,7 @@ from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
 from textual.worker import get_current_worker
 
-from cellapp.compensation.target_text import targets_text, typed_texts
+from cellapp.compensation.target_text import new_texts, targets_text, typed_texts
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.errors import InputError
 from cellapp.profile import Profile
@@ -95,7 +95,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
         Binding("minus,delete", "remove", "Remove", key_display="-", tooltip="remove the target"),
         Binding("ctrl+z", "undo", "Undo", tooltip="take back the last edit"),
         Binding("ctrl+y", "redo", "Redo", show=False),
-        Binding("i", "open_list", "Open", tooltip="open another list (YAML)"),
+        Binding("i", "open_list", "Open", tooltip="open another list (YAML, CSV)"),
         Binding("w", "save", "Save", tooltip="save the list (YAML)"),
         Binding("c", "correct", "Program", tooltip="correct the targets of a UR program; nothing moves"),
         Binding("a", "other_arm", "Other arm", show=False, tooltip="show the errors of the other arm"),
@@ -156,7 +156,8 @@ Points to which the calibrated arms are sent. The list that the profile names is
 
     def _pick(self) -> None:
         known = self._edits.path or self.workspace.profile_path or Path.cwd() / "targets.yaml"
-        picker = FilePicker("A list of targets (YAML)", known.parent, lambda path: path.suffix in (".yaml", ".yml"))
+        suffixes = (".yaml", ".yml", ".csv")
+        picker = FilePicker("A list of targets (YAML, CSV)", known.parent, lambda path: path.suffix in suffixes)
         self.app.push_screen(picker, self._open)
 
     def _open(self, path: Path | None) -> None:
@@ -198,7 +199,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
             self.say(NO_PROFILE, "warning")
             return
         arm = next(iter(profile.arms))
-        texts = {"name": f"{arm}-01", "arm": arm, "position": "", "rpy": "0 deg, 0 deg, 0 deg", "tolerance": ""}
+        texts = new_texts(arm)
         like = targets[self._index] if targets else None
         if like is not None:
             texts = {**typed_texts(like), "name": new_name(like.name, targets)}
@@ -243,7 +244,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
         if not targets:
             self.say("An empty list cannot be saved: + adds a target, Ctrl+Z brings back what was removed.", "warning")
             return
-        proposed = self._edits.path or Path("targets.yaml")
+        proposed = (self._edits.path or Path("targets.yaml")).with_suffix(".yaml")
 
         def saved(path: Path | None) -> None:
             if path is not None:

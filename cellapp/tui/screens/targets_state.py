@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
-from cellapp.compensation.targets import Target, set_problem
+from cellapp.compensation.targets import Target, list_problems
 from cellapp.profile import Profile
 from cellapp.tui.workspace import NO_PROFILE, NO_RUN, Workspace
 
@@ -115,7 +115,8 @@ def why_not(workspace: Workspace, targets: Sequence[Target]) -> str:
 
 def _unfit(targets: Sequence[Target], profile: Profile) -> str:
     """The first target that does not fit the cell of the run."""
-    for index, target in enumerate(targets):
-        if problem := set_problem(target, targets[:index], profile):
-            return f"Target '{target.name}'{problem}. Enter edits it."
-    return ""
+    first = next(list_problems(targets, profile), None)
+    if first is None:
+        return ""
+    index, problem = first
+    return f"Target '{targets[index].name}'{problem.text}. Enter edits it."

@@ -1,0 +1,136 @@
+"""What is sent to an arm for one target, and what is known of it beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cellapp.compensation.targets import Target
+from cellapp.effects import MeasurementConditions
+from cellapp.kinematics.transforms import Array
+from cellapp.results import TargetCommand, ToleranceVerdict, UncertaintyParts, UnknownCondition
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Prediction:
+    """How certain the SMR's position at a command is. Distances in mm, as people read them.
+
+    Attributes
+    ----------
+    uncertainty_mm : float
+        Standard uncertainty of a coordinate, without noise of measuring.
+    parts : UncertaintyParts
+    within_mm : float
+        Distance from the target that a measurement keeps with 95 % probability.
+    unknown : tuple of UnknownCondition
+    offered_approach : signs or None
+        Side from which to approach where the side matters and the target states none.
+    verdict : str
+        Of the true position against the tolerance.
+    """
+
+    uncertainty_mm: float
+    parts: UncertaintyParts
+    within_mm: float
+    unknown: tuple[UnknownCondition, ...]
+    offered_approach: tuple[int, ...] | None
+    verdict: ToleranceVerdict
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """The joint positions to send for one target.
+
+    Attributes
+    ----------
+    target : Target
+    arm : str
+        The arm; a cooperative target has one command for each of its arms.
+    q_nominal, q_compensated : array, shape (N,), or None
+        Joint positions [rad] by the published and by the calibrated model; None where the target was refused.
+    expected_M, nominal_M : array, shape (3,), or None
+        Where the SMR should be measured [m]: the target relative to the calibrated and to the nominal base.
+    refusal : str
+        Why the target is not commanded; empty if it is.
+    branches : int or None
+        Solutions of the inverse within the joint limits.
+    visible : bool or None
+        Whether the tracker sees the SMR at the compensated command.
+    residual_um, residual_urad : float or None
+        Distance and angle by which the calibrated model misses the target; the angle is None where it is free.
+    note : str
+        What to know about a command that is not refused.
+    conditions : MeasurementConditions or None
+        Of one row: the working conditions that the command was made for.
+    prediction : Prediction or None
+        None where the model states no uncertainty.
+    """
+
+    target: Target
+    arm: str
+    q_nominal: Array | None
+    q_compensated: Array | None
+    expected_M: Array | None
+    nominal_M: Array | None
+    refusal: str
+    branches: int | None = None
+    visible: bool | None = None
+    residual_um: float | None = None
+    residual_urad: float | None = None
+    note: str = ""
+    conditions: MeasurementConditions | None = None
+    prediction: Prediction | None = None
+
+    @property
+    def uncertainty_mm(self) -> float | None:
+        """Standard uncertainty [mm] of a coordinate of the SMR there; None where the model states none."""
+        return None if self.prediction is None else self.prediction.uncertainty_mm
+
+    @property
+    def within_mm(self) -> float | None:
+        """Distance [mm] from the target that a measurement keeps with 95 % probability; None where none is stated."""
+        return None if self.prediction is None else self.prediction.within_mm
+
+    @property
+    def approach(self) -> tuple[int, ...] | None:
+        """Side of each joint from which the target is to be approached; None where the target states none."""
+        return self.target.approach if self.arm == self.target.arm else None
+
+    @property
+    def partner(self) -> str:
+        """The other arm of a cooperative target; empty if it has none."""
+        return next((name for name in self.target.arms if name != self.arm), "")
+
+
+def refused(target: Target, arm: str, refusal: str, branches: int | None = None) -> Command:
+    """A target that is not commanded, and why."""
+    return Command(target, arm, None, None, None, None, refusal, branches)
+
+
+def command_record(command: Command) -> TargetCommand:
+    """A command as result."""
+    target, found = command.target, command.prediction
+    judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "cannot say"
+    stated = command.approach
+    return TargetCommand(
+        name=target.name,
+        arm=command.arm,
+        frame=target.frame,
+        position=target.position,
+        rpy=target.rpy,
+        tolerance_mm=target.tolerance_mm,
+        partner=command.partner,
+        refusal=command.refusal,
+        q_nominal=None if command.q_nominal is None else tuple(command.q_nominal.tolist()),
+        q_compensated=None if command.q_compensated is None else tuple(command.q_compensated.tolist()),
+        branches=command.branches,
+        visible=command.visible,
+        residual_um=command.residual_um,
+        residual_urad=command.residual_urad,
+        note=command.note,
+        uncertainty_mm=command.uncertainty_mm,
+        parts=None if found is None else found.parts,
+        within_mm=None if found is None else found.within_mm,
+        unknown=() if found is None else found.unknown,
+        approach=stated if stated is not None or found is None else found.offered_approach,
+        verdict=judged if found is None else found.verdict,
+    )

@@ -1,0 +1,286 @@
+"""A CSV file of targets as plain data: a header row, then a row for each target. Units stand in the columns' names.
+
+    name, arm                                   as in YAML
+    frame                                       base (or empty), tracker, an arm, or a work frame of the YAML file that
+                                                names this file
+    x_mm, y_mm, z_mm                            SMR position; or x_m, y_m, z_m
+    roll_deg, pitch_deg, yaw_deg                flange rotation; or _rad; or qw, qx, qy, qz; or the rotation vector
+                                                rx_deg, ry_deg, rz_deg (_rad)
+    tolerance_mm                                or _m, _um
+    approach1 .. approachN                      preferred sign of each joint's last motion: -1, 0, 1
+    payload_kg, temperature_c, time_s, dwell_s  working conditions
+    partner_arm, partner_x_mm, ...              other arm of a cooperative target: arm, position, rotation, conditions
+
+Only name, arm and the position are needed. An empty cell is a value that is not given. All coordinates of a file have
+one unit, and all angles.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cellapp.compensation.target_source import TargetSource
+from cellapp.profile.messages import KeyPath
+from cellapp.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short
+from drivers.quantities import parse_quantity
+
+_WORDS: Mapping[str, KeyPath] = {
+    "name": ("name",),
+    "arm": ("arm",),
+    "frame": ("frame",),
+    "partner_arm": ("partner", "arm"),
+}
+_COORDINATES = {"mm": "mm", "m": "m"}
+_SIZES = {"mm": "mm", "m": "m", "um": "um"}
+_ANGLES = {"deg": "deg", "rad": "rad"}
+_OF_ONE_ARM: Mapping[str, tuple[KeyPath, str, Mapping[str, str]]] = {
+    **{axis: (("position", place), "length", _COORDINATES) for place, axis in enumerate("xyz")},
+    **{angle: (("rpy", place), "angle", _ANGLES) for place, angle in enumerate(("roll", "pitch", "yaw"))},
+    **{f"r{axis}": (("rotation_vector", place), "angle", _ANGLES) for place, axis in enumerate("xyz")},
+    **{f"q{axis}": (("quaternion", place), "", {}) for place, axis in enumerate("wxyz")},
+    "payload": (("conditions", "payload"), "mass", {"kg": "kg"}),
+    "temperature": (("conditions", "temperature"), "temperature", {"c": "degC"}),
+    "time": (("conditions", "time"), "time", {"s": "s"}),
+    "dwell": (("conditions", "dwell"), "time", {"s": "s"}),
+}
+"""Name without unit -> key, kind of quantity, units as columns write them -> as ``parse_quantity`` does."""
+_NUMBERS: Mapping[str, tuple[KeyPath, str, Mapping[str, str]]] = {
+    **_OF_ONE_ARM,
+    "tolerance": (("tolerance",), "length", _SIZES),
+    **{f"partner_{name}": (("partner", *path), kind, units) for name, (path, kind, units) in _OF_ONE_ARM.items()},
+}
+_PER_JOINT = re.compile(r"approach([1-9][0-9]*)")
+_MIXED = {"position": "coordinates", "rpy": "angles", "rotation_vector": "angles"}
+"""Quantities that have one unit in a file."""
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of numbers: its name, its key in a target, its unit as written and that unit in SI."""
+
+    name: str
+    path: KeyPath
+    unit: str
+    factor: float
+
+
+def read_csv(path: Path, joints: Mapping[str, int]) -> TargetSource:
+    """Read a file; ``joints`` are the numbers of joints of the arms, by name.
+
+    Raises
+    ------
+    InputError
+        With file, line and column of what is missing, unknown or no number.
+    """
+    table = read_csv_table(path, "targets", "a row per target")
+    problems = Problems(path)
+    columns = _columns(table, problems)
+    problems.check()
+    if not table.lines:
+        problems.add(1, "targets", "there is a header row but no target; expected a row for each")
+    rows: list[dict[str, Any]] = [{} for _ in table.lines]
+    _fill(rows, table, columns, joints, problems)
+    problems.check()
+    names = {column.path: column.name for column in columns} | {path: name for name, path in _WORDS.items()}
+
+    def place(location: KeyPath) -> str:
+        row = location[1] if len(location) > 1 else None
+        return f"{path}:{table.lines[row] if isinstance(row, int) and row < len(table.lines) else 1}"
+
+    def key(inside: KeyPath) -> str:
+        return names.get(inside) or next((names[at] for at in names if at[: len(inside)] == inside), "")
+
+    content = {"schema": "cellapp-targets", "version": 1, "targets": rows}
+    return TargetSource(content, place, key, _words)
+
+
+def _words(text: str) -> str:
+    """A message without the advice to write a unit behind a number."""
+    problem, found, _ = text.partition("; a plain number is")
+    return f"{problem}; is the unit in the column's name the right one?" if found else text
+
+
+# -- the header -------------------------------------------------------------------------------------------------------
+
+
+def _columns(table: CsvTable, problems: Problems) -> list[_Column]:
+    """The columns of numbers; notes names that are unknown, have no unit, are there twice, or miss."""
+    check_names(table, problems)
+    columns: list[_Column] = []
+    for name in filter(None, dict.fromkeys(table.names)):
+        if name in _WORDS:
+            continue
+        column = _column(name)
+        if isinstance(column, str):
+            problems.add(1, name, column)
+            continue
+        twice = next((other.name for other in columns if other.path == column.path), None)
+        if twice is not None:
+            problems.add(1, name, f"the same value as column {twice}; keep one")
+        columns.append(column)
+    _check_complete(table, columns, problems)
+    _check_units(columns, problems)
+    return columns
+
+
+def _column(name: str) -> _Column | str:
+    """The column of numbers of that name, or why there is none."""
+    if match := _PER_JOINT.fullmatch(name):
+        return _Column(name, ("approach", int(match.group(1)) - 1), "", 1.0)
+    stem, _, unit = name.rpartition("_")
+    if name in _NUMBERS:
+        path, _, units = _NUMBERS[name]
+        return f"has no unit; name it {_choices(name, units)}" if units else _Column(name, path, "", 1.0)
+    if stem in _NUMBERS:
+        path, kind, units = _NUMBERS[stem]
+        if unit in units:
+            return _Column(name, path, unit, parse_quantity(kind, f"1 {units[unit]}"))
+        return f"'{unit}' is no unit of this column; name it {_choices(stem, units)}"
+    return f"unknown column{_similar(name)}; remove it, or correct its name"
+
+
+def _choices(stem: str, units: Mapping[str, str]) -> str:
+    return " or ".join(f"{stem}_{unit}" for unit in units) or stem
+
+
+def _similar(name: str) -> str:
+    known = [*_WORDS, *(f"{stem}_{unit}" for stem, (_, _, units) in _NUMBERS.items() for unit in units), "approach1"]
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    return f" (is '{near[0]}' meant?)" if near else ""
+
+
+def _check_complete(table: CsvTable, columns: Sequence[_Column], problems: Problems) -> None:
+    """Note columns that miss: those that every target needs, and the rest of a vector."""
+    for name in ("name", "arm"):
+        if name not in table.names:
+            problems.add(1, name, "the column is missing")
+    given = {column.path: column for column in columns}
+    in_use = {path[:-1] for path in given} | {("position",)}
+    if any(path[0] == "partner" for path in given) or "partner_arm" in table.names:
+        in_use.add(("partner", "position"))
+        if "partner_arm" not in table.names:
+            problems.add(1, "partner_arm", "the column is missing")
+    for stem, (path, _, units) in _NUMBERS.items():
+        if isinstance(path[-1], int) and path[:-1] in in_use and path not in given:
+            others = [column.unit for column in columns if column.path[:-1] == path[:-1] and column.unit]
+            name = f"{stem}_{others[0]}" if others else _choices(stem, units)
+            problems.add(1, name, "the column is missing")
+    joints = sorted(int(column.path[1]) for column in columns if column.path[0] == "approach")
+    for joint in range(len(joints)):
+        if joint not in joints:
+            problems.add(1, f"approach{joint + 1}", "the column is missing")
+
+
+def _check_units(columns: Sequence[_Column], problems: Problems) -> None:
+    """Note units that are mixed."""
+    first: dict[str, _Column] = {}
+    for column in columns:
+        what = _MIXED.get(str(column.path[-2])) if len(column.path) > 1 else None
+        if what is None:
+            continue
+        before = first.setdefault(what, column)
+        if column.unit != before.unit:
+            problems.add(
+                1, column.name, f"column {before.name} is in {before.unit}; give all {what} of a file in one unit"
+            )
+
+
+# -- the rows ---------------------------------------------------------------------------------------------------------
+
+
+def _fill(
+    rows: list[dict[str, Any]],
+    table: CsvTable,
+    columns: Sequence[_Column],
+    joints: Mapping[str, int],
+    problems: Problems,
+) -> None:
+    """Enter words and numbers under their keys; notes cells that are no numbers, and vectors that are not complete."""
+    for name, path in _WORDS.items():
+        for row, text in zip(rows, table.cells.get(name, ())):
+            if text.strip() or name in ("name", "arm"):
+                _enter(row, path, text.strip())
+    vectors: dict[KeyPath, list[_Column]] = {}
+    for column in sorted(columns, key=lambda column: column.path[-1] if isinstance(column.path[-1], int) else -1):
+        if isinstance(column.path[-1], int):
+            vectors.setdefault(column.path[:-1], []).append(column)
+            continue
+        for row, value in zip(rows, _values(table, column, problems)):
+            if value is not None:
+                _enter(row, column.path, value)
+    for path, members in vectors.items():
+        values = list(zip(*(_values(table, column, problems) for column in members)))
+        if path == ("approach",):
+            _fill_approach(rows, values, joints)
+        else:
+            _fill_vector(rows, table, members, values, problems)
+
+
+def _fill_vector(
+    rows: list[dict[str, Any]],
+    table: CsvTable,
+    members: Sequence[_Column],
+    values: Sequence[tuple[float | None, ...]],
+    problems: Problems,
+) -> None:
+    """Enter a vector that every row has whole or not at all."""
+    path = members[0].path[:-1]
+    for index, vector in enumerate(values):
+        if None not in vector:
+            _enter(rows[index], path, vector)
+        elif any(value is not None for value in vector):
+            name = members[vector.index(None)].name
+            problems.add(*_cell(table, index, name), "the value is missing; the row has others of the same vector")
+
+
+def _fill_approach(
+    rows: list[dict[str, Any]], values: Sequence[tuple[float | None, ...]], joints: Mapping[str, int]
+) -> None:
+    """Enter signs: an empty cell is 0 beside others, and columns of joints that the arm lacks may be empty."""
+    for row, signs in zip(rows, values):
+        if any(sign is not None for sign in signs):
+            count = joints.get(str(row.get("arm")), len(signs))
+            filled = max(place for place, sign in enumerate(signs, start=1) if sign is not None)
+            _enter(row, ("approach",), [_whole(sign or 0.0) for sign in signs[: max(count, filled)]])
+
+
+def _whole(value: float) -> float | int:
+    return int(value) if value.is_integer() else value
+
+
+def _values(table: CsvTable, column: _Column, problems: Problems) -> list[float | None]:
+    """A column in SI, None for an empty cell; notes cells that are no numbers."""
+    values: list[float | None] = []
+    for index, cell in enumerate(table.cells[column.name]):
+        text = cell.strip()
+        value = float(text) if NUMBER.fullmatch(text) else math.nan
+        if text and not math.isfinite(value):
+            problems.add(*_cell(table, index, column.name), _no_number(text, column))
+        values.append(value * column.factor if text else None)
+    return values
+
+
+def _no_number(text: str, column: _Column) -> str:
+    got = f"got '{short(text)}'"
+    if "," in text and NUMBER.fullmatch(text.replace(",", ".", 1)):
+        return f"expected a number with a decimal point, {got}; write {text.replace(',', '.', 1)}"
+    unit = f"; it is in {column.unit}, as the column's name says" if column.unit else ""
+    return f"expected a finite number such as 0.25, {got}{unit}"
+
+
+def _cell(table: CsvTable, index: int, column: str) -> tuple[int, str]:
+    """The line of a row, and the names of its target and of a column."""
+    return table.lines[index], f"target '{short(table.cells['name'][index].strip())}': {column}"
+
+
+def _enter(row: dict[str, Any], path: KeyPath, value: object) -> None:
+    """Enter a value under its key, which may lie in a section."""
+    for key in path[:-1]:
+        row = row.setdefault(str(key), {})
+    row[str(path[-1])] = value

@@ -1,0 +1,155 @@
+"""One target: drive its arm or arms there with each command, measure at rest, and correct what remains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.collection.motion import MotionRefused, Vector
+from cellapp.compensation.cell_checks import conditions_of
+from cellapp.compensation.compensate import Command, with_approach
+from cellapp.compensation.driving import Driver
+from cellapp.compensation.iteration import CorrectionRefused, corrected_command, not_explained
+from cellapp.compensation.verification import CommandKind, Findings, Measured, Rest, predict_at_rest, rms_error_m
+from cellapp.control import JobControl
+from cellapp.kinematics.transforms import Array
+from cellapp.model import CellModel
+from drivers.arms.protocol import ArmState
+from drivers.trackers.protocol import TargetLost, TrackerError, WrongTarget
+
+States = Mapping[str, ArmState]
+
+_UNSEEN = "not measured: the tracker does not see the SMR there"
+
+
+@dataclass(frozen=True)
+class TargetVisit:
+    """Visits targets with the arms of an open cell. The parameters are those of ``push``.
+
+    ``hold`` is called between motions: a person may pause there.
+    """
+
+    model: CellModel
+    driver: Driver
+    control: JobControl
+    hold: Callable[[], None]
+    verify: bool
+    rounds: int
+    repeatability_m: Mapping[str, float]
+
+    def to(self, commands: Sequence[Command]) -> Findings:
+        """Visit one target with the command of each of its arms.
+
+        A refused motion, measurement or correction becomes a note; what stops the cell is raised.
+        """
+        found = Findings({command.arm: command for command in commands}, corrected=self.rounds > 0)
+        for name, command in found.commands.items():
+            if command.refusal:
+                found.note([name], command.refusal)
+                found.note([other for other in found.commands if other != name], f"arm {name}: {command.refusal}")
+            elif self.verify and command.visible is False:
+                found.note([name], _UNSEEN)
+        unseen = self.verify and all(command.visible is False for command in commands)
+        if not unseen and not any(command.refusal for command in commands):
+            try:
+                self._drive(found)
+            except MotionRefused as error:
+                found.note(list(found.commands), str(error))
+        return found
+
+    # -- driving and measuring -----------------------------------------------------------------------------------------
+
+    def _drive(self, found: Findings) -> None:
+        if self.verify and all(command.q_nominal is not None for command in found.commands.values()):
+            found.nominal = self._measure("nominal", found, *self._go("nominal", found))
+            if not found.nominal:  # the compensated command is a millimetre away
+                return
+        states, sent = self._go("compensated", found)
+        if self.verify:
+            found.rounds.append(self._measure("compensated", found, states, sent))
+            self._correct(found, states)
+
+    def _go(self, kind: CommandKind, found: Findings) -> tuple[States, Mapping[str, Vector]]:
+        """Drive all arms of a target to their commands of one kind; return their states and what was sent."""
+        sent: dict[str, Vector] = {}
+
+        def command(name: str, start: Vector) -> Vector:
+            one = found.commands[name]
+            sent[name] = np.asarray(one.q_nominal if kind == "nominal" else one.q_compensated)
+            if kind == "compensated" and one.approach is None:
+                sent[name] = with_approach(self.model.arms[name], sent[name], start, one.conditions)
+            return sent[name]
+
+        states = self.driver.to(list(found.commands), command)
+        sides = {
+            name: np.array(one.approach) for name, one in found.commands.items() if one.approach and any(one.approach)
+        }
+        if kind == "compensated" and sides:
+            states = {**states, **self.driver.back_to({name: sent[name] for name in sides}, sides)}
+        return states, sent
+
+    def _measure(self, kind: CommandKind, found: Findings, states: States, sent: Mapping[str, Vector]) -> Rest:
+        """Measure the SMRs of arms at rest; one that cannot be measured becomes its arm's note."""
+        rest: dict[str, Measured] = {}
+        mover = self.driver.mover
+        for name, command in found.commands.items():
+            wanted_M = command.nominal_M if kind == "nominal" else command.expected_M
+            if wanted_M is None or command.visible is False:
+                continue
+            dwell_s = conditions_of(command).dwell
+            if dwell_s is not None:
+                mover.rest(name, dwell_s, self.control)
+            try:
+                point = mover.measure(name, states[name].q)
+            except TrackerError as error:
+                found.note([name], str(error))
+                if isinstance(error, TargetLost | WrongTarget):
+                    found.lost[name] = str(error)
+                continue
+            rest[name] = Measured(
+                sent=sent[name],
+                q=states[name].q,
+                approach=mover.approach(name).astype(np.float64),
+                wanted_M=wanted_M,
+                predicted_M=predict_at_rest(self.model, mover, name, states[name], point),
+                point=point,
+                repeatability_m=self.repeatability_m.get(name, 0.0),
+            )
+        return rest
+
+    # -- correcting ----------------------------------------------------------------------------------------------------
+
+    def _correct(self, found: Findings, states: States) -> None:
+        """Correct what remains until noise explains it, it no longer shrinks, or the rounds are used up."""
+        first = found.rounds[0]
+        before_M: dict[str, Array] = {}
+        for _ in range(self.rounds):
+            last = found.rounds[-1]
+            names = not_explained(last, before_M)
+            if not names:
+                return
+            self.hold()
+            try:
+                sent = {
+                    name: corrected_command(
+                        self.model.arms[name], last[name].sent, last[name].error_M, first[name].sent
+                    )
+                    for name in names
+                }
+                moved = self.driver.back_to(sent, {name: first[name].approach for name in names})
+            except (CorrectionRefused, MotionRefused) as error:
+                found.note(names, str(error))
+                return
+            before_M |= {name: last[name].noise_M for name in names}
+            states = {**states, **moved}
+            # all are measured again: those that were not corrected still rest, and both belong together
+            sent = {name: sent.get(name, one.sent) for name, one in last.items()}
+            now = self._measure("compensated", found, states, sent)
+            if len(now) < len(first):
+                return
+            found.rounds.append(now)
+            if not rms_error_m(now) < rms_error_m(found.rounds[found.best]):
+                return
+            found.best = len(found.rounds) - 1

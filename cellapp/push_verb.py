@@ -1,0 +1,120 @@
+"""The verb ``push``: refuse what does not fit the run, send commands, store what was measured even if it is stopped."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+
+from cellapp.collection.cell import Cell
+from cellapp.collection.motion import Confirm
+from cellapp.compensation.cell_checks import check_cell
+from cellapp.compensation.compensate import Command
+from cellapp.compensation.push import Visited, push
+from cellapp.control import JobControl
+from cellapp.errors import CellappError, InputError
+from cellapp.profile import Profile
+from cellapp.progress import Cancelled, Listener
+from cellapp.results import PUSH, VERIFY, VerifyResult
+from cellapp.run import RunFile
+from cellapp.run.stages import RunStages, StoredStage, append_stage, basis_on_model, read_results
+from cellapp.run.stored_model import model_of
+
+MOST_ROUNDS = 20
+"""Corrections of one target: each more than halves what remains, so that more only follow the noise."""
+_MEAN_LENGTH = 2.0 * math.sqrt(2.0 / math.pi)
+"""Mean length of a normal vector in three dimensions, in standard deviations of a coordinate."""
+
+
+@dataclass(frozen=True)
+class PushJob:
+    """What is pushed: the commands that ``model`` gave for targets (JSON), and how.
+
+    ``profile`` is that of the run, with the tracker of a simulated cell where it stands now.
+    ``notes`` are those of the commands. ``rounds`` and ``verify`` are as in ``push``; ``out_of_date`` accepts a
+    controller whose own D-H has changed.
+    """
+
+    run: RunFile
+    profile: Profile
+    model: StoredStage
+    commands: tuple[Command, ...]
+    targets_json: str
+    notes: tuple[str, ...]
+    verify: bool
+    rounds: int
+    out_of_date: bool
+
+
+def check_rounds(iterate: int | None, *, verify: bool) -> None:
+    """Raise ``InputError`` unless a number of corrections makes sense; None asks for none."""
+    if iterate is None:
+        return
+    if not 1 <= iterate <= MOST_ROUNDS:
+        raise InputError(f"push: --iterate: expected 1 to {MOST_ROUNDS} rounds, got {iterate}; nothing was moved")
+    if not verify:
+        raise InputError("push: --iterate corrects what was measured; add --verify. Nothing was moved")
+
+
+def require_current_model(run: RunFile, stages: RunStages, *, out_of_date: bool) -> None:
+    """Raise ``InputError`` if the model in force does not hold any more and the operator does not insist."""
+    stale = stages.stale_model()
+    if stale and not out_of_date:
+        raise InputError(
+            f"push: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
+            " --out-of-date"
+        )
+
+
+def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm: Confirm | None) -> VerifyResult:
+    """Push, and store the result; where the job is stopped, what was measured until then.
+
+    Raises as ``push`` and ``check_cell`` do.
+    """
+    run, notes, visited = job.run, list(job.notes), Visited()
+
+    def opened(cell: Cell) -> None:
+        notes.extend(check_cell(run, cell, job.commands, changed_controller=job.out_of_date))
+
+    try:
+        pushed = push(
+            job.profile,
+            model_of(run, job.model),
+            job.commands,
+            listener,
+            control,
+            verify=job.verify,
+            rounds=job.rounds,
+            repeatability_m=_repeatability_m(run),
+            confirm=confirm,
+            opened=opened,
+            visited=visited,
+        )
+    except (CellappError, Cancelled) as error:
+        if visited.targets:
+            asked = len(dict.fromkeys(command.target.name for command in job.commands))
+            done = len(dict.fromkeys(target.name for target in visited.targets))
+            with suppress(InputError):  # the reason of the stop is the one to report
+                _store(job, visited.result(f"stopped after {done} of {asked} targets: {error}"), notes)
+        raise
+    return _store(job, pushed, notes)
+
+
+def _store(job: PushJob, pushed: VerifyResult, notes: list[str]) -> VerifyResult:
+    said = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
+    result = pushed.model_copy(update={"notes": tuple([*notes, *said])})
+    basis = basis_on_model(job.run, job.model, job.targets_json)
+    append_stage(job.run, VERIFY if job.verify else PUSH, result, basis)
+    return result
+
+
+def _repeatability_m(run: RunFile) -> dict[str, float]:
+    """Standard deviation of a coordinate over repeated stops of each arm [m], tracker included; only where known."""
+    calibrated = read_results(run).calibrate
+    if calibrated is None:
+        return {}
+    return {
+        name: arm.repeatability_mm.mean * 1e-3 / _MEAN_LENGTH
+        for name, arm in calibrated.arms.items()
+        if arm.repeatability_mm is not None
+    }

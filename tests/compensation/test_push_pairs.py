@@ -1,0 +1,143 @@
+"""Cooperative targets on the simulated cell: both arms go there, both SMRs are measured while both rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.collection.cell import Cell, open_cell
+from cellapp.collection.motion import Mover
+from cellapp.compensation import push as pushing
+from cellapp.compensation.compensate import Command
+from cellapp.compensation.push import push
+from cellapp.model import CellModel
+from cellapp.reporting.verification_text import verification_lines
+from cellapp.results import ArmVerification, ErrorSummary, MeasuredPair, VerifyResult
+from cellapp.run import RunFile
+from cellapp.safety.cell_bodies import home_positions
+from tests.compensation.pairs import pair_commands
+from tests.twin import plant_of
+
+pytestmark = pytest.mark.fast
+
+STOPS = [0, 5, 11, 17]
+
+
+@pytest.fixture(scope="module")
+def pairs(run: RunFile, model: CellModel) -> list[Command]:
+    return pair_commands(run, model, STOPS, tolerance=2e-3)
+
+
+@pytest.fixture
+def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    opened: list[Any] = []
+
+    @contextmanager
+    def watched(profile: Any) -> Iterator[Cell]:
+        with open_cell(profile, watch_clearance=True) as cell:
+            opened.append(cell)
+            yield cell
+
+    monkeypatch.setattr(pushing, "open_cell", watched)
+    return opened
+
+
+def test_both_arms_are_measured_at_each_cooperative_target(
+    run: RunFile, model: CellModel, pairs: list[Command], cells: list[Any]
+) -> None:
+    found = push(run.profile, model, pairs, verify=True)
+    assert [(target.name, target.arm, target.partner, target.note) for target in found.targets] == [
+        (f"pair-{stop}", name, other, "") for stop in STOPS for name, other in (("left", "right"), ("right", "left"))
+    ]
+    assert [(pair.name, pair.arms, pair.note) for pair in found.pairs] == [
+        (f"pair-{stop}", ("left", "right"), "") for stop in STOPS
+    ]
+    for pair, (left, right) in zip(found.pairs, zip(found.targets[::2], found.targets[1::2])):
+        measured, wanted = (
+            1e3 * math.dist(points[0], points[1])
+            for points in ((left.measured_M, right.measured_M), (left.wanted_M, right.wanted_M))
+            if points[0] is not None and points[1] is not None
+        )
+        assert pair.wanted_mm == pytest.approx(wanted)
+        assert pair.compensated_mm == pytest.approx(abs(measured - wanted))
+        assert pair.verdict == "in"
+        assert left.within_mm == 0.1
+        assert left.measured_M is not None
+        assert left.predicted_M is not None
+        assert math.dist(left.measured_M, left.predicted_M) < 0.2e-3
+    assert found.cooperative is not None
+    assert found.cooperative.compensated_mm.n == len(STOPS)
+    assert found.cooperative.nominal_mm.mean > 10.0 * found.cooperative.compensated_mm.mean
+    assert found.complaints() == []
+    assert verification_lines(found)[0].startswith("pairs: the distance between both SMRs is off by ")
+    (cell,) = cells
+    assert plant_of(cell).clearance.arms_m > 0.0  # type: ignore[union-attr]
+    for name, home in home_positions(run.profile).items():
+        np.testing.assert_array_equal(plant_of(cell).q(name), home)
+    assert VerifyResult.from_json(found.to_json(), "again") == found
+
+
+def test_a_partner_that_cannot_go_keeps_both_at_home(
+    run: RunFile, model: CellModel, pairs: list[Command], cells: list[Any]
+) -> None:
+    refused = replace(pairs[1], q_nominal=None, q_compensated=None, refusal="out of reach")
+    found = push(run.profile, model, [pairs[0], refused, *pairs[2:4]], verify=True)
+    assert [target.note for target in found.targets] == ["arm right: out of reach", "out of reach", "", ""]
+    assert found.targets[0].compensated_mm is None
+    assert found.pairs[0].note == "arm right: out of reach; arm left: arm right: out of reach"
+    assert found.pairs[0].compensated_mm is None
+    assert found.pairs[1].compensated_mm is not None
+
+
+def test_an_smr_that_the_tracker_does_not_see_is_not_measured(
+    run: RunFile, model: CellModel, pairs: list[Command]
+) -> None:
+    unseen = replace(pairs[1], visible=False)
+    found = push(run.profile, model, [pairs[0], unseen], verify=True)
+    left, right = found.targets
+    assert (left.note, right.note) == ("", "not measured: the tracker does not see the SMR there")
+    assert left.compensated_mm is not None
+    assert (right.compensated_mm, found.pairs[0].compensated_mm, found.cooperative) == (None, None, None)
+    assert found.complaints() == ["arm right: no target could be measured"]
+
+
+def test_arms_that_may_not_move_together_go_one_after_the_other(
+    run: RunFile, model: CellModel, pairs: list[Command], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The gate is made to refuse that two arms move at once; nothing else changes."""
+    asked = Mover.refusal
+
+    def refusal(self: Mover, *legs: Any) -> str:
+        return "not at once" if any(len(leg) > 1 for leg in legs) else asked(self, *legs)
+
+    monkeypatch.setattr(Mover, "refusal", refusal)
+    found = push(run.profile, model, pairs[:2], verify=True)
+    assert [target.note for target in found.targets] == ["", ""]
+    assert found.pairs[0].compensated_mm is not None
+    assert found.pairs[0].compensated_mm < 0.2
+
+
+def test_pairs_out_of_tolerance_are_complained_about() -> None:
+    small, large = (ErrorSummary(mean=mean, rms=mean, std=0.0, max=mean, n=1) for mean in (0.02, 2.0))
+    pair = MeasuredPair(
+        name="p1",
+        arms=("left", "right"),
+        wanted_mm=500.0,
+        nominal_mm=2.0,
+        compensated_mm=0.5,
+        corrected_mm=0.2,
+        tolerance_mm=0.1,
+        verdict="out",
+    )
+    good, bad = (
+        ArmVerification(nominal_mm=before, compensated_mm=after) for before, after in ((large, small), (small, large))
+    )
+    (complaint,) = VerifyResult(arms={}, targets=(), pairs=(pair,), cooperative=good).complaints()
+    assert complaint == "1 of 1 pairs with a tolerance are out of it: p1 (0.200 mm, tolerance 0.1 mm)"
+    assert len(VerifyResult(arms={}, targets=(), pairs=(), cooperative=bad).complaints()) == 1
