@@ -100,7 +100,8 @@ def _way(
     if record.partner:
         return (), f"cooperative: arm '{record.partner}' must be there too; 'cellapp push' drives both"
     q = np.array(record.q_compensated)
-    if record.approach is not None and any(record.approach):
+    offered = any(one.condition == "approach" for one in record.unknown)
+    if record.approach is not None and any(record.approach) and not offered:
         way: tuple[Array, ...] = (q - STEP_BACK_RAD * np.array(record.approach), q)
     else:
         way = (with_approach(model.arms[name], q, homes[name]),)

@@ -22,6 +22,15 @@ def _array(owner: str, name: str, value: ArrayLike, shape: tuple[int, ...]) -> A
     return array
 
 
+def broadcast(name: str, value: ArrayLike | None, default: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return ``value``, or ``default`` if it is None, broadcast to ``shape``."""
+    array = np.asarray(default if value is None else value, dtype=np.float64)
+    try:
+        return np.broadcast_to(array, shape)
+    except ValueError:
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape}") from None
+
+
 @dataclass(frozen=True, eq=False)
 class CapsuleConfig:
     """All points within ``radius`` [m] of the segment ``start`` to ``end`` (3,), in D-H frame ``frame`` (0: base)."""

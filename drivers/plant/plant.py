@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from drivers.plant import effects as hidden
 from drivers.plant.clearance import Clearance
 from drivers.plant.climate import Air, joint_rise
-from drivers.plant.config import ArmConfig, Array, PlantConfig
+from drivers.plant.config import ArmConfig, Array, PlantConfig, broadcast
 from drivers.plant.effect import Situation
 from drivers.plant.executed import Executed, executed_clearance
 from drivers.plant.lines import carry, inverse, rigid
@@ -35,15 +34,6 @@ from drivers.plant.true_arm import Target, TrueArm, largest_change, watch
 _EQUILIBRIUM_RAD = 1e-12
 _MAX_ITERATIONS = 200
 _SAMPLE_S = 0.02
-
-
-def _broadcast(name: str, value: ArrayLike | None, default: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return ``value``, or ``default`` if it is None, broadcast to ``shape``."""
-    array = np.asarray(default if value is None else value, dtype=np.float64)
-    try:
-        return np.broadcast_to(array, shape)
-    except ValueError:
-        raise ValueError(f"{name} has shape {array.shape}, expected {shape}") from None
 
 
 class Plant:
@@ -185,7 +175,7 @@ class Plant:
                 load=None
                 if name not in loads
                 else Load(
-                    _broadcast("other_payloads", loads[name], 0.0, (n,)),
+                    broadcast("other_payloads", loads[name], 0.0, (n,)),
                     np.broadcast_to(other.mechanism.payload_center, (n, 3)),
                 ),
             )
@@ -235,23 +225,23 @@ class Plant:
         arm = self._arm(name)
         q = np.asarray(q, dtype=np.float64)
         n, joints = len(q), arm.config.joints
-        step = _broadcast("last_step", last_step, np.zeros_like(q), (n, joints))
-        times = _broadcast("time_s", time_s, self._clock_s, (n,))
-        air = _broadcast("air_c", air_c, self._air.temperature_c(times), (n,))
+        step = broadcast("last_step", last_step, np.zeros_like(q), (n, joints))
+        times = broadcast("time_s", time_s, self._clock_s, (n,))
+        air = broadcast("air_c", air_c, self._air.temperature_c(times), (n,))
         mass, center = arm.mechanism.payload_mass, arm.mechanism.payload_center
         load = Load(
-            _broadcast("payload", payload, mass, (n,)), _broadcast("payload_center", payload_center, center, (n, 3))
+            broadcast("payload", payload, mass, (n,)), broadcast("payload_center", payload_center, center, (n, 3))
         )
         if (load.mass < 0.0).any():
             raise ValueError(f"payload must be at least 0 kg, not {load.mass.min():g}")
         situation = Situation(
             q=q,
-            approach=np.sign(_broadcast("approach", approach, step, (n, joints))),
+            approach=np.sign(broadcast("approach", approach, step, (n, joints))),
             last_step=step,
-            since_rest_s=_broadcast("since_rest_s", since_rest_s, np.inf, (n,)),
+            since_rest_s=broadcast("since_rest_s", since_rest_s, np.inf, (n,)),
             time_s=times,
             air_c=air,
-            joints_c=_broadcast("joints_c", joints_c, air[:, None] + arm.rise, (n, joints)),
+            joints_c=broadcast("joints_c", joints_c, air[:, None] + arm.rise, (n, joints)),
             others=self._other_postures(arm, {} if others is None else others, n, other_payloads),
             T_B_others=self._T_B_others(arm),
             mechanism=arm.mechanism,
@@ -458,6 +448,13 @@ class Plant:
         )
         p_M, normal_M = self._apparent_smr(arm, situation, posture)
         return p_M[0], normal_M[0]
+
+    def move_tracker(self, T_C_M: Array) -> None:
+        """Set the tracker up at another pose (4, 4) in the cell, now."""
+        self.config = replace(self.config, tracker=replace(self.config.tracker, T_C_M=T_C_M))
+        self._T_M_C = inverse(T_C_M)
+        for arm in self._arms.values():
+            arm.T_M_B, arm.resting = self._T_M_C @ arm.T_C_B, None
 
     def targets(self) -> list[Target]:
         """Return the SMRs of all arms at the current time."""
