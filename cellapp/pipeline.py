@@ -70,6 +70,9 @@ from cellapp.run.stages import (
     read_stages,
 )
 from cellapp.run.stored_model import model_of, stage_in_force
+from cellapp.signature.calibrate import with_prior
+from cellapp.signature.discovery import SearchWithPriors
+from cellapp.signature.source import basis_of_priors, earlier_arms, earlier_of_calibration
 
 R = TypeVar("R", bound=RunResults)
 
@@ -212,23 +215,31 @@ def import_new_run(profile: Profile, csv: Path, folder: Path, *, in_order: bool 
 # -- calibrate, discover, propose -------------------------------------------------------------------------------------
 
 
-def calibrate_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> CalibrateResult:
+def calibrate_run(
+    run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None, *, prior: Path | None = None
+) -> CalibrateResult:
     """Calibrate a run: draw missing splits, identify, evaluate, append the stage, export the model in force.
 
-    The notes also say whether an earlier discovery and verification still hold.
+    ``prior`` is the folder of an earlier run of the same arms, whose calibration is taken as prior. The notes also say
+    whether an earlier discovery and verification still hold.
 
     Raises
     ------
     InputError
-        If an arm has no readings or too few of them.
+        If an arm has no readings or too few of them, or the earlier run does not suit, see ``earlier_arms``.
     Cancelled
         On request; nothing is stored then.
     """
     notes = draw_missing_splits(run)
+    readings = _readings(run)
     with _one_blas_thread():
-        calibration = calibrate_readings(run.profile, _readings(run), with_eta(listener), cancel)
+        earlier = {} if prior is None else earlier_arms(run, prior)
+        calibration = calibrate_readings(run.profile, readings, with_eta(listener), cancel)
+        if earlier:
+            calibration = with_prior(run.profile, readings, calibration, earlier)
     result = calibrate_result(replace(calibration, notes=(*notes, *calibration.notes)))
-    _append_with_model(run, CALIBRATE, result, calibration.model, basis_of(run))
+    basis = basis_of(run).model_copy(update={"priors": basis_of_priors(earlier)})
+    _append_with_model(run, CALIBRATE, result, calibration.model, basis)
     stages = read_stages(run)
     _export_model(run, stages)
     return result.model_copy(update={"notes": (*result.notes, *note_later_stages(run, stages))})
@@ -410,10 +421,14 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
             " run 'cellapp calibrate' again"
         )
     with _one_blas_thread():
-        found = discover_cell(run.profile, model_of(run, calibrated), _readings(run), with_eta(listener), cancel)
+        earlier = earlier_of_calibration(run)
+        search = SearchWithPriors(earlier) if earlier else None
+        model = model_of(run, calibrated)
+        found = discover_cell(run.profile, model, _readings(run), with_eta(listener), cancel, search)
     result = discover_result(found)
     model = replace(found.model, provenance=provenance_of(run.profile).model_dump())
-    _append_with_model(run, DISCOVER, result, model, basis_of(run, {CALIBRATE: calibrated.digest}))
+    basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
+    _append_with_model(run, DISCOVER, result, model, basis)
     _export_model(run, read_stages(run))
     return result, found
 

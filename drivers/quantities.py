@@ -23,6 +23,8 @@ _UNITS: dict[str, dict[str, float]] = {
         "arcsec": math.pi / 648000.0,
     },
     "mass": {"kg": 1.0, "g": 1e-3},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3},
+    "acceleration": {"m/s^2": 1.0, "mm/s^2": 1e-3},
     "time": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
     "angular speed": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
     "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180.0},
@@ -42,7 +44,7 @@ def parse_quantity(kind: str, value: object) -> float:
     """
     units = _UNITS[kind]
     si_unit = next(iter(units))
-    a_kind = f"an {kind}" if kind == "angle" else f"a {kind}"
+    a_kind = f"an {kind}" if kind[0] == "a" else f"a {kind}"
     if isinstance(value, bool):
         raise ValueError(f"expected {a_kind}, got {value}")
     if isinstance(value, int | float):
@@ -69,6 +71,8 @@ def _quantity(kind: str) -> BeforeValidator:
 Length = Annotated[float, _quantity("length")]
 Angle = Annotated[float, _quantity("angle")]
 Mass = Annotated[float, _quantity("mass")]
+Speed = Annotated[float, _quantity("speed")]
+Acceleration = Annotated[float, _quantity("acceleration")]
 Time = Annotated[float, _quantity("time")]
 AngularSpeed = Annotated[float, _quantity("angular speed")]
 AngularAcceleration = Annotated[float, _quantity("angular acceleration")]

@@ -30,7 +30,7 @@ from cellapp.model.nominal import (
 )
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
-from cellapp.results import Provenance, Repeatability, Stage, StageErrors
+from cellapp.results import ArmPriorResult, Provenance, Repeatability, Stage, StageErrors
 from cellapp.run import SPLITS, Readings, stated_uncertainty
 
 _BASE_STEPS = training_steps()
@@ -59,6 +59,8 @@ class ArmCalibration:
         How the residual network was trained.
     tracker_frame_network : ResidualNetwork or None
         The same network trained in the tracker frame, the counter-example of Bai et al. (2023).
+    prior : ArmPriorResult or None
+        The earlier calibration that was taken as prior; identification and model are then with it, without a network.
     """
 
     model: ArmModel
@@ -70,6 +72,7 @@ class ArmCalibration:
     tracker_mm: float | None
     training: Training | None = None
     tracker_frame_network: ResidualNetwork | None = None
+    prior: ArmPriorResult | None = None
 
 
 @dataclass(frozen=True)

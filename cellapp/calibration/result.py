@@ -59,6 +59,7 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         tracker_mm=arm.tracker_mm,
         repeatability_mm=arm.repeatability,
         network=None if arm.training is None else _network(arm.training),
+        prior=arm.prior,
         validate_=arm.validate,
     )
 

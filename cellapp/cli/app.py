@@ -11,10 +11,11 @@ import typer
 from cellapp.cli.correct import correct
 from cellapp.cli.docs import docs
 from cellapp.cli.export import export
+from cellapp.cli.follow import follow
 from cellapp.cli.init import init
 from cellapp.cli.job import Job, open_run, run_program
 from cellapp.cli.motion import asking
-from cellapp.cli.options import AllowMotion, JsonOption, NewRun, ProfilePath, RunFolder, TargetsPath
+from cellapp.cli.options import AllowMotion, JsonOption, NewRun, PriorOption, ProfilePath, RunFolder, TargetsPath
 from cellapp.cli.requests import abort, pause, resume, stop
 from cellapp.cli.runs import compare, runs
 from cellapp.cli.show import schema, show
@@ -222,6 +223,7 @@ def calibrate(
     parameters: Annotated[
         bool, typer.Option("--parameters", help="Print the parameters too; 'show DIR parameters' prints stored ones.")
     ] = False,
+    prior: PriorOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Identify arms and pair, evaluate on held-out stops, write calibration.json."""
@@ -230,7 +232,7 @@ def calibrate(
     from cellapp.reporting.tables import calibration_tables, parameter_tables, tracker_sentences
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = calibrate_run(opened, job.listen, job.control)
+        result = calibrate_run(opened, job.listen, job.control, prior=prior)
         job.show(calibration_tables(result))
         if parameters:
             job.show(parameter_tables(result))
@@ -312,14 +314,13 @@ def compensate(folder: RunFolder, targets: TargetsPath, json_file: JsonOption = 
     """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
     from cellapp.compensation.targets import load_targets
     from cellapp.pipeline import compensate_run
-    from cellapp.reporting.run_tables import predicted_tolerance_tables, refusal_sentences
+    from cellapp.reporting.target_tables import compensate_tables
+    from cellapp.reporting.target_words import compensate_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         result = compensate_run(opened, load_targets(targets, opened.profile))
-        refused = refusal_sentences(result)
-        job.show(predicted_tolerance_tables(result))
-        job.say(f"{len(result.targets) - len(refused)} of {len(result.targets)} targets compensated")
-        job.say(*refused, *result.notes)
+        job.show(compensate_tables(result))
+        job.say(*compensate_lines(result))
         job.result(result)
 
 
@@ -342,7 +343,7 @@ def push(
     from cellapp.compensation.targets import load_targets
     from cellapp.pipeline import push_run
     from cellapp.reporting.tables import verification_tables
-    from cellapp.reporting.verification_text import verification_lines
+    from cellapp.reporting.target_words import push_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         listed = load_targets(targets, opened.profile)
@@ -358,11 +359,7 @@ def push(
             ask=ask,
         )
         job.show(verification_tables(result))
-        job.say(*verification_lines(result))
-        if not verify:
-            reached = sum(not target.note for target in result.targets)
-            job.say(f"{reached} of {len(result.targets)} targets reached")
-        job.say(*result.notes)
+        job.say(*push_lines(result))
         job.result(result)
         if verify:
             _check(result.complaints(), "verification")
@@ -381,7 +378,7 @@ def report(folder: RunFolder, json_file: JsonOption = None) -> None:
         job.result(result)
 
 
-for command in (init, export, correct, pause, resume, stop, abort, runs, compare, show, schema, docs):
+for command in (follow, init, export, correct, pause, resume, stop, abort, runs, compare, show, schema, docs):
     app.command()(command)
 
 

@@ -228,16 +228,18 @@ def _show_location(job: Job, results: RunResults) -> None:
 
 
 def _show_targets(job: Job, results: RunResults) -> None:
-    from cellapp.reporting.run_tables import refusal_sentences, target_tables
+    from cellapp.reporting.target_tables import stored_tables
+    from cellapp.reporting.target_words import compensate_lines
 
     assert results.compensate is not None
-    job.show(target_tables(results.compensate))
-    job.say(*refusal_sentences(results.compensate), *results.compensate.notes)
+    job.show(stored_tables(results.compensate))
+    job.say(*compensate_lines(results.compensate))
 
 
 def _show_verification(job: Job, results: RunResults) -> None:
-    from cellapp.reporting.tables import verification_tables
+    from cellapp.reporting.target_tables import all_measured_tables
+    from cellapp.reporting.target_words import verify_lines
 
     assert results.verify is not None
-    job.show(verification_tables(results.verify))
-    job.say(*results.verify.notes)
+    job.show(all_measured_tables(results.verify))
+    job.say(*verify_lines(results.verify))

@@ -387,3 +387,59 @@ def league(
         state_result(job, result, league_tables(result), league_sentences(result), markdown)
         if result.complaints():
             raise CheckFailed(f"trials league: {'; '.join(result.complaints())}")
+
+
+@trials_app.command("signature")
+def signature(
+    profile: Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")] = Path(
+        "profiles/twin.yaml"
+    ),
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells, or draws of rows.")] = 10,
+    first: Annotated[int, typer.Option("--first", min=0, help="The first seed.")] = 0,
+    earlier: Annotated[int, typer.Option("--earlier", min=40, help="Stops of the earlier calibration.")] = 400,
+    few: Annotated[int, typer.Option("--few", min=5, help="Stops with the earlier calibration.")] = 30,
+    many: Annotated[int, typer.Option("--many", min=10, help="Stops without it, to compare with.")] = 150,
+    real: Annotated[bool, typer.Option("--real", help="Series D of a real UR10 with series C as prior.")] = False,
+    rows: Annotated[
+        str, typer.Option("--rows", metavar="LIST", help="With --real: numbers of rows, separated by commas.")
+    ] = "30,60,100",
+    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
+    data: Annotated[Path, typer.Option("--data", metavar="DIR", help="Folder of the series.")] = Path("tests/fixtures"),
+    profiles: Annotated[Path, typer.Option("--profiles", metavar="DIR", help="Folder of their profiles.")] = Path(
+        "profiles"
+    ),
+    markdown: MarkdownFile = None,
+    json_file: JsonOption = None,
+) -> None:
+    """What an arm's earlier calibration is worth when it is calibrated again from few stops, mounted elsewhere."""
+    from cellapp.profile import load_profile
+    from cellapp.trials.league.series import parse_rows
+    from cellapp.trials.signature import real_trials, twin_trials
+    from cellapp.trials.signature_tables import signature_sentences, signature_tables
+
+    with Job(json_file) as job:
+        check_markdown(markdown)
+        if real:
+            result = real_trials(
+                parse_rows(rows),
+                range(first, first + seeds),
+                data=data,
+                profiles=profiles,
+                jobs=jobs,
+                listener=job.listen,
+                cancel=job.control,
+            )
+        else:
+            result = twin_trials(
+                load_profile(profile),
+                range(first, first + seeds),
+                earlier=earlier,
+                few=few,
+                many=many,
+                jobs=jobs,
+                listener=job.listen,
+                cancel=job.control,
+            )
+        state_result(job, result, signature_tables(result), signature_sentences(result), markdown)
+        if result.complaints():
+            raise CheckFailed(f"trials signature: {'; '.join(result.complaints())}")

@@ -17,7 +17,8 @@ from cellapp.progress import CancelToken, Detail, MotionBegun
 from cellapp.run.in_order import MOVED_RAD
 from cellapp.safety.cell_bodies import home_positions
 from cellapp.safety.gate import CellBodies, predicted_smr
-from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, MotionStopped
+from cellapp.safety.path_gate import refuse_path
+from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, FollowedPath, MotionStopped, PathFollower
 from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
 
 Vector = NDArray[np.float64]
@@ -56,6 +57,15 @@ def rates(arm: ArmProfile, share: float = 1.0) -> tuple[Vector, Vector]:
 def motion_s(way: Vector, speeds: Vector, accelerations: Vector) -> float:
     """Return how long a motion by ``way`` (N,) [rad] takes at most [s]: speed is reached, held and taken away."""
     return float((np.abs(way) / speeds + speeds / accelerations).max())
+
+
+def _last_signs(q: Vector, before: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Sign of each joint's last motion (N,) along ``q`` (m, N) [rad]; ``before`` for joints that hardly moved."""
+    away = q[-1] - q
+    moved = np.abs(away) > MOVED_RAD
+    last = len(q) - 1 - np.argmax(moved[::-1], axis=0)
+    signs = np.sign(away[last, np.arange(q.shape[1])])
+    return np.where(moved.any(axis=0), signs, before).astype(np.int8)
 
 
 class MotionRefused(CellappError):
@@ -177,6 +187,48 @@ class Mover:
             except ArmError as error:
                 raise self.stop_cell(cause_of(name, error)) from error
         return self._settled(list(targets), 2.0 * expected_s + _MOVE_ALLOWANCE_S)
+
+    def follow(self, name: str, q: Vector, s: Vector, period_s: float) -> FollowedPath:
+        """Let an arm at the beginning of a path follow it, while the others rest, and wait until it is at rest.
+
+        Parameters
+        ----------
+        name : str
+        q : array, shape (m, N)
+            Joint positions [rad], one each ``period_s`` [s].
+        s : array, shape (m,)
+            Arc lengths [m], for the gate's words.
+
+        Raises
+        ------
+        MotionRefused
+            If the gate refuses, or this arm cannot follow a stream; nothing has moved.
+        CellStopped
+            As ``move``.
+        """
+        arm, start = self._cell.arms[name], self.positions()
+        if not isinstance(arm, PathFollower):
+            raise MotionRefused(f"arm {name}: its driver cannot follow a stream of joint positions")
+        others = {other: here for other, here in start.items() if other != name}
+        checked = np.concatenate([start[name][None], q])  # from where the arm really is
+        refusal = refuse_path(self._bodies, name, checked, others, np.append(s[:1], s), self._cell.gate)
+        if refusal:
+            raise MotionRefused(f"refused to follow the path: {refusal}")
+        self._record_foreign_steps(start)
+        self._departure = None  # the way back along a path was not checked
+        expected_s = len(q) * period_s
+        self._emit(MotionBegun(self.stop, vectors({name: start[name]}), vectors({name: q[-1]}), expected_s))
+        with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
+            self._reaction.check()
+            try:
+                arm.start_path(q, period_s)
+            except ArmError as error:
+                raise self.stop_cell(cause_of(name, error)) from error
+            states = self._settled([name], expected_s + _MOVE_ALLOWANCE_S)
+        self._record_step(name, start[name], q[-1], states[name].q)
+        self._approach[name] = _last_signs(q, self._approach[name])
+        self._emit(motion_ended(self.stop, states))
+        return arm.followed()
 
     def _tracker_died(self, reason: str) -> None:
         self._reaction.trigger(StopCause("tracker", reason))

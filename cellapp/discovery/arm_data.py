@@ -65,8 +65,18 @@ class ArmData:
     cache: dict[tuple[str, str, tuple[str, ...] | None], list[EffectColumn]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> ArmData:
-        """Take the weights from the stated uncertainty, and select the geometric parameters."""
+    def of(
+        cls,
+        profile: Profile,
+        model: ArmModel,
+        readings: Readings,
+        conditions: MeasurementConditions,
+        prior_sigma: Mapping[str, float] | None = None,
+    ) -> ArmData:
+        """Take the weights from the stated uncertainty, and select the geometric parameters.
+
+        ``prior_sigma`` [m, rad] replaces the profile's, about ``model.nominal``.
+        """
         geometry_only = replace(model, effects=(), network=None)
         stated = stated_uncertainty(readings)
         settings = profile.calibration
@@ -76,13 +86,12 @@ class ArmData:
             readings.p_M,
             sigma=stated,
             parameter_set=settings.parameter_set,
-            prior_sigma=prior_sigmas(model.nominal, settings.priors),
+            prior_sigma=prior_sigmas(model.nominal, settings.priors) if prior_sigma is None else prior_sigma,
             tolerance=TOLERANCE,
         )
         sigma = np.full(len(readings), found.scale) if stated is None else stated
         geometry_only = replace(geometry_only, geometry=found.geometry)
-        prior_sigma = found.prior_sigma
-        return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, prior_sigma)
+        return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, found.prior_sigma)
 
     def __len__(self) -> int:
         return len(self.readings)

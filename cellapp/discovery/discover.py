@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -56,21 +57,40 @@ class _PairArm:
     tracker_frame_network: None = None
 
 
+class ArmSearch(Protocol):
+    """Searches one calibrated arm, as ``discover_arm`` does."""
+
+    def __call__(
+        self,
+        profile: Profile,
+        name: str,
+        model: ArmModel,
+        readings: Readings,
+        cancel: CancelToken | None = None,
+        *,
+        conditions: MeasurementConditions,
+        report: Report = ignore_report,
+    ) -> Discovery: ...
+
+
 def discover_cell(
     profile: Profile,
     model: CellModel,
     readings: Mapping[str, Readings],
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
+    search_arm: ArmSearch | None = None,
 ) -> CellDiscovery:
     """Search the readings of every arm of a calibrated cell for missing effects, and add them to the model.
+
+    ``search_arm`` replaces ``discover_arm``.
 
     Raises
     ------
     Cancelled
         On request.
     """
-    arms = _discover_arms(profile, model, readings, listener, cancel or CancelToken())
+    arms = _discover_arms(profile, model, readings, listener, cancel or CancelToken(), search_arm or discover_arm)
     pair = None
     if any(discovery.accepted for discovery in arms.values()):
         pair, _ = calibrate_pair(profile, readings, {name: _PairArm(found.model) for name, found in arms.items()})
@@ -92,7 +112,12 @@ def _may_train(profile: Profile) -> bool:
 
 
 def _discover_arms(
-    profile: Profile, model: CellModel, readings: Mapping[str, Readings], listener: Listener, cancel: CancelToken
+    profile: Profile,
+    model: CellModel,
+    readings: Mapping[str, Readings],
+    listener: Listener,
+    cancel: CancelToken,
+    search_arm: ArmSearch,
 ) -> dict[str, Discovery]:
     conditions = conditions_of_arms(model.arms, readings)
     found: dict[str, Discovery] = {}
@@ -102,9 +127,7 @@ def _discover_arms(
         report = searched.part(f"arm {name}")
         report(0, "search")
         cancel.check()
-        found[name] = discover_arm(
-            profile, name, arm, readings[name], cancel, conditions=conditions[name], report=report
-        )
+        found[name] = search_arm(profile, name, arm, readings[name], cancel, conditions=conditions[name], report=report)
         report(SEARCH_STEPS, found[name].verdict)
     if not _may_train(profile):
         return found
@@ -132,17 +155,21 @@ def discover_arm(
     *,
     conditions: MeasurementConditions | None = None,
     report: Report = ignore_report,
+    prior_sigma: Mapping[str, float] | None = None,
 ) -> Discovery:
     """Search the identify and train splits for effects, and evaluate the models on the validate split.
 
     ``conditions`` are those of ``readings``; the default is derived from the readings of this arm alone.
-    ``report`` takes the steps done, of ``SEARCH_STEPS``.
+    ``report`` takes the steps done, of ``SEARCH_STEPS``. ``prior_sigma`` are standard deviations [m, rad] of geometric
+    parameters about ``model.nominal``; those of the profile if not given.
     """
     started = time.perf_counter()
     cancel = cancel or CancelToken()
     conditions = conditions or measurement_conditions(readings)
     held_out = HeldOut.of(readings, conditions)
-    result = _without_harm(_search_and_refit(profile, model, readings, conditions, cancel, report), held_out)
+    result = _without_harm(
+        _search_and_refit(profile, model, readings, conditions, cancel, report, prior_sigma), held_out
+    )
     searched, found, fitted_model = result.judged, result.found, result.model
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
     floor_mm = held_out.noise_floor_mm()
@@ -214,13 +241,14 @@ def _search_and_refit(
     conditions: MeasurementConditions,
     cancel: CancelToken,
     report: Report,
+    prior_sigma: Mapping[str, float] | None,
 ) -> _Searched:
     """Search at most ``_MOST_SEARCHED`` readings to learn from, without gross errors, then fit to all of them."""
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
     all_rows = rows
     rows = rows[~gross_errors_of_geometry(model, readings.q[rows], readings.p_M[rows])]
     for _ in range(ROUNDS):
-        result = _search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report)
+        result = _search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
         computed = result.model.predict(readings.q[rows], conditions=conditions.take(rows))
         wrong = gross_errors(readings.p_M[rows] - computed)
         if not wrong.any():
@@ -237,6 +265,7 @@ def _search_rows(
     conditions: MeasurementConditions,
     cancel: CancelToken,
     report: Report,
+    prior_sigma: Mapping[str, float] | None,
 ) -> _Searched:
     """Search some of the readings, and fit to all of them."""
     rows = np.arange(len(readings), dtype=np.intp)
@@ -245,10 +274,11 @@ def _search_rows(
         generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
         some = np.sort(generator.permutation(rows)[:_MOST_SEARCHED])
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
-    found = search(ArmData.of(profile, model, readings.take(some), conditions.take(some)), slugs, cancel, report)
+    searched = ArmData.of(profile, model, readings.take(some), conditions.take(some), prior_sigma)
+    found = search(searched, slugs, cancel, report)
     if len(some) == len(rows) or not found.fit.terms:
         return _Searched(found, found, with_posterior(found.data, found.fit), None)
-    everything = ArmData.of(profile, model, readings, conditions)
+    everything = ArmData.of(profile, model, readings, conditions, prior_sigma)
     if smoothness_of(found.fit.terms) is None:
         to_all = refit_to_all(found, everything)
         return _Searched(found, to_all, with_posterior(to_all.data, to_all.fit), len(rows))

@@ -54,6 +54,7 @@ class Backlash(Effect):
 
     slug = "backlash"
     title = "backlash or hysteresis of joints"
+    arm_bound = True
     meaning = Meaning(
         cause="The gear of {place} has lost motion: the output lags behind the motor on each reversal.",
         size=(
@@ -143,6 +144,7 @@ class FrictionWindup(Effect):
 
     slug = "friction_windup"
     title = "friction wind-up of joints"
+    arm_bound = True
     meaning = Meaning(
         cause="Friction in {place} holds the gear wound up against its last motion, more so under load.",
         size="1e-4 rad at 50 Nm, 50 to 130 um at the flange of a UR10",

@@ -60,6 +60,9 @@ class Effect(ABC):
     free_drivers: ClassVar[tuple[FreeDriver, ...]] = ()
     """What its law may depend on in ways that the law does not describe; empty: the law is taken as exact."""
 
+    arm_bound: ClassVar[bool] = False
+    """Whether it belongs to the arm itself: its parameters then stay when the arm gets another base or tool."""
+
     impossible: ClassVar[ImpossibleValues] = ImpossibleValues()
     """Words for values outside the bounds of its columns."""
 

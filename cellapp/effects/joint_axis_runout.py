@@ -39,6 +39,7 @@ class JointAxisRunout(Effect):
 
     slug = "joint_axis_runout"
     title = "run-out of joint axes"
+    arm_bound = True
     meaning = Meaning(
         cause="The axis of {place} shifts as it turns: radial or axial run-out of its bearing, or a seat out of round.",
         size="10 to 50 um; 8 to 27 um were found on a real UR10",

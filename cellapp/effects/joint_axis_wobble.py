@@ -51,6 +51,7 @@ class JointAxisWobble(Effect):
 
     slug = "joint_axis_wobble"
     title = "wobble of joint axes"
+    arm_bound = True
     meaning = Meaning(
         cause="The axis of {place} tilts as it turns: run-out of the bearing or ovality of its raceways.",
         size="5 to 20 urad, 5 to 25 um",

@@ -60,6 +60,7 @@ class JointCompliance(Effect):
 
     slug = "joint_compliance"
     title = "joint compliance under gravity"
+    arm_bound = True
     meaning = Meaning(
         cause=(
             "The gear and the bearings of {place} twist under the weight that they carry. Strain-wave gears always "
@@ -157,6 +158,7 @@ class PayloadCompliance(Effect):
 
     slug = "payload_compliance"
     title = "joint compliance under the payload"
+    arm_bound = True
     meaning = Meaning(
         cause=(
             "The gear of {place} twists under the payload alone: the arm's own weight was calibrated away or is "

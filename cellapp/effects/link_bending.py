@@ -66,6 +66,7 @@ class LinkBending(Effect):
 
     slug = "link_bending"
     title = "bending of links"
+    arm_bound = True
     meaning = Meaning(
         cause=(
             "Bending and twisting of {place} as a beam under all that it carries. A tube always bends; a cracked clamp"

@@ -51,6 +51,7 @@ class EncoderEccentricity(Effect):
 
     slug = "encoder_eccentricity"
     title = "encoder eccentricity (one cycle a turn)"
+    arm_bound = True
     meaning = Meaning(
         cause=(
             "The graduated disc or magnet ring of the encoder of {place} is off the axis; a first-order error of"
@@ -109,6 +110,7 @@ class TransmissionError(Effect):
 
     slug = "transmission_error"
     title = "transmission error (two cycles a turn and up)"
+    arm_bound = True
     meaning = Meaning(
         cause=(
             "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles a turn, the"

@@ -51,14 +51,20 @@ def chart_figure(key: str, chart: Chart) -> CaptionedFigure:
             line(limit.value, color=INK, linewidth=1.0, linestyle="--")
         axes.margins(0.06)
         axes.autoscale_view()
-        _scale(axes.yaxis, chart.y.logarithmic, [one.y for one in chart.series])
-        _scale(axes.xaxis, chart.x.logarithmic, [one.x for one in chart.series])
+        _scale(axes.yaxis, chart.y.logarithmic, [*(one.y for one in chart.series), _limits(chart, "y")])
+        _scale(axes.xaxis, chart.x.logarithmic, [*(one.x for one in chart.series), _limits(chart, "x")])
         axes.set_xlabel(chart.x.words)
         axes.set_ylabel(chart.y.words)
         svg = to_svg(figure, key)
     legend = tuple((_swatch(one), _words(one)) for one in chart.series)
     limits = tuple(("floor", limit.name) for limit in chart.limits)
     return CaptionedFigure(svg, chart.title, (*legend, *limits), note=chart.message)
+
+
+def _limits(chart: Chart, axis: str) -> Array:
+    """The limits on a logarithmic axis, which has no margin to show them in; no others."""
+    logarithmic = (chart.x if axis == "x" else chart.y).logarithmic
+    return np.array([limit.value for limit in chart.limits if limit.axis == axis and logarithmic])
 
 
 def _scale(axis: Any, logarithmic: bool, values: list[Array]) -> None:

@@ -1,4 +1,4 @@
-"""Charts of accuracy: held-out errors by stage, over the joints and in space, of the pair, and at targets.
+"""Charts of accuracy: held-out errors by stage, over the joints and in space, and of the pair.
 
 Errors of an arm are those of ``HeldOutArm.errors_mm``, which predicts with every model when it is first asked.
 """
@@ -27,11 +27,10 @@ from cellapp.reporting.charts import (
     noise_limit,
     series,
 )
-from cellapp.reporting.page_tables import measured_targets
 from cellapp.reporting.report_data import HeldOutArm
 from cellapp.reporting.tables import cooperative_noise_mm
 from cellapp.reporting.words import METHOD_WORDS, STAGE_WORDS
-from cellapp.results import STAGES, ArmCalibrationResult, CalibrateResult, Method, PairHeldOut, VerifyResult
+from cellapp.results import STAGES, ArmCalibrationResult, CalibrateResult, Method, PairHeldOut
 
 _BINS_A_ROOT = 2.0
 """Bins of a histogram for the root of the number of errors: 100 errors of four stages fill 20 bins."""
@@ -181,26 +180,3 @@ def residual_space_chart(
         f" y = {y:.2f}, z = {z:.2f} m."
     )
     return Chart(title, *axes, drawn, message, equal=True)
-
-
-# -- targets ----------------------------------------------------------------------------------------------------------
-
-
-def target_chart(name: str, verify: VerifyResult | None, floor_mm: float | None) -> Chart:
-    """Measured error at each target of one arm without and with compensation, in the order of the table."""
-    measured = [] if verify is None else measured_targets(verify, name)
-    title, x, y = f"Arm {name}: targets", Axis("target"), Axis("measured error", "mm", logarithmic=True)
-    if not measured:
-        return Chart(title, x, y, (), "No target was measured with both commands yet: push with verification first.")
-    number = np.arange(1.0, len(measured) + 1.0)
-    before, after = (np.array([target[place] for target in measured]) for place in (1, 2))
-    drawn = (
-        series("uncompensated", number, drawable_mm(before), "points", style=STAGE_STYLES["nominal"]),
-        series("compensated", number, drawable_mm(after), "points", style=STAGE_STYLES["effects"]),
-    )
-    better = int(np.sum(after < before))
-    message = (
-        f"Mean error at {len(measured)} targets: {mm(float(before.mean()))} uncompensated, {mm(float(after.mean()))}"
-        f" compensated; {'all' if better == len(measured) else better} became better."
-    )
-    return Chart(title, x, y, drawn, message, noise_limit(floor_mm))

@@ -174,25 +174,6 @@ def certainty_figure(key: str, predicted_mm: Array, errors_mm: Array) -> str:
         return to_svg(figure, key)
 
 
-def target_figure(key: str, before_mm: Array, after_mm: Array, floor_mm: float | None) -> str:
-    """Measured error [mm] at each target (n,) without and with compensation, joined by a line."""
-    with drawing_settings(key):
-        figure, axes = new_axes()
-        number = np.arange(1, len(before_mm) + 1)
-        before, after = drawable_mm(before_mm), drawable_mm(after_mm)
-        axes.vlines(number, before, after, color=GRID, linewidth=1.5)
-        axes.plot(number, before, "o", color=STAGE_COLOURS["nominal"], markersize=4.5)
-        axes.plot(number, after, "s", color=STAGE_COLOURS["effects"], markersize=4.5)
-        set_log_axis(axes.yaxis, np.concatenate([before, after]), floor_mm)
-        axes.set_xlim(0.0, len(number) + 1.0)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.set_xlabel("target, in the order of the table")
-        axes.set_ylabel("measured error [mm]")
-        if floor_mm is not None:
-            axes.axhline(floor_mm, color=INK, linewidth=1.0, linestyle="--")
-        return to_svg(figure, key)
-
-
 def vector_figure(key: str, points: Array, vectors: Array, length_mm: float) -> str:
     """Vectors (n, 3) [m] at points (n, 3) [m], seen along z and along y, enlarged.
 

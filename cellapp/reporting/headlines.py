@@ -31,6 +31,7 @@ STAGE_TITLES: dict[StageName, str] = {
     "compensate": "Compensated targets",
     "push": "Pushed targets",
     "verify": "Verification at new targets",
+    "path": "Paths",
 }
 
 

@@ -16,7 +16,7 @@ from cellapp.reporting.collection_section import collection_state, drift_figures
 from cellapp.reporting.collection_text import collection_tables
 from cellapp.reporting.discovery_section import arm_sections
 from cellapp.reporting.headlines import headlines, missing_results, out_of_date_lines, warnings
-from cellapp.reporting.page_figures import accuracy_figures, pair_figures, residual_vector_figures, target_figures
+from cellapp.reporting.page_figures import accuracy_figures, pair_figures, residual_vector_figures
 from cellapp.reporting.page_tables import (
     base_table,
     calibration_facts,
@@ -24,7 +24,6 @@ from cellapp.reporting.page_tables import (
     network_tables,
     nominal_and_identified_tables,
     pair_tables,
-    target_tables,
 )
 from cellapp.reporting.plan_section import plan_section
 from cellapp.reporting.provenance import provenance_lines
@@ -34,8 +33,8 @@ from cellapp.reporting.tables import (
     detailed_tables,
     distance_mm,
     transform_tables,
-    verification_tables,
 )
+from cellapp.reporting.targets_section import targets_section
 from cellapp.reporting.words import METHOD_WORDS
 from cellapp.results import CalibrateResult
 from cellapp.run import RunFile
@@ -81,7 +80,7 @@ def page_text(run: RunFile, written: datetime) -> str:
         **_first_words(data),
         **_accuracy(data),
         **_discovery(data),
-        **_verification(data),
+        targets=targets_section(data),
         **_collection(run),
         plan=plan_section(run),
         cell=cell_views(data.model, data.readings),
@@ -143,14 +142,6 @@ def _discovery(data: ReportData) -> Mapping[str, object]:
         "discoveries": [] if data.discover is None else arm_sections(data.discover, shown),
         "simulations": settings.null_simulations,
         "false_alarm": settings.false_alarm,
-    }
-
-
-def _verification(data: ReportData) -> Mapping[str, object]:
-    return {
-        "targets": target_figures(data),
-        "verification_tables": [] if data.verify is None else verification_tables(data.verify),
-        "target_tables": [] if data.verify is None else target_tables(data.verify),
     }
 
 

@@ -14,7 +14,6 @@ from cellapp.kinematics.transforms import apply, invert
 from cellapp.reporting.captioned import CaptionedFigure
 from cellapp.reporting.cell_views import evenly_spread
 from cellapp.reporting.charts_accuracy import pair_held_out
-from cellapp.reporting.page_tables import measured_targets
 from cellapp.reporting.report_data import HeldOutArm, ReportData
 from cellapp.reporting.tables import cooperative_noise_mm
 from cellapp.reporting.words import METHOD_WORDS, STAGE_WORDS
@@ -117,21 +116,6 @@ def _vector_figures(number: int, name: str, held_out: HeldOutArm) -> list[Captio
             legend,
         ),
     ]
-
-
-def target_figures(data: ReportData) -> list[CaptionedFigure]:
-    """Measured errors at new targets, one figure for each verified arm."""
-    from cellapp.reporting import figures
-
-    drawn = []
-    for number, (name, arm) in enumerate(data.calibrate.arms.items(), start=1):
-        measured = [] if data.verify is None else measured_targets(data.verify, name)
-        if measured:
-            _, before, after = zip(*measured, strict=True)
-            svg = figures.target_figure(f"targets{number}", np.array(before), np.array(after), arm.tracker_mm)
-            legend = [("before", "uncompensated"), ("effects", "compensated"), *_floor_legend(arm.tracker_mm)]
-            drawn.append(CaptionedFigure(svg, f"Arm {name}: measured error at new targets", tuple(legend)))
-    return drawn
 
 
 def _floor_legend(floor_mm: float | None) -> list[tuple[str, str]]:

@@ -17,35 +17,7 @@ from cellapp.results import (
     Estimate,
     NetworkResult,
     NetworkTrial,
-    VerifyResult,
 )
-
-
-def measured_targets(verify: VerifyResult, arm: str) -> list[tuple[str, float, float]]:
-    """Name and both errors [mm], uncompensated and compensated, of the targets of one arm that have both."""
-    return [
-        (target.name, target.nominal_mm, target.compensated_mm)
-        for target in verify.targets
-        if target.arm == arm and target.nominal_mm is not None and target.compensated_mm is not None
-    ]
-
-
-def target_tables(verify: VerifyResult) -> list[Table]:
-    """Each target with both errors, one table for each arm."""
-    columns = (
-        Column("number"),
-        Column("target"),
-        number_column("uncompensated", MM),
-        number_column("compensated", MM),
-    )
-    return [
-        Table(
-            f"Arm {arm}: each target [mm]",
-            columns,
-            tuple((str(number), *target) for number, target in enumerate(measured_targets(verify, arm), start=1)),
-        )
-        for arm in verify.arms
-    ]
 
 
 def pair_tables(calibrate: CalibrateResult) -> list[Table]:

@@ -1,4 +1,4 @@
-"""Tables and sentences of ``show``: the state of a run, its history, plan, log and commands."""
+"""Tables and sentences of ``show``: the state of a run, its history, plan and log."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import json
 import math
 
 from cellapp.profile import Profile, profile_to_json
-from cellapp.reporting.table import Cell, Column, Table, number_column
+from cellapp.reporting.table import Column, Table, number_column
 from cellapp.reporting.tables import merged_words
 from cellapp.results import (
     CalibrateResult,
-    CompensateResult,
     HistoryResult,
     LogResult,
     OverviewResult,
@@ -82,45 +81,6 @@ def plan_tables(stops: StopsResult) -> list[Table]:
         )
         tables.append(Table(f"Arm {name}: planned stops", columns, rows))
     return tables
-
-
-def target_tables(result: CompensateResult) -> list[Table]:
-    """Compensated joint angles [deg] of every target that can be commanded, one table for each arm; tolerances."""
-    tables = []
-    for arm in dict.fromkeys(target.arm for target in result.targets):
-        commands = {
-            target.name: target.q_compensated
-            for target in result.targets
-            if target.arm == arm and target.q_compensated is not None
-        }
-        if commands:
-            joints = len(next(iter(commands.values())))
-            columns = (Column("target"), *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
-            rows: list[tuple[Cell, ...]] = [(name, *map(math.degrees, q)) for name, q in commands.items()]
-            tables.append(Table(f"Arm {arm}: compensated commands", columns, tuple(rows)))
-    return tables + predicted_tolerance_tables(result)
-
-
-def predicted_tolerance_tables(result: CompensateResult) -> list[Table]:
-    """Whether commands are expected to meet the tolerances; empty if no target has one."""
-    rows: list[tuple[Cell, ...]] = [
-        (target.name, target.arm, target.uncertainty_mm, f"{target.tolerance_mm:g}", target.refusal or target.verdict)
-        for target in result.targets
-        if target.tolerance_mm is not None
-    ]
-    columns = (
-        Column("target"),
-        Column("arm"),
-        number_column("standard uncertainty", ".4f"),
-        number_column("tolerance", ""),
-        Column("tolerance met"),
-    )
-    return [Table("Predicted: targets with a tolerance [mm]", columns, tuple(rows))] if rows else []
-
-
-def refusal_sentences(result: CompensateResult) -> list[str]:
-    """Why targets cannot be commanded."""
-    return [f"target {target.name}: {target.refusal}" for target in result.targets if target.refusal]
 
 
 def log_lines(log: LogResult) -> list[str]:

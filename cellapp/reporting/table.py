@@ -5,9 +5,14 @@ Terminal, TUI, HTML and Markdown draw the same ``Table``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
+
+R = TypeVar("R")
+
+MOST_ROWS = 60
+"""Rows that a person reads of a table that may have thousands; the JSON and the run file have all."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,20 @@ class Table:
             tuple(format_cell(cell, column.number_format) for cell, column in zip(row, self.columns, strict=True))
             for row in self.rows
         )
+
+
+def most_urgent(rows: Sequence[R], urgency: Callable[[R], float], most: int = MOST_ROWS) -> list[R]:
+    """The rows with the largest urgency, in their own order."""
+    if len(rows) <= most:
+        return list(rows)
+    chosen = sorted(range(len(rows)), key=lambda row: (-urgency(rows[row]), row))[:most]
+    return [rows[row] for row in sorted(chosen)]
+
+
+def part_table(title: str, columns: tuple[Column, ...], rows: Sequence[tuple[Cell, ...]], count: int) -> Table:
+    """A table of some of ``count`` rows; its title says so where rows are missing."""
+    cut = "" if len(rows) == count else f": {len(rows)} of {count}, --json has all"
+    return Table(title + cut, columns, tuple(rows))
 
 
 def format_cell(cell: Cell, number_format: str = "") -> str:

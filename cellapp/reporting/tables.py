@@ -6,7 +6,9 @@ import math
 from collections.abc import Mapping
 
 from cellapp.reporting.discovery_tables import discovery_tables
-from cellapp.reporting.table import Cell, Column, Interval, Table, number_column
+from cellapp.reporting.signature_tables import prior_sentences, prior_tables
+from cellapp.reporting.table import Cell, Column, Interval, Table, most_urgent, number_column, part_table
+from cellapp.reporting.target_words import all_measured, arms_words, last_mm, shown_tolerance
 from cellapp.reporting.words import geometry_unit
 from cellapp.results import (
     METHODS,
@@ -14,6 +16,7 @@ from cellapp.results import (
     ArmCalibrationResult,
     CalibrateResult,
     ErrorSummary,
+    MeasuredTarget,
     RunResults,
     VerifyResult,
 )
@@ -30,6 +33,7 @@ _DETAILED_COLUMNS = (
     number_column("n", "d"),
 )
 _TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
+_PAIRS = "cooperative (distance of both SMRs)"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
@@ -51,7 +55,7 @@ def out_of_date_sentences(results: RunResults) -> list[str]:
 
 
 def calibration_tables(result: CalibrateResult) -> list[Table]:
-    """Held-out errors by stage, one table for each arm, and of the pair by method."""
+    """Held-out errors by stage, one table for each arm, and of the pair by method; priors and what has changed."""
     tables = []
     for name, arm in result.arms.items():
         rows = [(label, *_error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
@@ -61,7 +65,7 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
             (method, *_error_cells(result.pair[method].cooperative_mm)) for method in METHODS if method in result.pair
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *_ERROR_COLUMNS), tuple(rows)))
-    return tables
+    return [*tables, *prior_tables(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -83,7 +87,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
         summaries = {method: result.pair[method].cooperative_mm for method in METHODS if method in result.pair}
         rows = [(method, *_detailed_cells(errors), _ratio(errors, noise)) for method, errors in summaries.items()]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
-    return tables
+    return [*tables, *prior_tables(result)]
 
 
 def transform_tables(result: CalibrateResult) -> list[Table]:
@@ -125,13 +129,14 @@ def merged_words(shares: Mapping[str, float]) -> str:
 
 
 def verification_tables(result: VerifyResult) -> list[Table]:
-    """Errors at new targets before and after compensation, and each target with a tolerance.
+    """Errors at new targets before and after compensation, and the targets with a tolerance.
 
     Empty if no target was measured with both commands.
     """
+    measured = dict(result.arms) if result.cooperative is None else {**result.arms, _PAIRS: result.cooperative}
     rows = [
         (f"{name}, {label}", *_error_cells(summary))
-        for name, arm in result.arms.items()
+        for name, arm in measured.items()
         for label, summary in (("uncompensated", arm.nominal_mm), ("compensated", arm.compensated_mm))
     ]
     if not rows:
@@ -141,23 +146,30 @@ def verification_tables(result: VerifyResult) -> list[Table]:
 
 
 def _tolerance_tables(result: VerifyResult) -> list[Table]:
+    """Single and cooperative targets with a tolerance; where these are many, those with the largest share of it."""
+    judged = [one for one in all_measured(result) if one.tolerance_mm is not None]
     rows: list[tuple[Cell, ...]] = [
-        (target.name, target.arm, target.compensated_mm, f"{target.tolerance_mm:g}", target.verdict)
-        for target in result.targets
-        if target.tolerance_mm is not None
+        (
+            one.name,
+            one.arm if isinstance(one, MeasuredTarget) else arms_words(one.arms),
+            last_mm(one),
+            shown_tolerance(one.tolerance_mm),
+            one.verdict,
+        )
+        for one in most_urgent(judged, lambda one: (last_mm(one) or 0.0) / (one.tolerance_mm or math.inf))
     ]
     columns = (
         Column("target"),
         Column("arm"),
         number_column("compensated", MM),
-        number_column("tolerance", ""),
+        number_column("tolerance", "g"),
         Column("tolerance met"),
     )
-    return [Table("Targets with a tolerance [mm]", columns, tuple(rows))] if rows else []
+    return [part_table("Targets with a tolerance [mm]", columns, rows, len(judged))] if rows else []
 
 
 def tracker_sentences(result: CalibrateResult) -> list[str]:
-    """Compare the error of each arm's last stage with the stated uncertainty of the tracker."""
+    """Compare the error of each arm's last stage with the stated uncertainty of the tracker; where priors come from."""
     sentences = []
     for name, arm in result.arms.items():
         if arm.tracker_mm is None:
@@ -168,7 +180,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    return sentences
+    return [*sentences, *prior_sentences(result)]
 
 
 def distance_mm(first: float | None, second: float | None) -> float | None:

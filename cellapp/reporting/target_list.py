@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from cellapp.compensation.targets import Target, same_target
 from cellapp.reporting.table import Cell, Column, Table, number_column
-from cellapp.results import CALIBRATE, DISCOVER, MeasuredTarget, RunResults, TargetCommand, TargetRecord
+from cellapp.reporting.target_words import Measured, alone_mm, arms_words, last_mm, shown_tolerance
+from cellapp.results import (
+    CALIBRATE,
+    DISCOVER,
+    MeasuredPair,
+    MeasuredTarget,
+    RunResults,
+    TargetCommand,
+    TargetRecord,
+)
 
 R = TypeVar("R", bound=TargetRecord)
 
@@ -17,49 +27,110 @@ _COLUMNS = (
     Column("arm"),
     number_column("tol.", "g", "mm"),
     Column("state"),
-    Column("measured", unit="mm"),
+    Column("error", unit="mm"),
+    Column("frame"),
+    number_column("95 %", ".3f", "mm"),
+    number_column("uncertainty", ".4f", "mm"),
+    number_column("rounds", "d"),
     *(number_column(axis, ".1f", "mm") for axis in ("x", "y", "z")),
     *(number_column(angle, ".2f", "°") for angle in ("roll", "pitch", "yaw")),
 )
-COLUMN_GROUPS = (5, 8, 11)
+COLUMN_GROUPS = (5, 6, 7, 9, 12, 15)
 """How many columns a narrow place can show without parting a position or a rotation."""
 
 
+@dataclass(frozen=True)
+class TargetState:
+    """What a run says about one target as it is now.
+
+    Attributes
+    ----------
+    commands, measured : tuple
+        One for each arm that goes there; empty where nothing was computed or driven.
+    pair : MeasuredPair or None
+        What was measured between both arms of a cooperative target.
+    """
+
+    commands: tuple[TargetCommand, ...] = ()
+    measured: tuple[MeasuredTarget, ...] = ()
+    pair: MeasuredPair | None = None
+
+    @property
+    def refusals(self) -> list[str]:
+        """Why the target is not commanded, with the arm where two go there."""
+        several = len(self.commands) > 1
+        return [
+            f"{command.arm}: {command.refusal}" if several else command.refusal
+            for command in self.commands
+            if command.refusal
+        ]
+
+    @property
+    def notes(self) -> list[str]:
+        """Why the target was not measured."""
+        notes = [one.note for one in self.measured] + ([] if self.pair is None else [self.pair.note])
+        return list(dict.fromkeys(filter(None, notes)))
+
+    @property
+    def verdict(self) -> str:
+        """The worst verdict of what was measured; without measurements, of what is predicted."""
+        judged: list[Measured] = [*self.measured, *([] if self.pair is None else [self.pair])]
+        words: list[str] = [one.verdict for one in judged if one.verdict] or [one.verdict for one in self.commands]
+        return next((word for word in ("out", "cannot say", "in") if word in words), "")
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether an error was measured."""
+        return any(one.compensated_mm is not None for one in self.measured)
+
+    @property
+    def needs_attention(self) -> bool:
+        """Whether it is refused, not measured, out of tolerance or undecided."""
+        return bool(self.refusals or self.notes) or self.verdict in ("out", "cannot say")
+
+
+def target_state(target: Target, results: RunResults | None) -> TargetState:
+    """What the run says about one target."""
+    return target_states((target,), results)[0]
+
+
+def target_states(targets: Sequence[Target], results: RunResults | None) -> list[TargetState]:
+    """What the run says about each target. A result counts while the target is as it was when the result was made.
+
+    Of measurements and motions the last measurement counts; without one, the last motion.
+    """
+    if results is None:
+        return [TargetState()] * len(targets)
+    commands = {} if results.compensate is None else _by_name(results.compensate.targets)
+    pushes = [
+        (_by_name(pushed.targets), {pair.name: pair for pair in pushed.pairs})
+        for pushed in (results.verify, results.push)
+        if pushed is not None
+    ]
+    states = []
+    for target in targets:
+        state = TargetState(_about(target, commands))
+        for measured, pairs in pushes:
+            if not state.measured and (found := _about(target, measured)):
+                state = replace(state, measured=found, pair=pairs.get(target.name))
+        states.append(state)
+    return states
+
+
 def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
-    """Each target with its state. A result is shown while the target is as it was when the result was made."""
-    return Table("Targets", _COLUMNS, tuple(_row(target, results) for target in targets))
+    """Each target with its state."""
+    return Table("Targets", _COLUMNS, tuple(map(_row, targets, target_states(targets, results))))
 
 
 def target_words(target: Target, results: RunResults | None) -> str:
-    """Where one target is, and what the run says about it."""
+    """What the run says about one target, and where it is."""
     x, y, z = (f"{value * 1e3:.1f}" for value in target.position)
     rotation = "any rotation"
     if target.rpy is not None:
         rotation = "roll {:.2f}, pitch {:.2f}, yaw {:.2f} deg".format(*(math.degrees(angle) for angle in target.rpy))
-    return f"{_result_words(target, results)}\nx {x}, y {y}, z {z} mm; {rotation}"
-
-
-def _result_words(target: Target, results: RunResults | None) -> str:
-    command, measured = _command(target, results), _measured(target, results)
-    if command is None and measured is None:
-        return f"{target.name}: not compensated yet as it is now."
-    words = []
-    if command is not None and command.refusal:
-        words.append(f"refused: {command.refusal}")
-    elif command is not None and command.uncertainty_mm is None:
-        words.append("compensated; the model states no uncertainty")
-    elif command is not None:
-        words.append(f"compensated; standard uncertainty of a coordinate {command.uncertainty_mm:.4f} mm")
-    if command is not None and command.verdict:
-        words.append(f"tolerance {target.tolerance_mm:g} mm predicted: {command.verdict}")
-    if measured is not None and measured.compensated_mm is not None:
-        before = "" if measured.nominal_mm is None else f", {measured.nominal_mm:.4f} mm without compensation"
-        words.append(f"measured {measured.compensated_mm:.4f} mm from the target{before}")
-    if measured is not None and measured.verdict:
-        words.append(f"{measured.verdict} of tolerance" if measured.verdict == "out" else "within tolerance")
-    if measured is not None and measured.note and not (command is not None and command.refusal):
-        words.append(measured.note)
-    return f"{target.name}: {'; '.join(words)}."
+    frame = "" if target.frame == "base" else f" in frame {target.frame}"
+    state = _state_words(target, target_state(target, results))
+    return f"{target.name}: {state}.\nx {x}, y {y}, z {z} mm{frame}; {rotation}"
 
 
 def stale_model(results: RunResults) -> str:
@@ -68,51 +139,98 @@ def stale_model(results: RunResults) -> str:
     return "; ".join(f"'{name}' is out of date ({results.out_of_date[name]})" for name in outdated)
 
 
-def _row(target: Target, results: RunResults | None) -> tuple[Cell, ...]:
-    measured = _measured(target, results)
-    errors = ""
-    if measured is not None and measured.compensated_mm is not None:
-        before = "" if measured.nominal_mm is None else f"{measured.nominal_mm:.3f} -> "
-        errors = f"{before}{measured.compensated_mm:.3f}"
+def _state_words(target: Target, state: TargetState) -> str:
+    if not state.commands and not state.measured:
+        return "not compensated yet as it is now"
+    words = []
+    if state.refusals:
+        words.append(f"refused: {'; '.join(state.refusals)}")
+    elif state.commands:
+        words.append(f"compensated; {_uncertainty_words(state.commands)}")
+    predicted = TargetState(state.commands).verdict
+    if predicted:
+        words.append(f"tolerance {shown_tolerance(target.tolerance_mm):g} mm predicted: {predicted}")
+    several = len(state.measured) > 1
+    for one in state.measured:
+        if (mm := last_mm(one)) is not None:
+            arm = f"arm {one.arm} " if several else ""
+            before = "" if one.nominal_mm is None else f", {one.nominal_mm:.4f} mm without compensation"
+            words.append(f"{arm}measured {mm:.4f} mm from the target{before}{_rounds_words(one)}")
+    if state.pair is not None and (mm := last_mm(state.pair)) is not None:
+        words.append(f"distance of both SMRs off by {mm:.4f} mm{_rounds_words(state.pair)}")
+    if state.is_measured and state.verdict:
+        words.append("out of tolerance" if state.verdict == "out" else "within tolerance")
+    return "; ".join([*words, *(note for note in state.notes if not state.refusals)])
+
+
+def _uncertainty_words(commands: Iterable[TargetCommand]) -> str:
+    known = [one.uncertainty_mm for one in commands if one.uncertainty_mm is not None]
+    if not known:
+        return "the model states no uncertainty"
+    bounds = [one.within_mm for one in commands if one.within_mm is not None]
+    within = f", 95 % of errors within {max(bounds):.4f} mm" if bounds else ""
+    return f"standard uncertainty of a coordinate {max(known):.4f} mm{within}"
+
+
+def _rounds_words(one: Measured) -> str:
+    """How far the model alone came, where the target was corrected by measuring."""
+    rounds = len(one.rounds_mm) - 1
+    return "" if rounds < 1 else f" ({alone_mm(one):.4f} mm by the model alone, {rounds} corrected)"
+
+
+def _row(target: Target, state: TargetState) -> tuple[Cell, ...]:
     degrees = (None, None, None) if target.rpy is None else [math.degrees(angle) for angle in target.rpy]
-    state = _state(_command(target, results), measured)
+    bounds = [one.within_mm for one in state.commands if one.within_mm is not None]
+    known = [one.uncertainty_mm for one in state.commands if one.uncertainty_mm is not None]
     return (
         target.name,
-        target.arm,
-        None if target.tolerance_mm is None else round(target.tolerance_mm, 6),
-        state,
-        errors,
+        arms_words(target.arms),
+        shown_tolerance(target.tolerance_mm),
+        _short_state(state),
+        _errors(state),
+        target.frame,
+        max(bounds, default=None),
+        max(known, default=None),
+        max((len(one.rounds_mm) - 1 for one in state.measured if one.rounds_mm), default=None),
         *(value * 1e3 for value in target.position),
         *degrees,
     )
 
 
-def _state(command: TargetCommand | None, measured: MeasuredTarget | None) -> str:
+def _errors(state: TargetState) -> str:
+    """Error before and after: the distance of both SMRs of a cooperative target, else the largest of its arms."""
+    shown: list[Measured] = [one for one in state.measured if one.compensated_mm is not None]
+    if state.pair is not None and state.pair.compensated_mm is not None:
+        shown = [state.pair]
+    if not shown:
+        return ""
+    worst = max(shown, key=lambda one: last_mm(one) or 0.0)
+    before = "" if worst.nominal_mm is None else f"{worst.nominal_mm:.3f} -> "
+    return f"{before}{last_mm(worst):.3f}"
+
+
+def _short_state(state: TargetState) -> str:
     """The verdict, or why there is none."""
-    if command is not None and command.refusal:
-        return command.refusal
-    if measured is not None and (measured.note or measured.verdict):
-        return measured.note or f"{measured.verdict}, measured"
-    if command is not None and command.verdict:
-        return f"{command.verdict}, predicted"
-    if measured is not None:
-        return "reached" if measured.compensated_mm is None else "measured"
-    return "" if command is None else "compensated"
+    if state.refusals:
+        return "; ".join(state.refusals)
+    if state.measured:
+        if state.notes:
+            return "; ".join(state.notes)
+        if state.verdict and (state.is_measured or not state.commands):
+            return f"{state.verdict}, measured"
+    if state.commands and state.verdict and not state.is_measured:
+        return f"{state.verdict}, predicted"
+    if state.measured:
+        return "measured" if state.is_measured else "reached"
+    return "compensated" if state.commands else ""
 
 
-def _command(target: Target, results: RunResults | None) -> TargetCommand | None:
-    compensate = None if results is None else results.compensate
-    return None if compensate is None else _about(target, compensate.targets)
+def _by_name(stored: Sequence[R]) -> dict[str, list[R]]:
+    found: dict[str, list[R]] = {}
+    for entry in stored:
+        found.setdefault(entry.name, []).append(entry)
+    return found
 
 
-def _measured(target: Target, results: RunResults | None) -> MeasuredTarget | None:
-    """The last measurement; else the last motion to it."""
-    for pushed in () if results is None else (results.verify, results.push):
-        found = None if pushed is None else _about(target, pushed.targets)
-        if found is not None:
-            return found
-    return None
-
-
-def _about(target: Target, stored: Sequence[R]) -> R | None:
-    return next((entry for entry in stored if same_target(target, entry)), None)
+def _about(target: Target, stored: Mapping[str, Sequence[R]]) -> tuple[R, ...]:
+    return tuple(entry for entry in stored.get(target.name, ()) if same_target(target, entry))

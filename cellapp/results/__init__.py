@@ -13,6 +13,7 @@ from cellapp.results.base import (
     DISCOVER,
     LOCATE,
     METHODS,
+    PATH,
     PUSH,
     STAGE_NAMES,
     STAGES,
@@ -30,14 +31,18 @@ from cellapp.results.base import (
 )
 from cellapp.results.calibration import (
     ArmCalibrationResult,
+    ArmPriorResult,
     CalibrateResult,
     NetworkResult,
     NetworkTrial,
     PairEstimate,
     PairHeldOut,
     PairMethodResult,
+    PartDrift,
     Repeatability,
     Scatter,
+    SignatureChange,
+    SignaturePart,
 )
 from cellapp.results.collection import (
     ArmOrder,
@@ -97,6 +102,7 @@ from cellapp.results.discovery import (
 )
 from cellapp.results.exports import ArmFile, CommandFile, ExportResult, PositionLoss
 from cellapp.results.locate import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
+from cellapp.results.paths import DrivenPath, PathLag, PathRecord, PathResult, PathReversal
 from cellapp.results.plan_design import (
     FEW_CONFIGURATIONS,
     ArmDesign,
@@ -178,6 +184,7 @@ __all__ = [
     "LOCATE",
     "METHODS",
     "MOST_Z",
+    "PATH",
     "PUSH",
     "STAGES",
     "STAGE_NAMES",
@@ -193,6 +200,7 @@ __all__ = [
     "ArmFile",
     "ArmForecast",
     "ArmOrder",
+    "ArmPriorResult",
     "ArmState",
     "ArmVerification",
     "ArmView",
@@ -215,6 +223,7 @@ __all__ = [
     "Discrimination",
     "DocsResult",
     "DoctorResult",
+    "DrivenPath",
     "EffectComparison",
     "EffectMeaning",
     "EmulateResult",
@@ -258,6 +267,11 @@ __all__ = [
     "PairEstimate",
     "PairHeldOut",
     "PairMethodResult",
+    "PartDrift",
+    "PathLag",
+    "PathRecord",
+    "PathResult",
+    "PathReversal",
     "Picture",
     "Place",
     "PlanCheckResult",
@@ -294,6 +308,8 @@ __all__ = [
     "SeenCell",
     "SessionRecord",
     "SessionRequest",
+    "SignatureChange",
+    "SignaturePart",
     "SizeSource",
     "SmallestSize",
     "Stage",

@@ -18,7 +18,7 @@ METHODS: tuple[Method, ...] = ("nominal", "method_1", "method_2", "proposed", "e
 
 Verdict = Literal["explained", "nothing missing", "unknown effect", "ambiguous"]
 
-StageName = Literal["calibrate", "discover", "locate", "compensate", "push", "verify"]
+StageName = Literal["calibrate", "discover", "locate", "compensate", "push", "verify", "path"]
 CALIBRATE: StageName = "calibrate"
 DISCOVER: StageName = "discover"
 LOCATE: StageName = "locate"
@@ -27,7 +27,8 @@ COMPENSATE: StageName = "compensate"
 PUSH: StageName = "push"
 """Targets that were pushed without measuring them; it does not replace a verification."""
 VERIFY: StageName = "verify"
-STAGE_NAMES: tuple[StageName, ...] = (CALIBRATE, DISCOVER, LOCATE, COMPENSATE, PUSH, VERIFY)
+PATH: StageName = "path"
+STAGE_NAMES: tuple[StageName, ...] = (CALIBRATE, DISCOVER, LOCATE, COMPENSATE, PUSH, VERIFY, PATH)
 """What verbs store in a run, in the order of the work."""
 
 

@@ -47,12 +47,71 @@ class Repeatability(Record):
     n: int
 
 
+SignaturePart = Literal["geometry", "effects", "curves"]
+"""Parts of what an earlier calibration says of an arm: D-H rows, named effects with few values, smooth functions."""
+
+
+class PartDrift(Record):
+    """How far a part was believed: ``drift`` is the standard deviation, in ``unit``, by which each of its
+    ``parameters`` may have changed since; it maximises the likelihood of the new readings."""
+
+    parameters: int
+    drift: float
+    unit: str
+    used: bool
+
+
+class SignatureChange(Record):
+    """A change of the arm since the earlier calibration that the new readings prove.
+
+    ``value`` and ``standard_error`` are of the change of a single parameter, in ``unit``; ``sigmas`` is their ratio and
+    ``p_value`` its chance, times the number of changes that were tested. ``evidence`` is twice the log Bayes factor
+    for the change, ``moved_mm`` the rms displacement of the SMR by it; ``rivals`` are changes that explain the readings
+    about as well.
+    """
+
+    what: str
+    part: SignaturePart
+    value: float | None = None
+    standard_error: float | None = None
+    unit: str = ""
+    sigmas: float | None = None
+    p_value: float | None = None
+    evidence: float
+    moved_mm: float
+    rivals: tuple[str, ...] = ()
+    sentence: str
+
+
+class ArmPriorResult(Record):
+    """The earlier calibration of the same arm that was taken as prior.
+
+    ``run`` and ``stage`` name it, ``since`` is the day of its run, ``sha256`` the hash of its model and readings,
+    ``readings`` their number. ``effects`` were carried over; ``left_behind`` belong to the earlier installation.
+    """
+
+    run: str
+    arm: str
+    stage: Literal["calibrate", "discover"]
+    since: str
+    sha256: str
+    readings: int
+    controller: str | None = None
+    parts: Mapping[SignaturePart, PartDrift]
+    effects: tuple[str, ...]
+    left_behind: tuple[str, ...] = ()
+    scatter_mm: float
+    tested: int
+    changes: tuple[SignatureChange, ...] = ()
+
+
 class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
     ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
     those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
-    uncertainty, ``tracker_mm`` the rms length of the stated noise.
+    uncertainty, ``tracker_mm`` the rms length of the stated noise. Where an earlier calibration was taken as ``prior``,
+    the stage ``effects`` is the model with it, and the others are those without.
     """
 
     identified: Mapping[str, Estimate]
@@ -71,7 +130,9 @@ class ArmCalibrationResult(Record):
     tracker_mm: float | None = None
     repeatability_mm: Repeatability | None = None
     network: NetworkResult | None = None
+    prior: ArmPriorResult | None = None
     validate_: Mapping[Stage, StageErrors]
+    omitted_when_none = frozenset({"prior"})
 
     @property
     def best_stage(self) -> Stage:
@@ -127,7 +188,10 @@ class CalibrateResult(Result):
         return self.model_copy(update={"arms": arms, "pair": {**self.pair, **found.pair}})
 
     def without_effects(self) -> CalibrateResult:
-        """This result without the stage ``effects``, which older versions wrote into it."""
+        """This result without the stage ``effects``, which older versions wrote into it; with it where it is that of an
+        earlier calibration that was taken as prior."""
+        if any(arm.prior is not None for arm in self.arms.values()):
+            return self
         arms = {
             name: arm.model_copy(update={"validate_": {k: v for k, v in arm.validate_.items() if k != "effects"}})
             for name, arm in self.arms.items()

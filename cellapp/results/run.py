@@ -10,6 +10,7 @@ from cellapp.results.calibration import CalibrateResult
 from cellapp.results.collection import ArmOrder, CollectResult
 from cellapp.results.discovery import DiscoverResult
 from cellapp.results.locate import LocateResult
+from cellapp.results.paths import PathResult
 from cellapp.results.plan_design import PlanDesignResult
 from cellapp.results.targets import CompensateResult, VerifyResult
 
@@ -31,8 +32,9 @@ class RunResults(Result):
     compensate: CompensateResult | None = None
     push: VerifyResult | None = None
     verify: VerifyResult | None = None
+    path: PathResult | None = None
     out_of_date: Mapping[StageName, str] = {}
-    omitted_when_none = frozenset({"calibrate", "discover", "locate", "compensate", "push", "verify"})
+    omitted_when_none = frozenset({"calibrate", "discover", "locate", "compensate", "push", "verify", "path"})
 
 
 class WholeRunResult(RunResults):

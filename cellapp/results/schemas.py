@@ -18,6 +18,7 @@ from cellapp.results.commissioning import DoctorResult, EmulateResult, InitResul
 from cellapp.results.discovery import DiscoverResult
 from cellapp.results.exports import ExportResult
 from cellapp.results.locate import LocateResult
+from cellapp.results.paths import PathResult
 from cellapp.results.plan_design import PlanDesignResult, ViewResult
 from cellapp.results.planning import PlanCheckResult, PlanForecastResult
 from cellapp.results.programs import CorrectResult
@@ -52,6 +53,7 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     LocateResult,
     CompensateResult,
     VerifyResult,
+    PathResult,
     CorrectResult,
     ReportResult,
     WholeRunResult,

@@ -27,6 +27,7 @@ from cellapp.results import (
     COMPENSATE,
     DISCOVER,
     LOCATE,
+    PATH,
     PUSH,
     STAGE_NAMES,
     VERIFY,
@@ -35,6 +36,7 @@ from cellapp.results import (
     DiscoverResult,
     LocateResult,
     NextVerb,
+    PathResult,
     Record,
     Result,
     RunResults,
@@ -65,13 +67,22 @@ class ReadingsBasis(Record):
         return self.n == other.n and len(hashes) < 2
 
 
+class PriorBasis(Record):
+    """The earlier run whose calibration of one arm was taken as prior, and ``earlier_digest`` of it then."""
+
+    run: str
+    sha256: str
+
+
 class Basis(Record):
-    """SHA-256 hashes of what a stage rests on; ``stages`` maps each earlier stage that it used to its digest."""
+    """SHA-256 hashes of what a stage rests on; ``stages`` maps each earlier stage that it used to its digest,
+    ``priors`` each arm to the earlier run that was its prior."""
 
     profile: str
     readings: Mapping[str, ReadingsBasis]
     stages: Mapping[StageName, str] = {}
     targets: str | None = None
+    priors: Mapping[str, PriorBasis] = {}
 
 
 @dataclass(frozen=True)
@@ -299,6 +310,7 @@ _RESULTS: Mapping[StageName, type[Result]] = {
     COMPENSATE: CompensateResult,
     PUSH: VerifyResult,
     VERIFY: VerifyResult,
+    PATH: PathResult,
 }
 
 
@@ -380,12 +392,38 @@ def _why_outdated(stage: StoredStage, now: Basis | None, used: StoredStage | Non
     if stage.basis.profile != now.profile:
         reasons.append("the profile was changed since")
     reasons += _changed_readings(stage.basis.readings, now.readings)
+    reasons += _changed_priors(stage.basis.priors)
     for name, digest in stage.basis.stages.items():
         if used is not None and not used.has_outcome(name, digest):
             verb = _DONE[used.name]
             again = "again since, with another outcome" if used.name == name else "since, and another model is in force"
             reasons.append(f"{verb} {again}")
     return ", ".join(reasons)
+
+
+def earlier_digest(run: RunFile, arm: str) -> str:
+    """SHA-256 of the model in force of a run and of the readings of one arm, as a later run's prior rests on them.
+
+    Raises ``InputError`` if the run is not calibrated.
+    """
+    in_force = _in_force_before_moving({stage.name: stage for stage in read_history(run)})
+    if in_force is None:
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+    return _sha256(f"{in_force.digest} {readings_digest(run.readings(arm))}")
+
+
+def _changed_priors(priors: Mapping[str, PriorBasis]) -> list[str]:
+    """Which priors have changed since; those whose run is not there any more have not."""
+    reasons = []
+    for arm, prior in priors.items():
+        try:
+            with RunFile.open(Path(prior.run)) as earlier:
+                same = earlier_digest(earlier, arm) == prior.sha256
+        except InputError:
+            continue
+        if not same:
+            reasons.append(f"the earlier calibration {prior.run} has changed since")
+    return list(dict.fromkeys(reasons))
 
 
 def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, ReadingsBasis]) -> list[str]:

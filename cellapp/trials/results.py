@@ -14,6 +14,7 @@ from cellapp.trials.paper import PaperResult
 from cellapp.trials.parameter_sets import ParameterSetsResult
 from cellapp.trials.plan_trial import PlanTrialsResult
 from cellapp.trials.sealed import SealResult
+from cellapp.trials.signature import SignatureResult
 from cellapp.trials.storm import StormResult
 
 TRIAL_RESULTS: tuple[type[Result], ...] = (
@@ -29,4 +30,5 @@ TRIAL_RESULTS: tuple[type[Result], ...] = (
     LeagueResult,
     MatrixResult,
     PlanTrialsResult,
+    SignatureResult,
 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 if TYPE_CHECKING:  # for annotations only: a driver's worker process starts without numpy
     import numpy as np
@@ -231,3 +231,39 @@ class Arm(Protocol):
 
     def disconnect(self) -> None:
         """Close the link and leave the robot as it was before ``connect``; harmless when closed."""
+
+
+@dataclass(frozen=True)
+class FollowedPath:
+    """How the joints followed a path.
+
+    Attributes
+    ----------
+    time_s : array, shape (m,)
+        Since the first position was sent [s].
+    q : array, shape (m, N)
+        Joint positions from the controller's encoders [rad].
+    """
+
+    time_s: NDArray[np.float64]
+    q: NDArray[np.float64]
+
+
+@runtime_checkable
+class PathFollower(Protocol):
+    """What an arm can do besides, if its controller follows a stream of joint positions."""
+
+    @property
+    def path_period_s(self) -> float:
+        """Time between two positions of a stream [s]; known when connected."""
+
+    def start_path(self, q: NDArray[np.float64], period_s: float) -> None:
+        """Stream the joint positions ``q`` (m, N) [rad], one each ``period_s``, from the arm's position on.
+
+        ``wait_settled`` waits for the end; everything that ends a motion ends the stream: ``brake`` and ``stop`` from
+        any thread, a fault, a lost link, a computer that is late. Raises as ``Arm.start_move`` does, ``LimitExceeded``
+        also where the arm is not at the beginning, or a step is faster than the limits allow.
+        """
+
+    def followed(self) -> FollowedPath:
+        """Return how the joints followed the last path that was started."""

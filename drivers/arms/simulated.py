@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arms.path_checks import checked_path
 from drivers.arms.protocol import (
     ArmError,
     ArmIdentity,
@@ -12,6 +13,7 @@ from drivers.arms.protocol import (
     ArmTimeout,
     DoubtListener,
     EmergencyStop,
+    FollowedPath,
     JointLimits,
     LimitExceeded,
     LinkLost,
@@ -20,6 +22,7 @@ from drivers.arms.protocol import (
     Tool,
 )
 from drivers.plant import Plant
+from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
 
 CYCLE_S = 0.008
 """Control cycle: every query takes one, so that time passes while a caller polls."""
@@ -48,6 +51,10 @@ class SimulatedArm:
         self._cut_short = False
         """Whether the last motion was stopped before its goal."""
         self._listener: DoubtListener = lambda error: None
+        self._stream: NDArray[np.float64] | None = None
+        """The positions that are being streamed; another array, or None, once this has ended."""
+        self._stream_end_s = 0.0
+        self._followed: list[tuple[float, NDArray[np.float64]]] = []
 
     @property
     def name(self) -> str:
@@ -137,10 +144,7 @@ class SimulatedArm:
         Raises ``LimitExceeded``, ``ProtectiveStop``, ``EmergencyStop``, ``LinkLost``, ``MotionStopped`` after a brake,
         or ``ArmError`` while it moves.
         """
-        self._link()
-        self._no_fault()
-        if self._braked:
-            raise MotionStopped(f"arm {self._name}: it was stopped; connect again when it may move")
+        self._may_start()
         goal = self._per_joint("position", q)
         low, high = self._config.limits.T
         for joint in np.flatnonzero((goal < low - _ROUNDING_RAD) | (goal > high + _ROUNDING_RAD)):
@@ -160,10 +164,54 @@ class SimulatedArm:
                     f" {most[joint]:g} {unit}"
                 )
             rates.append(rate)
-        if self._plant.moving(self._name):
-            raise ArmError(f"arm {self._name} is still moving; wait until it rests, or stop it")
+        self._must_rest()
         self._cut_short = False
         self._plant.start_move(self._name, goal, rates[0], rates[1])
+
+    def _may_start(self) -> None:
+        self._link()
+        self._no_fault()
+        if self._braked:
+            raise MotionStopped(f"arm {self._name}: it was stopped; connect again when it may move")
+
+    def _must_rest(self) -> None:
+        if self._plant.moving(self._name) or self._stream is not None:
+            raise ArmError(f"arm {self._name} is still moving; wait until it rests, or stop it")
+
+    # -- paths --------------------------------------------------------------------------------------------------------
+
+    @property
+    def path_period_s(self) -> float:
+        """Control cycle [s]."""
+        return CYCLE_S
+
+    def start_path(self, q: NDArray[np.float64], period_s: float) -> None:
+        """Stream joint positions, which the arm follows with the lag of ``drivers.plant.servo``."""
+        self._may_start()
+        here = self._plant.q(self._name)
+        limits = JointLimits(self._config.limits, self._config.speed, self._config.acceleration)
+        path = checked_path(self._name, q, period_s, CYCLE_S, limits, here)
+        self._must_rest()
+        self._cut_short = False
+        self._stream, self._followed = path, []
+        self._stream_end_s = self._plant.clock_s + len(path) * CYCLE_S
+        self._send(path, 0, self._plant.clock_s)
+
+    def _send(self, path: NDArray[np.float64], row: int, began_s: float) -> None:
+        """Send one position and enter the next into the plant's schedule; a stream that has ended sends no more."""
+        if self._stream is not path:
+            return
+        self._followed.append((self._plant.clock_s - began_s, self._plant.q(self._name)))
+        if row == len(path):
+            self._stream = None
+            return
+        self._plant.servo(self._name, path[row], servo_rate(LOOKAHEAD_S, GAIN))
+        self._plant.schedule.at(began_s + (row + 1) * CYCLE_S, lambda: self._send(path, row + 1, began_s))
+
+    def followed(self) -> FollowedPath:
+        """Return where the joints were in each cycle of the last path."""
+        times = np.array([time_s for time_s, _ in self._followed])
+        return FollowedPath(times, np.array([q for _, q in self._followed]).reshape(len(times), self._config.joints))
 
     def wait_settled(self, timeout_s: float) -> ArmState:
         """Advance until the arm was at rest for ``SETTLE_S``, or until the plant's schedule brings a fault.
@@ -172,7 +220,7 @@ class SimulatedArm:
         """
         self._link()
         left = max(timeout_s, 0.0)
-        while (needed := self._plant.rest_s(self._name) + SETTLE_S - self._plant.clock_s) > 0.0:
+        while (needed := self._rest_due_s() + SETTLE_S - self._plant.clock_s) > 0.0:
             step = min(needed, left, self._plant.undisturbed_s)
             self._plant.advance(step)
             self._link()
@@ -187,6 +235,11 @@ class SimulatedArm:
             raise MotionStopped(f"arm {self._name}: its motion was stopped before the goal")
         return self._now()
 
+    def _rest_due_s(self) -> float:
+        """When the arm rests, as far as that is known [s]."""
+        rest_s = self._plant.rest_s(self._name)
+        return rest_s if self._stream is None else max(rest_s, self._stream_end_s)
+
     def brake(self) -> None:
         """Brake at full deceleration; no motion until ``connect``. The simulated brake needs no link."""
         self._braked = True
@@ -199,7 +252,12 @@ class SimulatedArm:
         self._plant.advance(max(self._plant.rest_s(self._name) - self._plant.clock_s, 0.0))
 
     def _brake(self) -> None:
-        self._cut_short = self._cut_short or self._plant.moving(self._name)
+        self._cut_short = self._cut_short or self._plant.moving(self._name) or self._stream is not None
+        self._halt()
+
+    def _halt(self) -> None:
+        """End a stream and brake."""
+        self._stream = None
         self._plant.stop(self._name)
 
     def disconnect(self) -> None:
@@ -213,17 +271,19 @@ class SimulatedArm:
     def protective_stop(self, reason: str = "a force limit was exceeded") -> None:
         """Stop the arm as its controller would; it accepts motions again after ``release``."""
         self._fault = ProtectiveStop(f"arm {self._name}: protective stop, {reason}; look at the arm, then release it")
-        self._plant.stop(self._name)
+        self._halt()
         self._listener(self._fault)
 
     def emergency_stop(self) -> None:
         """Press the emergency stop; the arm accepts motions again after ``release``."""
         self._fault = EmergencyStop(f"arm {self._name}: the emergency stop is pressed; clear the cell, then release it")
-        self._plant.stop(self._name)
+        self._halt()
         self._listener(self._fault)
 
     def cut_link(self) -> None:
-        """Block all calls until ``release`` and ``connect``. The arm itself continues its motion."""
+        """Block all calls until ``release`` and ``connect``. The arm itself continues its motion; a stream ends."""
+        if self._stream is not None:  # its controller gets no more positions
+            self._halt()
         self._link_cut = True
         self._connected = False
         self._listener(LinkLost(f"arm {self._name}: the simulated link is cut"))

@@ -23,7 +23,7 @@ def _array(owner: str, name: str, value: ArrayLike, shape: tuple[int, ...]) -> A
 
 
 def broadcast(name: str, value: ArrayLike | None, default: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return ``value``, or ``default`` if it is None, broadcast to ``shape``."""
+    """Return ``value``, or ``default`` if it is None, broadcast to ``shape``. Raises ``ValueError``."""
     array = np.asarray(default if value is None else value, dtype=np.float64)
     try:
         return np.broadcast_to(array, shape)

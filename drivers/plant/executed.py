@@ -16,7 +16,7 @@ from drivers.plant.clearance import Clearance, segment_distances
 from drivers.plant.config import Array
 from drivers.plant.lines import carry
 from drivers.plant.mechanism import Mechanism, Posture
-from drivers.plant.motion import Motion
+from drivers.plant.motion import AnyMotion
 
 if TYPE_CHECKING:
     from drivers.plant.plant import Plant
@@ -32,7 +32,7 @@ _PAIRS_AT_ONCE = 100_000
 class Executed:
     """The part of a motion until ``end_s`` [s] that an arm executed."""
 
-    motion: Motion
+    motion: AnyMotion
     end_s: float
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -11,6 +11,35 @@ from drivers.plant.config import Array
 
 _ZERO_RAD = 1e-12
 """Travel [rad] and speeds [rad/s] below this count as zero."""
+
+
+class AnyMotion(Protocol):
+    """A motion in progress; times are those of the cell's clock [s]."""
+
+    @property
+    def start_s(self) -> float:
+        """When it began."""
+
+    @property
+    def end_s(self) -> float:
+        """When the arm rests."""
+
+    @property
+    def q_to(self) -> Array:
+        """Joint angles (N,) at its end [rad]."""
+
+    @property
+    def mean_speed(self) -> Array:
+        """Mean absolute speed of each joint (N,) [rad/s]."""
+
+    def scaled(self, time_s: float, scale: float) -> AnyMotion:
+        """Return the same motion at ``scale`` times its full speed from ``time_s`` on."""
+
+    def position(self, time_s: Array) -> Array:
+        """Return the joint angles (n, N) at times (n,)."""
+
+    def velocity(self, time_s: Array) -> Array:
+        """Return the joint speeds (n, N) at times (n,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +132,7 @@ def travel(start_s: float, q_from: Array, q_to: Array, speed: Array, acceleratio
     )
 
 
-def braked(motion: Motion, time_s: float, acceleration: Array) -> Motion | None:
+def braked(motion: AnyMotion, time_s: float, acceleration: Array) -> Motion | None:
     """Return the braking motion from ``motion`` at ``time_s`` along its path, at most at ``acceleration`` (N,)."""
     now = np.array([time_s])
     q, velocity = motion.position(now)[0], motion.velocity(now)[0]

@@ -29,6 +29,7 @@ from drivers.plant.mechanism import (
 from drivers.plant.motion import braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.schedule import Schedule
+from drivers.plant.servo import follow
 from drivers.plant.true_arm import Target, TrueArm, largest_change, watch
 
 _EQUILIBRIUM_RAD = 1e-12
@@ -347,6 +348,16 @@ class Plant:
         self._end_motion(arm, self._q(arm), self._clock_s)
         arm.motion = shortened
 
+    def servo(self, name: str, goal: Array, rate: float) -> None:
+        """Let an arm follow ``goal`` (N,) [rad] from now on, with the lag ``rate`` [1/s] of ``ServoMotion``.
+
+        Called once in each control cycle with the next goal of a stream; the arm may be at rest or follow one already.
+        Raises ``ValueError`` in another motion.
+        """
+        arm = self._arm(name)
+        if (ended := follow(arm, goal, self._clock_s, rate, self.config.repeatability)) and self._executed is not None:
+            self._executed[name].append(Executed(ended, self._clock_s))
+
     def braking_s(self, name: str) -> float:
         """Time that an arm would need to come to rest if ``stop`` were called now [s]."""
         arm = self._arm(name)
@@ -366,7 +377,7 @@ class Plant:
         arm.last_step = step
         arm.q = q
         arm.rest_since_s = time_s
-        arm.motion = None
+        arm.motion, arm.streamed = None, None
 
     def advance(self, duration_s: float) -> None:
         """Advance the clock; actions of ``schedule`` happen at their time. An error that one raises passes through."""

@@ -12,7 +12,7 @@ from drivers.plant.config import ArmConfig, Array
 from drivers.plant.effect import Effect
 from drivers.plant.lines import carry
 from drivers.plant.mechanism import NO_DEFLECTION, Deflection, Mechanism, Posture
-from drivers.plant.motion import Motion
+from drivers.plant.motion import AnyMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,8 @@ class TrueArm:
     stop_error: Array  # (N,) position error of the current stop
     rise: Array  # (N,) joint temperature above the air
     rest_since_s: float = 0.0
-    motion: Motion | None = None
+    motion: AnyMotion | None = None
+    streamed: Array | None = None  # (N,) where a stream of positions last set its goal; None without a stream
     load_deflection: Deflection = NO_DEFLECTION  # last solution, the initial value of the next one
     resting: tuple[Array, Array] | None = None  # SMR and its viewing direction, of an arm at rest without effects
 

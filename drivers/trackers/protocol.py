@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,6 +229,39 @@ class Tracker(Protocol):
 
     def disconnect(self) -> None:
         """Release the tracker and close the link; harmless when closed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Points of a moving SMR, measured continuously.
+
+    Attributes
+    ----------
+    time_s : array, shape (n,)
+        Times on the cell's clock [s].
+    p_M : array, shape (n, 3)
+        SMR centres [m].
+    """
+
+    time_s: NDArray[np.float64]
+    p_M: NDArray[np.float64]
+
+
+@runtime_checkable
+class StreamingTracker(Protocol):
+    """What a tracker can do besides, if it measures an SMR while it moves."""
+
+    def start_track(
+        self, expected_M: NDArray[np.float64], interval_s: float, lost: Callable[[TrackerError], None]
+    ) -> None:
+        """Lock the SMR at ``expected_M`` (3,) [m], at rest, and measure it each ``interval_s`` [s] from now on.
+
+        ``lost`` is called, from any thread, when the beam breaks; the track then has no further points. Raises like
+        ``Tracker.measure``.
+        """
+
+    def end_track(self) -> Track:
+        """End measuring and return all points. Raises ``TrackerLinkLost``."""
 
 
 def measure_nests(

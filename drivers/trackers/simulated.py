@@ -24,6 +24,8 @@ from drivers.trackers.protocol import (
     Point,
     Preparation,
     TargetLost,
+    Track,
+    TrackerError,
     TrackerIdentity,
     TrackerLinkLost,
     TwoFace,
@@ -44,6 +46,9 @@ SETTLE_S = 0.1
 INCLINATION_THRESHOLD_RAD = 15e-6
 REFLECTORS = ("simulated 1.5 in",)
 
+DYNAMIC_M = 5e-6
+"""Standard deviation that following a moving SMR adds to the distance [m]: half of the AT960's +-10 um for a dynamic
+lock. Other errors of a single point are those of an averaged one, as the maximum permissible error holds for both."""
 _WATCH_S = 0.02
 """Interval of checking the target while anything moves: 5 mm at 0.25 m/s."""
 _MOVED_M = 5e-6
@@ -166,6 +171,9 @@ class SimulatedTracker:
         self._initialised = True
         self._tilt_drift_rad = 0.0
         self._halt = threading.Event()
+        self._track: list[tuple[float, Vector]] | None = None
+        """Points of the SMR that is followed; None if none is."""
+        self._dynamic = np.random.default_rng([plant.config.seed, 3])
         self._connected = False
         self._link_cut = False
         self._down_until_s = -math.inf
@@ -287,6 +295,50 @@ class SimulatedTracker:
             reflector=self._settings.reflector or REFLECTORS[0],
             quality=warnings,
         )
+
+    # -- following a moving SMR ----------------------------------------------------------------------------------------
+
+    def start_track(self, expected_M: Vector, interval_s: float, lost: Callable[[TrackerError], None]) -> None:
+        """Lock the SMR and measure it each ``interval_s``, while others let the plant's time pass."""
+        expected = self._checked_request(expected_M, interval_s)
+        self._wait(POINTING_S)
+        locked = self._lock(expected)
+        track: list[tuple[float, Vector]] = []
+        self._track = track
+        self._take(track, locked, interval_s, lost)
+
+    def end_track(self) -> Track:
+        """End measuring and return all points."""
+        track, self._track = self._track or [], None
+        self._link()
+        self.measured += len(track)
+        points = np.array([p_M for _, p_M in track], dtype=np.float64).reshape(-1, 3)
+        return Track(np.array([time_s for time_s, _ in track]), points)
+
+    def _take(
+        self,
+        track: list[tuple[float, Vector]],
+        locked: _Smr,
+        interval_s: float,
+        lost: Callable[[TrackerError], None],
+    ) -> None:
+        """Take one point and enter the next into the plant's schedule, until the track ends or the beam breaks."""
+        if self._track is not track:
+            return
+        now = self._behind_bodies(next(target for target in self._targets() if target.owner == locked.owner))
+        if now.hidden or self._down():
+            why = now.hidden or f"the simulated link is {self._down()}"
+            self._track = None
+            lost(TargetLost(f"tracker: the beam to the SMR of {locked.owner} broke while it was followed: {why}"))
+            return
+        air = (self._plant.air_temperature_c, self._errors.pressure_hpa, self._errors.humidity_percent)
+        read, _ = self._plant.measure_positions(now.p_M[None])
+        p_M = self._with_errors(read[0], 1, air, self._applied(air)[0])
+        if self._plant.config.noise and now.moving:
+            p_M = p_M * (1.0 + DYNAMIC_M * self._dynamic.standard_normal() / float(np.linalg.norm(p_M)))
+        track.append((self._plant.clock_s, p_M))
+        time_s = self._plant.clock_s + interval_s
+        self._plant.schedule.at(time_s, lambda: self._take(track, locked, interval_s, lost))
 
     def _lock(self, expected: Vector) -> _Smr:
         around = []

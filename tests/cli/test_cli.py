@@ -362,7 +362,9 @@ def test_a_bridge_that_would_stand_open_is_refused(work: Path, call: Any, argume
 def test_a_verification_that_does_not_hold_exits_with_one(
     work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cellapp.compensation.target_visit.with_approach", lambda arm, command, here: command + 0.02)
+    monkeypatch.setattr(
+        "cellapp.compensation.target_visit.with_approach", lambda arm, command, here, conditions: command + 0.02
+    )
     ended = call("push", "done", "targets.yaml", "--verify", "--json", "-")
     assert ended.code == 1
     assert "verification: arm left: the mean error at compensated targets is" in ended.err

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellapp.compensation.compensate import Command
+from cellapp.compensation.command import Command, Prediction
 from cellapp.compensation.targets import Partner, Target
 from cellapp.kinematics.inverse import solve_pose
 from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
+from cellapp.results import UncertaintyParts
 from cellapp.run import RunFile
+
+PARTS = UncertaintyParts(parameters=0.02, effects=0.01, network=0.0, extrapolation=0.0, noise=0.03, conditions=0.0)
+PREDICTION = Prediction(uncertainty_mm=0.03, parts=PARTS, within_mm=0.1, unknown=(), offered_approach=None, verdict="")
 
 
 def pair_commands(run: RunFile, model: CellModel, stops: list[int], tolerance: float | None = None) -> list[Command]:
@@ -36,4 +40,4 @@ def _command(model: CellModel, target: Target, name: str, q: Array) -> Command:
     rotation_M, _ = arm.flange(q[None])
     nominal = solve_pose(arm.nominal, p_M, rotation_M, q[None])
     assert nominal.reached[0]
-    return Command(target, name, np.asarray(nominal.q[0]), q, p_M[0], p_M[0], "", within_mm=0.1)
+    return Command(target, name, np.asarray(nominal.q[0]), q, p_M[0], p_M[0], "", prediction=PREDICTION)

@@ -22,8 +22,8 @@ from cellapp.errors import HardwareError, InputError
 from cellapp.model import CellModel
 from cellapp.pipeline import push_run
 from cellapp.progress import Cancelled, Progress
-from cellapp.reporting.run_tables import predicted_tolerance_tables
 from cellapp.reporting.tables import verification_tables
+from cellapp.reporting.target_tables import predicted_tables
 from cellapp.results import ArmVerification, CompensateResult, ErrorSummary, MeasuredTarget, VerifyResult
 from cellapp.run import RunFile
 from cellapp.run.stages import read_results
@@ -94,7 +94,7 @@ def test_without_the_arriving_side_backlash_would_be_seen(
 ) -> None:
     right = [command for command in commands if command.target.arm == "right"]
     good = push(run.profile, model, right, verify=True).arms["right"].compensated_mm.mean
-    monkeypatch.setattr(target_visit, "with_approach", lambda arm, command, here: command)
+    monkeypatch.setattr(target_visit, "with_approach", lambda arm, command, here, conditions: command)
     bad = push(run.profile, model, right, verify=True).arms["right"].compensated_mm.mean
     assert bad > 2.0 * good
 
@@ -208,7 +208,7 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
     assert 0.0 < wide.uncertainty_mm < 0.1
     assert (wide.verdict, narrow.verdict, none.verdict, far.verdict) == ("in", "out", "", "")
     assert wide.tolerance_mm == pytest.approx(2.0)
-    said = [str(row[-1]).split(":")[0] for row in predicted_tolerance_tables(predicted)[0].rows]
+    said = [str(row[-1]).split(":")[0] for row in predicted_tables(predicted)[0].rows]
     assert said == ["in", "out", "out of reach"]
     found = push(run.profile, model, commands, verify=True)
     assert [target.verdict for target in found.targets] == ["in", "out", "", ""]
@@ -228,5 +228,5 @@ def test_results_of_earlier_versions_are_read(run: RunFile, commands: tuple[Comm
     ]
     old = CompensateResult.from_json(json.dumps(content), "old")
     assert [target.verdict for target in old.targets] == ["", ""]
-    assert predicted_tolerance_tables(old) == []
+    assert predicted_tables(old) == []
     assert not same_target(TARGETS[0], old.targets[0])

@@ -15,7 +15,6 @@ from cellapp.reporting.charts_accuracy import (
     error_histogram_chart,
     pair_histogram_chart,
     stage_chart,
-    target_chart,
 )
 from cellapp.reporting.charts_collection import (
     NO_READINGS,
@@ -28,16 +27,13 @@ from cellapp.reporting.charts_collection import (
 from cellapp.reporting.charts_discovery import candidates_chart, gap_chart, picture_chart
 from cellapp.reporting.charts_map import cell_map_chart
 from cellapp.results import (
-    ArmVerification,
     BeforeAfter,
     GapStep,
-    MeasuredTarget,
     PairHeldOut,
     PairMethodResult,
     PlannedStop,
     ReferenceDrift,
     StageErrors,
-    VerifyResult,
 )
 from tests.reporting.cases import ERRORS, calibration, nothing_missing, picture, unknown_effect
 from tests.twin import PROFILES
@@ -255,24 +251,6 @@ def test_the_worst_part_of_a_joint_is_named() -> None:
     )
     assert along_joint(angle, np.full(40, 0.1)) == "mean error 0.100 mm, about the same along the whole range."
     assert along_joint(angle[:1], np.ones(1)) == "mean error 1.00 mm, about the same along the whole range."
-
-
-def verified(*pairs: tuple[float | None, float | None]) -> VerifyResult:
-    targets = tuple(
-        MeasuredTarget(name=f"t{number}", arm="left", nominal_mm=before, compensated_mm=after, note="")
-        for number, (before, after) in enumerate(pairs)
-    )
-    return VerifyResult(arms={"left": ArmVerification(nominal_mm=ERRORS, compensated_mm=ERRORS)}, targets=targets)
-
-
-def test_targets_before_and_after() -> None:
-    chart = target_chart("left", verified((2.0, 0.1), (None, 0.1), (1.0, 1.3)), 0.02)
-    assert values(chart, "uncompensated") == [(1.0, 2.0), (2.0, 1.0)]
-    assert values(chart, "compensated") == [(1.0, 0.1), (2.0, 1.3)]
-    assert chart.message == "Mean error at 2 targets: 1.50 mm uncompensated, 0.700 mm compensated; 1 became better."
-    assert "all became better" in target_chart("left", verified((2.0, 0.1)), None).message
-    for verify in (None, verified((None, 0.1))):
-        assert target_chart("left", verify, None).is_empty
 
 
 # -- maps -------------------------------------------------------------------------------------------------------------

@@ -59,5 +59,4 @@ def test_a_perfect_model_can_be_drawn() -> None:
     nothing = {"nominal": np.zeros(3), "geometry": np.zeros(3)}
     assert "<path" in figures.error_figure("a", np.arange(3), nothing, None)
     assert "<path" in figures.error_histogram("a", nothing, None)
-    assert "<path" in figures.target_figure("a", np.zeros(1), np.zeros(1), None)
     assert "<path" in figures.error_figure("a", np.array([7]), {"nominal": np.ones(1)}, 0.01)

@@ -17,8 +17,9 @@ from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.dialogs.question import Choice
 from cellapp.tui.dialogs.save_as import SaveAs
 from cellapp.tui.dialogs.target_form import TargetForm
+from cellapp.tui.dialogs.verify_targets import VerifyTargets
 from cellapp.tui.jobs import Job
-from cellapp.tui.screens import targets as targets_screen
+from cellapp.tui.screens import targets_jobs
 from cellapp.tui.screens.targets import TargetsScreen
 from cellapp.tui.screens.targets_state import TargetEdits, new_name
 from cellapp.tui.widgets.form_fields import FieldRow
@@ -106,9 +107,12 @@ async def test_the_list_of_the_profile_with_what_the_run_says(finished_copy: Pat
         assert "40 targets" in text
         assert "left-01" in text
         assert column(app, 3)[:3] == ["measured", "measured", ""]
-        assert len(grid(app).columns) == (5 if size == SMALL else 11)
+        assert len(grid(app).columns) == (7 if size == SMALL else 15)
         pose = "mm; roll 121.67, pitch 46.27, yaw 17.13 deg"
         await until(pilot, lambda: pose in shown_text(app), "the pose of the first target")
+        await pilot.press("t")
+        await until(pilot, lambda: "in the base of arm left" in shown_text(app), "all about the first target")
+        await until(pilot, lambda: "mm from the target" in shown_text(app), "what was measured there")
         await pilot.press("t")
         await until(pilot, lambda: "noise floor" in shown_text(app), "the errors of the left arm")
         assert ("Arm right" in shown_text(app)) == (size != SMALL)
@@ -238,6 +242,7 @@ async def test_an_empty_list_and_an_arm_that_the_run_does_not_have(
         await pilot.press("b")
         assert app.message == "Target 'left-01': no arm 'middle'; arms are left, right. Enter edits it."
         monkeypatch.setattr(screen, "_edits", TargetEdits(few, (), ()))
+        screen._draw_list()
         for key, says in (("b", "No targets"), ("v", "No targets"), ("w", "An empty list cannot be saved")):
             await pilot.press(key)
             assert app.message.startswith(says)
@@ -253,11 +258,19 @@ async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, 
         await until(pilot, lambda: column(app, 3) == ["in, predicted", "out, predicted"], "the predictions")
         await ended(pilot, app)
         await pilot.press("v")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        await until(pilot, lambda: isinstance(app.screen, VerifyTargets), "the question")
         assert "arm left to 2 targets" in asked(app)
         assert "the arms are simulated" in asked(app)
+        app.screen.query_one("#iterate", Input).value = "6"
+        await pilot.press("b")
+        await until(pilot, lambda: "from 0 to 5" in shown_text(app), "a word about the number")
+        app.screen.query_one("#iterate", Input).value = "0"
         await pilot.press("b")
         await until(pilot, lambda: column(app, 3) == ["in, measured", "out, measured"], "the verdicts")
+        await pilot.press("s")
+        await until(pilot, lambda: column(app, 0) == ["left-02"], "what needs attention")
+        await pilot.press("s")
+        await until(pilot, lambda: grid(app).row_count == 2, "all targets")
         assert "1 of 2 targets with a tolerance are out of it: left-02" in log_text(app)
         assert "out of date" not in heading(app)
         await fill_form(pilot, app, "enter", tolerance="")
@@ -280,7 +293,7 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
         return Job("push", lambda listener, control, ask: None)
 
     monkeypatch.setattr("cellapp.tui.work.push", push)
-    monkeypatch.setattr(targets_screen, "stale_model", lambda results: "'discover' is out of date (new readings)")
+    monkeypatch.setattr(targets_jobs, "stale_model", lambda results: "'discover' is out of date (new readings)")
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_targets(pilot, app, finished_copy, few)

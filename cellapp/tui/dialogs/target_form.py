@@ -8,7 +8,7 @@ from typing import ClassVar
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal
+from textual.containers import Horizontal, VerticalScroll
 from textual.events import DescendantFocus
 from textual.widgets import Button, Input, Static
 
@@ -17,6 +17,9 @@ from cellapp.compensation.targets import Target
 from cellapp.profile import Profile
 from cellapp.tui.dialogs.question import Question
 from cellapp.tui.widgets.form_fields import FieldRow
+
+_ARMS = ("arm", "partner", "partner_arm")
+"""Fields that the right arrow completes with the name of an arm."""
 
 
 class TargetForm(Question[Target]):
@@ -36,6 +39,9 @@ class TargetForm(Question[Target]):
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "take", "Take", priority=True)]
+    DEFAULT_CSS = """
+    TargetForm .fields { height: auto; max-height: 50vh; }
+    """
 
     def __init__(
         self,
@@ -52,11 +58,13 @@ class TargetForm(Question[Target]):
     def body(self) -> ComposeResult:
         yield Static(self._title, classes="title", markup=False)
         listed = self._others if self._before is None else [self._before, *self._others]
-        choices = {"arm": tuple(self._profile.arms), "frame": frame_choices(listed, self._profile)}
-        for field in FIELDS:
-            row = FieldRow(field.name, field, self._texts[field.name], choices.get(field.name, ()))
-            row.input.tooltip = field.help
-            yield row
+        arms = tuple(self._profile.arms)
+        choices = {**dict.fromkeys(_ARMS, arms), "frame": frame_choices(listed, self._profile)}
+        with VerticalScroll(classes="fields", can_focus=False):
+            for field in FIELDS:
+                row = FieldRow(field.name, field, self._texts.get(field.name, ""), choices.get(field.name, ()))
+                row.input.tooltip = field.help
+                yield row
         yield Static("", id="target-help", classes="text", markup=False)
         with Horizontal(classes="answers"):
             yield Button("Take (Enter)", id="take", variant="success", compact=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -22,33 +21,39 @@ from cellapp.compensation.target_text import new_texts, targets_text, typed_text
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.errors import InputError
 from cellapp.profile import Profile
-from cellapp.reporting.charts_accuracy import target_chart
-from cellapp.reporting.page_tables import target_tables as measured_tables
+from cellapp.reporting.charts_targets import target_charts
 from cellapp.reporting.program_table import correct_table
-from cellapp.reporting.run_tables import target_tables
-from cellapp.reporting.tables import verification_tables
-from cellapp.reporting.target_list import COLUMN_GROUPS, stale_model, target_list, target_words
+from cellapp.reporting.target_details import place_lines, target_details
+from cellapp.reporting.target_list import (
+    COLUMN_GROUPS,
+    target_list,
+    target_state,
+    target_states,
+    target_words,
+)
+from cellapp.reporting.target_tables import all_measured_tables, stored_tables
+from cellapp.reporting.target_words import compensate_summary, unknown_lines, verify_summary
 from cellapp.results import CorrectResult, Result, RunResults
-from cellapp.tui import work
-from cellapp.tui.dialogs.correct_program import CorrectProgram, CorrectRequest
 from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.tui.dialogs.save_as import SaveAs
 from cellapp.tui.dialogs.target_form import TargetForm
-from cellapp.tui.offers import BEGIN, arms_words
 from cellapp.tui.plots import ChartPlot
+from cellapp.tui.screens import targets_jobs
 from cellapp.tui.screens.base import DayScreen
-from cellapp.tui.screens.targets_state import NOT_CALIBRATED, TargetEdits, listed_path, new_name, why_not
+from cellapp.tui.screens.targets_state import TargetEdits, listed_path, new_name
+from cellapp.tui.widgets.charts_view import ChartsView
 from cellapp.tui.widgets.tables import TablesView
 from cellapp.tui.widgets.tabs import show_next_tab
 from cellapp.tui.workspace import NO_PROFILE, Step, Workspace
 
+_NO_TARGET = "No target: i opens a list, + adds a target."
 _NOT_MEASURED = "Nothing was computed yet: b compensates, v pushes and verifies."
 _WIDEST = 26
 """Letters of a cell of the list; the sentence below the list is whole."""
 _BESIDE = 6
 """Columns of the terminal beside the list: padding and a scroll bar."""
-_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
+LIST_SUFFIXES = (".yaml", ".yml", ".csv")
 
 
 class ListRead(Message):
@@ -76,21 +81,28 @@ class TargetsScreen(DayScreen):
 Points to which the calibrated arms are sent. The list that the profile names is opened by itself.
 
 - *List*: **Enter** edits a target, **+** (Insert) adds one, **-** (Delete) removes one, **Ctrl+Z** undoes, **Ctrl+Y**
-  redoes. **w** saves the list, **i** opens another one.
+  redoes. **w** saves the list, **i** opens another one (YAML or CSV). **s** shows only what needs attention: refused,
+  out of tolerance, undecided; **s** again shows all.
 - **b** compensates: computes the joint positions by the calibrated model. Nothing moves.
-- **g** drives the arms there. **v** drives with the nominal and with the compensated command and measures both. Each
-  asks first; real arms ask again, with the first path.
+- **g** drives the arms there. **v** drives with the nominal and with the compensated command and measures both; its
+  question takes how often each target is then corrected by measuring it. Each asks first; real arms ask again, with the
+  first path.
 - **c** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true poses.
 - *tol.* is how far the SMR may be from the target. *state* says whether that is met: predicted from the uncertainty of
-  the model (in, out, cannot say), or measured; or why the target is refused.
-- *Measured*: the errors before and after compensation. **a** shows the other arm. *Tables*: joint positions, errors.
+  the model (in, out, cannot say), or measured; or why the target is refused. *95 %* is the bound that a measured error
+  keeps with that probability.
+- *Target*: all about the target under the cursor: where it is, what its uncertainty is made of, which conditions nobody
+  stated, what was predicted and what was measured.
+- *Measured*: errors before and after, against the stated bounds, of cooperative targets. **a** shows the next chart.
+- *Tables*: joint positions, uncertainties, errors.
 
-**t** goes from tab to tab. An edited list is used as it is shown, saved or not.
+**t** goes from tab to tab. An edited list is used as it is shown, saved or not. The handbook's chapter *targets*
+explains frames, conditions and verdicts.
 """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("b", "compensate", "Compensate", tooltip="compute commands; nothing moves"),
-        Binding("g", "push(False)", "Push", tooltip="drive to the targets: THE ARMS MOVE"),
-        Binding("v", "push(True)", "Verify", tooltip="drive to the targets and measure: THE ARMS MOVE"),
+        Binding("g", "push", "Push", tooltip="drive to the targets: THE ARMS MOVE"),
+        Binding("v", "verify", "Verify", tooltip="drive to the targets and measure: THE ARMS MOVE"),
         Binding("plus,insert", "add", "Add", key_display="+", tooltip="add a target"),
         Binding("minus,delete", "remove", "Remove", key_display="-", tooltip="remove the target"),
         Binding("ctrl+z", "undo", "Undo", tooltip="take back the last edit"),
@@ -98,7 +110,8 @@ Points to which the calibrated arms are sent. The list that the profile names is
         Binding("i", "open_list", "Open", tooltip="open another list (YAML, CSV)"),
         Binding("w", "save", "Save", tooltip="save the list (YAML)"),
         Binding("c", "correct", "Program", tooltip="correct the targets of a UR program; nothing moves"),
-        Binding("a", "other_arm", "Other arm", show=False, tooltip="show the errors of the other arm"),
+        Binding("a", "next_chart", "Next chart", show=False, tooltip="show the next chart of what was measured"),
+        Binding("s", "attention", "Attention", show=False, tooltip="only targets that need attention, or all"),
         Binding("t", "next_tab", "Next tab"),
     ]
     DEFAULT_CSS = """
@@ -114,7 +127,9 @@ Points to which the calibrated arms are sent. The list that the profile names is
         self._edits = TargetEdits()
         self._drawn: Workspace | None = None
         self._opened_for: Path | None = None
-        self._arm = 0
+        self._chart = 0
+        self._attention = False
+        self._rows: list[int] = []
         self._corrected: CorrectResult | None = None
 
     def body(self) -> ComposeResult:
@@ -125,6 +140,8 @@ Points to which the calibrated arms are sent. The list that the profile names is
                 grid.tooltip = "Enter edits, + adds, - removes, Ctrl+Z undoes, w saves"
                 yield grid
                 yield Static("", id="about-target", classes="muted", markup=False)
+            with TabPane("Target", id="target"):
+                yield ChartsView(_NO_TARGET, id="details")
             with TabPane("Measured", id="measured"), Horizontal():
                 yield ChartPlot(id="first-plot")
                 yield ChartPlot(id="second-plot")
@@ -137,8 +154,8 @@ Points to which the calibrated arms are sent. The list that the profile names is
 
     @property
     def _index(self) -> int:
-        """The place of the target under the cursor."""
-        return min(self._grid.cursor_row, len(self._edits.targets) - 1)
+        """The place of the target under the cursor; -1 where no target is shown."""
+        return self._rows[min(self._grid.cursor_row, len(self._rows) - 1)] if self._rows else -1
 
     # -- the list ------------------------------------------------------------------------------------------------------
 
@@ -156,8 +173,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
 
     def _pick(self) -> None:
         known = self._edits.path or self.workspace.profile_path or Path.cwd() / "targets.yaml"
-        suffixes = (".yaml", ".yml", ".csv")
-        picker = FilePicker("A list of targets (YAML, CSV)", known.parent, lambda path: path.suffix in suffixes)
+        picker = FilePicker("A list of targets (YAML, CSV)", known.parent, lambda path: path.suffix in LIST_SUFFIXES)
         self.app.push_screen(picker, self._open)
 
     def _open(self, path: Path | None) -> None:
@@ -185,8 +201,8 @@ Points to which the calibrated arms are sent. The list that the profile names is
     @on(DataTable.RowSelected, "#grid")
     def edit(self) -> None:
         """Edit the target under the cursor in a form."""
-        if self._edits.targets and self.workspace.profile is not None:
-            index = self._index
+        index = self._index
+        if index >= 0 and self.workspace.profile is not None:
             target = self._edits.targets[index]
             others = self._edits.without(index).targets
             form = TargetForm(f"Target {target.name}", target, typed_texts(target), others, self.workspace.profile)
@@ -200,7 +216,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
             return
         arm = next(iter(profile.arms))
         texts = new_texts(arm)
-        like = targets[self._index] if targets else None
+        like = targets[self._index] if self._rows else None
         if like is not None:
             texts = {**typed_texts(like), "name": new_name(like.name, targets)}
         form = TargetForm("New target", like, texts, targets, profile)
@@ -212,8 +228,8 @@ Points to which the calibrated arms are sent. The list that the profile names is
 
     def action_remove(self) -> None:
         """Remove the target under the cursor."""
-        if self._edits.targets:
-            index = self._index
+        index = self._index
+        if index >= 0:
             name = self._edits.targets[index].name
             self._show(self._edits.without(index), index)
             self.notify(f"Target {name} removed; Ctrl+Z brings it back.")
@@ -233,10 +249,16 @@ Points to which the calibrated arms are sent. The list that the profile names is
             self._show(edits, self._index)
 
     def _show(self, edits: TargetEdits, index: int) -> None:
-        self._edits = edits
+        self._edits, self._attention = edits, False
         self.query_one("#targets", TabbedContent).active = "list"
         self._draw_list()
         self._grid.move_cursor(row=index)
+
+    def action_attention(self) -> None:
+        """Show only the targets that are refused, out of tolerance, undecided or not measured; again: all."""
+        self._attention = not self._attention
+        self.query_one("#targets", TabbedContent).active = "list"
+        self._draw_list()
 
     def action_save(self) -> None:
         """Save the list as commented YAML."""
@@ -258,55 +280,19 @@ Points to which the calibrated arms are sent. The list that the profile names is
 
     def action_compensate(self) -> None:
         """Compute commands for the list as it is shown."""
-        if reason := why_not(self.workspace, self._edits.targets):
-            self.say(reason, "warning")
-            return
-        assert self.workspace.folder is not None
-        self.start(work.compensate(self.workspace.folder, self._edits.targets))
+        targets_jobs.begin_compensate(self, self._edits.targets)
 
-    def action_push(self, verify: bool) -> None:
-        """Ask, then drive to the targets; with ``verify`` measure."""
-        workspace, targets = self.workspace, self._edits.targets
-        if reason := why_not(workspace, targets):
-            self.say(reason, "warning")
-            return
-        folder, results = workspace.folder, workspace.results
-        assert folder is not None
-        assert results is not None
-        stale = stale_model(results)
-        counts = " and ".join(f"arm {arm} to {n}" for arm, n in Counter(target.arm for target in targets).items())
-        measure = " with the nominal and the compensated command, measured by the tracker" if verify else ""
-        text = f"Drive {counts} targets{measure}; the other arm waits at home; {arms_words(workspace)}."
-        if stale:
-            text += f"\nThe model is not up to date: {stale}. Better calibrate or discover again first."
+    def action_push(self) -> None:
+        """Ask, then drive to the targets."""
+        targets_jobs.ask_push(self, self._edits.targets)
 
-        def begin(answer: str | None) -> None:
-            if answer == "begin":
-                self.start(work.push(folder, targets, verify=verify, out_of_date=bool(stale)))
-
-        title = "Push and verify?" if verify else "Push?"
-        self.app.push_screen(Choice(title, text, _STALE if stale else BEGIN), begin)
+    def action_verify(self) -> None:
+        """Ask, then drive to the targets and measure."""
+        targets_jobs.ask_verify(self, self._edits.targets)
 
     def action_correct(self) -> None:
         """Ask for a program and where its corrected copy is written."""
-        folder, results = self.open_folder(), self.workspace.results
-        if folder is None:
-            return
-        if results is None or results.calibrate is None:
-            self.say(NOT_CALIBRATED, "warning")
-            return
-        arms = tuple(results.calibrate.arms)
-
-        def write(request: CorrectRequest | None) -> None:
-            if request is not None:
-                self.start(work.correct(folder, request))
-
-        def ask(program: Path | None) -> None:
-            if program is not None:
-                self.app.push_screen(CorrectProgram(program, arms), write)
-
-        title = "A program of a UR controller (.script, .urp)"
-        self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in (".script", ".urp")), ask)
+        targets_jobs.ask_correct(self)
 
     def show_result(self, result: Result) -> None:
         """Show the targets of a program that was corrected, and why some were not."""
@@ -323,9 +309,9 @@ Points to which the calibrated arms are sent. The list that the profile names is
 
     # -- tabs and plots ------------------------------------------------------------------------------------------------
 
-    def action_other_arm(self) -> None:
-        """Show the errors of the next arm."""
-        self._arm += 1
+    def action_next_chart(self) -> None:
+        """Show the next chart: the other arm, cooperative targets, bounds."""
+        self._chart += 1
         self.query_one("#targets", TabbedContent).active = "measured"
         self._draw_plots()
 
@@ -367,11 +353,14 @@ Points to which the calibrated arms are sent. The list that the profile names is
         outdated = [] if results is None else [results.out_of_date.get(name, "") for name in ("compensate", "verify")]
         reasons = "; ".join(dict.fromkeys(filter(None, outdated)))
         mark = f"\n! results are out of date: {reasons}; b compensates again" if reasons else ""
-        self.query_one("#about-list", Static).update(edits.heading + mark)
+        only = "\nonly targets that need attention; s shows all" if self._attention else ""
+        self.query_one("#about-list", Static).update(edits.heading + mark + only)
         table, grid = target_list(edits.targets, results), self._grid
         row = grid.cursor_row
         grid.clear(columns=True)
-        rows = [[_cut(cell) for cell in cells] for cells in table.text_rows()]
+        self._rows = self._shown_rows()
+        texts = table.text_rows()
+        rows = [[_cut(cell) for cell in texts[index]] for index in self._rows]
         shown = _fitting([max(map(len, column)) for column in zip(table.headings, *rows)], self.size.width - _BESIDE)
         sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in table.columns]
         for heading, side in zip(table.headings[:shown], sides):
@@ -384,9 +373,28 @@ Points to which the calibrated arms are sent. The list that the profile names is
     @on(DataTable.RowHighlighted, "#grid")
     def _draw_target(self) -> None:
         """What is known about the target under the cursor."""
-        targets = self._edits.targets
-        words = target_words(targets[self._index], self._results) if targets else ""
+        words = target_words(self._edits.targets[self._index], self._results) if self._rows else ""
         self.query_one("#about-target", Static).update(words)
+        if self.query_one("#targets", TabbedContent).active == "target":
+            self.call_next(self._draw_details)
+
+    @on(TabbedContent.TabActivated, "#targets")
+    async def _draw_details(self) -> None:
+        """All about the target under the cursor, while its tab is shown."""
+        view = self.query_one("#details", ChartsView)
+        if self.query_one("#targets", TabbedContent).active != "target":
+            return
+        if not self._rows:
+            await view.say(_NO_TARGET)
+            return
+        target = self._edits.targets[self._index]
+        details = target_details(target_state(target, self._results))
+        await view.show(details.charts, details.tables, [*place_lines(target), *details.sentences])
+
+    def _shown_rows(self) -> list[int]:
+        """The places of the targets that are shown."""
+        states = target_states(self._edits.targets, self._results)
+        return [row for row, state in enumerate(states) if state.needs_attention or not self._attention]
 
     def _draw_tables(self) -> None:
         results, view = self._results, self.query_one("#target-tables", TablesView)
@@ -395,23 +403,24 @@ Points to which the calibrated arms are sent. The list that the profile names is
             view.show(program)
             return
         verify, compensate = results.verify, results.compensate
-        measured = [] if verify is None else [*verification_tables(verify), *measured_tables(verify)]
-        commands = [] if compensate is None else target_tables(compensate)
+        measured = [] if verify is None else all_measured_tables(verify)
+        commands = [] if compensate is None else stored_tables(compensate)
+        words = [] if verify is None else [*verify.complaints(), *verify_summary(verify)]
+        if compensate is not None:
+            words += [*compensate_summary(compensate), *unknown_lines(compensate.targets)]
         notes = [] if compensate is None else [*compensate.notes]
-        view.show([*program, *measured, *commands], [] if verify is None else verify.complaints(), notes)
+        view.show([*program, *measured, *commands], words, notes)
 
     def _draw_plots(self) -> None:
+        """Draw two of the charts of what was measured, beginning with the present one."""
         results, profile = self._results, self.workspace.profile
-        names = [] if profile is None else list(profile.arms)
-        for place, plot in enumerate(
-            (self.query_one("#first-plot", ChartPlot), self.query_one("#second-plot", ChartPlot))
-        ):
-            if results is None or results.calibrate is None or place >= len(names):
-                plot.chart = None
-                continue
-            name = names[(self._arm + place) % len(names)]
-            arm = results.calibrate.arms.get(name)
-            plot.chart = target_chart(name, results.verify, None if arm is None else arm.tracker_mm)
+        calibrated = None if results is None else results.calibrate
+        charts = []
+        if results is not None and calibrated is not None and profile is not None:
+            known = {name: arm.tracker_mm for name, arm in calibrated.arms.items()}
+            charts = target_charts(results.verify, {name: known.get(name) for name in profile.arms})
+        for place, plot in enumerate(self.query(ChartPlot).filter("#measured ChartPlot")):
+            plot.chart = charts[(self._chart + place) % len(charts)] if place < len(charts) else None
 
 
 def _fitting(widths: Sequence[int], room: int) -> int:

@@ -1,0 +1,55 @@
+"""``follow``: joint paths along which the real arm follows lines and arcs, planned, driven and measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cellapp.cli.job import Job, open_run
+from cellapp.cli.motion import asking
+from cellapp.cli.options import AllowMotion, JsonOption, RunFolder
+from cellapp.errors import CheckFailed
+
+
+def follow(
+    folder: RunFolder,
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="Path file, YAML; 'cellapp docs paths' explains it.")],
+    arm: Annotated[str | None, typer.Option("--arm", metavar="NAME", help="Only the paths of this arm.")] = None,
+    drive: Annotated[bool, typer.Option("--drive", help="Let the arms follow the paths.")] = False,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Let the arms follow the paths, and measure how far the SMR is from them.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="CSV", help="Write the joint positions over time as CSV.")
+    ] = None,
+    out_of_date: Annotated[
+        bool, typer.Option("--out-of-date", help="Use the latest model even if it no longer fits the run's data.")
+    ] = False,
+    allow_motion: AllowMotion = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Turn poses with speeds into joint paths of the calibrated model. Nothing moves without --drive or --verify."""
+    from cellapp.path_verbs import follow_run
+    from cellapp.paths.path_file import load_paths
+    from cellapp.reporting.path_table import path_sentences, path_tables
+
+    with Job(json_file) as job, open_run(folder, write=True) as opened:
+        specs = load_paths(path, opened.profile, arm)
+        ask = asking(job, opened.profile.name, allowed=allow_motion) if drive or verify else None
+        result = follow_run(
+            opened,
+            specs,
+            job.listen,
+            job.control,
+            driving="verify" if verify else "drive" if drive else "plan",
+            out_of_date=out_of_date,
+            csv=out,
+            ask=ask,
+        )
+        job.show(path_tables(result))
+        job.say(*path_sentences(result))
+        job.result(result)
+        if complaints := result.complaints():
+            raise CheckFailed(f"follow: {'; '.join(complaints)}")

@@ -1,0 +1,198 @@
+"""Drive planned paths and, with verification, measure how far the SMR really is from them, moving and at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.calibration.evaluation import summarise
+from cellapp.collection.cell import Cell, open_cell
+from cellapp.collection.motion import Confirm, MotionRefused, Mover
+from cellapp.collection.reaction import StopCause, StopReaction
+from cellapp.collection.supervision import hold_while_paused, reacting
+from cellapp.compensation.path_lag import path_lag
+from cellapp.compensation.tolerance import measured_verdict
+from cellapp.control import JobControl
+from cellapp.errors import InputError
+from cellapp.kinematics.transforms import Array
+from cellapp.model import CellModel
+from cellapp.paths.cartesian import CartesianPath
+from cellapp.paths.path_file import PathSpec
+from cellapp.paths.plan_path import RUN_UP_RAD, PathPlan, plan_path
+from cellapp.paths.timing import Trajectory
+from cellapp.profile import Profile
+from cellapp.progress import Listener, Progress, ignore
+from cellapp.results import DrivenPath, ErrorSummary
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from drivers.arms.protocol import FollowedPath, PathFollower
+from drivers.trackers.protocol import StreamingTracker, TrackerError
+
+_INTERVAL_S = 0.01
+"""Of points measured while the arm moves: 1 mm at 100 mm/s."""
+_FEWEST_AT_REST = 12
+_AT_REST_EVERY_M = 0.05
+"""Places along a path at which it is measured at rest: this far apart, and at least so many."""
+
+
+def follow(
+    profile: Profile,
+    model: CellModel,
+    plans: Sequence[PathPlan],
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    verify: bool,
+    confirm: Confirm | None = None,
+    opened: Callable[[Cell], object] = lambda cell: None,
+) -> list[tuple[PathPlan, DrivenPath | None]]:
+    """Drive every path that is not refused, the other arms at home; with ``verify`` measure it.
+
+    A path is planned again where the arm's controller has another rate. ``opened`` is called with the open cell before
+    anything moves; what it raises ends the job. ``confirm`` is asked before the first motion.
+
+    Raises
+    ------
+    InputError
+        If no path can be driven at all.
+    HardwareError
+        If an arm or the tracker fails; all arms have been stopped.
+    Stopped, Aborted
+        On request; the arms have been braked.
+    """
+    control = control or JobControl()
+    if all(plan.refusal for plan in plans):
+        raise InputError(f"follow: none of the paths can be driven: {plans[0].refusal}")
+    homes = home_positions(profile)
+    found: list[tuple[PathPlan, DrivenPath | None]] = []
+    with open_cell(profile) as cell, reacting(cell, control) as reaction:
+        opened(cell)
+        if verify:
+            cell.require_tracker()
+        mover = Mover(profile, cell, cell_bodies(profile, model), reaction)
+        mover.confirm_first(homes, confirm)
+        mover.speed = profile.collection.slow_start.speed if profile.moves_hardware else 1.0
+        mover.go_home()
+        for done, plan in enumerate(plans):
+            hold_while_paused(cell, control, reaction)
+            listener(Progress("follow", done, len(plans), plan.spec.name))
+            plan = _at_rate_of_arm(profile, model, plan, cell)
+            driver = _Driver(mover, cell, reaction, model, plan.spec, homes)
+            found.append((plan, None if plan.refusal else driver.drive(plan, verify=verify)))
+            mover.go_home()
+    listener(Progress("follow", len(plans), len(plans), "done"))
+    return found
+
+
+def _at_rate_of_arm(profile: Profile, model: CellModel, plan: PathPlan, cell: Cell) -> PathPlan:
+    """The plan with samples at the rate of the arm's controller."""
+    arm = cell.arms[plan.spec.arm]
+    if plan.refusal:
+        return plan
+    if not isinstance(arm, PathFollower):
+        return replace(plan, refusal=f"arm {plan.spec.arm}: its driver cannot follow a stream of joint positions")
+    if plan.trajectory is not None and plan.trajectory.period_s == arm.path_period_s:
+        return plan
+    return plan_path(profile, model, plan.spec, arm.path_period_s)
+
+
+@dataclass(frozen=True)
+class _Driver:
+    """Drives the paths of one arm in an open cell."""
+
+    mover: Mover
+    cell: Cell
+    reaction: StopReaction
+    model: CellModel
+    spec: PathSpec
+    homes: dict[str, Array]
+
+    def drive(self, plan: PathPlan, *, verify: bool) -> DrivenPath:
+        """Drive one path; with ``verify`` also at rest, and as the published geometry drives it."""
+        assert plan.path is not None
+        assert plan.nominal_path is not None
+        assert plan.trajectory is not None
+        try:
+            points, followed = self._run(plan.trajectory, plan.path, measure=verify)
+        except (MotionRefused, TrackerError) as error:
+            return DrivenPath(note=str(error))
+        arm = self.model.arms[self.spec.arm]
+        driven = DrivenPath(lag=path_lag(arm, plan.trajectory, followed))
+        if not verify:
+            return driven
+        notes, nominal, at_rest = [], None, None
+        try:
+            at_rest = _summary(plan.path, self._at_rest(plan.trajectory))
+            if plan.nominal is None:
+                notes.append("the published geometry cannot be driven along this path")
+            else:
+                there, _ = self._run(plan.nominal, plan.nominal_path, measure=True)
+                there = self._at_rest(plan.nominal) if there is None else there
+                nominal = _summary(plan.nominal_path, there)
+        except (MotionRefused, TrackerError) as error:
+            notes.append(str(error))
+        if points is None:
+            notes.append("this tracker's driver cannot measure a moving SMR yet; the path was verified at rest")
+        moving = None if points is None else _summary(plan.path, points)
+        judged = moving or at_rest
+        return driven.model_copy(
+            update={
+                "moving": moving,
+                "at_rest": at_rest,
+                "nominal": nominal,
+                "judged": "" if judged is None else "moving" if moving is not None else "at rest",
+                "verdict": measured_verdict(None if judged is None else judged.p95, self.spec.tolerance * 1e3),
+                "note": "; ".join(notes),
+            }
+        )
+
+    def _run(self, trajectory: Trajectory, path: CartesianPath, *, measure: bool) -> tuple[Array | None, FollowedPath]:
+        """Go to the beginning and along the path; return the points (n, 3) measured meanwhile, None if none can be."""
+        name, tracker = self.spec.arm, self.cell.tracker
+        self._go(_run_up(trajectory.q))
+        self._go(trajectory.q[0])
+        streams = measure and isinstance(tracker, StreamingTracker)
+        if streams and isinstance(tracker, StreamingTracker):
+            tracker.start_track(path.positions(np.zeros(1))[0], _INTERVAL_S, self._beam_lost)
+        began_s = self.cell.clock.now_s()
+        followed = self.mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
+        if not (streams and isinstance(tracker, StreamingTracker)):
+            return None, followed
+        track = tracker.end_track()
+        within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
+        return track.p_M[within], followed
+
+    def _at_rest(self, trajectory: Trajectory) -> Array:
+        """Points (n, 3) measured at rest at places along the path, each reached from the side of the path's motion."""
+        length = float(trajectory.s[-1])
+        count = max(_FEWEST_AT_REST, int(np.ceil(length / _AT_REST_EVERY_M)) + 1)
+        rows = np.clip(np.searchsorted(trajectory.s, np.linspace(0.0, length, count)), 1, len(trajectory.s) - 1)
+        points = []
+        for row in np.unique(rows):
+            self._go(_run_up(trajectory.q[row - 1 :]))
+            self._go(trajectory.q[row])
+            points.append(self.mover.measure(self.spec.arm, trajectory.q[row]).p_M)
+        return np.array(points)
+
+    def _go(self, q: Array) -> None:
+        """Move straight, or via home where the gate refuses that."""
+        name = self.spec.arm
+        if self.mover.refusal({name: q}, {name: self.homes[name]}):
+            self.mover.move({name: self.homes[name]})
+        self.mover.move({name: q})
+
+    def _beam_lost(self, error: TrackerError) -> None:
+        self.reaction.trigger(StopCause("tracker", str(error)))
+
+
+def _run_up(q: Array) -> Array:
+    """A place (N,) before the first row of ``q`` (m, N) [rad] from which each joint comes on the side of its motion."""
+    moved = np.abs(q - q[0]) > 1e-5
+    first = np.argmax(moved, axis=0)
+    ahead = q[first, np.arange(q.shape[1])] - q[0]
+    return np.asarray(q[0] - RUN_UP_RAD * np.where(ahead < 0.0, -1.0, 1.0))
+
+
+def _summary(path: CartesianPath, points: Array) -> ErrorSummary | None:
+    return summarise(path.distances(points)) if len(points) else None

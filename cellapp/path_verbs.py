@@ -1,0 +1,114 @@
+"""The verb ``follow``: plan paths with the model in force, and on request drive and verify them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from cellapp.collection.cell import Cell
+from cellapp.collection.controllers import check_controllers
+from cellapp.commissioning.confirm import Ask, confirmation
+from cellapp.commissioning.job_requests import taking_requests
+from cellapp.compensation.following import follow
+from cellapp.compensation.path_result import path_csv, path_result
+from cellapp.control import JobControl
+from cellapp.errors import InputError
+from cellapp.locate_verb import profile_at_station
+from cellapp.model import CellModel
+from cellapp.paths.path_file import PathSpec
+from cellapp.paths.plan_path import PathPlan, plan_path
+from cellapp.progress import Listener, Progress, ignore, with_eta
+from cellapp.results import PATH, DrivenPath, PathResult
+from cellapp.run import RunFile
+from cellapp.run.stages import append_stage, basis_on_model, read_stages
+from cellapp.run.stored_model import model_of, stage_in_force
+
+Driving = Literal["plan", "drive", "verify"]
+"""Only plan, which moves nothing; drive; drive and measure."""
+_PERIOD_S = 0.008
+"""Of a plan that is not driven [s]: the slower series of UR controllers. Driving plans again at the arm's own."""
+
+
+def follow_run(
+    run: RunFile,
+    paths: Sequence[PathSpec],
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    driving: Driving = "plan",
+    out_of_date: bool = False,
+    csv: Path | None = None,
+    ask: Ask | None = None,
+) -> PathResult:
+    """Plan paths and store the result; with ``driving`` also drive them, and measure how well they are followed.
+
+    ``out_of_date`` drives by the model in force even where it, or a discovery, is out of date. ``csv`` is a file for
+    the joint positions. ``ask`` is asked before the first motion of real arms.
+
+    Raises
+    ------
+    InputError
+        If the model is out of date and the operator does not insist, no path can be driven, or ``csv`` cannot be
+        written. Nothing has moved.
+    CheckFailed
+        If the doctor finds a fault before real arms move. Nothing has moved.
+    HardwareError
+        If a device refused or failed.
+    Cancelled
+    """
+    control = control or JobControl()
+    stages = read_stages(run)
+    stale = stages.stale_model()
+    if stale and driving != "plan" and not out_of_date:
+        raise InputError(
+            f"follow: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
+            " --out-of-date"
+        )
+    used = stage_in_force(run, stages)
+    model = model_of(run, used)
+    notes = [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
+    plans = _planned(run, model, paths, listener, control)
+    if csv is not None:
+        _write(csv, path_csv(plans))
+    followed: list[tuple[PathPlan, DrivenPath | None]] = [(plan, None) for plan in plans]
+    if driving != "plan":
+
+        def opened(cell: Cell) -> None:
+            notes.extend(check_controllers(run, cell).notes)
+
+        confirm = confirmation(run.profile, ask)
+        with taking_requests(run.folder, control):
+            followed = follow(
+                profile_at_station(run, stages),
+                model,
+                plans,
+                with_eta(listener),
+                control,
+                verify=driving == "verify",
+                confirm=confirm,
+                opened=opened,
+            )
+    result = path_result(model, followed, notes)
+    text = "\n".join(spec.model_dump_json(exclude_none=True, exclude_defaults=True) for spec in paths)
+    append_stage(run, PATH, result, basis_on_model(run, used, text))
+    return result
+
+
+def _planned(
+    run: RunFile, model: CellModel, paths: Sequence[PathSpec], listener: Listener, control: JobControl
+) -> list[PathPlan]:
+    plans = []
+    for done, spec in enumerate(paths):
+        control.check()
+        listener(Progress("plan paths", done, len(paths), spec.name))
+        plans.append(plan_path(run.profile, model, spec, _PERIOD_S))
+    listener(Progress("plan paths", len(paths), len(paths), "done"))
+    return plans
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None

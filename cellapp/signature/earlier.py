@@ -1,0 +1,72 @@
+"""The earlier calibration of an arm: its belief, and where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from cellapp.calibration.measurement_conditions import conditions_of_arms
+from cellapp.calibration.parameters import candidate_columns
+from cellapp.discovery.gross_errors import gross_errors
+from cellapp.kinematics.transforms import Array
+from cellapp.model import ArmModel
+from cellapp.profile import Profile
+from cellapp.run import Readings
+from cellapp.signature.belief import Belief, sizes
+from cellapp.signature.linear_model import Measured
+from cellapp.signature.posterior import Prior, posterior
+from cellapp.signature.update import update
+
+
+@dataclass(frozen=True, eq=False)
+class Earlier:
+    """An earlier calibration of one arm.
+
+    ``digest`` is the SHA-256 of its model and readings, ``since`` the day of its run, ``left_behind`` the effects that
+    are not carried over; ``notes`` are for the operator.
+    """
+
+    belief: Belief
+    run: Path
+    stage: Literal["calibrate", "discover"]
+    digest: str
+    since: str
+    readings: int
+    controller: str | None
+    left_behind: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def believed(
+    profile: Profile,
+    name: str,
+    models: Mapping[str, ArmModel],
+    readings: Mapping[str, Readings],
+    before: Belief | None = None,
+    since: str = "",
+) -> tuple[Belief, int]:
+    """What a calibrated cell says of one of its arms, from all its readings, and their number.
+
+    ``before`` is the belief that this calibration had as prior, of the day ``since``.
+    """
+    model, conditions = models[name], conditions_of_arms(models, readings)[name]
+    good = ~gross_errors(readings[name].p_M - model.predict(readings[name].q, conditions=conditions))
+    some, conditions = readings[name].take(good), conditions.take(good)
+    model = replace(model, network=None, posterior=None)
+    size = sizes(profile, model, Measured(some, conditions, np.ones(len(some))))
+    if before is None:
+        found = posterior(model, some, conditions, _first_prior(model, size))
+    else:
+        further = model.effects[len(before.terms) :]
+        found = update(profile, name, some, conditions, before, since, further).found
+    return Belief.of(found, size), len(some)
+
+
+def _first_prior(model: ArmModel, size: Array) -> Prior:
+    """What was known of an arm before its first calibration."""
+    precision = 1.0 / np.maximum(size, 1e-12) ** 2
+    return Prior(candidate_columns(model.geometry), model.nominal, np.zeros(len(size)), np.diag(precision))

@@ -1,0 +1,348 @@
+"""What an arm's earlier calibration is worth when the arm is calibrated again, on simulated cells and a real arm.
+
+Simulated: a cell is calibrated from many stops, then each arm gets another base and another SMR mount and is calibrated
+again, from few stops with the earlier calibration and from more stops without. Real: series C, then series D of a UR10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from cellapp.calibration.calibrate import calibrate_arm
+from cellapp.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
+from cellapp.discovery.discover import discover_arm
+from cellapp.effects import MeasurementConditions
+from cellapp.errors import InputError
+from cellapp.model import ArmModel
+from cellapp.planning.plan import plan_stops
+from cellapp.profile import Profile
+from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.results import Record, Result
+from cellapp.run import Readings
+from cellapp.signature.calibrate import prior_result, stated_model, updated_arm
+from cellapp.signature.discovery import SearchWithPriors
+from cellapp.signature.earlier import Earlier, believed
+from cellapp.trials.league.draws import DrawTask
+from cellapp.trials.league.series import Entrant, Rows, load_entrant
+from cellapp.trials.measured import measured_plan
+from cellapp.trials.processes import in_processes
+
+_REMOUNT_SEED = 0x2E30
+"""Beside the seed of a cell: the draw of its new mounts is then independent of all other draws."""
+_BASE_M, _BASE_RAD, _SMR_M = 0.03, 0.02, 0.01
+"""Standard deviations of a coordinate by which a base and an SMR are mounted elsewhere: by hand, not by a fixture."""
+_PLAN_SEED = 1000
+"""Is added to the seed of the plan of the second calibration: its stops are others."""
+
+
+class SignatureDraw(Record):
+    """One arm calibrated again from some stops: mean held-out position errors [mm].
+
+    ``alone_mm`` is what calibration and discovery reach without the earlier calibration, ``calibrated_mm`` calibration
+    with it, ``discovered_mm`` discovery after that. ``drifts`` is how far each part was not believed, ``changes`` what
+    was found to have changed.
+    """
+
+    cell: str
+    seed: int
+    arm: str
+    stops: int
+    held_out: int
+    alone_mm: float
+    calibrated_mm: float | None
+    discovered_mm: float | None
+    drifts: Mapping[str, float] = {}
+    changes: tuple[str, ...] = ()
+
+
+class SignatureLine(Record):
+    """Means over the draws of one cell and number of stops; ``worse`` counts draws that the prior made worse."""
+
+    cell: str
+    stops: int
+    draws: int
+    alone_mm: float
+    calibrated_mm: float | None
+    discovered_mm: float | None
+    worst_ratio: float | None
+    worse: int
+
+
+class SignatureBar(Record):
+    """A bar and what was reached."""
+
+    what: str
+    most: float
+    reached: float
+    met: bool
+
+
+class SignatureResult(Result):
+    """``trials signature``: a line for each cell and number of stops, the bars, and every draw."""
+
+    schema_: Literal["cellapp-trials-signature"] = "cellapp-trials-signature"
+    version: Literal[1] = 1
+    earlier_stops: Mapping[str, int]
+    lines: tuple[SignatureLine, ...]
+    bars: tuple[SignatureBar, ...]
+    draws: tuple[SignatureDraw, ...]
+
+    def complaints(self) -> list[str]:
+        """Bars that are missed, in words."""
+        return [f"{bar.what}: {bar.reached:.4g}, at most {bar.most:.4g}" for bar in self.bars if not bar.met]
+
+
+@dataclass(frozen=True)
+class TwinTask:
+    """A simulated cell: stops of the first calibration, of the second with and without it, and held-out stops."""
+
+    profile: Profile
+    seed: int
+    earlier: int
+    few: int
+    many: int
+    held_out: int
+
+
+@dataclass(frozen=True, eq=False)
+class RealTask:
+    """A draw of rows of a series of an arm whose earlier calibration is known."""
+
+    entrant: Entrant
+    earlier: Earlier
+    rows: Rows
+    seed: int
+
+
+def twin_trials(
+    profile: Profile,
+    seeds: Sequence[int],
+    *,
+    earlier: int = 400,
+    few: int = 30,
+    many: int = 150,
+    held_out: int = 120,
+    jobs: int = 1,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> SignatureResult:
+    """Simulated cells whose arms were mounted elsewhere. Raises ``InputError`` if the profile has no plant."""
+    if profile.plant is None:
+        raise InputError(f"profile {profile.name}: the trial needs a simulated cell, a section 'plant'")
+    tasks = [TwinTask(profile, seed, earlier, few, many, held_out) for seed in seeds]
+    draws: list[SignatureDraw] = []
+    listener(Progress("signature", 0, len(tasks)))
+    for done, found in enumerate(in_processes(twin_draws, tasks, jobs, cancel or CancelToken()), start=1):
+        draws += found
+        listener(Progress("signature", done, len(tasks), f"seed {found[0].seed}"))
+    draws.sort(key=lambda draw: (draw.stops, draw.seed, draw.arm))
+    few_draws = [draw for draw in draws if draw.stops == few]
+    many_mm = float(np.mean([draw.alone_mm for draw in draws if draw.stops == many]))
+    reached = float(np.mean([draw.discovered_mm for draw in few_draws if draw.discovered_mm is not None]))
+    what = f"mean held-out error [mm] of {few} stops with the earlier calibration, against {many} without"
+    bar = SignatureBar(what=what, most=many_mm, reached=reached, met=reached <= many_mm)
+    return SignatureResult(
+        earlier_stops={profile.name: earlier}, lines=lines_of(draws), bars=(bar,), draws=tuple(draws)
+    )
+
+
+def twin_draws(task: TwinTask) -> list[SignatureDraw]:
+    """Both arms of one simulated cell, from few and from many stops."""
+    assert task.profile.plant is not None
+    plant = task.profile.plant.model_copy(update={"seed": task.seed})
+    first = task.profile.model_copy(update={"seed": task.seed, "plant": plant})
+    known = _measured(first, task.earlier, task.seed)
+    models = _alone(first, known)
+    again = remounted(first, task.seed)
+    count = task.many + task.held_out
+    measured = _measured(again, count, task.seed + _PLAN_SEED)
+    draws = []
+    for name in known:
+        belief, readings = believed(first, name, models, known)
+        since = Earlier(belief, Path("earlier"), "discover", "", "then", readings, None, (), ())
+        for stops in (task.few, task.many):
+            some = {arm: _first_learn(its, stops, task.many) for arm, its in measured.items()}
+            geometry = {arm: calibrate_arm(again, arm, its)[0].model for arm, its in some.items()}
+            conditions = conditions_of_arms(geometry, some)[name]
+            earlier = since if stops == task.few else None
+            draws.append(_draw(first.name, task.seed, again, name, some[name], conditions, geometry[name], earlier))
+    return draws
+
+
+def remounted(profile: Profile, seed: int) -> Profile:
+    """The profile with every base and every SMR mounted elsewhere, drawn by ``seed``."""
+    generator = np.random.default_rng([seed, _REMOUNT_SEED])
+    arms = {}
+    for name, arm in profile.arms.items():
+        if arm.base is None or arm.smr.offset == "unknown":
+            raise InputError(f"arms.{name}: a simulated arm needs 'base' and a known 'smr.offset'")
+        position = (np.array(arm.base.position) + generator.normal(0.0, _BASE_M, 3)).tolist()
+        rpy = (np.array(arm.base.rpy) + generator.normal(0.0, _BASE_RAD, 3)).tolist()
+        offset = (np.array(arm.smr.offset) + generator.normal(0.0, _SMR_M, 3)).tolist()
+        base = arm.base.model_copy(update={"position": tuple(position), "rpy": tuple(rpy)})
+        smr = arm.smr.model_copy(update={"offset": tuple(offset)})
+        arms[name] = arm.model_copy(update={"base": base, "smr": smr})
+    return profile.model_copy(update={"arms": arms})
+
+
+def real_trials(
+    rows: Sequence[Rows],
+    seeds: Sequence[int],
+    *,
+    earlier: str = "C",
+    later: str = "D",
+    data: Path,
+    profiles: Path,
+    jobs: int = 1,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> SignatureResult:
+    """A measured series of an arm, with an earlier series of the same arm as prior.
+
+    Raises
+    ------
+    InputError
+        If a series, or the asked number of rows, is not there.
+    """
+    before, after = load_entrant(earlier, data, profiles), load_entrant(later, data, profiles)
+    listener(Progress("signature", 0, 1 + len(rows) * len(seeds), f"series {earlier}"))
+    whole = replace(before.readings, split=("identify",) * (len(before.readings) - 1) + ("validate",))
+    models = _alone(before.profile, {before.arm: whole})
+    belief, count = believed(before.profile, before.arm, models, {before.arm: whole})
+    known = Earlier(belief, Path(earlier), "discover", "", f"series {earlier}", count, None, (), ())
+    tasks = [RealTask(after, known, size, seed) for size in rows for seed in seeds]
+    draws = []
+    for draw in in_processes(real_draw, tasks, jobs, cancel or CancelToken()):
+        draws.append(draw)
+        listener(Progress("signature", 1 + len(draws), 1 + len(tasks), f"{draw.stops} rows, seed {draw.seed}"))
+    draws.sort(key=lambda draw: (draw.stops, draw.seed))
+    lines = lines_of(draws)
+    bars = [
+        SignatureBar(
+            what=f"series {line.cell}, {line.stops} rows: worst error with the earlier calibration to that without",
+            most=1.0,
+            reached=line.worst_ratio or 1.0,
+            met=line.worse == 0,
+        )
+        for line in lines
+    ]
+    return SignatureResult(earlier_stops={earlier: count}, lines=lines, bars=tuple(bars), draws=tuple(draws))
+
+
+def real_draw(task: RealTask) -> SignatureDraw:
+    """One draw of rows with and without the earlier series."""
+    entrant = task.entrant
+    rows = DrawTask(entrant, task.rows, task.seed).drawn()
+    words = np.full(len(entrant.readings), None, dtype=object)
+    words[rows.learned], words[rows.judged] = "identify", "validate"
+    readings = replace(entrant.readings, split=tuple(words.tolist()))
+    profile = entrant.profile.model_copy(update={"seed": task.seed})
+    conditions = measurement_conditions(readings)
+    model = calibrate_arm(profile, entrant.arm, readings)[0].model
+    return _draw(entrant.name, task.seed, profile, entrant.arm, readings, conditions, model, task.earlier)
+
+
+def lines_of(draws: Sequence[SignatureDraw]) -> tuple[SignatureLine, ...]:
+    """Means over draws by cell and number of stops."""
+    groups: dict[tuple[str, int], list[SignatureDraw]] = {}
+    for draw in draws:
+        groups.setdefault((draw.cell, draw.stops), []).append(draw)
+    return tuple(_line(cell, stops, some) for (cell, stops), some in groups.items())
+
+
+def _line(cell: str, stops: int, draws: Sequence[SignatureDraw]) -> SignatureLine:
+    ratios = [draw.discovered_mm / draw.alone_mm for draw in draws if draw.discovered_mm is not None]
+    return SignatureLine(
+        cell=cell,
+        stops=stops,
+        draws=len(draws),
+        alone_mm=float(np.mean([draw.alone_mm for draw in draws])),
+        calibrated_mm=_mean([draw.calibrated_mm for draw in draws]),
+        discovered_mm=_mean([draw.discovered_mm for draw in draws]),
+        worst_ratio=max(ratios, default=None),
+        worse=sum(ratio > 1.0 for ratio in ratios),
+    )
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _measured(profile: Profile, stops: int, seed: int) -> dict[str, Readings]:
+    """Readings of all arms at a plan of its own; all but the last are to learn from."""
+    planned = profile.model_copy(
+        update={
+            "seed": seed,
+            "plan": profile.plan.model_copy(update={"stops": stops}),
+        }
+    )
+    readings = measured_plan(planned, plan_stops(planned), seed)
+    words = ("identify",) * (stops - 1) + ("validate",)
+    return {name: replace(arm, split=words) for name, arm in readings.items()}
+
+
+def _first_learn(readings: Readings, stops: int, learnable: int) -> Readings:
+    """The first ``stops`` readings to learn from, those from ``learnable`` on held out."""
+    count = len(readings)
+    words = ["identify" if k < stops else "validate" if k >= learnable else None for k in range(count)]
+    return replace(readings, split=tuple(words))
+
+
+def _alone(profile: Profile, readings: Mapping[str, Readings]) -> dict[str, ArmModel]:
+    """Calibration and discovery of all arms."""
+    models = {name: calibrate_arm(profile, name, its)[0].model for name, its in readings.items()}
+    conditions = conditions_of_arms(models, readings)
+    return {
+        name: discover_arm(profile, name, model, readings[name], conditions=conditions[name]).model
+        for name, model in models.items()
+    }
+
+
+def _draw(
+    cell: str,
+    seed: int,
+    profile: Profile,
+    name: str,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    geometry: ArmModel,
+    earlier: Earlier | None,
+) -> SignatureDraw:
+    """One arm without and, where ``earlier`` is given, with its earlier calibration."""
+    rows = readings.in_split("validate")
+    held_out, its = readings.take(rows), conditions.take(rows)
+
+    def error_mm(model: ArmModel) -> float:
+        return float(np.linalg.norm(held_out.p_M - model.predict(held_out.q, conditions=its), axis=1).mean()) * 1e3
+
+    alone = discover_arm(profile, name, geometry, readings, conditions=conditions).model
+    draw = SignatureDraw(
+        cell=cell,
+        seed=seed,
+        arm=name,
+        stops=len(readings.in_split("identify")),
+        held_out=len(rows),
+        alone_mm=error_mm(alone),
+        calibrated_mm=None,
+        discovered_mm=None,
+    )
+    if earlier is None:
+        return draw
+    outcome = updated_arm(profile, name, readings, conditions, earlier)
+    model = stated_model(outcome.found, profile.seed)
+    found = SearchWithPriors({name: earlier})(profile, name, model, readings, conditions=conditions)
+    prior = prior_result(name, earlier, outcome)
+    return draw.model_copy(
+        update={
+            "calibrated_mm": error_mm(model),
+            "discovered_mm": error_mm(found.model),
+            "drifts": {part: one.drift for part, one in prior.parts.items()},
+            "changes": tuple(change.sentence for change in prior.changes),
+        }
+    )

@@ -1,0 +1,64 @@
+"""Check of a stream of joint positions before its first one is sent: numbers, limits, steps, and where the arm is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.arms.protocol import JointLimits, LimitExceeded
+
+AT_START_RAD = 1e-3
+"""The arm must be this near to the first position: well above a joint's repeatability, well below a visible jump."""
+_ROUNDING_RAD = 1e-9
+_SLACK = 1e-3
+"""Relative excess of speed and acceleration that counts as rounding of the samples."""
+
+
+def checked_path(
+    name: str,
+    q: NDArray[np.float64],
+    period_s: float,
+    controller_period_s: float,
+    limits: JointLimits,
+    here: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the joint positions (m, N) [rad] of a stream for arm ``name``, which rests at ``here`` (N,).
+
+    Raises ``LimitExceeded`` with the first place that must not be sent. The stream begins and ends at rest.
+    """
+    path = np.array(q, dtype=np.float64)
+    joints = len(here)
+    if path.ndim != 2 or path.shape[1] != joints or len(path) < 2:
+        raise LimitExceeded(
+            f"arm {name}: a path has shape {path.shape}, expected two or more rows of {joints} joint positions"
+        )
+    if period_s != controller_period_s:
+        raise LimitExceeded(
+            f"arm {name}: a path with a position each {period_s * 1e3:g} ms; its controller takes one each"
+            f" {controller_period_s * 1e3:g} ms"
+        )
+    low, high = limits.position.T
+    _refuse(name, ~np.isfinite(path), path, "position", "is not a finite number")
+    outside = (path < low - _ROUNDING_RAD) | (path > high + _ROUNDING_RAD)
+    _refuse(name, outside, path, "position", "is outside its limits")
+    padded = np.concatenate([path[:1], path, path[-1:]])
+    speed = np.diff(padded, axis=0) / period_s
+    acceleration = np.diff(speed, axis=0) / period_s
+    _refuse(name, np.abs(speed[1:]) > limits.speed * (1.0 + _SLACK), speed[1:], "speed", "is beyond its limit")
+    beyond = np.abs(acceleration) > limits.acceleration * (1.0 + _SLACK)
+    _refuse(name, beyond, acceleration, "acceleration", "is beyond its limit")
+    away = np.abs(path[0] - here)
+    if not away.max() <= AT_START_RAD:
+        joint = int(np.argmax(away))
+        raise LimitExceeded(
+            f"arm {name}: joint {joint + 1} is {np.degrees(away[joint]):.3f} deg from the beginning of the path; move"
+            " there first"
+        )
+    return path
+
+
+def _refuse(name: str, wrong: NDArray[np.bool_], values: NDArray[np.float64], what: str, problem: str) -> None:
+    if wrong.any():
+        row, joint = (int(k) for k in np.argwhere(wrong)[0])
+        value = f"{what} {values[row, joint]:.4g} of joint {joint + 1}"
+        raise LimitExceeded(f"arm {name}: position {row} of the path: {value} {problem}")
