@@ -241,9 +241,9 @@ def export_arms(folder: Path, request: ExportRequest) -> Job:
     """Write the calibrated arms for another program."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.exports.run_export import export_arms_run
+        from cellapp.exports.run_export import export_as_run
 
-        return export_arms_run(run, request.format_name, request.out, request.arm, request.stage_name)
+        return export_as_run(run, request.format_name, request.out, request.arm, request.stage_name)
 
     return _of_run("export", folder, work)
 
