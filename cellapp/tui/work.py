@@ -233,9 +233,11 @@ def locate(folder: Path, request: LocateRequest) -> Job:
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.locate_verb import locate_run, typed_pose
 
-        poses = {"tracker_pose": request.tracker_pose, "simulated_pose": request.simulated_pose}
-        typed = {name: None if text is None else typed_pose(text, "locate") for name, text in poses.items()}
-        return locate_run(run, request.points, listener, control, **typed, ask=ask)
+        rough, simulated = (
+            None if text is None else typed_pose(text, "locate")
+            for text in (request.tracker_pose, request.simulated_pose)
+        )
+        return locate_run(run, request.points, listener, control, tracker_pose=rough, simulated_pose=simulated, ask=ask)
 
     return _on_run("locate", folder, work, moves=True)
 

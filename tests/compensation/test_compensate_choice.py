@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from cellapp.compensation.command import command_record
 from cellapp.compensation.compensate import Command, compensate, compensate_result, with_approach
 from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.targets import Partner, Target, WorkingConditions, load_targets
@@ -82,7 +83,7 @@ def test_both_arms_of_a_cooperative_target_hold_it(run: RunFile, model: CellMode
     cell = cell_bodies(run.profile, model)
     reached = 0
     for one, other in zip(commands[1::2], commands[2::2], strict=True):
-        assert (one.partner, other.partner) == ("right", "left")
+        assert (command_record(one).partner, command_record(other).partner) == ("right", "left")
         assert one.refusal == other.refusal
         if one.q_compensated is None or other.q_compensated is None:
             continue
