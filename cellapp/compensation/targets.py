@@ -205,7 +205,7 @@ class TargetList(Section):
         frames, conditions = info.data.get("frames", {}), info.data.get("conditions", {})
         if not isinstance(targets, list):
             return targets
-        return [_resolved(keys, frames, conditions) if isinstance(keys, dict) else keys for keys in targets]
+        return [_with_sections(keys, frames, conditions) if isinstance(keys, dict) else keys for keys in targets]
 
 
 @dataclass(frozen=True)
@@ -348,7 +348,7 @@ def _source(path: Path, joints: Mapping[str, int]) -> TargetSource:
     return TargetSource(content, place, rows.key, rows.words)
 
 
-def _resolved(
+def _with_sections(
     keys: Mapping[str, Any], frames: Mapping[str, WorkFrame], conditions: Mapping[str, WorkingConditions]
 ) -> dict[str, Any]:
     """The keys of a target with its work frame and the conditions of its arms."""
@@ -399,7 +399,8 @@ def _misfit(target: Target, profile: Profile, frames: Iterable[str]) -> TargetPr
         names = ", ".join([*known, *frames])
         return TargetProblem(
             "frame",
-            f": no frame '{short(target.frame)}'; frames are {names}; points give others (frames: in the YAML list)",
+            f": no frame '{short(target.frame)}'; frames are {names}; a YAML list, whose targets: may name a CSV file,"
+            " gives others under frames:",
         )
     if frame is not None and (frame.name != target.frame or frame_problem(frame, profile)):
         return TargetProblem("frame", f": {frame_problem(frame, profile) or 'its work frame has another name'}")

@@ -233,9 +233,11 @@ def locate(folder: Path, request: LocateRequest) -> Job:
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.locate_verb import locate_run, typed_pose
 
-        poses = {"tracker_pose": request.tracker_pose, "simulated_pose": request.simulated_pose}
-        typed = {name: None if text is None else typed_pose(text, "locate") for name, text in poses.items()}
-        return locate_run(run, request.points, listener, control, **typed, ask=ask)
+        rough, simulated = (
+            None if text is None else typed_pose(text, "locate")
+            for text in (request.tracker_pose, request.simulated_pose)
+        )
+        return locate_run(run, request.points, listener, control, tracker_pose=rough, simulated_pose=simulated, ask=ask)
 
     return _on_run("locate", folder, work, moves=True)
 
@@ -255,9 +257,9 @@ def export_arms(folder: Path, request: ExportRequest) -> Job:
     """Write the calibrated arms for another program."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.exports.run_export import export_arms_run
+        from cellapp.exports.run_export import export_as_run
 
-        return export_arms_run(run, request.format_name, request.out, request.arm, request.stage_name)
+        return export_as_run(run, request.format_name, request.out, request.arm, request.stage_name)
 
     return _of_run("export", folder, work)
 
