@@ -9,6 +9,7 @@ import numpy as np
 
 from cellapp.calibration.station_location import FEWEST_POINTS, Cause, displacement_m, twist_columns
 from cellapp.collection.cell import Cell
+from cellapp.collection.collect import Opened
 from cellapp.collection.controllers import check_controllers
 from cellapp.collection.locate import LocatedStation, LocateTask, locate_station
 from cellapp.commissioning.confirm import Ask, confirmation
@@ -32,6 +33,7 @@ from cellapp.results import (
     StationPose,
 )
 from cellapp.run import RunFile
+from cellapp.run.readings import stated_uncertainty
 from cellapp.run.stages import (
     CALIBRATION_FILE,
     RunStages,
@@ -56,13 +58,14 @@ def locate_run(
     tracker_pose: Pose | None = None,
     simulated_pose: Pose | None = None,
     ask: Ask | None = None,
+    open_with: Opened | None = None,
 ) -> LocateResult:
     """Measure points of the arms from where the tracker stands now, and store the model in its frame.
 
     ``points`` are of all arms together. ``tracker_pose`` is where the tracker stands now in the cell frame, roughly; by
     default where it was located last, or where the profile says. ``simulated_pose`` moves the tracker of a simulated
     cell there first, for this job and those that follow in this run. ``ask`` is asked before the first motion of real
-    arms. If the points do not fit, the result says why and holds no model.
+    arms, ``open_with`` opens the cell. If the points do not fit, the result says why and holds no model.
 
     Raises
     ------
@@ -94,12 +97,12 @@ def locate_run(
             model=model,
             rough_T=rough,
             candidates={name: run.readings(name).q for name in model.arms},
-            noise_m=_scatter(run, model),
+            excess_m=_excess(run, model),
             points=points,
             still_m=profile.collection.reference.drift,
         )
         confirm = confirmation(run.profile, ask)
-        found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened)
+        found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)
     result = _result(run.profile, task, found, (*notes, *found.notes))
     moved = relocated(model, found.fit.T_new_old, found.fit.twists) if found.explained else None
     _store(run, used, result, moved)
@@ -180,16 +183,27 @@ def _rough_station(run: RunFile, stages: RunStages, tracker_pose: Pose | None) -
     return np.eye(4) if station is None else station
 
 
-def _scatter(run: RunFile, model: CellModel) -> dict[str, float]:
-    """Scatter of a coordinate about the model [m]: as it states, else from the errors at held-out stops."""
+def _excess(run: RunFile, model: CellModel) -> dict[str, float]:
+    """Scatter of a coordinate about the model beyond the tracker's covariance at the readings [m], by arm.
+
+    As the model states it, else from the errors at held-out stops.
+    """
     stored = read_results(run).calibrate
     found = {}
     for name, arm in model.arms.items():
-        found[name] = 0.0 if arm.posterior is None else arm.posterior.noise_m
+        noise_m = 0.0 if arm.posterior is None else arm.posterior.noise_m
         if arm.posterior is None and stored is not None:
             result = stored.arms[name]
-            found[name] = result.validate_[result.best_stage].position_mm.rms * 1e-3 / np.sqrt(3.0)
+            noise_m = result.validate_[result.best_stage].position_mm.rms * 1e-3 / math.sqrt(3.0)
+        stated = stated_uncertainty(run.readings(name))
+        tracker = 0.0 if stated is None else float(np.mean(_variances(stated)))
+        found[name] = math.sqrt(max(noise_m**2 - tracker, 0.0))
     return found
+
+
+def _variances(stated: Array) -> Array:
+    """Variance of a coordinate (n,) [m^2] of standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
+    return np.asarray(stated**2 if stated.ndim == 1 else np.trace(stated, axis1=1, axis2=2) / 3.0)
 
 
 def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tuple[str, ...]) -> LocateResult:

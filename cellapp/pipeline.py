@@ -20,6 +20,7 @@ from cellapp.collection.collect import collect_run
 from cellapp.commissioning.confirm import Ask, asked_once, confirmation, require_permission
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.compensation.compensate import Command, compensate, compensate_result
+from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.control import JobControl
 from cellapp.discovery.discover import discover_cell
@@ -450,7 +451,8 @@ def _compensate(
     run: RunFile, stages: RunStages, targets: Sequence[Target]
 ) -> tuple[tuple[Command, ...], CompensateResult]:
     used = stage_in_force(run, stages)
-    commands = compensate(run.profile, model_of(run, used), targets)
+    ranges = {name: ConditionRanges.of(readings) for name, readings in _readings(run).items()}
+    commands = compensate(run.profile, model_of(run, used), targets, ranges=ranges)
     stale = stages.stale_model()
     notes = [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
     result = compensate_result(commands, notes)

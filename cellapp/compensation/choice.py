@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cellapp.compensation.invert import Inverted
 from cellapp.kinematics.branches import turned_into
+from cellapp.kinematics.sampled_inverse import sampled_configurations
 from cellapp.kinematics.transforms import Array
 from cellapp.safety.bodies import place
 from cellapp.safety.gate import CellBodies, clear_alone, clear_stops, visible
@@ -96,6 +97,14 @@ def judged_branches(cell: CellBodies, homes: Mapping[str, Array], name: str, sol
     others = {other: np.tile(at, (len(flat), 1)) for other, at in homes.items() if other != name}
     seen[rows, branch] = visible(cell, name, flat, others)
     return Branches(q, beyond, motion, clear, seen)
+
+
+def liked_configurations(cell: CellBodies, homes: Mapping[str, Array], name: str, seed: int) -> Array:
+    """Configurations (m, N) [rad] of an arm that the gate admits and the tracker sees, the others at home."""
+    samples = sampled_configurations(cell.arms[name].limits, homes[name], seed)
+    others = {other: np.tile(at, (len(samples), 1)) for other, at in homes.items() if other != name}
+    samples = samples[visible(cell, name, samples, others)]
+    return np.asarray(samples[clear_with_others(cell, homes, {name: samples})])
 
 
 def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, Branches], solve: Solve) -> Chosen:

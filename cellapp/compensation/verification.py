@@ -11,7 +11,7 @@ import numpy as np
 
 from cellapp.calibration.evaluation import summarise
 from cellapp.collection.motion import Mover
-from cellapp.compensation.compensate import Command
+from cellapp.compensation.command import Command
 from cellapp.compensation.targets import target_record
 from cellapp.compensation.tolerance import measured_verdict
 from cellapp.effects import MeasurementConditions
@@ -155,6 +155,7 @@ class Findings:
         def off_mm(rest: Rest) -> float | None:
             return abs(distance_error_m(rest[names[0]], rest[names[1]])) * 1e3 if len(rest) == 2 else None
 
+        notes = [note if note.startswith("arm") else f"arm {name}: {note}" for name, note in self.notes.items()]
         rounds_mm = [off_mm(rest) for rest in self.rounds]
         tolerance_mm = first.target.tolerance_mm
         return MeasuredPair(
@@ -167,7 +168,7 @@ class Findings:
             verdict=measured_verdict(rounds_mm[self.best] if rounds_mm else None, tolerance_mm),
             rounds_mm=tuple(off for off in rounds_mm if off is not None) if self.corrected else (),
             corrected_mm=rounds_mm[self.best] if self.best else None,
-            note="; ".join(f"arm {name}: {note}" for name, note in self.notes.items()),
+            note="; ".join(dict.fromkeys(notes)),
         )
 
     def _target(self, command: Command) -> MeasuredTarget:

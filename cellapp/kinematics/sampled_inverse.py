@@ -19,7 +19,7 @@ _SAMPLES = 20_000
 _STARTS = 32
 """Starts for each pose: a six-joint arm has at most 16 solutions."""
 _POSITION_STARTS = 8
-"""Starts for each position whose rotation is free: postures of different branches."""
+"""Starts from a table for each position whose rotation is free: postures of different branches."""
 _NEAREST = 64
 """Samples near a position, from which the starts nearest to the preferred configuration are taken."""
 _ROUNDS = 40
@@ -47,7 +47,7 @@ def sampled_solutions(
     Positions (n, 3) [m] of the SMR and rotations (n, 3, 3) of the flange are in the tracker frame. Samples are drawn
     from ``seed`` within ``limits`` (N, 2) [rad].
     """
-    samples = _samples(limits, near, seed)
+    samples = sampled_configurations(limits, near, seed)
     rotations, _ = flange_poses(geometry, samples)
     at, reach = _positions(geometry, samples)
     tree = cKDTree(np.hstack([at / reach, rotations.reshape(-1, 9)]))
@@ -63,22 +63,22 @@ def sampled_solutions(
     return _stacked(found, len(near))
 
 
-def position_solutions(geometry: Geometry, position_M: Array, limits: Array, near: Array, seed: int) -> Array:
+def position_solutions(
+    geometry: Geometry, position_M: Array, samples: Array, near: Array, liked: Array | None = None
+) -> Array:
     """Joint positions (n, K, N) [rad] that put the SMR at n positions (n, 3) [m] with any rotation; NaN pads.
 
-    For each start the nearest solution to it, and the one to which the motion within the null space towards ``near``
-    leads: a local minimum of the distance from there.
+    Starts are ``near``, those of ``samples`` (m, N) with the SMR near the position that are nearest to ``near``, and
+    those of ``liked`` (m', N) with the SMR nearest to the position. For each start the nearest solution to it is found,
+    and the one to which the motion within the null space towards ``near`` leads: a local minimum of the distance there.
     """
-    samples = _samples(limits, near, seed)
-    at, reach = _positions(geometry, samples)
-    tree = cKDTree(at / reach)
     found = []
     for begin in range(0, len(position_M), _AT_ONCE):
         P = position_M[begin : begin + _AT_ONCE]
-        _, rows = tree.query(P / reach, k=_NEAREST)
-        order = np.argsort(np.abs(samples[rows] - near).max(axis=2), axis=1, kind="stable")[:, :_POSITION_STARTS]
-        starts = samples[np.take_along_axis(rows, order, axis=1)]
-        starts = np.concatenate([np.broadcast_to(near, (len(P), 1, len(near))), starts], axis=1)
+        parts = [np.broadcast_to(near, (len(P), 1, len(near))), _starts_near(geometry, P, samples, near, _NEAREST)]
+        if liked is not None and len(liked):
+            parts.append(_starts_near(geometry, P, liked, near, _POSITION_STARTS))
+        starts = np.concatenate(parts, axis=1)
         which = np.repeat(np.arange(len(P)), starts.shape[1])
         flat = starts.reshape(len(which), -1)
         each = [_to_position(geometry, P[which], flat, near, rounds) for rounds in (_PULL_ROUNDS, 0)]
@@ -86,14 +86,23 @@ def position_solutions(geometry: Geometry, position_M: Array, limits: Array, nea
     return _stacked(found, len(near))
 
 
-# -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _samples(limits: Array, near: Array, seed: int) -> Array:
-    """Configurations within limits, each joint within half a turn of ``near`` or of what the limits leave of it."""
+def sampled_configurations(limits: Array, near: Array, seed: int) -> Array:
+    """Configurations (m, N) [rad] within limits (N, 2), within half a turn of ``near`` where the limits allow."""
     middle = np.clip(near, limits[:, 0] + np.pi, limits[:, 1] - np.pi)
     low, high = np.maximum(limits[:, 0], middle - np.pi), np.minimum(limits[:, 1], middle + np.pi)
     return np.random.default_rng([seed, 0x7A6]).uniform(low, high, size=(_SAMPLES, len(low)))
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _starts_near(geometry: Geometry, position_M: Array, table: Array, near: Array, among: int) -> Array:
+    """Of the ``among`` entries of a table with the SMR nearest to each of n positions those nearest to ``near``."""
+    at, _ = _positions(geometry, table)
+    _, rows = cKDTree(at).query(position_M, k=min(among, len(table)))
+    rows = rows.reshape(len(position_M), -1)
+    order = np.argsort(np.abs(table[rows] - near).max(axis=2), axis=1, kind="stable")[:, :_POSITION_STARTS]
+    return np.asarray(table[np.take_along_axis(rows, order, axis=1)])
 
 
 def _positions(geometry: Geometry, samples: Array) -> tuple[Array, float]:

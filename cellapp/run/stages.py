@@ -449,6 +449,9 @@ def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:
         notes.append(
             f"the discovery is out of date ({reason}): {CALIBRATION_FILE} {kept}; run 'cellapp discover {run.folder}'"
         )
+    if LOCATE in stages.out_of_date:
+        reason = stages.out_of_date[LOCATE]
+        notes.append(f"the tracker's station is out of date ({reason}); run 'cellapp locate {run.folder}'")
     if VERIFY in stages.out_of_date:
         notes.append(f"the verification is out of date ({stages.out_of_date[VERIFY]})")
     for note in notes:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cellapp.run import RunFile
     from cellapp.tui.dialogs.correct_program import CorrectRequest
     from cellapp.tui.dialogs.export_arms import ExportRequest
+    from cellapp.tui.dialogs.locate_tracker import LocateRequest
 
 
 VERIFY = "verify"
@@ -226,6 +227,21 @@ def push(
     return _on_run(VERIFY if verify else "push", folder, work, moves=True)
 
 
+def locate(folder: Path, request: LocateRequest) -> Job:
+    """Measure where the tracker stands after it was moved."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.locate_verb import locate_run, typed_pose
+
+        rough, simulated = (
+            None if text is None else typed_pose(text, "locate")
+            for text in (request.tracker_pose, request.simulated_pose)
+        )
+        return locate_run(run, request.points, listener, control, tracker_pose=rough, simulated_pose=simulated, ask=ask)
+
+    return _on_run("locate", folder, work, moves=True)
+
+
 def report(folder: Path) -> Job:
     """Write the page of the run."""
 
@@ -241,9 +257,9 @@ def export_arms(folder: Path, request: ExportRequest) -> Job:
     """Write the calibrated arms for another program."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.exports.run_export import export_arms_run
+        from cellapp.exports.run_export import export_as_run
 
-        return export_arms_run(run, request.format_name, request.out, request.arm, request.stage_name)
+        return export_as_run(run, request.format_name, request.out, request.arm, request.stage_name)
 
     return _of_run("export", folder, work)
 
