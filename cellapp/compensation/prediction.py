@@ -171,9 +171,7 @@ def _judged(spread: Spread, noise: Array, tolerances_mm: Sequence[float | None])
     return [
         Prediction(
             uncertainty_mm=float(whole[k]),
-            parts=UncertaintyParts(
-                **{name: float(value[k]) for name, value in parts.items()}, noise=float(noise_mm[k])
-            ),
+            parts=UncertaintyParts(**{name: float(value[k]) for name, value in parts.items()}),
             within_mm=float(within[k]) * 1e3,
             unknown=(),
             offered_approach=None,

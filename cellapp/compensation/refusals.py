@@ -18,7 +18,7 @@ _ROUNDS = 25
 _TAKES_PART = 0.3
 """Share of a joint in the motion that leaves the SMR where it is from which it is named."""
 _SAME_POSE = 1e-6
-"""An arm that comes this near [m, rad] to a pose reaches it, if not with the structure of its closed form."""
+"""An arm that comes this near [m, rad] to a pose reaches it, though no start of the search did."""
 
 
 def refusal(
@@ -53,8 +53,6 @@ def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home:
     """How far each of n poses that an arm does not reach is from the nearest one that it does, in words."""
     if not len(position_M):
         return []
-    if not (np.isfinite(position_M).all() and len(position_M)):
-        return ["its position is not a number"] * len(position_M)
     free = np.isnan(rotation_M[:, 0, 0])
     wanted = np.where(free[:, None, None], np.eye(3), rotation_M)
     solved = solve_pose(geometry, position_M, wanted, np.tile(home, (len(wanted), 1)), max_iterations=_ROUNDS)
@@ -63,7 +61,7 @@ def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home:
         if any_rotation:
             words.append("out of reach with any rotation")
         elif off_m < _SAME_POSE and off_rad < _SAME_POSE:
-            words.append("out of reach within the joint limits")
+            words.append("no posture was found that reaches it")
         else:
             words.append(
                 f"out of reach: the nearest pose is {off_m * 1e3:.1f} mm and {np.degrees(off_rad):.1f} deg off"
