@@ -9,6 +9,7 @@ import numpy as np
 from cellapp.compensation.choice import LARGEST_CORRECTION, Branches, Chosen
 from cellapp.kinematics.chain import Geometry
 from cellapp.kinematics.inverse import errors_and_jacobian, solve_pose
+from cellapp.kinematics.sampled_inverse import missed_distances
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.safety.gate import CellBodies, refuse_stop
@@ -57,9 +58,10 @@ def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home:
     wanted = np.where(free[:, None, None], np.eye(3), rotation_M)
     solved = solve_pose(geometry, position_M, wanted, np.tile(home, (len(wanted), 1)), max_iterations=_ROUNDS)
     words = []
-    for off_m, off_rad, any_rotation in zip(solved.position_error, solved.rotation_error, free, strict=True):
+    nearest = np.where(free, missed_distances(geometry, position_M, home), solved.position_error)
+    for off_m, off_rad, any_rotation in zip(nearest, solved.rotation_error, free, strict=True):
         if any_rotation:
-            words.append("out of reach with any rotation")
+            words.append(f"out of reach with any rotation: the SMR comes within {off_m * 1e3:.1f} mm")
         elif off_m < _SAME_POSE and off_rad < _SAME_POSE:
             words.append("no posture was found that reaches it")
         else:

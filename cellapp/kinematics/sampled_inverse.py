@@ -31,8 +31,9 @@ _SAME = 1e-5
 _PULL, _PULL_ROUNDS, _CLOSE_ROUNDS = 0.3, 40, 8
 """Share of the way to the preferred configuration that each iteration goes within the positions' null space, the
 iterations with it, and those after it that close the position error."""
-_DAMPING = 1e-9
-"""Least damping of a position step [m^2], far below the squared levers of an arm."""
+_DAMPING, _MOST_DAMPING, _DAMPING_SHARE = 1e-9, 1e-2, 1e-2
+"""Damping of a position step: its limits [m^2], the lower far below the squared levers of an arm, and its size per
+squared error, as in ``solve_pose``."""
 _REACHED_M = 1e-9
 """Position error of a solution."""
 _LARGEST_STEP = 0.5
@@ -81,9 +82,17 @@ def position_solutions(
         starts = np.concatenate(parts, axis=1)
         which = np.repeat(np.arange(len(P)), starts.shape[1])
         flat = starts.reshape(len(which), -1)
-        each = [_to_position(geometry, P[which], flat, near, rounds) for rounds in (_PULL_ROUNDS, 0)]
-        found.append(_distinct(np.concatenate([one.reshape(starts.shape) for one in each], axis=1)))
+        each = []
+        for rounds in (_PULL_ROUNDS, 0):
+            q, off = _to_position(geometry, P[which], flat, near, rounds)
+            each.append(np.where(off[:, None] < _REACHED_M, _around(q, near), np.nan).reshape(starts.shape))
+        found.append(_distinct(np.concatenate(each, axis=1)))
     return _stacked(found, len(near))
+
+
+def missed_distances(geometry: Geometry, position_M: Array, start: Array) -> Array:
+    """How near (n,) [m] the SMR comes to positions (n, 3) with any rotation, from one configuration (N,) [rad]."""
+    return _to_position(geometry, position_M, np.tile(start, (len(position_M), 1)), start, 0)[1]
 
 
 def sampled_configurations(limits: Array, near: Array, seed: int) -> Array:
@@ -112,10 +121,12 @@ def _positions(geometry: Geometry, samples: Array) -> tuple[Array, float]:
     return at, max(float(np.linalg.norm(at.std(axis=0))), 1e-9)
 
 
-def _to_position(geometry: Geometry, position_M: Array, start: Array, near: Array, pull_rounds: int) -> Array:
-    """Least motions (n, N) [rad] from starts to positions, ``pull_rounds`` iterations of them with a pull to ``near``.
+def _to_position(
+    geometry: Geometry, position_M: Array, start: Array, near: Array, pull_rounds: int
+) -> tuple[Array, Array]:
+    """Least motions from starts to positions, ``pull_rounds`` iterations of them with a pull to ``near``.
 
-    NaN where the position is not reached.
+    Returns joint positions (n, N) [rad] and their distances (n,) [m] from the positions.
     """
     q = start
     for k in range(pull_rounds + _CLOSE_ROUNDS * (1 if pull_rounds else 4)):
@@ -125,13 +136,13 @@ def _to_position(geometry: Geometry, position_M: Array, start: Array, near: Arra
         J = np.cross(axes, P - origins[:-1]).transpose(1, 2, 0)
         pull = _PULL * (near - q) if k < pull_rounds else np.zeros_like(q)
         error = position_M - P - np.einsum("nij,nj->ni", J, pull)  # so that the pull stays within the null space
-        A = J @ J.transpose(0, 2, 1) + _DAMPING * np.eye(3)
+        damping = np.clip(_DAMPING_SHARE * np.einsum("ni,ni->n", error, error), _DAMPING, _MOST_DAMPING)
+        A = J @ J.transpose(0, 2, 1) + damping[:, None, None] * np.eye(3)
         step = pull + np.einsum("nij,ni->nj", J, np.linalg.solve(A, error[:, :, None])[:, :, 0])
         largest = np.maximum(np.abs(step).max(axis=1), 1e-12)
         q = q + step * np.minimum(1.0, _LARGEST_STEP / largest)[:, None]
     rotations, origins = flange_poses(geometry, q)
-    off = np.linalg.norm(position_M - origins - rotations @ geometry.tool, axis=1)
-    return np.where(off[:, None] < _REACHED_M, _around(q, near), np.nan)
+    return q, np.linalg.norm(position_M - origins - rotations @ geometry.tool, axis=1)
 
 
 def _around(q: Array, near: Array) -> Array:
