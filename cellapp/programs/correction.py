@@ -28,7 +28,7 @@ READING_EFFECTS = frozenset(
 )
 """Effects of the measurement: they move the reading or the reflector, not the flange."""
 _STARTS = 48
-"""Random starts of the inverse for each pose of a chain without a closed form: a six-joint arm has 16 solutions at most."""
+"""Random starts of the inverse for each pose of a chain without a closed form: six joints have at most 16 solutions."""
 _ROUNDS = 12
 """Fixed-point rounds of aiming: each gains two decades, since what the model adds to its chain varies slowly."""
 _SAME = 1e-10
