@@ -47,7 +47,8 @@ def refusal(
         of = f"arm {name}: " if len(branches) > 1 else ""
         if words := _singular(arms[name], best[name], found.q[row], reached=bool(found.reached[row])):
             return of + words
-    return refuse_stop(cell, {**homes, **{name: found.q[row] for name, found in chosen.compensated.items()}})
+    solved = {name: found.q[row] for name, found in chosen.compensated.items()}
+    return refuse_stop(cell, {**homes, **solved}) or "the gate does not admit it"
 
 
 def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home: Array) -> list[str]:
