@@ -56,7 +56,7 @@ def export_arms_run(
     chosen = {name: export for name, export in exports.items() if arm in (None, name)}
     files = _files(out, list(chosen))
     texts = {files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()}
-    stale = stages.stale_model()
+    stale = stages.stale_arms()
     notes = (*([f"the model was used although {stale}"] if stale else []), *_rigid_notes(run, stages, chosen))
     write_new(texts)
     return ExportResult(

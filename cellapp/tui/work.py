@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cellapp.run import RunFile
     from cellapp.tui.dialogs.correct_program import CorrectRequest
     from cellapp.tui.dialogs.export_arms import ExportRequest
+    from cellapp.tui.dialogs.locate_tracker import LocateRequest
 
 
 VERIFY = "verify"
@@ -224,6 +225,25 @@ def push(
         )
 
     return _on_run(VERIFY if verify else "push", folder, work, moves=True)
+
+
+def locate(folder: Path, request: LocateRequest) -> Job:
+    """Measure a few points from where the tracker stands now, so that the calibration holds from there."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.locate_verb import locate_run
+
+        return locate_run(
+            run,
+            request.points,
+            listener,
+            control,
+            tracker_pose=request.tracker_pose,
+            simulated_pose=request.simulated_pose,
+            ask=ask,
+        )
+
+    return _on_run("locate", folder, work, moves=True)
 
 
 def report(folder: Path) -> Job:

@@ -87,6 +87,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
 - **g** drives the arms there. **v** drives with the nominal and with the compensated command and measures both; its
   question takes how often each target is then corrected by measuring it. Each asks first; real arms ask again, with the
   first path.
+- **l** locates a tracker that was moved after the readings were taken: a few points, and the calibration holds again.
 - **c** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true poses.
 - *tol.* is how far the SMR may be from the target. *state* says whether that is met: predicted from the uncertainty of
   the model (in, out, cannot say), or measured; or why the target is refused. *95 %* is the bound that a measured error
@@ -110,6 +111,7 @@ explains frames, conditions and verdicts.
         Binding("i", "open_list", "Open", tooltip="open another list (YAML, CSV)"),
         Binding("w", "save", "Save", tooltip="save the list (YAML)"),
         Binding("c", "correct", "Program", tooltip="correct the targets of a UR program; nothing moves"),
+        Binding("l", "locate", "Locate", show=False, tooltip="the tracker was moved: measure a few points: ARMS MOVE"),
         Binding("a", "next_chart", "Next chart", show=False, tooltip="show the next chart of what was measured"),
         Binding("s", "attention", "Attention", show=False, tooltip="only targets that need attention, or all"),
         Binding("t", "next_tab", "Next tab"),
@@ -289,6 +291,10 @@ explains frames, conditions and verdicts.
     def action_verify(self) -> None:
         """Ask, then drive to the targets and measure."""
         targets_jobs.ask_verify(self, self._edits.targets)
+
+    def action_locate(self) -> None:
+        """Ask, then measure where the tracker stands now."""
+        targets_jobs.ask_locate(self)
 
     def action_correct(self) -> None:
         """Ask for a program and where its corrected copy is written."""

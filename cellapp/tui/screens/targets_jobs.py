@@ -11,6 +11,7 @@ from cellapp.reporting.target_list import stale_model
 from cellapp.tui import work
 from cellapp.tui.dialogs.correct_program import CorrectProgram, CorrectRequest
 from cellapp.tui.dialogs.file_picker import FilePicker
+from cellapp.tui.dialogs.locate_tracker import LocateRequest, LocateTracker
 from cellapp.tui.dialogs.question import Answer, Choice
 from cellapp.tui.dialogs.verify_targets import VerifyTargets
 from cellapp.tui.offers import BEGIN, arms_words
@@ -55,6 +56,27 @@ def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
     measured = " with the nominal and the compensated command, measured by the tracker"
     text = _push_words(screen, targets, measured, stale)
     screen.app.push_screen(VerifyTargets(text, _STALE if stale else BEGIN), begin)
+
+
+def ask_locate(screen: DayScreen) -> None:
+    """Ask, then measure a few points from where the tracker stands now."""
+    folder, workspace = screen.open_folder(), screen.workspace
+    if folder is None:
+        return
+    if workspace.results is None or workspace.results.calibrate is None or workspace.profile is None:
+        screen.say(NOT_CALIBRATED, "warning")
+        return
+
+    def begin(request: LocateRequest | None) -> None:
+        if request is not None:
+            screen.start(work.locate(folder, request))
+
+    text = (
+        "For a tracker that was moved after the readings were taken: a few points of the arms, one arm after the other,"
+        f" and the calibration holds from where it stands now; {arms_words(workspace)}."
+    )
+    simulated = workspace.profile.tracker.driver.needs_plant
+    screen.app.push_screen(LocateTracker(text, BEGIN, simulated=simulated), begin)
 
 
 def ask_correct(screen: DayScreen) -> None:
