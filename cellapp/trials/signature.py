@@ -41,6 +41,9 @@ _EXACT = 1e-6
 _AS_GOOD = 1.1
 """Ratio of errors up to which few stops with the earlier calibration are as good as many without: base and tool, nine
 values from 30 stops, add some 5 % to the noise, whatever is known of the arm."""
+_STIFFNESS, _PLAY, _CURVE = (6e4, 3e4), 1e-4, 1e-4
+"""Hidden in the mix: stiffness of every joint of two arms in turn [Nm/rad], play and rms of the gears' curves [rad]; of
+the size that catalogues of strain-wave gears and measured arms of this class have."""
 _PLAN_SEED = 1000
 """Is added to the seed of the plan of the second calibration: its stops are others."""
 
@@ -135,14 +138,24 @@ def twin_trials(
     few: int = 30,
     many: int = 150,
     held_out: int = 120,
+    mix: bool = False,
     jobs: int = 1,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> SignatureResult:
-    """Simulated cells whose arms were mounted elsewhere. Raises ``InputError`` if the profile has no plant."""
+    """Simulated cells whose arms were mounted elsewhere; ``mix`` hides other effects than the profile's.
+
+    Raises
+    ------
+    InputError
+        If the profile has no plant.
+    Cancelled
+        On request.
+    """
     if profile.plant is None:
         raise InputError(f"profile {profile.name}: the trial needs a simulated cell, a section 'plant'")
-    tasks = [TwinTask(profile, seed, earlier, few, many, held_out) for seed in seeds]
+    cells = [with_mix(profile, seed) if mix else profile for seed in seeds]
+    tasks = [TwinTask(cell, seed, earlier, few, many, held_out) for cell, seed in zip(cells, seeds, strict=True)]
     draws: list[SignatureDraw] = []
     listener(Progress("signature", 0, len(tasks)))
     for done, found in enumerate(in_processes(twin_draws, tasks, jobs, cancel or CancelToken()), start=1):
@@ -155,8 +168,24 @@ def twin_trials(
     what = f"mean held-out error [mm] of {few} stops with the earlier calibration; {many} without: {many_mm:.4f}"
     bar = SignatureBar(what=what, most=_AS_GOOD * many_mm, reached=reached, met=reached <= _AS_GOOD * many_mm)
     return SignatureResult(
-        earlier_stops={profile.name: earlier}, lines=lines_of(draws), bars=(bar,), draws=tuple(draws)
+        earlier_stops={cells[0].name: earlier}, lines=lines_of(draws), bars=(bar,), draws=tuple(draws)
     )
+
+
+def with_mix(profile: Profile, seed: int) -> Profile:
+    """The profile with a mix of hidden effects of the arms themselves; curves are drawn by ``seed``."""
+    assert profile.plant is not None
+    hidden = {}
+    for place, (name, arm) in enumerate(profile.arms.items()):
+        count = len(arm.type.joints)
+        sag: dict[str, object] = {"stiffness": [_STIFFNESS[place % 2]] * count}
+        if place % 2:
+            hidden[name] = {"joint_compliance": sag, "backlash": {"play": [_PLAY] * count}}
+        else:
+            curves = {"joints": list(range(1, count)), "rms": [_CURVE] * (count - 1), "lowest": 2, "highest": 30}
+            hidden[name] = {"joint_compliance": sag, "transmission_error": {"mode": "curve", "seed": seed, **curves}}
+    plant = profile.plant.model_copy(update={"effects": hidden})
+    return profile.model_copy(update={"name": f"{profile.name}, mix", "plant": plant})
 
 
 def twin_draws(task: TwinTask) -> list[SignatureDraw]:
