@@ -62,8 +62,8 @@ def signature_sentences(result: SignatureResult) -> list[str]:
     earlier = ", ".join(f"{name}: {stops}" for name, stops in result.earlier_stops.items())
     said = [
         f"Earlier calibration from so many stops: {earlier}. Without: calibrate and discover on the new stops alone."
-        " With: calibrate with the earlier run as prior, then discover. Arm exact: the earlier values are kept, only base"
-        " and tool are identified. Errors on stops that were not learned from."
+        " With: calibrate with the earlier run as prior, then discover. Arm exact: the earlier values are kept, only"
+        " base and tool are identified. Errors on stops that were not learned from."
     ]
     return said + [
         f"{draw.cell}, {draw.stops} stops, seed {draw.seed}, arm {draw.arm}: {change}"
