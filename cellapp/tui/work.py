@@ -169,13 +169,13 @@ def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
     return _on_run("collect", folder, work, moves=True)
 
 
-def calibrate(folder: Path) -> Job:
-    """Identify arms and pair and evaluate them on held-out stops."""
+def calibrate(folder: Path, prior: Path | None = None) -> Job:
+    """Identify arms and pair and evaluate them on held-out stops; ``prior`` is the folder of an earlier run."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.pipeline import calibrate_run
 
-        return calibrate_run(run, listener, control)
+        return calibrate_run(run, listener, control, prior=prior)
 
     return _on_run("calibrate", folder, work)
 
