@@ -104,7 +104,7 @@ def test_a_path_is_run_through_by_its_arc_length() -> None:
     corner = np.abs(s[:-1] - path.stops[1]) < 1e-4  # cut off by a chord
     np.testing.assert_allclose(steps[~corner], path.length / 20_000, rtol=1e-3)
     assert path.length < 0.5  # the rounded corner is shorter
-    np.testing.assert_allclose(path.stops[1:-1], path.begins[4:5])  # the second corner is not rounded
+    np.testing.assert_allclose(path.stops[1:-1], path.begins[3:4])  # the second corner is not rounded
 
 
 def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
