@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cellapp.run import RunFile
     from cellapp.tui.dialogs.correct_program import CorrectRequest
     from cellapp.tui.dialogs.export_arms import ExportRequest
+    from cellapp.tui.dialogs.follow_path import FollowRequest
 
 
 VERIFY = "verify"
@@ -212,6 +213,27 @@ def push(folder: Path, targets: Sequence[Target], *, verify: bool, out_of_date: 
         return push_run(run, targets, listener, control, verify=verify, out_of_date=out_of_date, ask=ask)
 
     return _on_run(VERIFY if verify else "push", folder, work, moves=True)
+
+
+def follow(folder: Path, request: FollowRequest) -> Job:
+    """Plan paths, and drive and measure them where that is asked for."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.path_verbs import follow_run
+        from cellapp.paths.path_file import load_paths
+
+        return follow_run(
+            run,
+            load_paths(request.paths, run.profile, request.arm),
+            listener,
+            control,
+            driving=request.driving,
+            out_of_date=request.out_of_date,
+            csv=request.csv,
+            ask=ask,
+        )
+
+    return _on_run("follow", folder, work, moves=request.driving != "plan")
 
 
 def report(folder: Path) -> Job:
