@@ -228,6 +228,7 @@ def follow(folder: Path, request: FollowRequest) -> Job:
             listener,
             control,
             driving=request.driving,
+            rehearse=request.rehearse,
             out_of_date=request.out_of_date,
             csv=request.csv,
             ask=ask,

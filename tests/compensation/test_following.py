@@ -105,6 +105,20 @@ def test_a_followed_path_is_as_good_as_one_measured_at_rest(run: RunFile, cells:
     assert result.complaints() == []
 
 
+def test_a_rehearsed_path_cuts_bends_less(run: RunFile) -> None:
+    plain, again = (
+        follow_run(run, [spec()], driving="drive", rehearse=rehearse).paths[0] for rehearse in (False, True)
+    )
+    assert plain.driven is not None
+    assert again.driven is not None
+    assert plain.driven.lag is not None
+    assert again.driven.lag is not None
+    assert (plain.driven.rehearsed, again.driven.rehearsed) == (False, True)
+    assert again.driven.lag.cut_mm < 0.6 * plain.driven.lag.cut_mm
+    with pytest.raises(InputError, match="a rehearsal moves the arms"):
+        follow_run(run, [spec()], rehearse=True)
+
+
 def test_without_its_plays_the_path_would_be_worse(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.paths.joint_path._approach", lambda s, turns, crossings: np.zeros((len(s), 6)))
     (path,) = follow_run(run, [spec()], driving="verify").paths

@@ -29,6 +29,7 @@ class FollowRequest:
     arm: str | None
     driving: Driving
     csv: Path | None
+    rehearse: bool = False
     out_of_date: bool = False
 
 
@@ -69,6 +70,7 @@ class FollowPath(WriteQuestion[FollowRequest]):
             yield Input(id="csv", compact=True, placeholder="CSV file to write; may be empty")
         yield Checkbox(f"drive: {self._words}", id="drive", compact=True)
         yield Checkbox("drive and measure: how far the SMR is from the path", id="verify", compact=True)
+        yield Checkbox("rehearse: drive once before, correct by how the joints lag", id="rehearse", compact=True)
         if self._stale:
             yield Static(f"The model is not up to date: {self._stale}.", classes="text", markup=False)
         note = f"Without a mark nothing moves. {self.closing_key} closes; real arms ask again before the first motion."
@@ -84,10 +86,12 @@ class FollowPath(WriteQuestion[FollowRequest]):
     def action_write(self) -> None:
         """Close with the request; the verb judges it."""
         paths, arm, csv = (self.query_one(f"#{name}", Input).value.strip() for name in ("path", "arm", "csv"))
-        drive, verify = (self.query_one(f"#{name}", Checkbox).value for name in ("drive", "verify"))
+        marks = (self.query_one(f"#{name}", Checkbox).value for name in ("drive", "verify", "rehearse"))
+        drive, verify, rehearse = marks
         if not paths:
             self.query_one("#path").focus()
             return
         driving: Driving = "verify" if verify else "drive" if drive else "plan"
         written = Path(csv).expanduser() if csv else None
-        self.dismiss(FollowRequest(Path(paths).expanduser(), arm or None, driving, written, bool(self._stale)))
+        request = FollowRequest(Path(paths).expanduser(), arm or None, driving, written, rehearse, bool(self._stale))
+        self.dismiss(request)
