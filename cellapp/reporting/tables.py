@@ -34,7 +34,7 @@ _DETAILED_COLUMNS = (
     number_column("n", "d"),
 )
 _TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
-_PAIRS = "cooperative (distance of both SMRs)"
+_PAIRS = "between arms"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 

@@ -254,7 +254,7 @@ def test_tables_of_measurements() -> None:
     assert "tolerance met" in arm.headings
     assert arm.text_rows()[0][:2] == ("1", "one")
     summary, tolerances = verification_tables(VERIFIED)
-    assert summary.rows[-1][0] == "cooperative (distance of both SMRs), compensated"
+    assert summary.rows[-1][0] == "between arms, compensated"
     assert [row[0] for row in tolerances.rows] == ["one", "both", "both"]
 
 
