@@ -73,7 +73,7 @@ from cellapp.run.stages import (
 from cellapp.run.stored_model import model_of, stage_in_force
 from cellapp.signature.calibrate import with_prior
 from cellapp.signature.discovery import SearchWithPriors
-from cellapp.signature.source import basis_of_priors, earlier_arms, earlier_of_calibration
+from cellapp.signature.source import basis_of_priors, earlier_arms, earlier_of_calibration, recorded_priors
 
 R = TypeVar("R", bound=RunResults)
 
@@ -238,6 +238,11 @@ def calibrate_run(
         calibration = calibrate_readings(run.profile, readings, with_eta(listener), cancel)
         if earlier:
             calibration = with_prior(run.profile, readings, calibration, earlier)
+        elif used := {record.run for record in recorded_priors(run).values()}:
+            notes = (
+                *notes,
+                f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before",
+            )
     result = calibrate_result(replace(calibration, notes=(*notes, *calibration.notes)))
     basis = basis_of(run).model_copy(update={"priors": basis_of_priors(earlier)})
     _append_with_model(run, CALIBRATE, result, calibration.model, basis)

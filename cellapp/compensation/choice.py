@@ -118,28 +118,42 @@ def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, 
     pick = list(product(*(range(one.q.shape[1]) for one in branches.values())))
     places = {name: np.array([entry[k] for entry in pick]) for k, name in enumerate(branches)}
     nominal = {name: np.full((n, one.q.shape[2]), np.nan) for name, one in branches.items()}
-    found = {name: _unsolved(q) for name, q in nominal.items()}
-    accepted = np.zeros(n, dtype=bool)
+    chosen = Chosen(np.zeros(n, dtype=bool), nominal, {name: _unsolved(q) for name, q in nominal.items()})
     for attempt in range(int(count.max(initial=0))):
-        rows = np.flatnonzero(~accepted & (count > attempt))
+        rows = np.flatnonzero(~chosen.accepted & (count > attempt))
         if not len(rows):
             break
-        combination = order[rows, attempt]
-        q = {name: one.q[rows, places[name][combination]] for name, one in branches.items()}
+        q = {name: one.q[rows, places[name][order[rows, attempt]]] for name, one in branches.items()}
         admitted = clear_with_others(cell, homes, q)
+        if attempt == 0:
+            _keep_nominal(chosen, rows, q)
+        rows, q = rows[admitted], {name: one[admitted] for name, one in q.items()}
+        if not len(rows):
+            continue
         solved = solve(rows, q)
-        for one, start in zip(solved.values(), q.values(), strict=True):
-            admitted &= one.reached & (np.abs(one.q - start).max(axis=1) <= LARGEST_CORRECTION)
-        keep = admitted.copy()
-        keep[admitted] = clear_with_others(cell, homes, {name: one.q[admitted] for name, one in solved.items()})
-        accepted[rows[keep]] = True
-        kept = keep | (attempt == 0)
+        good = _good(cell, homes, q, solved)
+        kept = np.ones(len(rows), dtype=bool) if attempt == 0 else good
+        _keep_nominal(chosen, rows[kept], {name: one[kept] for name, one in q.items()})
         for name, one in solved.items():
-            nominal[name][rows[kept]] = q[name][kept]
-            found[name].q[rows[kept]] = one.q[kept]
-            found[name].residual_m[rows[kept]] = one.residual_m[kept]
-            found[name].residual_rad[rows[kept]] = one.residual_rad[kept]
-    return Chosen(accepted, nominal, found)
+            chosen.compensated[name].put(rows[kept], one, kept)
+        chosen.accepted[rows[good]] = True
+    return chosen
+
+
+def _keep_nominal(chosen: Chosen, rows: NDArray[np.intp], q: Positions) -> None:
+    for name, one in q.items():
+        chosen.nominal[name][rows] = one
+
+
+def _good(
+    cell: CellBodies, homes: Mapping[str, Array], nominal: Positions, solved: Mapping[str, Inverted]
+) -> NDArray[np.bool_]:
+    """Whether calibrated solutions of all arms of n targets are met, near the nominal ones and admitted, (n,) bool."""
+    good = np.ones(len(next(iter(nominal.values()))), dtype=bool)
+    for name, one in solved.items():
+        good &= one.reached & (np.abs(one.q - nominal[name]).max(axis=1) <= LARGEST_CORRECTION)
+    good[good] = clear_with_others(cell, homes, {name: one.q[good] for name, one in solved.items()})
+    return good
 
 
 def _unsolved(nominal: Array) -> Inverted:

@@ -69,7 +69,8 @@ def predictions(
         covariance = sum((one.covariance for one in unknown), np.zeros_like(spread.network))
         spread = replace(spread, conditions=covariance)
         sides = _offered(unknown, here, home)
-        judged = _judged(spread, arm.posterior.noise_m, tolerances_mm[begin : begin + _AT_ONCE])
+        noise = _noise(arm, here, stated, ranges)
+        judged = _judged(spread, noise, tolerances_mm[begin : begin + _AT_ONCE])
         found += [
             replace(one, unknown=unknown_records(unknown, k), offered_approach=sides[k]) for k, one in enumerate(judged)
         ]
@@ -153,16 +154,24 @@ def _offered(unknown: Sequence[OneUnknown], q: Array, home: Array) -> list[tuple
     return [None] * len(q)
 
 
-def _judged(spread: Spread, noise_m: float, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
+def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
+    """Covariance (n, 3, 3) [m^2] of a measurement at ``q``."""
+    assert arm.posterior is not None
+    if ranges.noise is None:
+        return np.tile(arm.posterior.noise_m**2 * np.eye(3), (len(q), 1, 1))
+    return ranges.noise.covariance(arm.predict(q, conditions=conditions), arm.posterior.noise_m)
+
+
+def _judged(spread: Spread, noise: Array, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
     """Predictions in mm from covariances."""
     low, high = (bound * 1e3 for bound in length_bounds(spread.whole))
-    _, within = length_bounds(spread.of_model + noise_m**2 * np.eye(3))
+    _, within = length_bounds(spread.of_model + noise)
     parts = {name: _coordinate_mm(value) for name, value in vars(spread).items()}
-    whole = _coordinate_mm(spread.whole)
+    parts["noise"], whole = _coordinate_mm(noise), _coordinate_mm(spread.whole)
     return [
         Prediction(
             uncertainty_mm=float(whole[k]),
-            parts=UncertaintyParts(**{name: float(value[k]) for name, value in parts.items()}, noise=noise_m * 1e3),
+            parts=UncertaintyParts(**{name: float(value[k]) for name, value in parts.items()}),
             within_mm=float(within[k]) * 1e3,
             unknown=(),
             offered_approach=None,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.calibration.measurement_conditions import measurement_conditions
+from cellapp.compensation.measuring_noise import MeasuringNoise
 from cellapp.effects import TemperatureRecord
 from cellapp.kinematics.transforms import Array
 from cellapp.run import Readings
@@ -34,6 +35,8 @@ class ConditionRanges:
         Readings in the order of measurement.
     record : TemperatureRecord or None
         Of the whole run, which effects with a lag follow.
+    noise : MeasuringNoise or None
+        What the tracker stated.
     """
 
     q: Array | None = None
@@ -45,6 +48,7 @@ class ConditionRanges:
     joints_c: Array | None = None
     stops: int = 0
     record: TemperatureRecord | None = None
+    noise: MeasuringNoise | None = None
 
     @classmethod
     def of(cls, readings: Readings) -> ConditionRanges:
@@ -65,6 +69,7 @@ class ConditionRanges:
             else np.stack([joints_c.min(axis=0), joints_c.max(axis=0)]),
             stops=len(readings),
             record=known.record,
+            noise=MeasuringNoise.of(readings),
         )
 
     def nearest_measured(self, q: Array) -> Array:

@@ -13,6 +13,7 @@ from cellapp.reporting.target_words import Measured, arms_words, shown_tolerance
 from cellapp.results import (
     CALIBRATE,
     DISCOVER,
+    LOCATE,
     MeasuredPair,
     MeasuredTarget,
     RunResults,
@@ -135,7 +136,11 @@ def target_words(target: Target, results: RunResults | None) -> str:
 
 def stale_model(results: RunResults) -> str:
     """Why the model in force should not be used as it is; empty if it holds."""
-    outdated = [name for name in (CALIBRATE, DISCOVER) if name in results.out_of_date]
+    located = results.locate
+    if located is not None and located.verdict != "located":
+        return "no motion of the tracker explains the points of the last 'locate'"
+    asked = (CALIBRATE, DISCOVER, LOCATE) if located is not None and located.moved else (CALIBRATE, DISCOVER)
+    outdated = [name for name in asked if name in results.out_of_date]
     return "; ".join(f"'{name}' is out of date ({results.out_of_date[name]})" for name in outdated)
 
 

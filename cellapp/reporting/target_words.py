@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.reporting.verification_text import verification_lines
 from cellapp.results import CompensateResult, MeasuredPair, MeasuredTarget, TargetCommand, VerifyResult
 
 PART_WORDS: Mapping[str, str] = {
@@ -206,9 +205,27 @@ def verify_summary(verify: VerifyResult) -> list[str]:
     message = verify_message(verify)
     return [
         *([message] if message else []),
-        *verification_lines(verify),
+        *rounds_words(verify),
         *promise_words(verify),
+        *([verify.stopped] if verify.stopped else []),
     ]
+
+
+def rounds_words(verify: VerifyResult) -> list[str]:
+    """How far the model alone came, and what correcting by measuring left; empty without corrections."""
+    lines = []
+    for measured, what in ((verify.targets, ""), (verify.pairs, ", of the distance of both SMRs")):
+        corrected = [one for one in measured if len(one.rounds_mm) > 1]
+        if corrected:
+            alone = np.mean([one.rounds_mm[0] for one in corrected])
+            last = np.mean([mm for one in corrected if (mm := one.final_mm) is not None])
+            rounds = max(len(one.rounds_mm) for one in corrected) - 1
+            times = "1 correction" if rounds == 1 else f"up to {rounds} corrections"
+            lines.append(
+                f"the model alone came to {alone:.4f} mm in the mean{what};"
+                f" {times} by measuring brought it to {last:.4f} mm ({len(corrected)} targets)"
+            )
+    return lines
 
 
 def promise_words(verify: VerifyResult) -> list[str]:

@@ -78,6 +78,15 @@ def with_left(profile: Profile, **changes: Any) -> Profile:
     return profile.model_copy(update={"arms": {**profile.arms, "left": left}})
 
 
+def swap_splits(run: RunFile) -> None:
+    """Let one reading of each arm validate that identified, and the other way round."""
+    for name in run.profile.arms:
+        words = list(run.readings(name).split or ())
+        one, other = words.index("identify"), words.index("validate")
+        words[one], words[other] = "validate", "identify"
+        run.assign_splits(name, words)
+
+
 def test_four_points_find_the_station_within_its_stated_uncertainty(moved_run: tuple[RunFile, LocateResult]) -> None:
     run, found = moved_run
     assert (found.verdict, found.moved, found.complaints()) == ("located", True, [])
@@ -160,11 +169,7 @@ def test_verification_and_commands_of_the_old_station_are_out_of_date(run: RunFi
 def test_another_calibration_asks_for_another_location(run: RunFile) -> None:
     kicked = away(run.profile.tracker.pose, (0.02, 0.0, 0.0), (0.0, 0.0, 0.0))
     locate_run(run, simulated_pose=kicked)
-    for name in run.profile.arms:
-        words = list(run.readings(name).split or ())
-        one, other = words.index("identify"), words.index("validate")
-        words[one], words[other] = "validate", "identify"
-        run.assign_splits(name, words)
+    swap_splits(run)
     notes = calibrate_run(run).notes
     assert any(note.startswith("the tracker's station is out of date") for note in notes)
     stages = read_stages(run)
@@ -295,3 +300,14 @@ def test_compensation_states_more_uncertainty_than_before(moved_run: tuple[RunFi
     q = run.readings("left").q[:20]
     assert new.arms["left"].uncertainty(q).mean() > 1.1 * old.arms["left"].uncertainty(q).mean()
     assert any(target.uncertainty_mm for target in compensate_run(run, SOME).targets)
+
+
+def test_programs_and_exports_do_not_ask_where_the_tracker_stands(run: RunFile) -> None:
+    """They are in the frame of an arm's own base: only the arms must be as they were calibrated."""
+    locate_run(run, simulated_pose=away(run.profile.tracker.pose, (0.02, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    swap_splits(run)
+    calibrate_run(run)
+    discover_run(run)
+    stages = read_stages(run)
+    assert stages.stale_arms() == ""
+    assert stages.stale_model() == stages.stale_station() != ""

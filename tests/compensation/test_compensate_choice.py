@@ -13,7 +13,7 @@ from cellapp.compensation.compensate import Command, compensate, compensate_resu
 from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.targets import Partner, Target, WorkingConditions, load_targets
 from cellapp.effects import EFFECTS, EffectTerm
-from cellapp.kinematics.chain import smr_positions
+from cellapp.kinematics.chain import Geometry, flange_poses, frame_poses, smr_positions
 from cellapp.kinematics.transforms import rotation_zyx
 from cellapp.model import CellModel
 from cellapp.profile import Profile
@@ -224,10 +224,7 @@ def test_reasons_name_joints_and_sizes(run: RunFile, model: CellModel) -> None:
     assert compensate(run.profile, model, []) == ()
 
 
-def rotation_of(geometry: object, q: np.ndarray) -> np.ndarray:
-    from cellapp.kinematics.chain import Geometry, flange_poses
-
-    assert isinstance(geometry, Geometry)
+def rotation_of(geometry: Geometry, q: np.ndarray) -> np.ndarray:
     return np.asarray(flange_poses(geometry, q[None])[0][0])
 
 
@@ -278,3 +275,29 @@ def test_nominal_and_compensated_commands_are_of_the_same_branch(run: RunFile, m
         np.testing.assert_allclose(rotation_of(nominal, command.q_nominal), wanted, atol=1e-9)
         assert command.branches is not None
         assert 1 <= command.branches <= 8
+
+
+@pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.0), None], ids=["pose", "position"])
+def test_out_of_reach_by_how_much(run: RunFile, model: CellModel, rpy: tuple[float, float, float] | None) -> None:
+    """A position three times as far from the shoulder as a stretched arm is."""
+    nominal = model.arms["left"].nominal
+    q = np.array([[0.3, -0.7, 1e-9, -1.5, 1.1, 0.4]])
+    _, origins = frame_poses(nominal, q)
+    smr = smr_positions(nominal, q)[0]
+    outwards = smr - origins[1, 0]
+    far = nominal.T_M_B()
+    position = np.linalg.inv(far) @ np.append(smr + 2.0 * outwards, 1.0)
+    target = Target(name="far", arm="left", position=tuple(position[:3].tolist()), rpy=rpy)
+    (command,) = compensate(run.profile, model, [target])
+    missed_mm = float(command.refusal.split(" mm")[0].split()[-1])
+    assert command.refusal.startswith("out of reach")
+    shortest = 1e3 * (3.0 * np.linalg.norm(outwards) - longest_reach(nominal))
+    assert shortest - 1.0 < missed_mm
+    if rpy is None:
+        assert missed_mm < 1e3 * 2.0 * np.linalg.norm(outwards) + 1.0
+
+
+def longest_reach(geometry: Geometry) -> float:
+    """Upper bound on the distance of the SMR from the shoulder [m]: the length of the chain beyond it."""
+    lengths = np.hypot(geometry.rows[1:, 1], geometry.rows[1:, 2])
+    return float(lengths.sum() + np.linalg.norm(geometry.tool))

@@ -216,5 +216,5 @@ def test_a_yaml_file_gives_a_csv_file_work_frames_and_conditions(path: Path) -> 
     with pytest.raises(InputError, match=r"targets.csv:2: target 'one': no frame 'table'"):
         load_targets(yaml, PROFILE)
     yaml.write_text(head.replace("targets.csv", "targets.txt"))
-    with pytest.raises(InputError, match=r"job.yaml:3: targets: expected a list or a CSV file, got 'targets.txt'"):
+    with pytest.raises(InputError, match=r"job.yaml:3: targets: expected a list, got 'targets.txt'"):
         load_targets(yaml, PROFILE)

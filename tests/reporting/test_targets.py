@@ -154,7 +154,7 @@ def test_a_verification_is_one_sentence_and_what_needs_more() -> None:
         " distance of both SMRs 2.00 -> 0.060 mm at 1 cooperative targets"
     )
     text = "\n".join(verify_lines(VERIFIED))
-    assert "arm left: mean error with the model alone 0.123 mm, corrected 0.123 mm" in text
+    assert "the model alone came to 0.0500 mm in the mean; 1 correction by measuring brought it to 0.0200 mm" in text
     assert "1 of 2 measured errors are within the predicted 95 % bound" in text
     assert "target far: out of reach" in text
 

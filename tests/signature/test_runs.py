@@ -95,7 +95,8 @@ def test_a_chain_of_earlier_runs_holds_until_one_changes(copies: dict[str, Path]
         calibrate_run(run, prior=second)
         assert not read_stages(run).out_of_date
         with RunFile.open(second, write=True) as earlier:
-            calibrate_run(earlier)  # alone: another model
+            alone = calibrate_run(earlier)  # another model
+        assert any("which was its prior before" in note for note in alone.notes)
         assert "has changed since" in read_stages(run).out_of_date["calibrate"]
         with pytest.raises(InputError, match="has changed since; run 'cellapp calibrate"):
             discover_run(run)
@@ -109,7 +110,7 @@ def test_discovery_keeps_what_was_carried_over(copies: dict[str, Path]) -> None:
         model = model_of(run, stage_in_force(run, stages)).arms["left"]
         assert stages.current["discover"].basis is not None
         assert stages.current["discover"].basis.priors
-    assert "carried over from" in result.arms["left"].sentence
+    assert "carried over: geometry" in result.arms["left"].sentence
     if not result.arms["left"].accepted:
         assert model.geometry.vector().tolist() == calibrated.geometry.vector().tolist()
 
