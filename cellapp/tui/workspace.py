@@ -22,6 +22,7 @@ _STEP_OF_VERB: Mapping[str, Step] = {
     "collect": "collect",
     "calibrate": "calibrate",
     "discover": "discover",
+    "locate": "targets",
     "compensate": "targets",
     "push": "targets",
     "verify": "targets",

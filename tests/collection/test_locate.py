@@ -13,6 +13,7 @@ import pytest
 
 from cellapp.collection import locate as locating
 from cellapp.collection.cell import Cell, open_cell
+from cellapp.collection.locating_stops import LocatingStops
 from cellapp.compensation.targets import load_targets
 from cellapp.control import JobControl, Stopped
 from cellapp.errors import HardwareError, InputError
@@ -115,8 +116,9 @@ def test_targets_are_met_from_the_new_station_as_before(moved_run: tuple[RunFile
     stages = read_stages(run)
     assert stages.stale_model() == ""
     assert stages.in_force == stages.current[LOCATE]
-    assert stages.current[VERIFY].basis is not None
-    assert list(stages.current[VERIFY].basis.stages) == [LOCATE]
+    verified = stages.current[VERIFY].basis
+    assert verified is not None
+    assert list(verified.stages) == [LOCATE]
     assert run_overview(run).next_verb == "report"
     assert "Station of the tracker" in Path(report_run(run).page).read_text("utf-8")
 
@@ -229,7 +231,7 @@ def test_a_remounted_smr_is_named(run: RunFile, monkeypatch: pytest.MonkeyPatch)
 
 def test_one_arm_only_locates_the_tracker_for_itself(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
     """The right SMR is covered: all points come from the left arm."""
-    monkeypatch.setattr(locating.LocatingStops, "best", _only("left", locating.LocatingStops.best), raising=True)
+    monkeypatch.setattr(LocatingStops, "best", _only("left", LocatingStops.best))
     kicked = away(run.profile.tracker.pose, (0.03, 0.0, 0.0), (0.0, 0.0, 0.01))
     found = locate_run(run, simulated_pose=kicked)
     assert (found.verdict, found.by_arm) == ("located", {"left": 4})
