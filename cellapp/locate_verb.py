@@ -9,6 +9,7 @@ import numpy as np
 
 from cellapp.calibration.station_location import FEWEST_POINTS, Cause, displacement_m, twist_columns
 from cellapp.collection.cell import Cell
+from cellapp.collection.collect import Opened
 from cellapp.collection.controllers import check_controllers
 from cellapp.collection.locate import LocatedStation, LocateTask, locate_station
 from cellapp.commissioning.confirm import Ask, confirmation
@@ -57,13 +58,14 @@ def locate_run(
     tracker_pose: Pose | None = None,
     simulated_pose: Pose | None = None,
     ask: Ask | None = None,
+    open_with: Opened | None = None,
 ) -> LocateResult:
     """Measure points of the arms from where the tracker stands now, and store the model in its frame.
 
     ``points`` are of all arms together. ``tracker_pose`` is where the tracker stands now in the cell frame, roughly; by
     default where it was located last, or where the profile says. ``simulated_pose`` moves the tracker of a simulated
     cell there first, for this job and those that follow in this run. ``ask`` is asked before the first motion of real
-    arms. If the points do not fit, the result says why and holds no model.
+    arms, ``open_with`` opens the cell. If the points do not fit, the result says why and holds no model.
 
     Raises
     ------
@@ -100,7 +102,7 @@ def locate_run(
             still_m=profile.collection.reference.drift,
         )
         confirm = confirmation(run.profile, ask)
-        found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened)
+        found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)
     result = _result(run.profile, task, found, (*notes, *found.notes))
     moved = relocated(model, found.fit.T_new_old, found.fit.twists) if found.explained else None
     _store(run, used, result, moved)
@@ -246,7 +248,7 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
             for one in found.found
         ),
         other_motions=tuple(_motion(cause) for cause in found.causes),
-        notes=(*notes, *_model_notes(task.model)),
+        notes=(*notes, *_frame_notes(moved=found.explained and moved_m > task.still_m), *_model_notes(task.model)),
     )
 
 
@@ -272,6 +274,15 @@ def _verdict(found: LocatedStation) -> LocateVerdict:
     if first is None:
         return "not explained"
     return "base moved" if first.kind == "base" else "smr moved"
+
+
+def _frame_notes(*, moved: bool) -> list[str]:
+    """What a person must do about targets that were given in the frame of the tracker."""
+    note = (
+        "targets and work frames in the tracker's frame are taken in its new frame from now on: measure or convert those"
+        " of the old one again"
+    )
+    return [note] if moved else []
 
 
 def _model_notes(model: CellModel) -> list[str]:

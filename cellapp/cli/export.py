@@ -11,7 +11,7 @@ from cellapp.cli.job import Job, open_run
 from cellapp.cli.options import JsonOption, RunFolder
 from cellapp.errors import InputError
 
-_FORMATS = "ur-calibration, ur-description, urdf, dh, dh-plain, poe or parameters."
+_FORMATS = "ur-calibration, ur-description, urdf, dh, dh-plain, poe, parameters; urdf-cell; urscript or commands."
 """For the help, which must not load the formats; a test compares them."""
 
 
@@ -42,7 +42,7 @@ def export(
     Importing the CSV again gives the same readings bit for bit, and so does planning from the plan.
     'cellapp docs exports' describes the formats.
     """
-    from cellapp.exports.run_export import export_arms_run, export_run
+    from cellapp.exports.run_export import export_as_run, export_run
     from cellapp.exports.words import export_lines
 
     with Job(json_file) as job, open_run(folder) as opened:
@@ -51,6 +51,6 @@ def export(
         elif form is None or out is None or any((csv, geometry, plan)):
             raise InputError("export: --as FORMAT and --out FILE belong together, without --csv, --plan and --geometry")
         else:
-            result = export_arms_run(opened, form, out, arm, stage)
+            result = export_as_run(opened, form, out, arm, stage)
         job.say(*export_lines(result))
         job.result(result)

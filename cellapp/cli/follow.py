@@ -21,6 +21,9 @@ def follow(
     verify: Annotated[
         bool, typer.Option("--verify", help="Let the arms follow the paths, and measure how far the SMR is from them.")
     ] = False,
+    rehearse: Annotated[
+        bool, typer.Option("--rehearse", help="Drive each path once before, and correct it by how the joints lag.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="CSV", help="Write the joint positions over time as CSV.")
     ] = None,
@@ -31,8 +34,8 @@ def follow(
     json_file: JsonOption = None,
 ) -> None:
     """Turn poses with speeds into joint paths of the calibrated model. Nothing moves without --drive or --verify."""
+    from cellapp.compensation.path_file import load_paths
     from cellapp.path_verbs import follow_run
-    from cellapp.paths.path_file import load_paths
     from cellapp.reporting.path_table import path_sentences, path_tables
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
@@ -44,6 +47,7 @@ def follow(
             job.listen,
             job.control,
             driving="verify" if verify else "drive" if drive else "plan",
+            rehearse=rehearse,
             out_of_date=out_of_date,
             csv=out,
             ask=ask,

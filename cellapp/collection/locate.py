@@ -26,6 +26,7 @@ from cellapp.calibration.station_location import (
     twist_columns,
 )
 from cellapp.collection.cell import Cell, open_cell
+from cellapp.collection.collect import Opened
 from cellapp.collection.locating_stops import LocatingStops
 from cellapp.collection.measuring import mean_point
 from cellapp.collection.motion import Confirm, MotionRefused, Mover, Vector
@@ -115,11 +116,12 @@ def locate_station(
     *,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
+    open_with: Opened | None = None,
 ) -> LocatedStation:
     """Measure the points, one arm at a time and the others at home; more of them where they do not fit together.
 
     ``opened`` is called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked
-    before the first motion.
+    before the first motion. ``open_with`` opens the cell.
 
     Raises
     ------
@@ -132,7 +134,7 @@ def locate_station(
     """
     control = control or JobControl()
     bodies = cell_bodies(task.profile, task.model)
-    with open_cell(task.profile) as cell, reacting(cell, control) as reaction:
+    with (open_with or open_cell)(task.profile) as cell, reacting(cell, control) as reaction:
         opened(cell)
         cell.require_tracker()
         mover = Mover(task.profile, cell, bodies, reaction)

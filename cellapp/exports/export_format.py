@@ -1,10 +1,11 @@
-"""What a format for calibrated arms declares. A new one is a module that ends with its declaration; see ``formats``."""
+"""What a format declares. A new one is a module that ends with its declaration; see ``formats``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from cellapp.exports.arm_commands import ArmCommands
 from cellapp.exports.arm_export import ArmExport
 from cellapp.kinematics.chain import Geometry
 from cellapp.kinematics.plain_dh import plain_geometry
@@ -53,3 +54,24 @@ class ExportFormat:
     text: Text
     held: Callable[[Geometry], Geometry] = _as_it_is
     smr: Callable[[ArmExport], Array] = _smr_in_flange
+
+
+@dataclass(frozen=True)
+class CellFormat:
+    """A format of files for the whole calibrated cell; ``text`` takes the arms by name. See ``ExportFormat``."""
+
+    name: str
+    what: str
+    suffix: str
+    text: Callable[[Mapping[str, ArmExport], Sequence[str]], str]
+
+
+@dataclass(frozen=True)
+class CommandFormat:
+    """A format of files for the commands of one arm at targets; ``held`` counts those that a file has."""
+
+    name: str
+    what: str
+    suffix: str
+    text: Callable[[ArmCommands, Sequence[str]], str]
+    held: Callable[[ArmCommands], int]

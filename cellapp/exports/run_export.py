@@ -1,17 +1,20 @@
-"""The verb ``export``: readings as CSV, calibrated arms in the formats of other programs."""
+"""The verb ``export``: readings as CSV, calibrated arms and commands in the formats of other programs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.errors import InputError
 from cellapp.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
-from cellapp.exports.export_format import ExportFormat
+from cellapp.exports.export_format import CellFormat, CommandFormat, ExportFormat
 from cellapp.exports.formats import format_named
 from cellapp.exports.geometry import geometry_export
-from cellapp.exports.words import lost_sentences
+from cellapp.exports.out_files import check_out, files_of_arms
+from cellapp.exports.run_commands import export_commands
+from cellapp.exports.words import form_line, lost_sentences
+from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
 from cellapp.plan_verbs import export_plan
 from cellapp.profile.files import write_new
@@ -25,57 +28,79 @@ _GEOMETRY_NOTE = (
 )
 
 
-def export_arms_run(
+def export_as_run(
     run: RunFile, format_name: str, out: Path, arm: str | None = None, stage_name: str | None = None
 ) -> ExportResult:
-    """Write the calibrated arms in one format, a file each; nothing that exists is overwritten.
+    """Write the calibrated arms, the cell or the commands at targets in one format; nothing that exists is overwritten.
 
     Parameters
     ----------
     run : RunFile
     format_name : str
-        One of ``formats.FORMATS``.
+        One of ``formats.all_formats()``.
     out : Path
-        The file. If there are several arms and none is named, each arm's name goes before the ending.
+        The file. If there are several arms and none is named, each arm's name goes before the ending; a format for the
+        whole cell has one file.
     arm : str or None
         The arm; None means all.
     stage_name : str or None
-        ``calibrate`` or ``discover``: whose geometry is written. None means that of the model in force.
+        ``calibrate`` or ``discover``: whose geometry is written. None means that of the model in force. Of commands
+        ``compensate`` or ``verify``; None means those of the last compensation.
 
     Raises
     ------
     InputError
         If there is no such format, arm or stage, the run is not calibrated, the format cannot hold an arm, a file
-        exists with another text, or it cannot be written.
+        exists with another text, or it cannot be written; also as ``export_commands``.
     """
-    form = format_named(format_name)
-    stages = read_stages(run)
+    form, stages = format_named(format_name), read_stages(run)
+    if isinstance(form, CommandFormat):
+        return export_commands(run, stages, form, out, arm, stage_name)
+    if isinstance(form, CellFormat):
+        return _export_cell(run, stages, form, out, arm, stage_name)
+    return _export_arms(run, stages, form, out, arm, stage_name)
+
+
+def _export_arms(
+    run: RunFile, stages: RunStages, form: ExportFormat, out: Path, arm: str | None, stage_name: str | None
+) -> ExportResult:
     exports = calibrated_arms(run, stages, stage_name)
     if arm is not None and arm not in exports:
         raise InputError(f"export: {run.path} has no calibrated arm '{arm}'; arms are {', '.join(exports)}")
     chosen = {name: export for name, export in exports.items() if arm in (None, name)}
-    files = _files(out, list(chosen))
+    files = files_of_arms(out, list(chosen))
     texts = {files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()}
-    stale = stages.stale_arms()
-    notes = (*([f"the model was used although {stale}"] if stale else []), *_rigid_notes(run, stages, chosen))
+    notes = (*_stale_notes(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
     write_new(texts)
     return ExportResult(
         format=form.name,
-        arms={name: _arm_file(form, export, files[name]) for name, export in chosen.items()},
+        arms={
+            name: _arm_file(export, files[name], form.smr(export), conversion_mm(export, form.held(export.geometry)))
+            for name, export in chosen.items()
+        },
         notes=notes,
     )
 
 
-def _files(out: Path, arms: Sequence[str]) -> dict[str, Path]:
-    """The file of each arm."""
-    if not out.name or out.is_dir():
-        raise InputError(f"export: --out {out} is a folder; give the path of a file")
-    if len(arms) == 1:
-        return {arms[0]: out}
-    for name in arms:
-        if Path(name).name != name:
-            raise InputError(f"export: '{name}' cannot be part of a file's name; write this arm alone with --arm")
-    return {name: out.with_stem(f"{out.stem}-{name}") for name in arms}
+def _export_cell(
+    run: RunFile, stages: RunStages, form: CellFormat, out: Path, arm: str | None, stage_name: str | None
+) -> ExportResult:
+    if arm is not None:
+        raise InputError(f"export: --as {form.name} writes all arms in one file; leave --arm out, or take --as urdf")
+    check_out(out)
+    exports = calibrated_arms(run, stages, stage_name)
+    lines = [form_line(form), *(line for export in exports.values() for line in _arm_sentences(export))]
+    notes = (*_stale_notes(stages.stale_model()), *_rigid_notes(run, stages, exports))
+    write_new({out: form.text(exports, lines)})
+    return ExportResult(
+        format=form.name,
+        arms={name: _arm_file(export, out, export.geometry.tool, 0.0) for name, export in exports.items()},
+        notes=notes,
+    )
+
+
+def _stale_notes(stale: str) -> list[str]:
+    return [f"the model was used although {stale}"] if stale else []
 
 
 def calibrated_arms(run: RunFile, stages: RunStages, stage_name: str | None = None) -> dict[str, ArmExport]:
@@ -140,20 +165,23 @@ def lost_by_arm(run: RunFile) -> list[str]:
 
 def sentences(form: ExportFormat, export: ArmExport) -> list[str]:
     """What stands at the top of every file: the arm, where it is from, what the file does not hold."""
+    return [form_line(form), *_arm_sentences(export)]
+
+
+def _arm_sentences(export: ArmExport) -> list[str]:
     lines = [
-        f"{form.what[0].upper()}{form.what[1:]}, by cellapp.",
         f"Arm '{export.name}' ({export.arm.type.model}), {export.source}.",
         *lost_sentences(export.lost, export.lost_together),
     ]
     return [" ".join(line.splitlines()) for line in lines]  # a name must not end the comment
 
 
-def _arm_file(form: ExportFormat, export: ArmExport, file: Path) -> ArmFile:
-    x, y, z = form.smr(export).tolist()
+def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFile:
+    x, y, z = smr.tolist()
     return ArmFile(
         file=str(file),
         smr_m=(x, y, z),
-        conversion_mm=conversion_mm(export, form.held(export.geometry)),
+        conversion_mm=off_mm,
         lost=export.lost,
         lost_together=export.lost_together,
     )

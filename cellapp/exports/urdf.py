@@ -28,20 +28,31 @@ _NOTES = (
 
 def urdf(export: ArmExport, sentences: Sequence[str]) -> str:
     """The URDF: links ``tracker``, ``NAME_base``, one a joint, ``NAME_flange`` and ``NAME_smr``."""
-    name = export.name
+    return urdf_text(export.name, [export], sentences)
+
+
+def urdf_text(name: str, exports: Sequence[ArmExport], sentences: Sequence[str]) -> str:
+    """The URDF of a robot of some arms, whose bases are fixed to the link ``tracker``."""
     robot = Element("robot", name=name)
     robot.append(ElementTree.Comment(_comment([*sentences, *_NOTES])))
+    SubElement(robot, "link", name="tracker")
+    for export in exports:
+        _add_arm(robot, export)
+    ElementTree.indent(robot)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def _add_arm(robot: Element, export: ArmExport) -> None:
+    name = export.name
     links = ["tracker", f"{name}_base", *(f"{name}_link_{i + 1}" for i in range(export.geometry.joints))]
     links += [f"{name}_flange", f"{name}_smr"]
     tool = transform(np.eye(3), export.geometry.tool)
     poses = [export.geometry.T_M_B(), *joint_origins(export.geometry), tool]
-    elements = {link: SubElement(robot, "link", name=link) for link in links}
+    elements = {link: SubElement(robot, "link", name=link) for link in links[1:]}
     for joint, frame in enumerate(dh_frames_in_links(export.geometry)):
         _add_mass(elements[f"{name}_link_{joint + 1}"], export, joint, frame)
     for number, (parent, child, pose) in enumerate(zip(links, links[1:], poses, strict=False)):
         _add_joint(robot, export, number - 1, parent, child, pose)
-    ElementTree.indent(robot)
-    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
 def _add_joint(robot: Element, export: ArmExport, index: int, parent: str, child: str, pose: Array) -> None:

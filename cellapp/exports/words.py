@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
 from cellapp.exports.arm_export import POSES
 from cellapp.results import ExportResult, PositionLoss
 
+
+class Form(Protocol):
+    """A format of any kind."""
+
+    @property
+    def what(self) -> str:
+        """What the file is."""
+
+
 _TOGETHER = "all that is not rigid"
+
+
+def form_line(form: Form) -> str:
+    """The first line of every file."""
+    return f"{form.what[0].upper()}{form.what[1:]}, by cellapp."
 
 
 def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | None) -> list[str]:
@@ -38,6 +53,9 @@ def export_lines(result: ExportResult) -> list[str]:
             f"  SMR in its last frame [mm]: {smr}",
             *(f"  {line}" for line in lost_sentences(arm.lost, arm.lost_together)),
         ]
+    for name, arm_commands in (result.commands or {}).items():
+        refused = f", {arm_commands.refused} left out" if arm_commands.refused else ""
+        lines.append(f"arm {name}: {arm_commands.commands} commands written to {arm_commands.file}{refused}")
     return [*lines, *result.notes]
 
 

@@ -9,7 +9,7 @@ from cellapp.reporting.discovery_tables import discovery_tables
 from cellapp.reporting.location_text import location_tables
 from cellapp.reporting.signature_tables import prior_sentences, prior_tables
 from cellapp.reporting.table import Cell, Column, Interval, Table, most_urgent, number_column, part_table
-from cellapp.reporting.target_words import all_measured, arms_words, last_mm, shown_tolerance
+from cellapp.reporting.target_words import all_measured, arms_words, shown_tolerance
 from cellapp.reporting.words import geometry_unit
 from cellapp.results import (
     METHODS,
@@ -34,7 +34,7 @@ _DETAILED_COLUMNS = (
     number_column("n", "d"),
 )
 _TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
-_PAIRS = "cooperative (distance of both SMRs)"
+_PAIRS = "between arms"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
@@ -155,11 +155,11 @@ def _tolerance_tables(result: VerifyResult) -> list[Table]:
         (
             one.name,
             one.arm if isinstance(one, MeasuredTarget) else arms_words(one.arms),
-            last_mm(one),
+            one.final_mm,
             shown_tolerance(one.tolerance_mm),
             one.verdict,
         )
-        for one in most_urgent(judged, lambda one: (last_mm(one) or 0.0) / (one.tolerance_mm or math.inf))
+        for one in most_urgent(judged, lambda one: (one.final_mm or 0.0) / (one.tolerance_mm or math.inf))
     ]
     columns = (
         Column("target"),

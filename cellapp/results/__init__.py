@@ -100,7 +100,7 @@ from cellapp.results.discovery import (
     StructureTest,
     TermDescription,
 )
-from cellapp.results.exports import ArmFile, ExportResult, PositionLoss
+from cellapp.results.exports import ArmFile, CommandFile, ExportResult, PositionLoss
 from cellapp.results.locate import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
 from cellapp.results.paths import DrivenPath, PathLag, PathRecord, PathResult, PathReversal
 from cellapp.results.plan_design import (
@@ -209,6 +209,7 @@ __all__ = [
     "CellKind",
     "CollectResult",
     "CollectionResult",
+    "CommandFile",
     "CompensateResult",
     "ConstraintShare",
     "Contradiction",

@@ -38,11 +38,19 @@ class ArmFile(Record):
     lost_together: PositionLoss | None = None
 
 
+class CommandFile(Record):
+    """The commands of one arm in a file: how many it has, and how many targets have none in it."""
+
+    file: str
+    commands: int
+    refused: int
+
+
 class ExportResult(Result):
     """``export``: the files that were written.
 
-    ``arms`` maps the arms to their files in ``format``. ``ur_lost_rms_mm`` belongs to ``--geometry``: the rms position
-    error of its D-H deltas, which lack the Hayati angles.
+    ``arms`` maps the arms to their files in ``format``, ``commands`` to files of their commands. ``ur_lost_rms_mm``
+    belongs to ``--geometry``: the rms position error of its D-H deltas, which lack the Hayati angles.
     """
 
     schema_: Literal["cellapp-export"] = "cellapp-export"
@@ -54,5 +62,8 @@ class ExportResult(Result):
     ur_lost_rms_mm: Mapping[str, float] | None = None
     format: str | None = None
     arms: Mapping[str, ArmFile] | None = None
+    commands: Mapping[str, CommandFile] | None = None
     notes: tuple[str, ...] = ()
-    omitted_when_none = frozenset({"csv", "readings", "plan", "geometry", "ur_lost_rms_mm", "format", "arms"})
+    omitted_when_none = frozenset(
+        {"csv", "readings", "plan", "geometry", "ur_lost_rms_mm", "format", "arms", "commands"}
+    )

@@ -33,7 +33,7 @@ class ArmFigures(Record):
         Mean distance of a measurement from the point that it measures: the tracker's noise and the arm's repeatability,
         drawn at the same joint positions. A perfect model does no better.
     changed_mm : float
-        Mean displacement there by effects of time, from the end of collecting to the last target.
+        Mean displacement there by effects of time, from the last reading, or point of locating, to the last target.
     paper_mm : float or None
         Mean distance of the same measurements from the prediction of the paper's proposed method; None where the
         tracker was moved, which that method does not cover.

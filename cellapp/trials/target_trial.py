@@ -7,9 +7,10 @@ cell would: the hidden effects are in the simulated cell only.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,12 +24,14 @@ from cellapp.compensation.compensate import compensate
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target
 from cellapp.errors import InputError
-from cellapp.kinematics.transforms import Array
+from cellapp.kinematics.transforms import Array, rotation_z, transform, zyx_angles
+from cellapp.locate_verb import locate_run
 from cellapp.model import CellModel
+from cellapp.model.nominal import pose_matrix
 from cellapp.pipeline import calibrate_run, discover_run, new_planned_run
 from cellapp.planning.duration import planned_time
 from cellapp.planning.stored_stops import read_planned_stops
-from cellapp.profile import Profile
+from cellapp.profile import Pose, Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import CALIBRATE, DiscoverResult, MeasuredTarget, VerifyResult
 from cellapp.run import RunFile
@@ -39,6 +42,7 @@ from cellapp.trials.processes import in_processes
 from cellapp.trials.target_draws import draw_hidden, draw_pairs, draw_targets
 from cellapp.trials.target_records import (
     CALIBRATED,
+    RELOCATED,
     ArmFigures,
     HiddenEffects,
     PairFigures,
@@ -51,6 +55,14 @@ from drivers.plant import Plant
 
 _FLOOR_SEED = 0xF100
 """Beside the trial's seed."""
+_STATION_SEED = 0x57A7
+"""Beside the trial's seed."""
+_OTHER_TARGETS = 1000
+"""Added to the trial's seed for the targets after the tracker was moved."""
+_TURNED = (math.radians(8.0), math.radians(25.0))
+"""Angle about the cell's z axis from the old station to the new one: some steps to one side."""
+_PACED_M, _PACED_RAD = 0.02, math.radians(0.4)
+"""Standard deviation of each coordinate and angle of a station that was paced out."""
 _FLOOR_DRAWS = 5
 """Repeated measurements of each target: with 200 targets the mean is known to 1.5 %."""
 _NORMAL_95 = 1.959964
@@ -110,8 +122,11 @@ def target_trial(task: TrialTask) -> TargetTrial:
         found = discover_run(run)
         bench = _Bench(profile, plant, plant.clock_s, *_models(run), task.seed)
         pushing = time.perf_counter()
-        states = {CALIBRATED: _state(bench, task.targets, task.pairs)}
+        states = {CALIBRATED: _state(bench, task)}
         push_seconds = time.perf_counter() - pushing
+        located = _locate(run, bench)
+        if located is not None:
+            states[RELOCATED] = _state(located, task)
     return TargetTrial(
         seed=task.seed,
         effects={name: _effects(tuple(hidden[name]), laws[name], found, name) for name in profile.arms},
@@ -128,17 +143,19 @@ def target_trial(task: TrialTask) -> TargetTrial:
 class _Bench:
     """A calibrated cell: what the run's profile states, the cell itself, the model in force, and the paper's.
 
-    ``collected_s`` is when the last reading was taken [s].
+    ``known_s`` is when the model was last made to fit, by the last reading or point [s]; ``moved`` whether the tracker
+    stands elsewhere since.
     ``paper`` is the model of geometry and network in the base frame, by the proposed method of Bai et al., from the
     same readings; its pair is the one identified from distances.
     """
 
     profile: Profile
     plant: Plant
-    collected_s: float
+    known_s: float
     model: CellModel
     paper: CellModel
     seed: int
+    moved: bool = False
 
 
 def _models(run: RunFile) -> tuple[CellModel, CellModel]:
@@ -152,10 +169,30 @@ def _effects(hidden: tuple[str, ...], laws: str, found: DiscoverResult, name: st
     return HiddenEffects(hidden=hidden, laws=laws, found=tuple(one.effect for one in arm.accepted), verdict=arm.verdict)
 
 
-def _state(bench: _Bench, targets: int, pairs: int) -> StateFigures:
+def _locate(run: RunFile, bench: _Bench) -> _Bench | None:
+    """Move the tracker and locate it again; None where the points do not fit together.
+
+    The new station is known as well as one that was paced out.
+    """
+    pose, rng = bench.profile.tracker.pose, np.random.default_rng([bench.seed, _STATION_SEED])
+    assert pose is not None
+    turned = transform(rotation_z(rng.choice([-1.0, 1.0]) * rng.uniform(*_TURNED)), np.zeros(3))
+    T_C_M = turned @ pose_matrix(pose)
+    bench.plant.move_tracker(T_C_M)
+    paced = T_C_M[:3, 3] + _PACED_M * rng.standard_normal(3)
+    yaw, pitch, roll = np.array(zyx_angles(T_C_M[:3, :3])) + _PACED_RAD * rng.standard_normal(3)
+    rough = Pose(position=tuple(paced.tolist()), rpy=(roll, pitch, yaw))
+    result = locate_run(run, tracker_pose=rough, open_with=partial(open_cell, plant=bench.plant))
+    if result.verdict != "located":
+        return None
+    return replace(bench, known_s=bench.plant.clock_s, model=_models(run)[0], moved=True)
+
+
+def _state(bench: _Bench, task: TrialTask) -> StateFigures:
     """Draw new targets, compensate and measure them."""
-    singles = draw_targets(bench.profile, bench.model, targets, bench.seed)
-    both = draw_pairs(bench.profile, bench.model, pairs, bench.seed)
+    seed = bench.seed + (_OTHER_TARGETS if bench.moved else 0)
+    singles = draw_targets(bench.profile, bench.model, task.targets, seed)
+    both = draw_pairs(bench.profile, bench.model, task.pairs, seed)
     result = _measured(bench, [*singles, *both])
     names = {target.name for target in singles}
     alone = [target for target in result.targets if target.name in names]
@@ -174,7 +211,7 @@ def _measured(bench: _Bench, targets: Sequence[Target]) -> VerifyResult:
 
 
 def _arm_figures(bench: _Bench, name: str, targets: Sequence[MeasuredTarget]) -> ArmFigures:
-    done = [target for target in targets if target.nominal_mm is not None and target.q is not None]
+    done = [one for one in targets if None not in (one.nominal_mm, one.compensated_mm, one.q)]
     if not done:
         raise InputError(f"seed {bench.seed}, arm {name}: no target could be measured: {targets[0].note}")
     q, measured_M = _rows([one.q for one in done]), _rows([one.measured_M for one in done])
@@ -182,7 +219,7 @@ def _arm_figures(bench: _Bench, name: str, targets: Sequence[MeasuredTarget]) ->
     model = bench.model.arms[name]
     limit = _NORMAL_95 * model.measured_uncertainty(q)[:, None]
     stated = [one for one in done if one.within_mm is not None]
-    paper_M = bench.paper.arms[name].predict(q)
+    paper_M = None if bench.moved else bench.paper.arms[name].predict(q)
     return ArmFigures(
         targets=len(done),
         refused=len(targets) - len(done),
@@ -190,7 +227,7 @@ def _arm_figures(bench: _Bench, name: str, targets: Sequence[MeasuredTarget]) ->
         compensated_mm=_mean([one.compensated_mm for one in done]),
         floor_mm=1e3 * float(np.linalg.norm(_scatter(bench, {name: q})[name], axis=-1).mean()),
         changed_mm=1e3 * float(np.linalg.norm(_changed(bench, name, q), axis=1).mean()),
-        paper_mm=1e3 * float(np.linalg.norm(measured_M - paper_M, axis=1).mean()),
+        paper_mm=None if paper_M is None else 1e3 * float(np.linalg.norm(measured_M - paper_M, axis=1).mean()),
         within_95=mean_of(float((one.compensated_mm or 0.0) <= (one.within_mm or 0.0)) for one in stated),
         coordinates_95=float(np.mean(np.abs(measured_M - predicted_M) <= limit)),
     )
@@ -241,11 +278,11 @@ def _scatter(bench: _Bench, q: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _changed(bench: _Bench, name: str, q: Array) -> Array:
-    """Displacement (n, 3) [m] at ``q`` (n, N) [rad] from the end of collecting to now by effects of time.
+    """Displacement (n, 3) [m] at ``q`` (n, N) [rad] since the model was last made to fit, by effects of time.
 
     No calibration can foresee it, unless it follows a law that the run shows.
     """
-    times = (np.array([time_s]) for time_s in (bench.collected_s, bench.plant.clock_s))
+    times = (np.array([time_s]) for time_s in (bench.known_s, bench.plant.clock_s))
     then, now = (bench.plant.smr_positions(name, q, time_s=time_s) for time_s in times)
     return now - then
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cellapp.run import RunFile
     from cellapp.tui.dialogs.correct_program import CorrectRequest
     from cellapp.tui.dialogs.export_arms import ExportRequest
+    from cellapp.tui.dialogs.follow_path import FollowRequest
     from cellapp.tui.dialogs.locate_tracker import LocateRequest
 
 
@@ -169,13 +170,13 @@ def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
     return _on_run("collect", folder, work, moves=True)
 
 
-def calibrate(folder: Path) -> Job:
-    """Identify arms and pair and evaluate them on held-out stops."""
+def calibrate(folder: Path, prior: Path | None = None) -> Job:
+    """Identify arms and pair and evaluate them on held-out stops; ``prior`` is the folder of an earlier run."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.pipeline import calibrate_run
 
-        return calibrate_run(run, listener, control)
+        return calibrate_run(run, listener, control, prior=prior)
 
     return _on_run("calibrate", folder, work)
 
@@ -228,22 +229,40 @@ def push(
 
 
 def locate(folder: Path, request: LocateRequest) -> Job:
-    """Measure a few points from where the tracker stands now, so that the calibration holds from there."""
+    """Measure where the tracker stands after it was moved."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.locate_verb import locate_run
+        from cellapp.locate_verb import locate_run, typed_pose
 
-        return locate_run(
+        rough, simulated = (
+            None if text is None else typed_pose(text, "locate")
+            for text in (request.tracker_pose, request.simulated_pose)
+        )
+        return locate_run(run, request.points, listener, control, tracker_pose=rough, simulated_pose=simulated, ask=ask)
+
+    return _on_run("locate", folder, work, moves=True)
+
+
+def follow(folder: Path, request: FollowRequest) -> Job:
+    """Plan paths, and drive and measure them where that is asked for."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.compensation.path_file import load_paths
+        from cellapp.path_verbs import follow_run
+
+        return follow_run(
             run,
-            request.points,
+            load_paths(request.paths, run.profile, request.arm),
             listener,
             control,
-            tracker_pose=request.tracker_pose,
-            simulated_pose=request.simulated_pose,
+            driving=request.driving,
+            rehearse=request.rehearse,
+            out_of_date=request.out_of_date,
+            csv=request.csv,
             ask=ask,
         )
 
-    return _on_run("locate", folder, work, moves=True)
+    return _on_run("follow", folder, work, moves=request.driving != "plan")
 
 
 def report(folder: Path) -> Job:
@@ -261,9 +280,9 @@ def export_arms(folder: Path, request: ExportRequest) -> Job:
     """Write the calibrated arms for another program."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.exports.run_export import export_arms_run
+        from cellapp.exports.run_export import export_as_run
 
-        return export_arms_run(run, request.format_name, request.out, request.arm, request.stage_name)
+        return export_as_run(run, request.format_name, request.out, request.arm, request.stage_name)
 
     return _of_run("export", folder, work)
 

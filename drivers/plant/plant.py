@@ -460,6 +460,13 @@ class Plant:
         p_M, normal_M = self._apparent_smr(arm, situation, posture)
         return p_M[0], normal_M[0]
 
+    def move_tracker(self, T_C_M: Array) -> None:
+        """Set the tracker up at another pose (4, 4) in the cell, now."""
+        self.config = replace(self.config, tracker=replace(self.config.tracker, T_C_M=T_C_M))
+        self._T_M_C = inverse(T_C_M)
+        for arm in self._arms.values():
+            arm.T_M_B, arm.resting = self._T_M_C @ arm.T_C_B, None
+
     def targets(self) -> list[Target]:
         """Return the SMRs of all arms at the current time."""
         found = []

@@ -116,9 +116,9 @@ def test_targets_are_met_from_the_new_station_as_before(moved_run: tuple[RunFile
     stages = read_stages(run)
     assert stages.stale_model() == ""
     assert stages.in_force == stages.current[LOCATE]
-    verified = stages.current[VERIFY].basis
-    assert verified is not None
-    assert list(verified.stages) == [LOCATE]
+    basis = stages.current[VERIFY].basis
+    assert basis is not None
+    assert list(basis.stages) == [LOCATE]
     assert run_overview(run).next_verb == "report"
     assert "Station of the tracker" in Path(report_run(run).page).read_text("utf-8")
 
@@ -231,7 +231,7 @@ def test_a_remounted_smr_is_named(run: RunFile, monkeypatch: pytest.MonkeyPatch)
 
 def test_one_arm_only_locates_the_tracker_for_itself(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
     """The right SMR is covered: all points come from the left arm."""
-    monkeypatch.setattr(LocatingStops, "best", _only("left", LocatingStops.best))
+    monkeypatch.setattr(LocatingStops, "best", _only("left", LocatingStops.best), raising=True)
     kicked = away(run.profile.tracker.pose, (0.03, 0.0, 0.0), (0.0, 0.0, 0.01))
     found = locate_run(run, simulated_pose=kicked)
     assert (found.verdict, found.by_arm) == ("located", {"left": 4})

@@ -87,7 +87,7 @@ def urdf(text: str, name: str, q: Array) -> Array:
     joints = [model.joints[model.getJointId(f"{name}_joint_{i + 1}")].idx_q for i in range(q.shape[1])]
     frame = model.getFrameId(f"{name}_smr")
     found = np.empty((len(q), 3))
-    placed = np.empty(q.shape[1])
+    placed = np.zeros(model.nq)
     for row, one in enumerate(q):
         placed[joints] = one
         pinocchio.framesForwardKinematics(model, data, placed)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cellapp.effects import MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.exports.arm_export import ArmExport, conversion_mm, lost_parts, workspace
-from cellapp.exports.formats import FORMATS
+from cellapp.exports.formats import CELL_FORMATS, FORMATS
 from cellapp.exports.ur_description import kinematics_hash, murmur
 from cellapp.kinematics.chain import Geometry, flange_poses, smr_positions
 from cellapp.kinematics.plain_dh import plain_geometry
@@ -214,3 +214,21 @@ def test_an_arm_on_a_wall_keeps_its_base() -> None:
 def test_geometry_alone_loses_nothing() -> None:
     export = drawn("ur5", 0)
     assert lost_parts(export.model, workspace(export.q, MeasurementConditions(), 0)) == {}
+
+
+def test_the_whole_cell_in_one_file() -> None:
+    """Both arms hang from the tracker, each where the calibration found its base; other arms may have seven joints."""
+    for left, right in (("ur10", "ur5"), (sorted(set(TYPES) - UR)[0], "ur10")):
+        exports = {
+            name: replace(drawn(arm, seed), name=name)
+            for seed, (name, arm) in enumerate((("left", left), ("right", right)))
+        }
+        turned = exports["right"].geometry.T_M_B() @ readers.shift(0.4, -1.7, 0.1) @ readers.turn("z", 1.0)[0]
+        moved = replace(exports["right"].model, geometry=exports["right"].geometry.with_T_M_B(turned))
+        exports["right"] = replace(exports["right"], model=moved)
+        text = CELL_FORMATS["urdf-cell"].text(exports, ["a sentence --- with hyphens --"])
+        for name, export in exports.items():
+            off = readers.urdf(text, name, export.q) - smr_positions(export.geometry, export.q)
+            assert float(np.linalg.norm(off, axis=1).max()) < BAR_M
+        model = pinocchio.buildModelFromXML(text)
+        assert model.nq == sum(export.geometry.joints for export in exports.values())

@@ -14,7 +14,8 @@ from cellapp.errors import InputError
 from cellapp.exports.arm_export import POSES, ArmExport
 from cellapp.exports.export_format import ExportFormat
 from cellapp.exports.formats import FORMATS
-from cellapp.exports.run_export import _files, calibrated_arms, export_arms_run, sentences
+from cellapp.exports.out_files import files_of_arms
+from cellapp.exports.run_export import calibrated_arms, export_as_run, sentences
 from cellapp.exports.words import export_lines
 from cellapp.kinematics.chain import smr_positions
 from cellapp.model import CellModel
@@ -26,7 +27,7 @@ from tests.exports import readers
 
 def test_each_arm_has_its_file_and_says_what_is_not_in_it(finished_run: Path, tmp_path: Path) -> None:
     with RunFile.open(finished_run) as run:
-        result = export_arms_run(run, "urdf", tmp_path / "cell.urdf")
+        result = export_as_run(run, "urdf", tmp_path / "cell.urdf")
     assert result.arms is not None
     assert [arm.file for arm in result.arms.values()] == [str(tmp_path / f"cell-{name}.urdf") for name in result.arms]
     model = CellModel.load(finished_run / CALIBRATION_FILE)
@@ -48,7 +49,7 @@ def test_each_arm_has_its_file_and_says_what_is_not_in_it(finished_run: Path, tm
 def test_the_loss_is_what_the_whole_model_predicts_beside_the_file(finished_run: Path, tmp_path: Path) -> None:
     """Compliance depends on the configuration alone: the stated error is found again at other configurations."""
     with RunFile.open(finished_run) as run:
-        result = export_arms_run(run, "dh", tmp_path / "left.yaml", "left")
+        result = export_as_run(run, "dh", tmp_path / "left.yaml", "left")
         measured = run.readings("left").q
     assert result.arms is not None
     assert set(result.arms["left"].lost) == {"joint_compliance"}
@@ -62,9 +63,9 @@ def test_the_loss_is_what_the_whole_model_predicts_beside_the_file(finished_run:
 
 def test_the_geometry_of_either_stage(finished_run: Path, tmp_path: Path) -> None:
     with RunFile.open(finished_run) as run:
-        in_force = export_arms_run(run, "dh", tmp_path / "now.yaml", "left")
-        found = export_arms_run(run, "dh", tmp_path / "discover.yaml", "left", "discover")
-        rigid = export_arms_run(run, "dh", tmp_path / "calibrate.yaml", "left", "calibrate")
+        in_force = export_as_run(run, "dh", tmp_path / "now.yaml", "left")
+        found = export_as_run(run, "dh", tmp_path / "discover.yaml", "left", "discover")
+        rigid = export_as_run(run, "dh", tmp_path / "calibrate.yaml", "left", "calibrate")
     texts = {name: (tmp_path / f"{name}.yaml").read_text("utf-8") for name in ("now", "discover", "calibrate")}
     assert texts["now"] == texts["discover"]
     assert in_force.arms is not None
@@ -87,11 +88,11 @@ def test_what_exists_is_not_overwritten(finished_run: Path, tmp_path: Path, form
     there.write_text("mine", encoding="utf-8")
     with RunFile.open(finished_run) as run:
         with pytest.raises(InputError, match=r"arm-right\.txt exists already; nothing was written"):
-            export_arms_run(run, form, tmp_path / "arm.txt")
+            export_as_run(run, form, tmp_path / "arm.txt")
         assert [path.name for path in tmp_path.iterdir()] == ["arm-right.txt"]
-        export_arms_run(run, form, tmp_path / "new" / "arm.txt", "right")
+        export_as_run(run, form, tmp_path / "new" / "arm.txt", "right")
         again = (tmp_path / "new" / "arm.txt").read_bytes()
-        export_arms_run(run, form, tmp_path / "new" / "arm.txt", "right")
+        export_as_run(run, form, tmp_path / "new" / "arm.txt", "right")
     assert (tmp_path / "new" / "arm.txt").read_bytes() == again, "the same run makes the same file"
 
 
@@ -99,7 +100,7 @@ def test_an_outdated_model_is_said(finished_copy: Path, tmp_path: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
         words = list(run.readings("left").split or ())
         run.assign_splits("left", [*words[1:], words[0]])
-        result = export_arms_run(run, "poe", tmp_path / "arm.yaml")
+        result = export_as_run(run, "poe", tmp_path / "arm.yaml")
     assert "the model was used although 'calibrate' is out of date" in result.notes[0]
     assert result.notes[0] in export_lines(result)
 
@@ -112,7 +113,7 @@ def test_a_new_format_is_a_function_and_an_entry(
 
     monkeypatch.setitem(FORMATS, "reach", ExportFormat("reach", "sum of the lengths [m]", ".txt", reach))
     with RunFile.open(finished_run) as run:
-        export_arms_run(run, "reach", tmp_path / "reach.txt", "right")
+        export_as_run(run, "reach", tmp_path / "reach.txt", "right")
     first, second = (tmp_path / "reach.txt").read_text("utf-8").splitlines()
     assert first.startswith("Arm 'right' (UR5), run 'run', model of 'discover' written ")
     assert float(second) == pytest.approx(1.18, abs=0.1)
@@ -137,5 +138,23 @@ def test_names_of_arms_are_only_text(finished_copy: Path, tmp_path: Path, form: 
 
 def test_an_arm_whose_name_is_a_path_is_written_alone(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="'a/b' cannot be part of a file's name; write this arm alone with --arm"):
-        _files(tmp_path / "arm.urdf", ["a/b", "right"])
-    assert _files(tmp_path / "arm.urdf", ["a/b"]) == {"a/b": tmp_path / "arm.urdf"}
+        files_of_arms(tmp_path / "arm.urdf", ["a/b", "right"])
+    assert files_of_arms(tmp_path / "arm.urdf", ["a/b"]) == {"a/b": tmp_path / "arm.urdf"}
+
+
+def test_the_cell_in_one_file_says_what_it_lacks_of_each_arm(finished_run: Path, tmp_path: Path) -> None:
+    with RunFile.open(finished_run) as run:
+        result = export_as_run(run, "urdf-cell", tmp_path / "cell.urdf")
+        with pytest.raises(InputError, match="writes all arms in one file; leave --arm out, or take --as urdf"):
+            export_as_run(run, "urdf-cell", tmp_path / "one.urdf", "left")
+    assert result.arms is not None
+    text = (tmp_path / "cell.urdf").read_text("utf-8")
+    model = CellModel.load(finished_run / CALIBRATION_FILE)
+    for name, arm in model.arms.items():
+        file = result.arms[name]
+        assert file.file == str(tmp_path / "cell.urdf")
+        for part, loss in file.lost.items():
+            assert f"{part}: {loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most" in text
+        q = np.random.default_rng(4).uniform(-3.0, 3.0, (100, 6))
+        np.testing.assert_allclose(readers.urdf(text, name, q), smr_positions(arm.geometry, q), atol=1e-9)
+    assert [path.name for path in tmp_path.iterdir()] == ["cell.urdf"]

@@ -10,7 +10,7 @@ from textual.pilot import Pilot
 from textual.widgets import Input, OptionList
 
 from cellapp.exports.formats import FORMATS
-from cellapp.exports.run_export import export_arms_run
+from cellapp.exports.run_export import export_as_run
 from cellapp.run import RunFile
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.export_arms import ExportArms
@@ -46,7 +46,7 @@ async def test_a_format_is_chosen_and_both_arms_are_written(finished_run: Path) 
         assert "joint_compliance" in shown_text(app)
         await pilot.press("escape")
         with RunFile.open(DAY) as run:
-            export_arms_run(run, "urdf", Path("command.urdf"))
+            export_as_run(run, "urdf", Path("command.urdf"))
         for arm in ("left", "right"):
             assert (DAY / f"urdf-{arm}.urdf").read_bytes() == Path(f"command-{arm}.urdf").read_bytes()
 

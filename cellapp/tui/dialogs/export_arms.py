@@ -13,7 +13,7 @@ from textual.suggester import SuggestFromList
 from textual.widgets import Button, Input, OptionList, Static
 from textual.widgets.option_list import Option
 
-from cellapp.exports.formats import FORMATS
+from cellapp.exports.formats import all_formats
 from cellapp.tui.dialogs.file_picker import PathField
 from cellapp.tui.dialogs.write_question import WriteQuestion
 
@@ -22,7 +22,7 @@ _STAGES = ("calibrate", "discover")
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """What ``export`` is asked for; see ``export_arms_run``."""
+    """What ``export`` is asked for; see ``export_as_run``."""
 
     format_name: str
     out: Path
@@ -54,7 +54,7 @@ class ExportArms(WriteQuestion[ExportRequest]):
 
     def body(self) -> ComposeResult:
         yield Static("Calibrated arms for other programs", classes="title", markup=False)
-        options = [Option(f"{entry.name:15} {entry.what}", id=entry.name) for entry in FORMATS.values()]
+        options = [Option(f"{entry.name:15} {entry.what}", id=entry.name) for entry in all_formats().values()]
         yield OptionList(*options, id="formats", markup=False, compact=True)
         with Horizontal(classes="field"):
             yield Static("file", markup=False)
@@ -86,7 +86,7 @@ class ExportArms(WriteQuestion[ExportRequest]):
         event.stop()
         field = self.query_one("#path", Input)
         if field.value == self._proposed:
-            entry = FORMATS[str(event.option.id)]
+            entry = all_formats()[str(event.option.id)]
             self._proposed = str(self._folder / f"{entry.name}{entry.suffix}")
             field.value = self._proposed
 

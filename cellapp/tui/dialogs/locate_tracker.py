@@ -1,111 +1,98 @@
-"""Ask before a tracker that was moved is located: how many points, and roughly where it stands."""
+"""Ask before the tracker's new station is measured."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 from textual import on
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.widgets import Button, Input, Static
 
-from cellapp.errors import InputError
-from cellapp.profile import Pose
-from cellapp.tui.dialogs.question import Answer, Question
+from cellapp.tui.dialogs.question import Question
 
-FEWEST, USUAL = 3, 4
+POINTS = 4
+"""As ``cellapp.locate_verb`` has it, which loads more than a dialog needs."""
 
 
 @dataclass(frozen=True)
 class LocateRequest:
-    """What ``locate_run`` takes."""
+    """What ``locate`` is asked for; see ``locate_run``. Poses are what a person typed; None for nothing."""
 
     points: int
-    tracker_pose: Pose | None
-    simulated_pose: Pose | None
+    tracker_pose: str | None
+    simulated_pose: str | None
 
 
 class LocateTracker(Question[LocateRequest]):
-    """Returns the request; None where the dialog is closed or answered with no.
+    """Ask how the tracker is located. Returns the request; None where the dialog is closed.
 
     Parameters
     ----------
-    text : str
-        What a person must know to answer.
-    answers : sequence of Answer
-        "no" closes; any other begins. The first one has the focus.
+    arms : str
+        Which arms move, in words.
     simulated : bool
-        Whether the tracker is simulated, so that it can be put elsewhere.
+        Whether the cell is simulated: its tracker can be put elsewhere first.
+    stale : str
+        Why the model should not be used as it is; empty if it holds.
     """
 
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("left,up", "app.focus_previous", show=False),
-        Binding("right,down", "app.focus_next", show=False),
-    ]
     DEFAULT_CSS = """
-    LocateTracker #points { width: 12; }
+    LocateTracker .field { height: 1; }
+    LocateTracker .field Static { width: 20; }
+    LocateTracker .field Input { width: 1fr; }
     """
 
-    def __init__(self, text: str, answers: Sequence[Answer], *, simulated: bool) -> None:
+    def __init__(self, arms: str, *, simulated: bool, stale: str) -> None:
         super().__init__()
-        self._text, self._answers, self._simulated = text, tuple(answers), simulated
+        self._arms, self._simulated, self._stale = arms, simulated, stale
 
     def body(self) -> ComposeResult:
         yield Static("Locate the tracker?", classes="title", markup=False)
-        yield Static(self._text, classes="text", markup=False)
-        yield Static(f"Points of all arms together, at least {FEWEST}:", markup=False)
-        yield Input(str(USUAL), id="points", compact=True, restrict="[0-9]{0,2}", select_on_focus=True)
-        yield Static("Where it stands now: x,y,z in m, roll,pitch,yaw in deg. Empty: about where it was:", markup=False)
-        yield Input("", id="pose", compact=True, restrict=r"[-+0-9., ]*")
+        text = f"After the tracker was moved: drive to a few points and measure where it stands now; {self._arms}."
+        if self._stale:
+            text += f"\nThe model is not up to date: {self._stale}."
+        yield Static(text, classes="text", markup=False)
+        yield from self._field("points", "points", str(POINTS), "of all arms together")
+        yield from self._field("tracker-pose", "tracker about at", "", "x,y,z,r,p,y (m, deg); empty: where it was")
         if self._simulated:
-            yield Static("Simulated cell: put the tracker there first, in the same form:", markup=False)
-            yield Input("", id="simulated", compact=True, restrict=r"[-+0-9., ]*")
-        yield Static("", id="why", classes="text", markup=False)
+            yield from self._field("simulated-pose", "put it first to", "", "x,y,z,r,p,y (m, deg); empty: nowhere")
+        yield Static(f"Enter begins, {self.closing_key} closes.", id="why", classes="text", markup=False)
         with Horizontal(classes="answers"):
-            for answer in self._answers:
-                label = f"{answer.label} ({answer.key})"
-                yield Button(label, id=answer.value, variant=answer.variant, compact=True)
+            yield Button("Begin", id="begin", variant="success", compact=True)
+            yield Button("Not now", id="no", compact=True)
+
+    def _field(self, name: str, label: str, text: str, hint: str) -> ComposeResult:
+        with Horizontal(classes="field"):
+            yield Static(label, markup=False)
+            yield Input(text, id=name, compact=True, placeholder=hint)
 
     def on_mount(self) -> None:
-        """Let each answer be given by its key, over the fields too: they take no letters."""
-        for answer in self._answers:
-            self._bindings.bind(answer.key, f"answer('{answer.value}')", answer.label)
-        self.query(Button).first().focus()
+        """Begin with the number of points."""
+        self.query_one("#points").focus()
 
-    def action_answer(self, value: str) -> None:
-        """Close with an answer; say what is wrong with a field."""
-        if value == "no":
-            self.dismiss(None)
-            return
-        try:
-            self.dismiss(self._request())
-        except InputError as error:
-            self.query_one("#why", Static).update(str(error))
-
-    def _request(self) -> LocateRequest:
-        points = int(self.query_one("#points", Input).value or str(USUAL))
-        if points < FEWEST:
-            raise InputError(f"Type a number of points from {FEWEST}.")
-        simulated = self._pose("#simulated", "put there") if self._simulated else None
-        return LocateRequest(points, self._pose("#pose", "stands now"), simulated)
-
-    def _pose(self, field: str, what: str) -> Pose | None:
-        from cellapp.locate_verb import typed_pose
-
-        text = self.query_one(field, Input).value.strip()
-        return typed_pose(text, what) if text else None
+    @on(Input.Submitted)
+    def submit(self, event: Input.Submitted) -> None:
+        """Take what was typed."""
+        event.stop()
+        self._begin()
 
     @on(Button.Pressed)
     def press(self, event: Button.Pressed) -> None:
-        """Close with the answer of the button."""
+        """Begin or close."""
         event.stop()
-        self.action_answer(event.button.id or "")
+        if event.button.id == "begin":
+            self._begin()
+        else:
+            self.dismiss(None)
 
-    @on(Input.Submitted)
-    def leave_field(self, event: Input.Submitted) -> None:
-        """Enter in a field goes to the answers: nothing moves by it."""
-        event.stop()
-        self.query(Button).first().focus()
+    def _begin(self) -> None:
+        points = self._text("points")
+        if not (points.isascii() and points.isdigit()):
+            self.query_one("#why", Static).update(f"Type how many points, as {POINTS}.")
+            return
+        simulated = self._text("simulated-pose") if self._simulated else ""
+        self.dismiss(LocateRequest(int(points[:6]), self._text("tracker-pose") or None, simulated or None))
+
+    def _text(self, name: str) -> str:
+        return self.query_one(f"#{name}", Input).value.strip()

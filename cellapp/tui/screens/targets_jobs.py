@@ -51,7 +51,7 @@ def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
 
     def begin(rounds: int | None) -> None:
         if rounds is not None:
-            screen.start(work.push(folder, targets, verify=True, out_of_date=bool(stale)))
+            screen.start(work.push(folder, targets, verify=True, iterate=rounds or None, out_of_date=bool(stale)))
 
     measured = " with the nominal and the compensated command, measured by the tracker"
     text = _push_words(screen, targets, measured, stale)
@@ -59,11 +59,11 @@ def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
 
 
 def ask_locate(screen: DayScreen) -> None:
-    """Ask, then measure a few points from where the tracker stands now."""
-    folder, workspace = screen.open_folder(), screen.workspace
+    """Ask how, then measure where the tracker stands after it was moved."""
+    folder, results = screen.open_folder(), screen.workspace.results
     if folder is None:
         return
-    if workspace.results is None or workspace.results.calibrate is None or workspace.profile is None:
+    if results is None or results.calibrate is None:
         screen.say(NOT_CALIBRATED, "warning")
         return
 
@@ -71,12 +71,9 @@ def ask_locate(screen: DayScreen) -> None:
         if request is not None:
             screen.start(work.locate(folder, request))
 
-    text = (
-        "For a tracker that was moved after the readings were taken: a few points of the arms, one arm after the other,"
-        f" and the calibration holds from where it stands now; {arms_words(workspace)}."
-    )
-    simulated = workspace.profile.tracker.driver.needs_plant
-    screen.app.push_screen(LocateTracker(text, BEGIN, simulated=simulated), begin)
+    workspace = screen.workspace
+    dialog = LocateTracker(arms_words(workspace), simulated=workspace.kind == "simulated", stale=stale_model(results))
+    screen.app.push_screen(dialog, begin)
 
 
 def ask_correct(screen: DayScreen) -> None:

@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 
 from cellapp.trials.link_bench import travel_s
 from cellapp.trials.links import link_trials
-from drivers.arms import ur_supervisor, ur_worker
+from drivers.arms import ur_path_supervisor, ur_supervisor, ur_worker
 from drivers.arms.protocol import (
     ArmError,
     JointLimits,
@@ -39,6 +39,7 @@ from drivers.arms.ur import UrArm
 from drivers.arms.ur_control import UrControl
 from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_motion import MAX_SPEED, Kicks, Motion, RestCriterion, leading_rates
+from drivers.arms.ur_path_supervisor import PathSupervisor
 from drivers.arms.ur_rtde_reader import wait_at_rest
 from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_worker_process import HeartbeatGaps
@@ -534,13 +535,14 @@ def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Callable[..
     """The client, and a function that sends a message, runs the worker for some seconds and returns its answers."""
     client, answers, now = DelayedClient(), io.BytesIO(), [1000.0]
     clock = SimpleNamespace(monotonic=lambda: now[0], sleep=client.tick)
+    monkeypatch.setattr(ur_path_supervisor, "time", clock)
     for module in (ur_worker, ur_supervisor):
         monkeypatch.setattr(module, "time", clock)
         monkeypatch.setattr(module, "stop_program", lambda host, within_s: None)
     monkeypatch.setattr(ur_supervisor, "in_local_control", lambda host, within_s: client.local)
     worker = ur_worker.Worker(answers)
     control = UrControl("127.0.0.1", client, client, ("target_speed_fraction",))
-    supervisor = ur_supervisor.Supervisor(worker, control, 5.0, RestCriterion(dwell_s=0.1, speed=0.005, position=2e-4))
+    supervisor = PathSupervisor(worker, control, 5.0, RestCriterion(dwell_s=0.1, speed=0.005, position=2e-4))
     supervisor.begin()
     supervisor._motion = Motion(list(AWAY), number_before=1, began_s=now[0])
     supervisor.wait_settled(7, 60.0)

@@ -1,0 +1,115 @@
+"""The verb ``export`` for commands: what ``compensate`` computed or ``push`` verified last, for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.errors import InputError
+from cellapp.exports.arm_commands import ArmCommands, exported_commands, final_commands
+from cellapp.exports.export_format import CommandFormat
+from cellapp.exports.out_files import files_of_arms
+from cellapp.exports.words import form_line
+from cellapp.profile import Arm
+from cellapp.profile.files import write_new
+from cellapp.results import COMPENSATE, VERIFY, CommandFile, CompensateResult, ExportResult, TargetCommand, VerifyResult
+from cellapp.run import RunFile
+from cellapp.run.stages import RunStages, StoredStage
+from cellapp.run.stored_model import model_of, stage_in_force
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
+
+
+def export_commands(
+    run: RunFile,
+    stages: RunStages,
+    form: CommandFormat,
+    out: Path,
+    arm: str | None = None,
+    stage_name: str | None = None,
+) -> ExportResult:
+    """Write the commands of every arm that has some, a file each; see ``export_as_run``.
+
+    Raises
+    ------
+    InputError
+        If nothing was compensated or verified, that is out of date, the arm has no commands, or none that the format
+        may hold.
+    """
+    stage = _stage(run, stages, stage_name or COMPENSATE)
+    records = _records(run, stages, stage)
+    names = [name for name in run.profile.arms if any(record.arm == name for record in records)]
+    if arm is not None and arm not in names:
+        there = f"arms with commands are {', '.join(names)}" if names else "no arm has any"
+        raise InputError(f"export: arm '{arm}' has no commands of '{stage.name}'; {there}; nothing was written")
+    chosen = [arm] if arm is not None else names
+    files = files_of_arms(out, chosen)
+    commands = {name: _of_arm(run, stages, stage, records, name) for name in chosen}
+    write_new({files[name]: form.text(of_arm, _sentences(form, of_arm)) for name, of_arm in commands.items()})
+    return ExportResult(
+        format=form.name,
+        commands={
+            name: CommandFile(
+                file=str(files[name]), commands=form.held(of_arm), refused=len(of_arm.commands) - form.held(of_arm)
+            )
+            for name, of_arm in commands.items()
+        },
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
+    """The stage whose commands are written, which still holds."""
+    if name not in (COMPENSATE, VERIFY):
+        raise InputError(f"export: commands are those of the stage {COMPENSATE} or {VERIFY}, not '{name}'")
+    known = COMPENSATE if name == COMPENSATE else VERIFY
+    stage = stages.current.get(known)
+    verb = f"cellapp compensate {run.folder} TARGETS" if known == COMPENSATE else f"cellapp push {run.folder} TARGETS"
+    if stage is None:
+        raise InputError(f"export: {run.path} has no commands of '{name}'; nothing was written. Run '{verb}' first")
+    if known in stages.out_of_date:
+        reason = stages.out_of_date[known]
+        raise InputError(f"export: '{name}' is out of date ({reason}); nothing was written. Run '{verb}' again")
+    return stage
+
+
+def _records(run: RunFile, stages: RunStages, stage: StoredStage) -> tuple[TargetCommand, ...]:
+    computed = CompensateResult.from_json(_stage(run, stages, COMPENSATE).text, f"{run.path}: {COMPENSATE}").targets
+    if stage.name == COMPENSATE:
+        return computed
+    return final_commands(VerifyResult.from_json(stage.text, f"{run.path}: {VERIFY}").targets, computed)
+
+
+def _of_arm(
+    run: RunFile, stages: RunStages, stage: StoredStage, records: tuple[TargetCommand, ...], name: str
+) -> ArmCommands:
+    in_force = stage_in_force(run, stages)
+    model, homes = model_of(run, in_force), home_positions(run.profile)
+    arm = run.profile.arms[name]
+    speed, acceleration = _rates(run, arm)
+    return ArmCommands(
+        name=name,
+        arm=arm,
+        source=f"run '{run.folder.resolve().name}', '{stage.name}' of {stage.written}, model of '{in_force.name}'",
+        home=homes[name],
+        speed=speed,
+        acceleration=acceleration,
+        commands=exported_commands(
+            [record for record in records if record.arm == name], name, model, cell_bodies(run.profile, model), homes
+        ),
+    )
+
+
+def _rates(run: RunFile, arm: Arm) -> tuple[float, float]:
+    """Speed [rad/s] and acceleration [rad/s^2] that no joint exceeds: as slow as first motions on real hardware."""
+    joints = arm.type.joints
+    share = arm.speed_scale * run.profile.collection.slow_start.speed
+    speeds, accelerations = (np.array([getattr(joint, key) for joint in joints]) for key in ("speed", "acceleration"))
+    return float(speeds.min() * share), float(accelerations.min() * share)
+
+
+def _sentences(form: CommandFormat, commands: ArmCommands) -> list[str]:
+    lines = [form_line(form), f"Arm '{commands.name}' ({commands.arm.type.model}), {commands.source}."]
+    return [" ".join(line.splitlines()) for line in lines]  # a name must not end the comment
