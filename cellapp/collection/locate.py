@@ -51,9 +51,9 @@ _REACH = 3.0
 """An SMR is searched for within so many standard deviations of its prediction."""
 _REACH_M = (0.05, 0.16)
 """Least and largest distance within which an SMR is searched for: beyond, the search would take too long."""
-_LATTICE_M = 0.08
-"""Spacing of the places that the tracker is pointed at. No place is farther than 69 mm from one of a cubic lattice, and
-half of them are within 45 mm: trackers search some 50 to 100 mm about the place by themselves."""
+_LATTICE_M = 0.057
+"""Spacing of the places that the tracker is pointed at: no place is farther than 50 mm from one of a cubic lattice, the
+least distance within which a tracker's driver accepts an SMR."""
 _REPEATS = 5
 """Measurements of each point: what scatters from one to the next falls below half."""
 _MISSED_AT_FIRST, _MISSED_LATER = 2, 3
