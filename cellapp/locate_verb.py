@@ -83,29 +83,25 @@ def locate_run(
         raise InputError(f"locate: at least {FEWEST_POINTS} points are needed, better {POINTS}; not {points}")
     stages = read_stages(run)
     used = _stage_before_moving(run, stages)
-    profile = _at_station(run, stages, simulated_pose)
-    model = model_of(run, used)
-    rough = _rough_station(run, stages, tracker_pose)
+    task = LocateTask(
+        profile=_at_station(run, stages, simulated_pose),
+        model=model_of(run, used),
+        rough_T=_rough_station(run, stages, tracker_pose),
+        candidates={name: run.readings(name).q for name in run.profile.arms},
+        excess_m=_excess(run, model_of(run, used)),
+        points=points,
+        still_m=run.profile.collection.reference.drift,
+    )
     notes: list[str] = []
 
     def opened(cell: Cell) -> None:
         notes.extend(check_controllers(run, cell).notes)
 
     with taking_requests(run.folder, control):
-        task = LocateTask(
-            profile=profile,
-            model=model,
-            rough_T=rough,
-            candidates={name: run.readings(name).q for name in model.arms},
-            excess_m=_excess(run, model),
-            points=points,
-            still_m=profile.collection.reference.drift,
-        )
         confirm = confirmation(run.profile, ask)
         found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)
     result = _result(run.profile, task, found, (*notes, *found.notes))
-    moved = relocated(model, found.fit.T_new_old, found.fit.twists) if found.explained else None
-    _store(run, used, result, moved)
+    _store(run, used, result, relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.explained else None)
     return result
 
 
