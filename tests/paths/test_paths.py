@@ -243,9 +243,9 @@ def test_a_rehearsal_takes_out_what_the_lag_cuts(profile: Profile, model: CellMo
     motion, q = None, []
     for row in sent.q:  # as a controller follows, one position in each cycle
         now = 0.0 if motion is None else motion.start_s + PERIOD_S
-        here = (sent.q[0], np.zeros(6)) if motion is None else at_time(motion, now)
-        q.append(here[0])
-        motion = ServoMotion.towards(row, now, *here, 66.7)
+        here, speed = (sent.q[0], np.zeros(6)) if motion is None else at_time(motion, now)[:2]
+        q.append(here)
+        motion = ServoMotion.towards(row, now, here, speed, 66.7)
     followed = np.array(q)
     plain = lag(model.arms["left"], sent, sent.time_s, followed)
     assert plain is not None
