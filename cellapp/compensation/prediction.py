@@ -51,7 +51,8 @@ def predictions(
     for begin in range(0, len(q), _AT_ONCE):
         rows = np.arange(begin, min(begin + _AT_ONCE, len(q)))
         spread = spread_of(arm, q[rows], conditions.take(rows))
-        found += _judged(spread, arm.posterior.noise_m, tolerances_mm[begin : begin + _AT_ONCE])
+        noise = arm.posterior.noise_covariance(arm.predict(q[rows], conditions=conditions.take(rows)))
+        found += _judged(spread, noise, tolerances_mm[begin : begin + _AT_ONCE])
     return found
 
 
@@ -82,16 +83,16 @@ def _of_model(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> tup
     return share * whole, (1.0 - share) * whole, network
 
 
-def _judged(spread: Spread, noise_m: float, tolerances_mm: Sequence[float | None]) -> list[Prediction | None]:
-    """Predictions in mm from covariances."""
+def _judged(spread: Spread, noise: Array, tolerances_mm: Sequence[float | None]) -> list[Prediction | None]:
+    """Predictions in mm from covariances (n, 3, 3) [m^2] of the model and of measuring."""
     low, high = (bound * 1e3 for bound in length_bounds(spread.whole))
-    _, within = length_bounds(spread.whole + noise_m**2 * np.eye(3))
+    _, within = length_bounds(spread.whole + noise)
     parts = {name: _coordinate_mm(value) for name, value in vars(spread).items()}
-    whole = _coordinate_mm(spread.whole)
+    whole, scatter = _coordinate_mm(spread.whole), _coordinate_mm(noise)
     return [
         Prediction(
             uncertainty_mm=float(whole[k]),
-            parts=UncertaintyParts(**{name: float(value[k]) for name, value in parts.items()}, noise=noise_m * 1e3),
+            parts=UncertaintyParts(**{name: float(value[k]) for name, value in parts.items()}, noise=float(scatter[k])),
             within_mm=float(within[k]) * 1e3,
             unknown=(),
             offered_approach=None,

@@ -18,6 +18,7 @@ from cellapp.effects import EFFECTS, EffectColumn, EffectContext, EffectTerm
 from cellapp.effects.modulation import with_modulations
 from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
+from cellapp.model.measuring_noise import MeasuringNoise
 
 DRAWS = 64
 _DIGITS = 4
@@ -37,17 +38,26 @@ class PosteriorDraws:
     terms : tuple of array, shape (S, m)
         One for each term of the model, in the order of its names.
     noise_m : float
-        Standard deviation of a measured coordinate about the true prediction [m].
+        Standard deviation of a measured coordinate about the true prediction [m], rms over the readings.
+    noise : MeasuringNoise or None
+        That by direction; None where it is alike in all directions.
     """
 
     columns: tuple[int, ...]
     geometry: Array
     terms: tuple[Array, ...]
     noise_m: float
+    noise: MeasuringNoise | None = None
 
     @classmethod
     def of_covariance(
-        cls, columns: tuple[int, ...], sizes: Sequence[int], covariance: Array, noise_m: float, seed: Sequence[int]
+        cls,
+        columns: tuple[int, ...],
+        sizes: Sequence[int],
+        covariance: Array,
+        noise_m: float,
+        seed: Sequence[int],
+        noise: MeasuringNoise | None = None,
     ) -> PosteriorDraws:
         """Draws from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -57,7 +67,13 @@ class PosteriorDraws:
         drawn = (normal @ root.T) * scale
         ends = np.cumsum([len(columns), *sizes])
         parts = np.split(drawn, ends[:-1], axis=1)
-        return cls(columns, parts[0], tuple(parts[1:]), noise_m)
+        return cls(columns, parts[0], tuple(parts[1:]), noise_m, noise)
+
+    def noise_covariance(self, p_M: Array) -> Array:
+        """Covariances (n, 3, 3) [m^2] of measurements at ``p_M`` (n, 3) [m] about the true prediction."""
+        if self.noise is None:
+            return np.asarray(np.tile(self.noise_m**2 * np.eye(3), (len(p_M), 1, 1)))
+        return self.noise.covariance(p_M)
 
     def displacements(self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
         """Deviations (S, n, 3) [m] of the SMR from its prediction, to first order."""
@@ -103,6 +119,7 @@ def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
         "geometry": _rounded(posterior.geometry),
         "terms": [_rounded(one) for one in posterior.terms],
         "noise_m": posterior.noise_m,
+        "noise": None if posterior.noise is None else posterior.noise.to_json(),
     }
 
 
@@ -110,7 +127,8 @@ def posterior_from_json(content: Mapping[str, Any]) -> PosteriorDraws:
     """Read what ``posterior_to_json`` wrote."""
     geometry = np.array(content["geometry"], dtype=np.float64)
     terms = tuple(np.array(one, dtype=np.float64).reshape(len(geometry), -1) for one in content["terms"])
-    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]))
+    noise = None if content.get("noise") is None else MeasuringNoise.from_json(content["noise"])
+    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]), noise)
 
 
 def _rounded(values: Array) -> list[list[float]]:

@@ -23,6 +23,7 @@ from cellapp.collection.collect import collect_run
 from cellapp.compensation.compensate import compensate
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target
+from cellapp.effects import MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array, rotation_z, transform, zyx_angles
 from cellapp.locate_verb import locate_run
@@ -217,7 +218,9 @@ def _arm_figures(bench: _Bench, name: str, targets: Sequence[MeasuredTarget]) ->
     q, measured_M = _rows([one.q for one in done]), _rows([one.measured_M for one in done])
     predicted_M = _rows([one.predicted_M for one in done])
     model = bench.model.arms[name]
-    limit = _NORMAL_95 * model.measured_uncertainty(q)[:, None]
+    approach = np.array([one.approach for one in done], dtype=np.float64)
+    covariance = model.measured_covariance(q, MeasurementConditions(approach=approach))
+    limit = _NORMAL_95 * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     stated = [one for one in done if one.within_mm is not None]
     paper_M = None if bench.moved else bench.paper.arms[name].predict(q)
     return ArmFigures(
