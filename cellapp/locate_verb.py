@@ -33,6 +33,7 @@ from cellapp.results import (
     StationPose,
 )
 from cellapp.run import RunFile
+from cellapp.run.readings import stated_uncertainty
 from cellapp.run.stages import (
     CALIBRATION_FILE,
     RunStages,
@@ -96,7 +97,7 @@ def locate_run(
             model=model,
             rough_T=rough,
             candidates={name: run.readings(name).q for name in model.arms},
-            noise_m=_scatter(run, model),
+            excess_m=_excess(run, model),
             points=points,
             still_m=profile.collection.reference.drift,
         )
@@ -128,13 +129,16 @@ def profile_at_station(run: RunFile, stages: RunStages) -> Profile:
 
 
 def refuse_second_station(run: RunFile) -> None:
-    """Raise ``InputError`` where further readings would be in another tracker frame than those of the run."""
-    if tracker_moved(read_stages(run).current.get(LOCATE)):
-        raise InputError(
-            f"{run.path}: the tracker was moved since the readings of this run were taken ('cellapp show {run.folder}"
-            " location'). Readings from two stations do not calibrate together: plan and collect a new run, or put the"
-            " tracker back and locate it again"
-        )
+    """Raise ``InputError`` where further readings would not belong to the cell in which those of the run were taken."""
+    located = read_stages(run).current.get(LOCATE)
+    if located is None or (located.model is not None and not tracker_moved(located)):
+        return
+    what = "the tracker" if located.model is not None else "the tracker or an arm"
+    raise InputError(
+        f"{run.path}: {what} was moved since the readings of this run were taken: 'cellapp show {run.folder} location'."
+        " Readings from two stations do not calibrate together: plan and collect a new run, or put it back and locate"
+        " the tracker again"
+    )
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -161,9 +165,9 @@ def _at_station(run: RunFile, stages: RunStages, simulated_pose: Pose | None) ->
         raise InputError(
             "locate: --simulated-pose moves the tracker of a simulated cell; the profile's tracker is not simulated"
         )
-    if simulated_pose is None and LOCATE in stages.current:
-        last = LocateResult.from_json(stages.current[LOCATE].text, f"{run.path}: {LOCATE}").simulated_pose
-        simulated_pose = None if last is None else Pose(position=last.position, rpy=last.rpy)
+    last = _last_result(run, stages)
+    if simulated_pose is None and last is not None and last.simulated_pose is not None:
+        simulated_pose = Pose(position=last.simulated_pose.position, rpy=last.simulated_pose.rpy)
     if simulated_pose is None or profile.plant is None:
         return profile
     plant = profile.plant.model_copy(update={"tracker_pose": simulated_pose})
@@ -177,21 +181,36 @@ def _rough_station(run: RunFile, stages: RunStages, tracker_pose: Pose | None) -
         raise InputError(f"profile {run.profile.name}: tracker.pose is needed to point the tracker")
     if tracker_pose is not None:
         return np.asarray(invert(pose_matrix(tracker_pose)) @ pose_matrix(pose))
-    last = stages.current.get(LOCATE)
-    station = None if last is None or last.model is None else model_of(run, last).T_M_M0
-    return np.eye(4) if station is None else station
+    last = _last_result(run, stages)
+    return np.eye(4) if last is None else np.array(last.T_new_old)
 
 
-def _scatter(run: RunFile, model: CellModel) -> dict[str, float]:
-    """Scatter of a coordinate about the model [m]: as it states, else from the errors at held-out stops."""
+def _last_result(run: RunFile, stages: RunStages) -> LocateResult | None:
+    stored = stages.current.get(LOCATE)
+    return None if stored is None else LocateResult.from_json(stored.text, f"{run.path}: {LOCATE}")
+
+
+def _excess(run: RunFile, model: CellModel) -> dict[str, float]:
+    """Scatter of a coordinate about the model beyond the tracker's covariance at the readings [m], by arm.
+
+    As the model states it, else from the errors at held-out stops.
+    """
     stored = read_results(run).calibrate
     found = {}
     for name, arm in model.arms.items():
-        found[name] = 0.0 if arm.posterior is None else arm.posterior.noise_m
+        noise_m = 0.0 if arm.posterior is None else arm.posterior.noise_m
         if arm.posterior is None and stored is not None:
             result = stored.arms[name]
-            found[name] = result.validate_[result.best_stage].position_mm.rms * 1e-3 / np.sqrt(3.0)
+            noise_m = result.validate_[result.best_stage].position_mm.rms * 1e-3 / math.sqrt(3.0)
+        stated = stated_uncertainty(run.readings(name))
+        tracker = 0.0 if stated is None else float(np.mean(_variances(stated)))
+        found[name] = math.sqrt(max(noise_m**2 - tracker, 0.0))
     return found
+
+
+def _variances(stated: Array) -> Array:
+    """Variance of a coordinate (n,) [m^2] of standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
+    return np.asarray(stated**2 if stated.ndim == 1 else np.trace(stated, axis1=1, axis2=2) / 3.0)
 
 
 def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tuple[str, ...]) -> LocateResult:

@@ -20,6 +20,7 @@ from cellapp.collection.collect import collect_run
 from cellapp.commissioning.confirm import Ask, asked_once, confirmation, require_permission
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.compensation.compensate import Command, compensate, compensate_result
+from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.control import JobControl
 from cellapp.discovery.discover import discover_cell
@@ -72,7 +73,7 @@ from cellapp.run.stages import (
 from cellapp.run.stored_model import model_of, stage_in_force
 from cellapp.signature.calibrate import with_prior
 from cellapp.signature.discovery import SearchWithPriors
-from cellapp.signature.source import basis_of_priors, earlier_arms, earlier_of_calibration
+from cellapp.signature.source import basis_of_priors, earlier_arms, earlier_of_calibration, recorded_priors
 
 R = TypeVar("R", bound=RunResults)
 
@@ -237,6 +238,11 @@ def calibrate_run(
         calibration = calibrate_readings(run.profile, readings, with_eta(listener), cancel)
         if earlier:
             calibration = with_prior(run.profile, readings, calibration, earlier)
+        elif used := {record.run for record in recorded_priors(run).values()}:
+            notes = (
+                *notes,
+                f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before",
+            )
     result = calibrate_result(replace(calibration, notes=(*notes, *calibration.notes)))
     basis = basis_of(run).model_copy(update={"priors": basis_of_priors(earlier)})
     _append_with_model(run, CALIBRATE, result, calibration.model, basis)
@@ -450,7 +456,8 @@ def _compensate(
     run: RunFile, stages: RunStages, targets: Sequence[Target]
 ) -> tuple[tuple[Command, ...], CompensateResult]:
     used = stage_in_force(run, stages)
-    commands = compensate(run.profile, model_of(run, used), targets)
+    ranges = {name: ConditionRanges.of(readings) for name, readings in _readings(run).items()}
+    commands = compensate(run.profile, model_of(run, used), targets, ranges=ranges)
     stale = stages.stale_model()
     notes = [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
     result = compensate_result(commands, notes)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from cellapp.collection.cell import Cell
 from cellapp.collection.motion import Confirm
 from cellapp.compensation.cell_checks import check_cell
-from cellapp.compensation.compensate import Command
+from cellapp.compensation.command import Command
 from cellapp.compensation.push import Visited, push
 from cellapp.control import JobControl
 from cellapp.errors import CellappError, InputError

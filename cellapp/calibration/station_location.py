@@ -157,7 +157,7 @@ def fit_station(
     points: Points,
     start: Array,
     *,
-    noise_m: Mapping[str, float],
+    excess_m: Mapping[str, float],
     seed: Sequence[int] = (0,),
     rough: RoughStation | None = None,
 ) -> StationFit:
@@ -170,9 +170,9 @@ def fit_station(
     points : mapping
     start : array, shape (4, 4)
         A rough ``T_new_old``.
-    noise_m : mapping
-        Arm -> scatter of its readings about the model [m], a coordinate's standard deviation; the measurements'
-        covariances are raised to it.
+    excess_m : mapping
+        Arm -> standard deviation of a coordinate [m] by which readings scatter about the model beyond the covariance
+        of the tracker and the model's own uncertainty: the arm's repeatability.
     seed : sequence of int
         Of the draws.
     rough : RoughStation or None
@@ -185,11 +185,11 @@ def fit_station(
     """
     if rough is None:
         check_layout(points)
-    return _fit(_Problem(model, points, noise_m, tuple(seed), rough, None), _State(start))
+    return _fit(_Problem(model, points, excess_m, tuple(seed), rough, None), _State(start))
 
 
 def possible_causes(
-    model: CellModel, points: Points, start: Array, *, noise_m: Mapping[str, float], still_m: float
+    model: CellModel, points: Points, start: Array, *, excess_m: Mapping[str, float], still_m: float
 ) -> tuple[Cause, ...]:
     """What besides the tracker may have moved: one arm's base or its SMR, those that explain the points best first.
 
@@ -202,9 +202,9 @@ def possible_causes(
             continue
         others = {other: theirs for other, theirs in points.items() if other != name}
         if others and not _layout_refusal(np.concatenate([theirs.measured_M for theirs in others.values()])):
-            found.append(_cause(_Problem(model, points, noise_m, (0,), None, ("base", name)), start, still_m))
+            found.append(_cause(_Problem(model, points, excess_m, (0,), None, ("base", name)), start, still_m))
         if sum(map(len, points.values())) > FEWEST_POINTS:
-            found.append(_cause(_Problem(model, points, noise_m, (0,), None, ("smr", name)), start, still_m))
+            found.append(_cause(_Problem(model, points, excess_m, (0,), None, ("smr", name)), start, still_m))
     return tuple(sorted(found, key=lambda cause: (not cause.fit.explains, _akaike(cause), not cause.others_still)))
 
 
@@ -238,7 +238,7 @@ class _Problem:
 
     model: CellModel
     points: Points
-    noise_m: Mapping[str, float]
+    excess_m: Mapping[str, float]
     seed: tuple[int, ...]
     rough: RoughStation | None
     extra: tuple[MotionKind, str] | None
@@ -337,8 +337,7 @@ def _uncertainty(problem: _Problem, state: _State) -> tuple[Array, Array]:
     noise, drawn, first = np.zeros((sum(sizes), sum(sizes))), np.zeros((DRAWS, sum(sizes))), 0
     for (name, own), size in zip(problem.points.items(), sizes, strict=True):
         arm, here = model.arms[name], slice(first, first + size)
-        stated = np.trace(own.covariance_M, axis1=1, axis2=2) / 3.0
-        added = np.maximum(problem.noise_m[name] ** 2 - stated, 0.0)
+        added = np.full(len(own), problem.excess_m[name] ** 2)
         if arm.network is not None:
             added += np.mean(arm.network.spread(own.q) ** 2, axis=1)
         for k, covariance in enumerate(own.covariance_M + added[:, None, None] * np.eye(3)):

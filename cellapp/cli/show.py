@@ -57,6 +57,9 @@ def show(
     forecast: Annotated[
         bool, typer.Option("--forecast", help="With plan: time, joint ranges, expected errors, effects it can show.")
     ] = False,
+    target: Annotated[
+        str | None, typer.Option("--target", metavar="NAME", help="With targets: all about one of them.")
+    ] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Print what a run holds; nothing is changed, and only --check and --forecast compute anything."""
@@ -67,6 +70,8 @@ def show(
         raise InputError("show: --level and --last belong to 'log'")
     if (check or forecast) and (part is not Part.PLAN or (check and forecast)):
         raise InputError("show: --check and --forecast belong to 'plan'; give one of them")
+    if target is not None and part is not Part.TARGETS:
+        raise InputError("show: --target belongs to 'targets'")
     with Job(json_file) as job, open_run(folder) as run:
         match part:
             case Part.OVERVIEW:
@@ -86,6 +91,8 @@ def show(
                 _show_plan(job, run)
             case Part.COLLECTION:
                 _show_collection(job, run)
+            case Part.TARGETS if target is not None:
+                _show_target(job, run, target)
             case Part.LOG:
                 log = overview.run_log(run, level, last)
                 job.say(*(run_tables.log_lines(log) or ["no log lines to show"]))
@@ -167,6 +174,23 @@ def _show_collection(job: Job, run: RunFile) -> None:
         )
     job.show(collection_tables(state))
     job.result(state)
+
+
+def _show_target(job: Job, run: RunFile, name: str) -> None:
+    """Print all that the last results say about one target; the JSON is that of ``compensate``, with it alone."""
+    from cellapp.reporting.target_details import details_tables, stored_state, target_details
+    from cellapp.run.stages import read_results
+
+    results = read_results(run)
+    state = stored_state(results, name)
+    if state is None or results.compensate is None:
+        raise InputError(
+            f"{run.path}: no compensated target '{name}' is stored; 'cellapp show {run.folder} targets' lists them"
+        )
+    details = target_details(state)
+    job.show(details_tables(details))
+    job.say(*details.sentences)
+    job.result(results.compensate.model_copy(update={"targets": state.commands}))
 
 
 def _show_result(job: Job, run: RunFile, part: Part) -> None:

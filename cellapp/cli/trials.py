@@ -399,6 +399,7 @@ def signature(
     earlier: Annotated[int, typer.Option("--earlier", min=40, help="Stops of the earlier calibration.")] = 400,
     few: Annotated[int, typer.Option("--few", min=5, help="Stops with the earlier calibration.")] = 30,
     many: Annotated[int, typer.Option("--many", min=10, help="Stops without it, to compare with.")] = 150,
+    mix: Annotated[bool, typer.Option("--mix", help="Hide compliance, curves and backlash on the arms.")] = False,
     real: Annotated[bool, typer.Option("--real", help="Series D of a real UR10 with series C as prior.")] = False,
     rows: Annotated[
         str, typer.Option("--rows", metavar="LIST", help="With --real: numbers of rows, separated by commas.")
@@ -436,6 +437,7 @@ def signature(
                 earlier=earlier,
                 few=few,
                 many=many,
+                mix=mix,
                 jobs=jobs,
                 listener=job.listen,
                 cancel=job.control,

@@ -28,6 +28,7 @@ from cellapp.calibration.station_location import (
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.collect import Opened
 from cellapp.collection.locating_stops import LocatingStops
+from cellapp.collection.measuring import mean_point
 from cellapp.collection.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.collection.supervision import hold_while_paused, reacting
 from cellapp.control import JobControl
@@ -53,17 +54,23 @@ _REACH_M = (0.05, 0.16)
 _LATTICE_M = 0.08
 """Spacing of the places that the tracker is pointed at. No place is farther than 69 mm from one of a cubic lattice, and
 half of them are within 45 mm: trackers search some 50 to 100 mm about the place by themselves."""
+_REPEATS = 5
+"""Measurements of each point: what scatters from one to the next falls below half."""
 _MISSED_AT_FIRST, _MISSED_LATER = 2, 3
 """So many SMRs that are not found one after the other end the job, before the first one is found and after it."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundPoint:
-    """A measured point: its arm, the joint positions (N,) [rad] of its controller, by how much it was off [m]."""
+    """A measured point: its arm, the joint positions (N,) [rad] of its controller, by how much it was off [m].
+
+    ``point`` is the mean of the measurements, whose positions are ``repeats_M`` (k, 3) [m].
+    """
 
     arm: str
     q: Vector
     point: Point
+    repeats_M: Array
     conditions: MeasurementConditions
     found_off_m: float
 
@@ -89,7 +96,7 @@ class LocateTask:
     """What to measure.
 
     ``model`` is in the tracker frame of its calibration, ``rough_T`` (4, 4) maps that into a guess of the present one,
-    ``candidates`` are as in ``LocatingStops``, ``noise_m`` as in ``fit_station``; ``points`` are wanted of all arms
+    ``candidates`` are as in ``LocatingStops``, ``excess_m`` as in ``fit_station``; ``points`` are wanted of all arms
     together. Up to ``still_m`` [m] of drift count as no motion.
     """
 
@@ -97,7 +104,7 @@ class LocateTask:
     model: CellModel
     rough_T: Array
     candidates: Mapping[str, Array]
-    noise_m: Mapping[str, float]
+    excess_m: Mapping[str, float]
     points: int
     still_m: float
 
@@ -153,7 +160,7 @@ def locate_station(
             fit = measuring.fit()
             if not fit.explains:
                 causes = possible_causes(
-                    task.model, measuring.points(), fit.T_new_old, noise_m=task.noise_m, still_m=task.still_m
+                    task.model, measuring.points(), fit.T_new_old, excess_m=task.excess_m, still_m=task.still_m
                 )
         mover.go_home()
     listener(Progress("locate", len(measuring.found), len(measuring.found), "done"))
@@ -202,13 +209,14 @@ class _Measuring:
             self.task.model,
             self.points(),
             self._so_far[0],
-            noise_m=self.task.noise_m,
+            excess_m=self.task.excess_m,
             seed=(self.task.profile.seed,),
         )
 
     def points(self) -> dict[str, ArmPoints]:
         """The points by arm, as the fit takes them."""
         found: dict[str, ArmPoints] = {}
+        by_chance = _share_of_chance(self.found)
         for name in dict.fromkeys(one.arm for one in self.found):
             own = [one for one in self.found if one.arm == name]
             others = [other for other in self._homes if other != name]
@@ -218,7 +226,7 @@ class _Measuring:
             found[name] = ArmPoints(
                 q=np.array([one.q for one in own]),
                 measured_M=np.array([one.point.p_M for one in own]),
-                covariance_M=np.array([one.point.covariance_M for one in own]),
+                covariance_M=_covariances(own, by_chance),
                 conditions=_joined([one.conditions for one in own]),
                 other=at_home,
             )
@@ -254,7 +262,9 @@ class _Measuring:
             return False
         self._missed = 0
         self.found.append(found)
-        fit = fit_station(self.task.model, self.points(), self._so_far[0], noise_m=self.task.noise_m, rough=self._rough)
+        fit = fit_station(
+            self.task.model, self.points(), self._so_far[0], excess_m=self.task.excess_m, rough=self._rough
+        )
         self._so_far = fit.T_new_old, fit.covariance
         self.stops.measured(name, state.q, fit.T_new_old)
         return True
@@ -281,11 +291,13 @@ class _Measuring:
             self.checkpoint()
             try:
                 point = self.mover.measure_at(expected + offset, f"arm {name}", reach_m + _LATTICE_M, tries=1)
+                points = [point, *(self.mover.measure_at(point.p_M, f"arm {name}") for _ in range(_REPEATS - 1))]
             except (TargetLost, WrongTarget, Unstable) as error:
                 problem = problem or str(error)
                 continue
             off_m = float(np.linalg.norm(point.p_M - expected))
-            return FoundPoint(name, state.q, point, conditions, off_m)
+            repeats_M = np.array([one.p_M for one in points])
+            return FoundPoint(name, state.q, mean_point(points), repeats_M, conditions, off_m)
         self.notes.append(f"arm {name}: no SMR within {reach_m * 1e3:.0f} mm of its prediction: {problem}")
         return None
 
@@ -314,6 +326,22 @@ class _Measuring:
             f"{tried}: the tracker stands or looks elsewhere than assumed; give its pose in the cell to about 50 mm and"
             f" 1 deg with --tracker-pose. {self.notes[-1]}"
         )
+
+
+def _share_of_chance(found: Sequence[FoundPoint]) -> float:
+    """Share of the tracker's covariance that repeats scatter by, 0 to 1: only this share falls by averaging."""
+    squares = 0.0
+    for one in found:
+        off = one.repeats_M - one.repeats_M.mean(axis=0)
+        squares += float(np.einsum("ka,ab,kb->", off, np.linalg.inv(one.point.covariance_M), off))
+    freedom = 3 * sum(len(one.repeats_M) - 1 for one in found)
+    return min(squares / freedom, 1.0) if freedom else 0.0
+
+
+def _covariances(found: Sequence[FoundPoint], by_chance: float) -> Array:
+    """Covariances of the means of repeats (m, 3, 3) [m^2]."""
+    left = [1.0 - by_chance * (1.0 - 1.0 / len(one.repeats_M)) for one in found]
+    return np.array([part * one.point.covariance_M for part, one in zip(left, found, strict=True)])
 
 
 def _lattice(reach_m: float) -> list[Vector]:

@@ -54,7 +54,7 @@ class LocatingStops:
         q = self.candidates[name]
         usable = self._clear[name] & self._seen(name, model)
         usable[list(tried)] = False
-        gains = np.where(usable, self._gains(model, name), -np.inf)
+        gains = np.where(usable, -self._spread(model, name), -np.inf)
         for row in np.argsort(-gains, kind="stable").tolist():
             if not np.isfinite(gains[row]):
                 return None
@@ -67,9 +67,12 @@ class LocatingStops:
         """Count what a measured point (N,) [rad] tells."""
         self._information = self._information + _information(relocated(self.model, T_new_old), name, q[None])[0]
 
-    def _gains(self, model: CellModel, name: str) -> Array:
-        """Logarithm of the information's determinant with each candidate, (n,)."""
-        return np.asarray(np.linalg.slogdet(self._information + _information(model, name, self.candidates[name]))[1])
+    def _spread(self, model: CellModel, name: str) -> Array:
+        """Mean variance [m^2] by which the station moves the candidates of all arms, with each one measured, (n,)."""
+        J = [twist_columns(model.predict(other, q)) for other, q in self.candidates.items()]
+        mean = sum(np.einsum("nai,naj->ij", own, own) / len(own) for own in J) / len(J)
+        covariances = np.linalg.inv(self._information + _information(model, name, self.candidates[name]))
+        return np.asarray(np.einsum("nij,ji->n", covariances, mean))
 
     def _clear_ones(self, name: str, q: Array) -> np.ndarray:
         others = {other: np.tile(home, (len(q), 1)) for other, home in self._homes.items() if other != name}

@@ -9,8 +9,8 @@ import numpy as np
 
 from cellapp.collection.cell import Cell
 from cellapp.collection.controllers import check_controllers
-from cellapp.compensation.compensate import Command
-from cellapp.compensation.targets import WorkingConditions
+from cellapp.compensation.command import Command
+from cellapp.compensation.working_conditions import conditions_of
 from cellapp.errors import HardwareError, InputError
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Arm, Profile
@@ -77,14 +77,6 @@ def check_cell(run: RunFile, cell: Cell, commands: Sequence[Command], *, changed
     return found.notes
 
 
-def conditions_of(command: Command) -> WorkingConditions:
-    """The working conditions that the target states for the command's arm."""
-    partner = command.target.partner
-    if partner is not None and partner.arm == command.arm:
-        return partner.conditions
-    return command.target.conditions
-
-
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
@@ -118,11 +110,13 @@ def _wrong_payloads(run: RunFile, cell: Cell, commands: Sequence[Command]) -> It
         if has_kg is None:
             continue
         own = [command for command in commands if command.arm == name]
-        for stated_kg in dict.fromkeys(conditions_of(command).payload for command in own):
+        for stated_kg in dict.fromkeys(conditions_of(command.target, name).payload for command in own):
             low, high = ranges[name] if stated_kg is None else (stated_kg, stated_kg)
             if low - PAYLOAD_SLACK_KG <= has_kg <= high + PAYLOAD_SLACK_KG:
                 continue
-            first = next(command.target.name for command in own if conditions_of(command).payload == stated_kg)
+            first = next(
+                command.target.name for command in own if conditions_of(command.target, name).payload == stated_kg
+            )
             asked = f"{low:.3f} kg" if high - low < PAYLOAD_SLACK_KG else f"{low:.3f} to {high:.3f} kg"
             why = "the run was measured with" if stated_kg is None else f"target '{first}' states"
             yield f"arm {name}: its controller is set to a payload of {has_kg:.3f} kg, {why} {asked}"

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cellapp.compensation.invert import Inverted
 from cellapp.kinematics.branches import turned_into
+from cellapp.kinematics.sampled_inverse import sampled_configurations
 from cellapp.kinematics.transforms import Array
 from cellapp.safety.bodies import place
 from cellapp.safety.gate import CellBodies, clear_alone, clear_stops, visible
@@ -98,6 +99,14 @@ def judged_branches(cell: CellBodies, homes: Mapping[str, Array], name: str, sol
     return Branches(q, beyond, motion, clear, seen)
 
 
+def liked_configurations(cell: CellBodies, homes: Mapping[str, Array], name: str, seed: int) -> Array:
+    """Configurations (m, N) [rad] of an arm that the gate admits and the tracker sees, the others at home."""
+    samples = sampled_configurations(cell.arms[name].limits, homes[name], seed)
+    others = {other: np.tile(at, (len(samples), 1)) for other, at in homes.items() if other != name}
+    samples = samples[visible(cell, name, samples, others)]
+    return np.asarray(samples[clear_with_others(cell, homes, {name: samples})])
+
+
 def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, Branches], solve: Solve) -> Chosen:
     """Choose among the branches of each arm of n targets: those seen first, then the nearest to home.
 
@@ -109,28 +118,42 @@ def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, 
     pick = list(product(*(range(one.q.shape[1]) for one in branches.values())))
     places = {name: np.array([entry[k] for entry in pick]) for k, name in enumerate(branches)}
     nominal = {name: np.full((n, one.q.shape[2]), np.nan) for name, one in branches.items()}
-    found = {name: _unsolved(q) for name, q in nominal.items()}
-    accepted = np.zeros(n, dtype=bool)
+    chosen = Chosen(np.zeros(n, dtype=bool), nominal, {name: _unsolved(q) for name, q in nominal.items()})
     for attempt in range(int(count.max(initial=0))):
-        rows = np.flatnonzero(~accepted & (count > attempt))
+        rows = np.flatnonzero(~chosen.accepted & (count > attempt))
         if not len(rows):
             break
-        combination = order[rows, attempt]
-        q = {name: one.q[rows, places[name][combination]] for name, one in branches.items()}
+        q = {name: one.q[rows, places[name][order[rows, attempt]]] for name, one in branches.items()}
         admitted = clear_with_others(cell, homes, q)
+        if attempt == 0:
+            _keep_nominal(chosen, rows, q)
+        rows, q = rows[admitted], {name: one[admitted] for name, one in q.items()}
+        if not len(rows):
+            continue
         solved = solve(rows, q)
-        for one, start in zip(solved.values(), q.values(), strict=True):
-            admitted &= one.reached & (np.abs(one.q - start).max(axis=1) <= LARGEST_CORRECTION)
-        keep = admitted.copy()
-        keep[admitted] = clear_with_others(cell, homes, {name: one.q[admitted] for name, one in solved.items()})
-        accepted[rows[keep]] = True
-        kept = keep | (attempt == 0)
+        good = _good(cell, homes, q, solved)
+        kept = np.ones(len(rows), dtype=bool) if attempt == 0 else good
+        _keep_nominal(chosen, rows[kept], {name: one[kept] for name, one in q.items()})
         for name, one in solved.items():
-            nominal[name][rows[kept]] = q[name][kept]
-            found[name].q[rows[kept]] = one.q[kept]
-            found[name].residual_m[rows[kept]] = one.residual_m[kept]
-            found[name].residual_rad[rows[kept]] = one.residual_rad[kept]
-    return Chosen(accepted, nominal, found)
+            chosen.compensated[name].put(rows[kept], one, kept)
+        chosen.accepted[rows[good]] = True
+    return chosen
+
+
+def _keep_nominal(chosen: Chosen, rows: NDArray[np.intp], q: Positions) -> None:
+    for name, one in q.items():
+        chosen.nominal[name][rows] = one
+
+
+def _good(
+    cell: CellBodies, homes: Mapping[str, Array], nominal: Positions, solved: Mapping[str, Inverted]
+) -> NDArray[np.bool_]:
+    """Whether calibrated solutions of all arms of n targets are met, near the nominal ones and admitted, (n,) bool."""
+    good = np.ones(len(next(iter(nominal.values()))), dtype=bool)
+    for name, one in solved.items():
+        good &= one.reached & (np.abs(one.q - nominal[name]).max(axis=1) <= LARGEST_CORRECTION)
+    good[good] = clear_with_others(cell, homes, {name: one.q[good] for name, one in solved.items()})
+    return good
 
 
 def _unsolved(nominal: Array) -> Inverted:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cellapp.compensation.targets import Target
+from cellapp.compensation.targets import Target, target_record
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.results import TargetCommand, ToleranceVerdict, UncertaintyParts, UnknownCondition
@@ -95,11 +95,6 @@ class Command:
         """Side of each joint from which the target is to be approached; None where the target states none."""
         return self.target.approach if self.arm == self.target.arm else None
 
-    @property
-    def partner(self) -> str:
-        """The other arm of a cooperative target; empty if it has none."""
-        return next((name for name in self.target.arms if name != self.arm), "")
-
 
 def refused(target: Target, arm: str, refusal: str, branches: int | None = None) -> Command:
     """A target that is not commanded, and why."""
@@ -112,13 +107,7 @@ def command_record(command: Command) -> TargetCommand:
     judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "cannot say"
     stated = command.approach
     return TargetCommand(
-        name=target.name,
-        arm=command.arm,
-        frame=target.frame,
-        position=target.position,
-        rpy=target.rpy,
-        tolerance_mm=target.tolerance_mm,
-        partner=command.partner,
+        **dict(target_record(target, command.arm)),
         refusal=command.refusal,
         q_nominal=None if command.q_nominal is None else tuple(command.q_nominal.tolist()),
         q_compensated=None if command.q_compensated is None else tuple(command.q_compensated.tolist()),

@@ -8,16 +8,17 @@ those that the tracker does not see.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.compensation.choice import Branches, Chosen, Positions, choose, judged_branches
+from cellapp.compensation.choice import Branches, Chosen, Positions, choose, judged_branches, liked_configurations
 from cellapp.compensation.command import Command, command_record, refused
 from cellapp.compensation.goals import ArmGoals, goals_of_arm
 from cellapp.compensation.invert import Inverted, invert, invert_model, with_approach, without_effects
-from cellapp.compensation.prediction import predictions
+from cellapp.compensation.prediction import outside_notes, predictions
+from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.refusals import missed_poses, refusal
 from cellapp.compensation.targets import Target
 from cellapp.compensation.working_conditions import beside, stated_conditions
@@ -44,10 +45,18 @@ _TOGETHER_ROUNDS = 2
 """Solutions of two arms that act on each other: what one adds to the other changes by a thousandth in the second."""
 
 
-def compensate(profile: Profile, model: CellModel, targets: Sequence[Target]) -> tuple[Command, ...]:
+def compensate(
+    profile: Profile,
+    model: CellModel,
+    targets: Sequence[Target],
+    *,
+    ranges: Mapping[str, ConditionRanges] | None = None,
+) -> tuple[Command, ...]:
     """Commands for all targets, in their order, of a cooperative target one for each arm.
 
     Targets that an arm must not or cannot reach carry the reason; a cooperative target is refused for both arms.
+    ``ranges`` are what the readings of each arm covered; without them nothing is said of conditions whose plausible
+    range the model does not hold (temperature, time, dwell), nor of extrapolation.
 
     Raises
     ------
@@ -61,7 +70,7 @@ def compensate(profile: Profile, model: CellModel, targets: Sequence[Target]) ->
     for number, target in enumerate(targets):
         groups.setdefault(target.arms, []).append(number)
     for names, numbers in groups.items():
-        of_group = _Group.of(profile, model, cell, homes, names, [targets[number] for number in numbers])
+        of_group = _Group.of(profile, model, cell, homes, names, [targets[number] for number in numbers], ranges or {})
         for name, of_arm in _commands(of_group).items():
             commands.update({(number, name): command for number, command in zip(numbers, of_arm, strict=True)})
     return tuple(commands[number, name] for number, target in enumerate(targets) for name in target.arms)
@@ -100,6 +109,7 @@ class _Group:
     goals: Mapping[str, ArmGoals]
     stated: Mapping[str, MeasurementConditions]
     branches: Mapping[str, Branches]
+    ranges: Mapping[str, ConditionRanges]
 
     @classmethod
     def of(
@@ -110,12 +120,20 @@ class _Group:
         homes: Mapping[str, Array],
         names: Sequence[str],
         targets: Sequence[Target],
+        ranges: Mapping[str, ConditionRanges],
     ) -> _Group:
         """Find and judge the nominal solutions of every arm."""
         goals = {name: goals_of_arm(model, targets, name) for name in names}
-        stated = {name: stated_conditions(targets, name, len(homes[name])) for name in names}
+        stated = {
+            name: replace(
+                stated_conditions(targets, name, len(homes[name])),
+                record=ranges[name].record if name in ranges else None,
+            )
+            for name in names
+        }
         branches = {}
         for name, goal in goals.items():
+            free = bool(np.isnan(goal.rotation_M).any())
             solutions = all_branches(
                 model.arms[name].nominal,
                 goal.nominal_position_M,
@@ -123,9 +141,10 @@ class _Group:
                 cell.arms[name].limits,
                 homes[name],
                 profile.seed,
+                liked_configurations(cell, homes, name, profile.seed) if free else None,
             )
             branches[name] = judged_branches(cell, homes, name, solutions)
-        return cls(model, cell, homes, targets, goals, stated, branches)
+        return cls(model, cell, homes, targets, goals, stated, branches, ranges)
 
     def solve(self, rows: NDArray[np.intp], nominal: Positions) -> dict[str, Inverted]:
         """Solutions of the calibrated model for some targets, near nominal ones (k, N)."""
@@ -163,7 +182,9 @@ def _commands(group: _Group) -> dict[str, list[Command]]:
         conditions = group.conditions(name, rows, at)
         count = np.count_nonzero(group.branches[name].within, axis=1).tolist()
         tolerances = [group.targets[k].tolerance_mm for k in rows.tolist()]
-        predicted = predictions(group.model.arms[name], at[name], conditions, tolerances)
+        ranges = group.ranges.get(name, ConditionRanges())
+        predicted = predictions(group.model.arms[name], at[name], conditions, tolerances, group.homes[name], ranges)
+        notes = outside_notes(at[name], ranges, predicted)
         of_arm = [refused(target, name, reasons.get(k, ""), count[k]) for k, target in enumerate(group.targets)]
         for place, k in enumerate(rows.tolist()):
             turned = float(found.residual_rad[k])
@@ -180,6 +201,7 @@ def _commands(group: _Group) -> dict[str, list[Command]]:
                 residual_um=float(found.residual_m[k]) * 1e6,
                 residual_urad=None if np.isnan(turned) else turned * 1e6,
                 conditions=conditions.take(np.array([place])),
+                note=notes[place],
                 prediction=predicted[place],
             )
         commands[name] = of_arm

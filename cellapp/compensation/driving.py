@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
@@ -13,8 +13,10 @@ from drivers.arms.protocol import ArmState
 
 Targets = Mapping[str, Vector]
 """Arm -> joint positions (N,) [rad]."""
+Sides = Mapping[str, Vector]
+"""Arm -> signs (N,) of each joint's last motion to ask for, 0 where it does not matter; none asked for if left out."""
 CommandFrom = Callable[[str, Vector], Vector]
-"""The command (N,) of an arm whose last motion begins at joint positions (N,) [rad]: backlash depends on the side."""
+"""The command (N,) of an arm that stands at joint positions (N,) [rad] before: backlash depends on the side."""
 
 _STEP_BACK_RAD = np.radians(1.0)
 """How far a joint steps back to come from a given side: well beyond any play, short enough to stay clear."""
@@ -27,8 +29,9 @@ class Driver:
     mover: Mover
     homes: Targets
 
-    def to(self, names: Sequence[str], command: CommandFrom) -> dict[str, ArmState]:
-        """Drive arms to their commands; the others go home first. Returns the states of ``names`` at rest.
+    def to(self, names: Sequence[str], command: CommandFrom, sides: Sides) -> dict[str, ArmState]:
+        """Drive arms to their commands, from the given sides; the others go home first. Returns the states of ``names``
+        at rest.
 
         Only ways are taken after which the arms can move home again.
 
@@ -43,29 +46,24 @@ class Driver:
         away = [name for name in q if name not in names and np.any(q[name] != self.homes[name])]
         if away:
             self.mover.go_home(away)
-        targets = {name: command(name, q[name]) for name in names}
-        way, refusal = self._accepted(_ways({name: [targets[name]] for name in names}))
+        way, refusal = self._accepted({name: command(name, q[name]) for name in names}, sides)
         if not way:
             self.mover.go_home(names)
-            targets = {name: command(name, self.homes[name]) for name in names}
-            way, refusal = self._accepted(_ways({name: [targets[name]] for name in names}))
+            way, refusal = self._accepted({name: command(name, self.homes[name]) for name in names}, sides)
         return self._along(way, refusal)
 
-    def back_to(self, targets: Targets, sides: Mapping[str, Vector]) -> dict[str, ArmState]:
-        """Drive arms to ``targets`` so that each joint comes from a side: ``sides`` (N,) are signs of its last motion.
+    def back_to(self, targets: Targets, sides: Sides) -> dict[str, ArmState]:
+        """Drive arms that are near to ``targets``, from the given sides. Returns and raises as ``to``."""
+        return self._along(*self._accepted(targets, sides))
 
-        Every joint with a sign steps back first. Returns and raises as ``to``.
-        """
-        legs = {name: [q - _STEP_BACK_RAD * sides[name], q] for name, q in targets.items()}
-        way, refusal = self._accepted(_ways(legs))
-        return self._along(way, refusal)
-
-    def _accepted(self, ways: Iterable[list[Targets]]) -> tuple[list[Targets], str]:
+    def _accepted(self, targets: Targets, sides: Sides) -> tuple[list[Targets], str]:
         """The first way that the gate accepts, followed by some way home; else none, and the first refusal."""
+        legs = {name: [q] for name, q in targets.items()}
+        if any(np.any(sides[name]) for name in targets if name in sides):
+            legs = {name: [before_side(q, sides.get(name)), q] for name, q in targets.items()}
         first = ""
-        for way in ways:
-            names = dict.fromkeys(name for leg in way for name in leg)
-            for order in permutations(names):
+        for way in _ways(legs):
+            for order in permutations(targets):
                 refusal = self.mover.refusal(*way, *({name: self.homes[name]} for name in order))
                 if not refusal:
                     return way, ""
@@ -79,6 +77,16 @@ class Driver:
         for leg in way:
             states |= self.mover.move(leg)
         return states
+
+
+def before_side(q: Vector, sides: Vector | None) -> Vector:
+    """Where an arm (N,) [rad] steps back to, so that each joint with a sign comes to ``q`` (N,) from that side."""
+    return q if sides is None else np.asarray(q - _STEP_BACK_RAD * sides)
+
+
+def arrival(q: Vector, start: Vector, sides: Vector | None) -> Vector:
+    """From where (N,) [rad] each joint comes to ``q`` (N,) if the arm stands at ``start`` (N,) before."""
+    return start if sides is None else np.where(sides != 0, before_side(q, sides), start)
 
 
 def _ways(legs: Mapping[str, Sequence[Vector]]) -> Iterator[list[Targets]]:

@@ -12,6 +12,7 @@ from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.motion import Confirm, MotionRefused, Mover
 from cellapp.collection.reaction import StopCause, StopReaction
 from cellapp.collection.supervision import hold_while_paused, reacting
+from cellapp.compensation.path_file import PathSpec
 from cellapp.compensation.path_lag import path_lag
 from cellapp.compensation.tolerance import measured_verdict
 from cellapp.control import JobControl
@@ -19,7 +20,6 @@ from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
 from cellapp.paths.cartesian import CartesianPath
-from cellapp.paths.path_file import PathSpec
 from cellapp.paths.plan_path import RUN_UP_RAD, PathPlan, plan_path
 from cellapp.paths.timing import Trajectory
 from cellapp.profile import Profile
@@ -148,7 +148,7 @@ class _Driver:
         )
 
     def _run(self, trajectory: Trajectory, path: CartesianPath, *, measure: bool) -> tuple[Array | None, FollowedPath]:
-        """Go to the beginning and along the path; return the points (n, 3) measured meanwhile, None if none can be."""
+        """Go to the beginning and along the path; return the points (n, 3) measured meanwhile, if any can be."""
         name, tracker = self.spec.arm, self.cell.tracker
         self._go(_run_up(trajectory.q))
         self._go(trajectory.q[0])
@@ -187,7 +187,7 @@ class _Driver:
 
 
 def _run_up(q: Array) -> Array:
-    """A place (N,) before the first row of ``q`` (m, N) [rad] from which each joint comes on the side of its motion."""
+    """A place (N,) before the first row of ``q`` (m, N) [rad], from which joints come on the side of their motion."""
     moved = np.abs(q - q[0]) > 1e-5
     first = np.argmax(moved, axis=0)
     ahead = q[first, np.arange(q.shape[1])] - q[0]

@@ -51,6 +51,14 @@ class Inverted:
         """Whether the target is met, (n,) bool."""
         return (self.residual_m < _REACHED) & ~(self.residual_rad >= _REACHED)
 
+    def put(self, rows: NDArray[np.intp], of: Inverted, kept: NDArray[np.bool_]) -> None:
+        """Set some rows to the ``kept`` ones of other commands."""
+        self.q[rows], self.residual_m[rows], self.residual_rad[rows] = (
+            of.q[kept],
+            of.residual_m[kept],
+            of.residual_rad[kept],
+        )
+
 
 def invert(
     arm: ArmModel, position_M: Array, rotation_M: Array, start: Array, conditions: MeasurementConditions | None = None

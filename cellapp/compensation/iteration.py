@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cellapp.compensation.compensate import invert_model
+from cellapp.compensation.invert import invert_model
 from cellapp.compensation.verification import Rest, distance_error_m
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
@@ -16,6 +16,8 @@ FARTHEST_M = 0.01
 """Largest distance of a corrected command from the model's own: an uncalibrated arm does better."""
 _FARTHEST_RAD = 0.1
 """Largest change of a joint: beyond it the command would be on another branch, or the arm next to a singularity."""
+_POSE = 6
+"""Coordinates of a pose: an arm of fewer joints cannot keep its rotation where the position changes."""
 _NOISE_95 = 7.815
 """95th percentile of the chi-squared distribution with three degrees of freedom."""
 _NORMAL_95 = 1.960
@@ -31,8 +33,9 @@ class CorrectionRefused(InputError):
 def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -> Array:
     """Command (N,) [rad] that moves the SMR by ``-error_M`` (3,) [m] from where it is with the command ``q`` (N,).
 
-    The calibrated model is inverted at the aim shifted by the error, with the rotation of the flange and the branch
-    kept. ``first_q`` (N,) is the command of the model alone.
+    The calibrated model is inverted at the aim shifted by the error, in the same branch and with the same rotation of
+    the flange; an arm that cannot keep it, as one of five joints, moves its joints as little as possible. ``first_q``
+    (N,) is the command of the model alone.
 
     Raises
     ------
@@ -40,7 +43,10 @@ def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -
         If the model does not reach the shifted aim, or the command leads too far from the model's own.
     """
     rotation_M, _ = arm.flange(q[None])
-    corrected, reached = invert_model(arm, arm.predict(q[None]) - error_M, rotation_M, q[None])
+    aim_M = arm.predict(q[None]) - error_M
+    corrected, reached = invert_model(arm, aim_M, rotation_M, q[None])
+    if not reached[0] and arm.geometry.joints < _POSE:
+        corrected, reached = invert_model(arm, aim_M, np.full((1, 3, 3), np.nan), q[None])
     if not reached[0]:
         raise CorrectionRefused("correction refused: the calibrated model does not reach the corrected position")
     far_m = float(np.linalg.norm(np.diff(arm.predict(np.stack([first_q, corrected[0]])), axis=0)))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cellapp.compensation.command import Prediction
+from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.tolerance import length_bounds, predicted_verdict
+from cellapp.compensation.unknown_conditions import OneUnknown, unknown_conditions, unknown_records
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
@@ -33,9 +35,14 @@ class Spread:
     conditions: Array
 
     @property
+    def of_model(self) -> Array:
+        """Covariance of the true position under the conditions that the command was made for."""
+        return self.parameters + self.effects + self.network + self.extrapolation
+
+    @property
     def whole(self) -> Array:
-        """Covariance of the true position."""
-        return self.parameters + self.effects + self.network + self.extrapolation + self.conditions
+        """Covariance of the true position under any plausible conditions where none are stated."""
+        return self.of_model + self.conditions
 
 
 def predictions(
@@ -43,24 +50,69 @@ def predictions(
     q: Array,
     conditions: MeasurementConditions,
     tolerances_mm: Sequence[float | None],
+    home: Array,
+    ranges: ConditionRanges,
 ) -> list[Prediction | None]:
-    """Predictions for n commands ``q`` (n, N) [rad]; None for all where the model states no uncertainty."""
+    """Predictions for n commands ``q`` (n, N) [rad]; None for all where the model states no uncertainty.
+
+    Where a command's approach is not stated, the uncertainty is that for the way from ``home`` (N,): a parameter of
+    backlash has none at the middle of both sides.
+    """
     if arm.posterior is None:
         return [None] * len(q)
     found: list[Prediction | None] = []
     for begin in range(0, len(q), _AT_ONCE):
         rows = np.arange(begin, min(begin + _AT_ONCE, len(q)))
-        spread = spread_of(arm, q[rows], conditions.take(rows))
-        noise = arm.posterior.noise_covariance(arm.predict(q[rows], conditions=conditions.take(rows)))
-        found += _judged(spread, noise, tolerances_mm[begin : begin + _AT_ONCE])
+        here, stated = q[rows], conditions.take(rows)
+        unknown = unknown_conditions(arm, here, stated, ranges)
+        spread = spread_of(arm, here, _from_home(stated, here, home), ranges)
+        covariance = sum((one.covariance for one in unknown), np.zeros_like(spread.network))
+        spread = replace(spread, conditions=covariance)
+        sides = _offered(unknown, here, home)
+        noise = _noise(arm, here, stated, ranges)
+        judged = _judged(spread, noise, tolerances_mm[begin : begin + _AT_ONCE])
+        found += [
+            replace(one, unknown=unknown_records(unknown, k), offered_approach=sides[k]) for k, one in enumerate(judged)
+        ]
     return found
 
 
-def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Spread:
-    """Covariances of a model with draws at ``q`` (n, N) [rad]."""
+def outside_notes(q: Array, ranges: ConditionRanges, predicted: Sequence[Prediction | None]) -> list[str]:
+    """For each of n commands by how much it lies outside the joint ranges of the readings; empty within them."""
+    off = np.degrees(np.abs(q - ranges.nearest_measured(q)))
+    notes = []
+    for row, one in zip(off, predicted, strict=True):
+        joints = ", ".join(f"joint {j + 1} by {row[j]:.0f} deg" for j in np.flatnonzero(row >= 0.5))
+        adds = "" if one is None else f"; this adds {one.parts.extrapolation:.3g} mm to the uncertainty of a coordinate"
+        notes.append(f"outside the calibrated joint ranges: {joints}{adds}" if joints else "")
+    return notes
+
+
+def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Spread:
+    """Covariances of a model with draws at ``q`` (n, N) [rad].
+
+    Beyond the joint ranges of the readings, ``extrapolation`` is what the nearest configuration within them does not
+    have: the further spread of geometry and effects, and the network's correction, which fades out there although what
+    it corrects does not.
+    """
+    inside = ranges.nearest_measured(q)
     parameters, effects, network = _of_model(arm, q, conditions)
     nothing = np.zeros_like(parameters)
-    return Spread(parameters, effects, network, nothing, nothing)
+    beyond = np.flatnonzero(np.any(inside != q, axis=1))
+    if not len(beyond):
+        return Spread(parameters, effects, network, nothing, nothing)
+    within = _of_model(arm, inside[beyond], conditions.take(beyond))
+    extrapolation = nothing.copy()
+    for here, there in zip((parameters, effects), within[:2], strict=True):
+        share = np.minimum(_size(there) / np.maximum(_size(here[beyond]), 1e-300), 1.0)[:, None, None]
+        extrapolation[beyond] += (1.0 - share) * here[beyond]
+        here[beyond] *= share
+    network[beyond] = within[2]
+    if arm.network is not None:
+        lost = arm.network.correct(inside[beyond]) - arm.network.correct(q[beyond])
+        lost = lost @ arm.geometry.T_M_B()[:3, :3].T
+        extrapolation[beyond] += lost[:, :, None] * lost[:, None]
+    return Spread(parameters, effects, network, extrapolation, nothing)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -75,7 +127,7 @@ def _of_model(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> tup
     moved = by_geometry + by_terms
     whole = np.einsum("sna,snb->nab", moved, moved, optimize=True) / len(moved)
     own = np.einsum("sna,sna->n", by_geometry, moved) / len(moved)
-    share = np.clip(own / np.maximum(np.trace(whole, axis1=1, axis2=2), 1e-300), 0.0, 1.0)[:, None, None]
+    share = np.clip(own / np.maximum(_size(whole), 1e-300), 0.0, 1.0)[:, None, None]
     network = np.zeros_like(whole)
     if arm.network is not None:
         R = arm.geometry.T_M_B()[:3, :3]
@@ -83,16 +135,43 @@ def _of_model(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> tup
     return share * whole, (1.0 - share) * whole, network
 
 
-def _judged(spread: Spread, noise: Array, tolerances_mm: Sequence[float | None]) -> list[Prediction | None]:
-    """Predictions in mm from covariances (n, 3, 3) [m^2] of the model and of measuring."""
+def _from_home(conditions: MeasurementConditions, q: Array, home: Array) -> MeasurementConditions:
+    """The conditions with joints of unknown approach coming straight from home."""
+    step = q - home
+    approach = np.sign(step)
+    if conditions.approach is not None:
+        stated = np.asarray(conditions.approach, dtype=np.float64)
+        approach = np.where(stated == 0.0, approach, stated)
+    return replace(conditions, approach=approach, step=np.abs(step) * approach)
+
+
+def _offered(unknown: Sequence[OneUnknown], q: Array, home: Array) -> list[tuple[int, ...] | None]:
+    """The side to approach each command from, that of the straight way from home; 0 for joints where none matters."""
+    for one in unknown:
+        if one.sides is not None:
+            signs = (np.sign(q - home) * one.sides).astype(int)
+            return [tuple(row) if any(row) else None for row in signs.tolist()]
+    return [None] * len(q)
+
+
+def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
+    """Covariance (n, 3, 3) [m^2] of a measurement at ``q``."""
+    assert arm.posterior is not None
+    if ranges.noise is None:
+        return np.tile(arm.posterior.noise_m**2 * np.eye(3), (len(q), 1, 1))
+    return ranges.noise.covariance(arm.predict(q, conditions=conditions), arm.posterior.noise_m)
+
+
+def _judged(spread: Spread, noise: Array, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
+    """Predictions in mm from covariances."""
     low, high = (bound * 1e3 for bound in length_bounds(spread.whole))
-    _, within = length_bounds(spread.whole + noise)
+    _, within = length_bounds(spread.of_model + noise)
     parts = {name: _coordinate_mm(value) for name, value in vars(spread).items()}
-    whole, scatter = _coordinate_mm(spread.whole), _coordinate_mm(noise)
+    parts["noise"], whole = _coordinate_mm(noise), _coordinate_mm(spread.whole)
     return [
         Prediction(
             uncertainty_mm=float(whole[k]),
-            parts=UncertaintyParts(**{name: float(value[k]) for name, value in parts.items()}, noise=float(scatter[k])),
+            parts=UncertaintyParts(**{name: float(value[k]) for name, value in parts.items()}),
             within_mm=float(within[k]) * 1e3,
             unknown=(),
             offered_approach=None,
@@ -102,6 +181,11 @@ def _judged(spread: Spread, noise: Array, tolerances_mm: Sequence[float | None])
     ]
 
 
+def _size(covariance: Array) -> Array:
+    """Sum of the variances (n,) [m^2] of the coordinates."""
+    return np.asarray(np.trace(covariance, axis1=1, axis2=2))
+
+
 def _coordinate_mm(covariance: Array) -> Array:
     """Root mean square standard deviation (n,) [mm] of a coordinate."""
-    return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0) * 1e3)
+    return np.asarray(np.sqrt(_size(covariance) / 3.0) * 1e3)

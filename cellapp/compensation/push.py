@@ -10,7 +10,7 @@ from cellapp.collection.collect import Opened
 from cellapp.collection.motion import Confirm, Mover
 from cellapp.collection.supervision import hold_while_paused, reacting
 from cellapp.compensation.cell_checks import require_same_arms
-from cellapp.compensation.compensate import Command
+from cellapp.compensation.command import Command
 from cellapp.compensation.driving import Driver
 from cellapp.compensation.target_visit import TargetVisit
 from cellapp.compensation.verification import Agreement, Findings, by_arm, summary_of

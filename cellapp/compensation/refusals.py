@@ -9,6 +9,7 @@ import numpy as np
 from cellapp.compensation.choice import LARGEST_CORRECTION, Branches, Chosen
 from cellapp.kinematics.chain import Geometry
 from cellapp.kinematics.inverse import errors_and_jacobian, solve_pose
+from cellapp.kinematics.sampled_inverse import missed_distances
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.safety.gate import CellBodies, refuse_stop
@@ -18,7 +19,7 @@ _ROUNDS = 25
 _TAKES_PART = 0.3
 """Share of a joint in the motion that leaves the SMR where it is from which it is named."""
 _SAME_POSE = 1e-6
-"""An arm that comes this near [m, rad] to a pose reaches it, if not with the structure of its closed form."""
+"""An arm that comes this near [m, rad] to a pose reaches it, though no start of the search did."""
 
 
 def refusal(
@@ -46,24 +47,24 @@ def refusal(
         of = f"arm {name}: " if len(branches) > 1 else ""
         if words := _singular(arms[name], best[name], found.q[row], reached=bool(found.reached[row])):
             return of + words
-    return refuse_stop(cell, {**homes, **{name: found.q[row] for name, found in chosen.compensated.items()}})
+    solved = {name: found.q[row] for name, found in chosen.compensated.items()}
+    return refuse_stop(cell, {**homes, **solved}) or "the gate does not admit it"
 
 
 def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home: Array) -> list[str]:
     """How far each of n poses that an arm does not reach is from the nearest one that it does, in words."""
     if not len(position_M):
         return []
-    if not (np.isfinite(position_M).all() and len(position_M)):
-        return ["its position is not a number"] * len(position_M)
     free = np.isnan(rotation_M[:, 0, 0])
     wanted = np.where(free[:, None, None], np.eye(3), rotation_M)
     solved = solve_pose(geometry, position_M, wanted, np.tile(home, (len(wanted), 1)), max_iterations=_ROUNDS)
     words = []
-    for off_m, off_rad, any_rotation in zip(solved.position_error, solved.rotation_error, free, strict=True):
+    nearest = np.where(free, missed_distances(geometry, position_M, home), solved.position_error)
+    for off_m, off_rad, any_rotation in zip(nearest, solved.rotation_error, free, strict=True):
         if any_rotation:
-            words.append("out of reach with any rotation")
+            words.append(f"out of reach with any rotation: the SMR comes within {off_m * 1e3:.1f} mm")
         elif off_m < _SAME_POSE and off_rad < _SAME_POSE:
-            words.append("out of reach within the joint limits")
+            words.append("no posture was found that reaches it")
         else:
             words.append(
                 f"out of reach: the nearest pose is {off_m * 1e3:.1f} mm and {np.degrees(off_rad):.1f} deg off"

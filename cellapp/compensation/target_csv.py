@@ -21,7 +21,7 @@ import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,25 +36,39 @@ _WORDS: Mapping[str, KeyPath] = {
     "frame": ("frame",),
     "partner_arm": ("partner", "arm"),
 }
-_COORDINATES = {"mm": "mm", "m": "m"}
-_SIZES = {"mm": "mm", "m": "m", "um": "um"}
-_ANGLES = {"deg": "deg", "rad": "rad"}
-_OF_ONE_ARM: Mapping[str, tuple[KeyPath, str, Mapping[str, str]]] = {
-    **{axis: (("position", place), "length", _COORDINATES) for place, axis in enumerate("xyz")},
-    **{angle: (("rpy", place), "angle", _ANGLES) for place, angle in enumerate(("roll", "pitch", "yaw"))},
-    **{f"r{axis}": (("rotation_vector", place), "angle", _ANGLES) for place, axis in enumerate("xyz")},
-    **{f"q{axis}": (("quaternion", place), "", {}) for place, axis in enumerate("wxyz")},
-    "payload": (("conditions", "payload"), "mass", {"kg": "kg"}),
-    "temperature": (("conditions", "temperature"), "temperature", {"c": "degC"}),
-    "time": (("conditions", "time"), "time", {"s": "s"}),
-    "dwell": (("conditions", "dwell"), "time", {"s": "s"}),
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """What a column of numbers may hold: its key in a target, its kind for ``parse_quantity``, units of the column."""
+
+    path: KeyPath
+    kind: str
+    units: tuple[str, ...]
+
+
+def _vector(key: str, kind: str, units: tuple[str, ...], *names: str) -> dict[str, _Quantity]:
+    return {name: _Quantity((key, place), kind, units) for place, name in enumerate(names)}
+
+
+_OF_ONE_ARM: Mapping[str, _Quantity] = {
+    **_vector("position", "length", ("mm", "m"), "x", "y", "z"),
+    **_vector("rpy", "angle", ("deg", "rad"), "roll", "pitch", "yaw"),
+    **_vector("rotation_vector", "angle", ("deg", "rad"), "rx", "ry", "rz"),
+    **_vector("quaternion", "", (), "qw", "qx", "qy", "qz"),
+    "payload": _Quantity(("conditions", "payload"), "mass", ("kg",)),
+    "temperature": _Quantity(("conditions", "temperature"), "temperature", ("c",)),
+    "time": _Quantity(("conditions", "time"), "time", ("s",)),
+    "dwell": _Quantity(("conditions", "dwell"), "time", ("s",)),
 }
-"""Name without unit -> key, kind of quantity, units as columns write them -> as ``parse_quantity`` does."""
-_NUMBERS: Mapping[str, tuple[KeyPath, str, Mapping[str, str]]] = {
+_QUANTITIES: Mapping[str, _Quantity] = {
     **_OF_ONE_ARM,
-    "tolerance": (("tolerance",), "length", _SIZES),
-    **{f"partner_{name}": (("partner", *path), kind, units) for name, (path, kind, units) in _OF_ONE_ARM.items()},
+    "tolerance": _Quantity(("tolerance",), "length", ("mm", "m", "um")),
+    **{f"partner_{name}": replace(of, path=("partner", *of.path)) for name, of in _OF_ONE_ARM.items()},
 }
+"""By the name of the column without its unit."""
+_UNITS = {"c": "degC"}
+"""Units that columns write differently from ``parse_quantity``."""
 _PER_JOINT = re.compile(r"approach([1-9][0-9]*)")
 _MIXED = {"position": "coordinates", "rpy": "angles", "rotation_vector": "angles"}
 """Quantities that have one unit in a file."""
@@ -134,23 +148,24 @@ def _column(name: str) -> _Column | str:
     if match := _PER_JOINT.fullmatch(name):
         return _Column(name, ("approach", int(match.group(1)) - 1), "", 1.0)
     stem, _, unit = name.rpartition("_")
-    if name in _NUMBERS:
-        path, _, units = _NUMBERS[name]
-        return f"has no unit; name it {_choices(name, units)}" if units else _Column(name, path, "", 1.0)
-    if stem in _NUMBERS:
-        path, kind, units = _NUMBERS[stem]
-        if unit in units:
-            return _Column(name, path, unit, parse_quantity(kind, f"1 {units[unit]}"))
-        return f"'{unit}' is no unit of this column; name it {_choices(stem, units)}"
-    return f"unknown column{_similar(name)}; remove it, or correct its name"
+    if name in _QUANTITIES:
+        found = _QUANTITIES[name]
+        return f"has no unit; name it {_choices(name)}" if found.units else _Column(name, found.path, "", 1.0)
+    if stem not in _QUANTITIES:
+        return f"unknown column{_similar(name)}; remove it, or correct its name"
+    found = _QUANTITIES[stem]
+    if unit not in found.units:
+        return f"'{unit}' is no unit of this column; name it {_choices(stem)}"
+    return _Column(name, found.path, unit, parse_quantity(found.kind, f"1 {_UNITS.get(unit, unit)}"))
 
 
-def _choices(stem: str, units: Mapping[str, str]) -> str:
-    return " or ".join(f"{stem}_{unit}" for unit in units) or stem
+def _choices(stem: str) -> str:
+    """The names that a column may have."""
+    return " or ".join(f"{stem}_{unit}" for unit in _QUANTITIES[stem].units) or stem
 
 
 def _similar(name: str) -> str:
-    known = [*_WORDS, *(f"{stem}_{unit}" for stem, (_, _, units) in _NUMBERS.items() for unit in units), "approach1"]
+    known = [*_WORDS, *(f"{stem}_{unit}" for stem, of in _QUANTITIES.items() for unit in of.units), "approach1"]
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return f" (is '{near[0]}' meant?)" if near else ""
 
@@ -166,11 +181,12 @@ def _check_complete(table: CsvTable, columns: Sequence[_Column], problems: Probl
         in_use.add(("partner", "position"))
         if "partner_arm" not in table.names:
             problems.add(1, "partner_arm", "the column is missing")
-    for stem, (path, _, units) in _NUMBERS.items():
-        if isinstance(path[-1], int) and path[:-1] in in_use and path not in given:
-            others = [column.unit for column in columns if column.path[:-1] == path[:-1] and column.unit]
-            name = f"{stem}_{others[0]}" if others else _choices(stem, units)
-            problems.add(1, name, "the column is missing")
+    there = {*table.names, *(name.rpartition("_")[0] for name in table.names)}  # refused already if the unit is wrong
+    for stem, of in _QUANTITIES.items():
+        *vector, place = of.path
+        if isinstance(place, int) and tuple(vector) in in_use and of.path not in given and stem not in there:
+            units = [column.unit for column in columns if column.path[:-1] == tuple(vector) and column.unit]
+            problems.add(1, f"{stem}_{units[0]}" if units else _choices(stem), "the column is missing")
     joints = sorted(int(column.path[1]) for column in columns if column.path[0] == "approach")
     for joint in range(len(joints)):
         if joint not in joints:

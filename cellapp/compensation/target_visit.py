@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.collection.motion import MotionRefused, Vector
-from cellapp.compensation.cell_checks import conditions_of
-from cellapp.compensation.compensate import Command, with_approach
-from cellapp.compensation.driving import Driver
+from cellapp.compensation.command import Command
+from cellapp.compensation.driving import Driver, arrival
+from cellapp.compensation.invert import with_approach
 from cellapp.compensation.iteration import CorrectionRefused, corrected_command, not_explained
 from cellapp.compensation.verification import CommandKind, Findings, Measured, Rest, predict_at_rest, rms_error_m
+from cellapp.compensation.working_conditions import conditions_of
 from cellapp.control import JobControl
 from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
@@ -46,9 +47,11 @@ class TargetVisit:
         """
         found = Findings({command.arm: command for command in commands}, corrected=self.rounds > 0)
         for name, command in found.commands.items():
+            partners = [f"arm {one.arm}: {one.refusal}" for one in commands if one is not command and one.refusal]
             if command.refusal:
                 found.note([name], command.refusal)
-                found.note([other for other in found.commands if other != name], f"arm {name}: {command.refusal}")
+            elif partners:
+                found.note([name], "; ".join(partners))
             elif self.verify and command.visible is False:
                 found.note([name], _UNSEEN)
         unseen = self.verify and all(command.visible is False for command in commands)
@@ -79,21 +82,17 @@ class TargetVisit:
     def _go(self, kind: CommandKind, found: Findings) -> tuple[States, Mapping[str, Vector]]:
         """Drive all arms of a target to their commands of one kind; return their states and what was sent."""
         sent: dict[str, Vector] = {}
+        sides = {} if kind == "nominal" else _stated_sides(found)
 
         def command(name: str, start: Vector) -> Vector:
             one = found.commands[name]
             sent[name] = np.asarray(one.q_nominal if kind == "nominal" else one.q_compensated)
-            if kind == "compensated" and one.approach is None:
-                sent[name] = with_approach(self.model.arms[name], sent[name], start, one.conditions)
+            if kind == "compensated":
+                here = arrival(sent[name], start, sides.get(name))
+                sent[name] = with_approach(self.model.arms[name], sent[name], here, one.conditions)
             return sent[name]
 
-        states = self.driver.to(list(found.commands), command)
-        sides = {
-            name: np.array(one.approach) for name, one in found.commands.items() if one.approach and any(one.approach)
-        }
-        if kind == "compensated" and sides:
-            states = {**states, **self.driver.back_to({name: sent[name] for name in sides}, sides)}
-        return states, sent
+        return self.driver.to(list(found.commands), command, sides), sent
 
     def _measure(self, kind: CommandKind, found: Findings, states: States, sent: Mapping[str, Vector]) -> Rest:
         """Measure the SMRs of arms at rest; one that cannot be measured becomes its arm's note."""
@@ -103,7 +102,7 @@ class TargetVisit:
             wanted_M = command.nominal_M if kind == "nominal" else command.expected_M
             if wanted_M is None or command.visible is False:
                 continue
-            dwell_s = conditions_of(command).dwell
+            dwell_s = conditions_of(command.target, name).dwell
             if dwell_s is not None:
                 mover.rest(name, dwell_s, self.control)
             try:
@@ -158,3 +157,12 @@ class TargetVisit:
             if not rms_error_m(now) < rms_error_m(found.rounds[found.best]):
                 return
             found.best = len(found.rounds) - 1
+
+
+def _stated_sides(found: Findings) -> dict[str, Vector]:
+    """The sides from which a target's first arm is to come."""
+    return {
+        name: np.array(command.approach, dtype=np.float64)
+        for name, command in found.commands.items()
+        if command.approach is not None
+    }

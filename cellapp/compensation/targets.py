@@ -26,7 +26,6 @@ from cellapp.compensation.target_csv import read_csv
 from cellapp.compensation.target_source import TargetSource, checked, placed_error, refusal, sentences
 from cellapp.compensation.target_yaml import read_yaml
 from cellapp.compensation.written_rotation import ROTATIONS, with_rpy
-from cellapp.errors import InputError
 from cellapp.profile import CellPoint, Profile
 from cellapp.profile.messages import KeyPath, short
 from cellapp.results import TargetRecord
@@ -205,7 +204,7 @@ class TargetList(Section):
         frames, conditions = info.data.get("frames", {}), info.data.get("conditions", {})
         if not isinstance(targets, list):
             return targets
-        return [_resolved(keys, frames, conditions) if isinstance(keys, dict) else keys for keys in targets]
+        return [_with_sections(keys, frames, conditions) if isinstance(keys, dict) else keys for keys in targets]
 
 
 @dataclass(frozen=True)
@@ -230,7 +229,9 @@ def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
         try:
             listed = TargetList.model_validate(source.content)
         except ValidationError as error:
-            raise refusal(source, sentences(source, error, _known_keys)) from None
+            found = sentences(source, error, _known_keys)
+            another_file = [(at, words) for at, words in found if at in (("schema",), ("version",))]
+            raise refusal(source, another_file or found) from None
         if misfits := [*_section_problems(listed, profile), *_target_problems(listed, profile)]:
             raise refusal(source, misfits)
     return listed.targets
@@ -333,10 +334,8 @@ def _source(path: Path, joints: Mapping[str, int]) -> TargetSource:
         return read_csv(path, joints)
     source = read_yaml(path)
     name = source.content.get("targets") if isinstance(source.content, dict) else None
-    if not isinstance(name, str):
+    if not isinstance(name, str) or not name.lower().endswith(".csv"):
         return source
-    if not name.lower().endswith(".csv"):
-        raise InputError(f"{source.place(('targets',))}: targets: expected a list or a CSV file, got '{short(name)}'")
     rows = read_csv(path.parent / name, joints)
     assert isinstance(source.content, dict)
     assert isinstance(rows.content, dict)
@@ -348,7 +347,7 @@ def _source(path: Path, joints: Mapping[str, int]) -> TargetSource:
     return TargetSource(content, place, rows.key, rows.words)
 
 
-def _resolved(
+def _with_sections(
     keys: Mapping[str, Any], frames: Mapping[str, WorkFrame], conditions: Mapping[str, WorkingConditions]
 ) -> dict[str, Any]:
     """The keys of a target with its work frame and the conditions of its arms."""
@@ -399,7 +398,8 @@ def _misfit(target: Target, profile: Profile, frames: Iterable[str]) -> TargetPr
         names = ", ".join([*known, *frames])
         return TargetProblem(
             "frame",
-            f": no frame '{short(target.frame)}'; frames are {names}; points give others (frames: in the YAML list)",
+            f": no frame '{short(target.frame)}'; frames are {names}; a YAML list, whose targets: may name a CSV file,"
+            " gives others under frames:",
         )
     if frame is not None and (frame.name != target.frame or frame_problem(frame, profile)):
         return TargetProblem("frame", f": {frame_problem(frame, profile) or 'its work frame has another name'}")

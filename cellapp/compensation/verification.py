@@ -11,7 +11,8 @@ import numpy as np
 
 from cellapp.calibration.evaluation import summarise
 from cellapp.collection.motion import Mover
-from cellapp.compensation.compensate import Command
+from cellapp.compensation.command import Command
+from cellapp.compensation.targets import target_record
 from cellapp.compensation.tolerance import measured_verdict
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.statics import base_moment
@@ -154,6 +155,7 @@ class Findings:
         def off_mm(rest: Rest) -> float | None:
             return abs(distance_error_m(rest[names[0]], rest[names[1]])) * 1e3 if len(rest) == 2 else None
 
+        notes = [note if note.startswith("arm") else f"arm {name}: {note}" for name, note in self.notes.items()]
         rounds_mm = [off_mm(rest) for rest in self.rounds]
         tolerance_mm = first.target.tolerance_mm
         return MeasuredPair(
@@ -166,7 +168,7 @@ class Findings:
             verdict=measured_verdict(rounds_mm[self.best] if rounds_mm else None, tolerance_mm),
             rounds_mm=tuple(off for off in rounds_mm if off is not None) if self.corrected else (),
             corrected_mm=rounds_mm[self.best] if self.best else None,
-            note="; ".join(f"arm {name}: {note}" for name, note in self.notes.items()),
+            note="; ".join(dict.fromkeys(notes)),
         )
 
     def _target(self, command: Command) -> MeasuredTarget:
@@ -176,13 +178,7 @@ class Findings:
         nominal = self.nominal.get(name)
         corrected = kept if self.best else None
         return MeasuredTarget(
-            name=target.name,
-            arm=name,
-            position=target.position,
-            rpy=target.rpy,
-            tolerance_mm=target.tolerance_mm,
-            frame=target.frame,
-            partner=next((other for other in self.commands if other != name), ""),
+            **dict(target_record(target, name)),
             nominal_mm=_error_mm(nominal),
             compensated_mm=_error_mm(alone),
             note=self.notes.get(name, ""),

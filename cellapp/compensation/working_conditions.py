@@ -14,12 +14,18 @@ from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 
 
+def conditions_of(target: Target, arm: str) -> WorkingConditions:
+    """What a target states for one of its arms."""
+    partner = target.partner
+    return target.conditions if partner is None or target.arm == arm else partner.conditions
+
+
 def stated_conditions(targets: Sequence[Target], arm: str, joints: int) -> MeasurementConditions:
     """What n targets state for ``arm``; NaN, and zero for approach signs, where one states nothing.
 
     A temperature is that of the air and of all joints. The approach that a target states is that of its first arm.
     """
-    stated = [_of_arm(target, arm) for target in targets]
+    stated = [conditions_of(target, arm) for target in targets]
     temperature = _column([one.temperature for one in stated])
     approach = np.zeros((len(targets), joints))
     for row, target in enumerate(targets):
@@ -41,11 +47,6 @@ def beside(
     """Conditions of n goals with the other arm of a cell of two at ``q`` (n, K) [rad], carrying ``payload_kg`` (n,)."""
     moment = base_moment(other.geometry, other.bodies, q, other.up_M, payload_kg)
     return replace(conditions, other_q=q, other_moment_M=moment)
-
-
-def _of_arm(target: Target, arm: str) -> WorkingConditions:
-    partner = target.partner
-    return target.conditions if partner is None or target.arm == arm else partner.conditions
 
 
 def _column(values: Sequence[float | None]) -> Array | None:

@@ -45,7 +45,7 @@ def with_rpy(values: object) -> object:
     if not given or given == ["rpy"]:
         return others
     yaw, pitch, roll = zyx_angles(_READERS[given[0]](values[given[0]]))
-    return {**others, "rpy": (roll, pitch, yaw)}
+    return {**others, "rpy": (roll + 0.0, pitch + 0.0, yaw + 0.0)}  # no -0.0
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -69,8 +69,9 @@ def _of_vector(value: object) -> Array:
 
 def _of_matrix(value: object) -> Array:
     matrix = np.array(checked(_MATRIX, value, ("matrix",)))
-    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    if off > _LARGEST:
+    with np.errstate(over="ignore", invalid="ignore"):  # entries of 1e200
+        off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if not off <= _LARGEST:
         raise placed_error(
             ("matrix",),
             f"its rows are off unit length and right angles by {off:.2g} (at most {_LARGEST:g}), so it is no rotation;"

@@ -24,7 +24,6 @@ from cellapp.discovery.terms import ModelTerm, ModelTerms, smoothness_of
 from cellapp.effects import EffectColumn
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
-from cellapp.model.measuring_noise import MeasuringNoise
 from cellapp.model.posterior import PosteriorDraws
 
 _CHUNK = 1024
@@ -196,6 +195,5 @@ def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
         covariance=normal.covariance(fit.precision),
         noise_m=math.sqrt(mean_variance(data.sigma)),
         seed=(data.profile.seed, _DRAW_SEED),
-        noise=MeasuringNoise.of_readings(data.sigma, data.readings.p_M),
     )
     return replace(model, posterior=draws)

@@ -26,7 +26,6 @@ from cellapp.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
-from cellapp.model.measuring_noise import MeasuringNoise
 from cellapp.model.posterior import PosteriorDraws
 
 _WEIGHING_ROUNDS = 3
@@ -256,7 +255,6 @@ def with_posterior(data: ArmData, fit: JointFit) -> ArmModel:
         covariance=found.covariance,
         noise_m=math.sqrt(mean_variance(data.sigma)) * max(found.scale, 1.0),
         seed=(data.profile.seed, _DRAW_SEED),
-        noise=MeasuringNoise.of_readings(data.sigma, data.readings.p_M).scaled(max(found.scale, 1.0)),
     )
     return replace(fit.model, posterior=draws)
 

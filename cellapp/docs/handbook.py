@@ -19,7 +19,9 @@ CHAPTERS: Mapping[str, str] = {
     "effects": "the physical effects that discovery knows",
     "discovery": "how discovery decides, and what its words mean",
     "planning": "which stops are measured, obstacles, editing a plan",
+    "signature": "an arm calibrated again, with its earlier calibration as prior",
     "terminal": "the terminal application: a day, its screens and its keys",
+    "targets": "targets of calibrated arms: lists, verdicts, uncertainty, measuring them",
     "exports": "calibrated arms for other programs, and what their files cannot hold",
     "programs": "programs of UR controllers, corrected so that the real arm reaches their targets",
 }

@@ -150,6 +150,11 @@ class Variable:
         return self.quantity.value if self.joint is None else f"{self.quantity.value}{self.joint + 1}"
 
     @property
+    def driver(self) -> DriverVariable:
+        """What effects that depend on it share."""
+        return _DRIVERS[self.quantity]
+
+    @property
     def is_joint_angle(self) -> bool:
         """Whether it is a joint angle, of this arm or the other: functions of it are periodic."""
         return self.quantity in (Quantity.JOINT_ANGLE, Quantity.OTHER_JOINT_ANGLE)

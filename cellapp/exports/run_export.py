@@ -70,7 +70,7 @@ def _export_arms(
     chosen = {name: export for name, export in exports.items() if arm in (None, name)}
     files = files_of_arms(out, list(chosen))
     texts = {files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()}
-    notes = (*_stale_notes(stages), *_rigid_notes(run, stages, chosen))
+    notes = (*_stale_notes(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
     write_new(texts)
     return ExportResult(
         format=form.name,
@@ -90,7 +90,7 @@ def _export_cell(
     check_out(out)
     exports = calibrated_arms(run, stages, stage_name)
     lines = [form_line(form), *(line for export in exports.values() for line in _arm_sentences(export))]
-    notes = (*_stale_notes(stages), *_rigid_notes(run, stages, exports))
+    notes = (*_stale_notes(stages.stale_model()), *_rigid_notes(run, stages, exports))
     write_new({out: form.text(exports, lines)})
     return ExportResult(
         format=form.name,
@@ -99,8 +99,7 @@ def _export_cell(
     )
 
 
-def _stale_notes(stages: RunStages) -> list[str]:
-    stale = stages.stale_model()
+def _stale_notes(stale: str) -> list[str]:
     return [f"the model was used although {stale}"] if stale else []
 
 

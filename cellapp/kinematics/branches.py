@@ -7,14 +7,20 @@ from numpy.typing import NDArray
 
 from cellapp.kinematics.chain import Geometry
 from cellapp.kinematics.closed_form import closed_form_solutions
-from cellapp.kinematics.sampled_inverse import position_solutions, sampled_solutions
+from cellapp.kinematics.sampled_inverse import position_solutions, sampled_configurations, sampled_solutions
 from cellapp.kinematics.transforms import Array
 
 _TURN = 2.0 * np.pi
 
 
 def all_branches(
-    geometry: Geometry, position_M: Array, rotation_M: Array, limits: Array, near: Array, seed: int
+    geometry: Geometry,
+    position_M: Array,
+    rotation_M: Array,
+    limits: Array,
+    near: Array,
+    seed: int,
+    liked: Array | None = None,
 ) -> Array:
     """Joint positions (n, K, N) [rad] that reach n targets, without regard to limits; NaN where there are fewer.
 
@@ -31,11 +37,14 @@ def all_branches(
         Preferred configuration [rad].
     seed : int
         Of the samples.
+    liked : array, shape (m, N), optional
+        Configurations near which solutions with free rotation are welcome, besides those near ``near``.
     """
     free = np.isnan(rotation_M[:, 0, 0])
     parts: list[tuple[NDArray[np.bool_], Array]] = []
     if free.any():
-        parts.append((free, position_solutions(geometry, position_M[free], limits, near, seed)))
+        samples = sampled_configurations(limits, near, seed)
+        parts.append((free, position_solutions(geometry, position_M[free], samples, near, liked)))
     if not free.all():
         P, R = position_M[~free], rotation_M[~free]
         closed = closed_form_solutions(geometry, P, R, near)

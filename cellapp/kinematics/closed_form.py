@@ -85,7 +85,7 @@ def closed_form_solutions(
         SMR centre in the tracker frame [m].
     rotation_M : array, shape (n, 3, 3)
         Rotation of the flange in the tracker frame.
-    near : array, shape (6,), optional
+    near : array, shape (6,) or (n, 6), optional
         Where a singular wrist leaves one of its joints free, it stands as here [rad]; zero by default.
 
     Returns
@@ -98,7 +98,7 @@ def closed_form_solutions(
     name, off = found
     R, o6 = _flange_in_base(geometry, position_M, rotation_M)
     chain = _structured(geometry, name)
-    free = chain.theta + (np.zeros(6) if near is None else near)
+    free = np.broadcast_to(chain.theta + (0.0 if near is None else near), (len(position_M), 6))
     solve = _parallel_axes if name == "parallel axes 2-3-4" else _spherical_wrist
     with np.errstate(invalid="ignore"):  # NaN marks branches without a solution
         phi = solve(chain, R, o6, free)
@@ -146,7 +146,7 @@ def _parallel_axes(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:
     before = np.stack([sense * np.sin(phi5) * s[3], c[4] * y + s[4] * z], axis=-1)
     in_flange = np.einsum("nba,nijb->nija", R, h)
     after = np.stack([in_flange[..., 0], c[5] * in_flange[..., 1] - s[5] * in_flange[..., 2]], axis=-1)
-    phi6 = _between(after, before, float(free[5]))
+    phi6 = _between(after, before, free[:, 5, None, None])
     R_04 = R[:, None, None] @ _turn(phi6, c[5], s[5]).swapaxes(-1, -2) @ _turn(phi5, c[4], s[4]).swapaxes(-1, -2)
     o4 = o5[:, None, None] - d[4] * R_04[..., :, 2]
     return _planar(chain, phi1, R_04, o4, phi5, phi6)
@@ -181,7 +181,7 @@ def _spherical_wrist(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:
     left = R_03.swapaxes(-1, -2) @ (R @ _rotation_x(c[5], -s[5]))[:, None, None]
     phi5 = _arccos((c[3] * c[4] - left[..., 2, 2]) / (s[3] * s[4]))[..., None] * np.array([1.0, -1.0])
     axis = np.stack([s[4] * np.sin(phi5), -c[3] * s[4] * np.cos(phi5) - s[3] * c[4]], axis=-1)
-    phi4 = _between(axis, left[..., None, :2, 2], float(free[3]))
+    phi4 = _between(axis, left[..., None, :2, 2], free[:, 3, None, None, None])
     of_6 = (_turn(phi4, c[3], s[3]) @ _turn(phi5, c[4], s[4])).swapaxes(-1, -2) @ left[..., None, :, :]
     phi6 = np.arctan2(of_6[..., 1, 0], of_6[..., 0, 0])
     parts = (phi1[:, :, None, None], phi2[..., None], phi3[..., None], phi4, phi5, phi6)
@@ -223,7 +223,7 @@ def _arccos(cosine: Array) -> Array:
     return np.asarray(np.where(within, np.arccos(np.clip(cosine, -1.0, 1.0)), np.nan))
 
 
-def _between(from_xy: Array, to_xy: Array, free: float) -> Array:
+def _between(from_xy: Array, to_xy: Array, free: Array) -> Array:
     """Angle from one plane vector (..., 2) to another; ``free`` where they vanish, as any angle will do there."""
     angle = np.arctan2(to_xy[..., 1], to_xy[..., 0]) - np.arctan2(from_xy[..., 1], from_xy[..., 0])
     return np.asarray(np.where(np.hypot(from_xy[..., 0], from_xy[..., 1]) < _ROUNDING, free, angle))

@@ -167,21 +167,6 @@ class ArmModel:
         noise_m = 0.0 if self.posterior is None else self.posterior.noise_m
         return np.asarray(np.hypot(self.uncertainty(q, conditions), noise_m))
 
-    def measured_covariance(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
-        """Covariances (n, 3, 3) [m^2] in the tracker frame of measured SMR positions about their prediction.
-
-        As ``measured_uncertainty``, by direction: a tracker measures along its beam better than across it.
-        """
-        covariance = np.zeros((len(q), 3, 3))
-        if self.posterior is not None:
-            moved = self.posterior.displacements(self.geometry, self.effects, self.context(q, conditions=conditions))
-            covariance += np.einsum("sna,snb->nab", moved, moved, optimize=True) / len(moved)
-            covariance += self.posterior.noise_covariance(self.predict(q, conditions=conditions))
-        if self.network is not None:
-            R = self.geometry.T_M_B()[:3, :3]
-            covariance += (R * self.network.spread(q)[:, None] ** 2) @ R.T
-        return covariance
-
     def flange(self, q: Array) -> tuple[Array, Array]:
         """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame."""
         return flange_poses(self.geometry, self.true_joints(q))

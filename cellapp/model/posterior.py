@@ -2,11 +2,13 @@
 
 The posterior of geometry and effects is close to normal; its covariance has a million entries where smooth functions
 are fitted. A few dozen draws of the parameters from it hold all correlations, and give the standard deviation of any
-prediction to 1 / sqrt(2 S): 9 % with 64.
+prediction to 1 / sqrt(2 S): 9 % with 64. Up to S parameters the draws are made orthogonal, so that their second moment
+is the covariance itself.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +20,6 @@ from cellapp.effects import EFFECTS, EffectColumn, EffectContext, EffectTerm
 from cellapp.effects.modulation import with_modulations
 from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
-from cellapp.model.measuring_noise import MeasuringNoise
 
 DRAWS = 64
 _DIGITS = 4
@@ -38,42 +39,29 @@ class PosteriorDraws:
     terms : tuple of array, shape (S, m)
         One for each term of the model, in the order of its names.
     noise_m : float
-        Standard deviation of a measured coordinate about the true prediction [m], rms over the readings.
-    noise : MeasuringNoise or None
-        That by direction; None where it is alike in all directions.
+        Standard deviation of a measured coordinate about the true prediction [m].
     """
 
     columns: tuple[int, ...]
     geometry: Array
     terms: tuple[Array, ...]
     noise_m: float
-    noise: MeasuringNoise | None = None
 
     @classmethod
     def of_covariance(
-        cls,
-        columns: tuple[int, ...],
-        sizes: Sequence[int],
-        covariance: Array,
-        noise_m: float,
-        seed: Sequence[int],
-        noise: MeasuringNoise | None = None,
+        cls, columns: tuple[int, ...], sizes: Sequence[int], covariance: Array, noise_m: float, seed: Sequence[int]
     ) -> PosteriorDraws:
         """Draws from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         values, vectors = np.linalg.eigh(covariance / scale / scale[:, None])
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         normal = np.random.default_rng(seed).standard_normal((DRAWS, len(scale)))
+        if len(scale) <= DRAWS:
+            normal = math.sqrt(DRAWS) * np.linalg.qr(normal)[0]
         drawn = (normal @ root.T) * scale
         ends = np.cumsum([len(columns), *sizes])
         parts = np.split(drawn, ends[:-1], axis=1)
-        return cls(columns, parts[0], tuple(parts[1:]), noise_m, noise)
-
-    def noise_covariance(self, p_M: Array) -> Array:
-        """Covariances (n, 3, 3) [m^2] of measurements at ``p_M`` (n, 3) [m] about the true prediction."""
-        if self.noise is None:
-            return np.asarray(np.tile(self.noise_m**2 * np.eye(3), (len(p_M), 1, 1)))
-        return self.noise.covariance(p_M)
+        return cls(columns, parts[0], tuple(parts[1:]), noise_m)
 
     def displacements(self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
         """Deviations (S, n, 3) [m] of the SMR from its prediction, to first order."""
@@ -119,7 +107,6 @@ def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
         "geometry": _rounded(posterior.geometry),
         "terms": [_rounded(one) for one in posterior.terms],
         "noise_m": posterior.noise_m,
-        "noise": None if posterior.noise is None else posterior.noise.to_json(),
     }
 
 
@@ -127,8 +114,7 @@ def posterior_from_json(content: Mapping[str, Any]) -> PosteriorDraws:
     """Read what ``posterior_to_json`` wrote."""
     geometry = np.array(content["geometry"], dtype=np.float64)
     terms = tuple(np.array(one, dtype=np.float64).reshape(len(geometry), -1) for one in content["terms"])
-    noise = None if content.get("noise") is None else MeasuringNoise.from_json(content["noise"])
-    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]), noise)
+    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]))
 
 
 def _rounded(values: Array) -> list[list[float]]:

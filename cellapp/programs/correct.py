@@ -73,7 +73,7 @@ def correct_run(
     home = np.zeros(_JOINTS) if settings.home is None else np.array(settings.home)
     place = Workplace(model_arm, limits, home, run.readings(name).q, run.profile.seed, read.payload_kg, extrapolate)
     corrected = solve_targets(place, read.targets)
-    stale = stages.stale_model()
+    stale = stages.stale_arms()
     result = CorrectResult(
         program=str(program),
         out=str(out),

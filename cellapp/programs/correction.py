@@ -18,6 +18,7 @@ import numpy as np
 
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.chain import Geometry, flange_poses
+from cellapp.kinematics.closed_form import closed_form_solutions
 from cellapp.kinematics.inverse import solve_pose
 from cellapp.kinematics.transforms import Array, rotation_vectors, transform
 from cellapp.model import ArmModel
@@ -27,7 +28,7 @@ READING_EFFECTS = frozenset(
 )
 """Effects of the measurement: they move the reading or the reflector, not the flange."""
 _STARTS = 48
-"""Random starts of the inverse for each pose: a six-joint arm has at most 16 solutions, and each is met often."""
+"""Random starts of the inverse for each pose of a chain without a closed form: six joints have at most 16 solutions."""
 _ROUNDS = 12
 """Fixed-point rounds of aiming: each gains two decades, since what the model adds to its chain varies slowly."""
 _SAME = 1e-10
@@ -98,12 +99,16 @@ def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementCon
 def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: int) -> list[Array]:
     """All joint positions (k, N) [rad] within limits (N, 2) that reach each of n flange poses (n, 4, 4).
 
-    ``near`` (n, N) is a start for each that is tried besides random ones.
+    ``near`` (n, N) is a start for each that is tried besides those in closed form, or random ones.
     """
     n, joints = len(poses), chain.joints
-    random = np.random.default_rng([seed, 0x9A0]).uniform(-np.pi, np.pi, (_STARTS, joints))
-    starts = np.concatenate([near[:, None], np.tile(random, (n, 1, 1))], axis=1).reshape(-1, joints)
-    which = np.repeat(np.arange(n), _STARTS + 1)
+    starts = closed_form_solutions(chain, poses[:, :3, 3], poses[:, :3, :3], near)
+    if starts is None:
+        random = np.random.default_rng([seed, 0x9A0]).uniform(-np.pi, np.pi, (_STARTS, joints))
+        starts = np.tile(random, (n, 1, 1))
+    starts = np.concatenate([near[:, None], starts], axis=1).reshape(-1, joints)
+    which = np.repeat(np.arange(n), len(starts) // max(n, 1))
+    which, starts = which[np.isfinite(starts[:, 0])], starts[np.isfinite(starts[:, 0])]
     solved = solve_pose(chain, poses[which, :3, 3], poses[which, :3, :3], starts)
     q = np.mod(solved.q + np.pi, 2.0 * np.pi) - np.pi
     within = np.all(_turned_into(q, limits, np.zeros(joints))[1], axis=1)

@@ -21,12 +21,13 @@ from cellapp.reporting.svg import (
     set_log_axis,
     to_svg,
 )
+from cellapp.results import STAGES
 
 _FEW = 60
 """Points up to which each is a marker; more are strokes of one path, a tenth of the text."""
 _MANY = 1000
 """Points from which on strokes are thinner."""
-_OWN_MARKERS = {"B": "s", "T": "^", "X": "X"}
+_OWN_MARKERS = {"B": "s", "T": "^", "X": "X", "■": "s"}
 """Marks that stand for a thing rather than for an arm: base, tracker, next stop."""
 _GUIDES = {"·": (":", "dotted"), ":": ("--", "dashed")}
 """Marks of lines that only guide the eye: how they are drawn, and what that is called."""
@@ -45,7 +46,7 @@ def chart_figure(key: str, chart: Chart) -> CaptionedFigure:
         if chart.equal:
             axes.set_aspect("equal", adjustable="datalim")
         for one in chart.series:
-            _draw(axes, one)
+            _draw(axes, one, _colour(chart, one))
         for limit in chart.limits:
             line = axes.axhline if limit.axis == "y" else axes.axvline
             line(limit.value, color=INK, linewidth=1.0, linestyle="--")
@@ -56,7 +57,7 @@ def chart_figure(key: str, chart: Chart) -> CaptionedFigure:
         axes.set_xlabel(chart.x.words)
         axes.set_ylabel(chart.y.words)
         svg = to_svg(figure, key)
-    legend = tuple((_swatch(one), _words(one)) for one in chart.series)
+    legend = tuple((_swatch(chart, one), _words(one)) for one in chart.series)
     limits = tuple(("floor", limit.name) for limit in chart.limits)
     return CaptionedFigure(svg, chart.title, (*legend, *limits), note=chart.message)
 
@@ -75,8 +76,7 @@ def _scale(axis: Any, logarithmic: bool, values: list[Array]) -> None:
         axis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _draw(axes: Any, one: Series) -> None:
-    colour = _colour(one)
+def _draw(axes: Any, one: Series, colour: str) -> None:
     if one.kind == "points" and len(one.x) > _FEW:
         draw_marks(axes, one.x, one.y, colour, "round", width=1.8 if len(one.x) > _MANY else 2.6)
     elif one.kind == "points":
@@ -90,15 +90,19 @@ def _draw(axes: Any, one: Series) -> None:
         axes.plot(one.x, one.y, color=colour, linewidth=0.8 if one.mark in _GUIDES else 1.6, linestyle=dashes)
 
 
-def _colour(one: Series) -> str:
-    """Colours of arms; what belongs to none has that of the text or, where it only guides the eye, a soft one."""
+def _colour(chart: Chart, one: Series) -> str:
+    """Colours of arms or stages; another one has that of the text or, where it only guides the eye, a soft one."""
     if one.style < ARM_COLOURS:
-        return ARM_COLOUR[one.style]
+        return STAGE_COLOURS[STAGES[one.style]] if chart.by_stage else ARM_COLOUR[one.style]
     return SOFT if one.mark in _GUIDES else INK
 
 
-def _swatch(one: Series) -> str:
-    return f"arm{one.style + 1}" if one.style < ARM_COLOURS else ""
+def _swatch(chart: Chart, one: Series) -> str:
+    if one.style >= ARM_COLOURS:
+        return ""
+    if chart.by_stage:
+        return "before" if one.style == 0 else STAGES[one.style]
+    return f"arm{one.style + 1}"
 
 
 def _words(one: Series) -> str:

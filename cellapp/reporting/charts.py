@@ -94,6 +94,8 @@ class Chart:
         Their values as texts.
     equal : bool
         A map: one unit has the same length along both axes.
+    by_stage : bool
+        The styles are those of stages (``STAGE_STYLES``), not of arms: the page has colours for either.
     y_range : tuple of float, or None
         The part of the y axis that is drawn, where a few far points would flatten all others; None: all values.
     """
@@ -108,6 +110,7 @@ class Chart:
     bar_texts: tuple[str, ...] = ()
     equal: bool = False
     y_range: tuple[float, float] | None = None
+    by_stage: bool = False
 
     @property
     def is_empty(self) -> bool:

@@ -18,7 +18,7 @@ from cellapp.reporting.charts import (
     styles,
 )
 from cellapp.reporting.target_tables import measured_targets
-from cellapp.reporting.target_words import PART_WORDS, Measured, alone_mm, bounds_and_errors, last_mm, promise_words
+from cellapp.reporting.target_words import PART_WORDS, Measured, bounds_and_errors, promise_words
 from cellapp.results import UncertaintyParts, VerifyResult
 
 _BEFORE, _AFTER = STAGE_STYLES["nominal"], STAGE_STYLES["effects"]
@@ -89,7 +89,7 @@ def rounds_chart(verify: VerifyResult) -> Chart:
         series("mean", number, drawable_mm(mean), style=_AFTER),
     )
     message = f"Mean error at {len(corrected)} targets: {mm(mean[0])} by the model alone, {mm(mean[-1])} in the end."
-    return Chart(title, x, y, drawn, message)
+    return Chart(title, x, y, drawn, message, by_stage=True)
 
 
 def parts_chart(title: str, parts: Sequence[UncertaintyParts]) -> Chart:
@@ -113,10 +113,11 @@ def _errors(title: str, label: str, measured: Sequence[Measured], floor_mm: floa
         return Chart(title, x, y, (), _NOT_YET)
     number = np.arange(1.0, len(measured) + 1.0)
     before = np.array([one.nominal_mm for one in measured], dtype=np.float64)
-    after, last = (np.array([mm_of(one) for one in measured], dtype=np.float64) for mm_of in (alone_mm, last_mm))
+    after = np.array([one.compensated_mm for one in measured], dtype=np.float64)
+    last = np.array([one.final_mm for one in measured], dtype=np.float64)
     drawn = [
         series("uncompensated", number, drawable_mm(before), "points", style=_BEFORE),
-        series("compensated", number, drawable_mm(after), "points", style=_AFTER),
+        series("compensated", number, drawable_mm(after), "points", style=_AFTER, mark="■"),
     ]
     corrected = np.array([len(one.rounds_mm) > 1 for one in measured])
     if corrected.any():
@@ -130,4 +131,4 @@ def _errors(title: str, label: str, measured: Sequence[Measured], floor_mm: floa
         f"Mean error at {len(measured)} targets: {mm(float(before.mean()))} uncompensated, {mm(float(after.mean()))}"
         f" compensated{by_measuring}; {'all' if better == len(measured) else better} became better."
     )
-    return Chart(title, x, y, tuple(drawn), message, noise_limit(floor_mm))
+    return Chart(title, x, y, tuple(drawn), message, noise_limit(floor_mm), by_stage=True)

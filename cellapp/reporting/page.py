@@ -16,6 +16,7 @@ from cellapp.reporting.collection_section import collection_state, drift_figures
 from cellapp.reporting.collection_text import collection_tables
 from cellapp.reporting.discovery_section import arm_sections
 from cellapp.reporting.headlines import headlines, missing_results, out_of_date_lines, warnings
+from cellapp.reporting.location_text import location_sentences, location_tables
 from cellapp.reporting.page_figures import accuracy_figures, pair_figures, residual_vector_figures
 from cellapp.reporting.page_tables import (
     base_table,
@@ -36,7 +37,7 @@ from cellapp.reporting.tables import (
 )
 from cellapp.reporting.targets_section import targets_section
 from cellapp.reporting.words import METHOD_WORDS
-from cellapp.results import CalibrateResult
+from cellapp.results import LOCATE, CalibrateResult
 from cellapp.run import RunFile
 from cellapp.run.sqlite_file import REPORT_FILE
 
@@ -80,6 +81,7 @@ def page_text(run: RunFile, written: datetime) -> str:
         **_first_words(data),
         **_accuracy(data),
         **_discovery(data),
+        **_station(data),
         targets=targets_section(data),
         **_collection(run),
         plan=plan_section(run),
@@ -142,6 +144,15 @@ def _discovery(data: ReportData) -> Mapping[str, object]:
         "discoveries": [] if data.discover is None else arm_sections(data.discover, shown),
         "simulations": settings.null_simulations,
         "false_alarm": settings.false_alarm,
+    }
+
+
+def _station(data: ReportData) -> Mapping[str, object]:
+    located = data.results.locate
+    shown = located is not None and located.moved and LOCATE not in data.out_of_date
+    return {
+        "station_tables": location_tables(located) if located is not None and shown else [],
+        "station_sentences": location_sentences(located) if located is not None and shown else [],
     }
 
 

@@ -111,8 +111,8 @@ class HeldOutArm:
     def errors_mm(self) -> Mapping[str, Array]:
         """Position errors (n,) [mm] by stage.
 
-        A calibration that an older version stored has its effects in the only model that is left: there is no stage
-        ``geometry`` then.
+        A calibration with an earlier one as prior, or one that an older version stored, has its effects in its only
+        model: there is no stage ``geometry`` then.
         """
         model, q = self.calibrated, self.readings.q
         computed: dict[str, Array] = {"nominal": smr_positions(model.nominal, q)}
@@ -120,8 +120,9 @@ class HeldOutArm:
             computed["geometry"] = smr_positions(model.geometry, q)
             if model.network is not None:
                 computed["network"] = self._predict(model)
-        if self.discovered is not None and self.discovered.effects:
-            computed["effects"] = self._predict(self.discovered)
+        newest = model if self.discovered is None else self.discovered
+        if newest.effects:
+            computed["effects"] = self._predict(newest)
         measured = self.readings.p_M
         return {stage: position_errors(measured, computed[stage]) * 1e3 for stage in STAGES if stage in computed}
 

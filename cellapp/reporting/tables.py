@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping
 
 from cellapp.reporting.discovery_tables import discovery_tables
+from cellapp.reporting.location_text import location_tables
 from cellapp.reporting.signature_tables import prior_sentences, prior_tables
 from cellapp.reporting.table import Cell, Column, Interval, Table, most_urgent, number_column, part_table
-from cellapp.reporting.target_words import all_measured, arms_words, last_mm, shown_tolerance
+from cellapp.reporting.target_words import all_measured, arms_words, shown_tolerance
 from cellapp.reporting.words import geometry_unit
 from cellapp.results import (
     METHODS,
@@ -33,17 +34,19 @@ _DETAILED_COLUMNS = (
     number_column("n", "d"),
 )
 _TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
-_PAIRS = "cooperative (distance of both SMRs)"
+_PAIRS = "between arms"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
 def all_tables(results: RunResults) -> list[Table]:
-    """Tables of the calibration, and of a discovery and a verification that are not out of date."""
+    """Tables of the calibration, and of a discovery, a location and a verification that are not out of date."""
     tables: list[Table] = []
     if results.calibrate is not None:
         tables += calibration_tables(results.calibrate)
     if results.discover is not None and "discover" not in results.out_of_date:
         tables += discovery_tables(results.discover)
+    if results.locate is not None and "locate" not in results.out_of_date:
+        tables += location_tables(results.locate)
     if results.verify is not None and "verify" not in results.out_of_date:
         tables += verification_tables(results.verify)
     return tables
@@ -152,11 +155,11 @@ def _tolerance_tables(result: VerifyResult) -> list[Table]:
         (
             one.name,
             one.arm if isinstance(one, MeasuredTarget) else arms_words(one.arms),
-            last_mm(one),
+            one.final_mm,
             shown_tolerance(one.tolerance_mm),
             one.verdict,
         )
-        for one in most_urgent(judged, lambda one: (last_mm(one) or 0.0) / (one.tolerance_mm or math.inf))
+        for one in most_urgent(judged, lambda one: (one.final_mm or 0.0) / (one.tolerance_mm or math.inf))
     ]
     columns = (
         Column("target"),

@@ -12,7 +12,7 @@ from cellapp.reporting.charts import Chart, enumerated
 from cellapp.reporting.charts_targets import parts_chart
 from cellapp.reporting.table import Cell, Column, Table, number_column
 from cellapp.reporting.target_list import TargetState
-from cellapp.reporting.target_words import advice, alone_mm, last_mm, shown_tolerance, unknown_lines
+from cellapp.reporting.target_words import advice, shown_tolerance, unknown_lines
 from cellapp.results import MeasuredTarget, RunResults, TargetCommand, TargetRecord
 
 R = TypeVar("R", bound=TargetRecord)
@@ -47,11 +47,24 @@ def target_details(state: TargetState) -> TargetDetails:
     return TargetDetails(tuple(sentences), tuple(tables), tuple(charts))
 
 
+def details_tables(details: TargetDetails) -> list[Table]:
+    """The tables, with charts of bars as tables: what a shell prints."""
+    columns = (Column("source"), number_column("standard uncertainty", ".4f", "mm"))
+    parts = [
+        Table(chart.title, columns, tuple(zip(chart.categories, chart.series[0].y.tolist(), strict=True)))
+        for chart in details.charts
+        if chart.categories
+    ]
+    return [*parts, *details.tables]
+
+
 def stored_state(results: RunResults, name: str) -> TargetState | None:
     """What a run stored last about the target of a name; None if it knows none of that name."""
     commands = () if results.compensate is None else _named(results.compensate.targets, name)
     pushed = results.verify or results.push
     measured = () if pushed is None else _named(pushed.targets, name)
+    if commands:  # an earlier target of that name was measured
+        measured = tuple(one for one in measured if one.definition == commands[0].definition)
     if not commands and not measured:
         return None
     pairs = () if pushed is None else pushed.pairs
@@ -105,7 +118,11 @@ def _command_lines(command: TargetCommand) -> Iterator[str]:
         residual = f"{command.residual_um:.3f} um and {command.residual_urad:.3f} urad"
         yield f"{arm}: the model meets the target within {residual}"
     if command.approach is not None:
-        yield f"{arm}: made for the approach {side_words(command.approach)}"
+        offered = any(one.condition == "approach" for one in command.unknown)
+        what = "an approach that would be known, if the target states it" if offered else "made for the approach"
+        yield f"{arm}: {what}: {side_words(command.approach)}"
+    if command.note:
+        yield f"{arm}: {command.note}"
     if command.uncertainty_mm is None:
         yield f"{arm}: the model states no uncertainty"
         return
@@ -119,7 +136,7 @@ def _measured_lines(measured: MeasuredTarget) -> Iterator[str]:
     arm = f"arm {measured.arm}"
     if measured.note:
         yield f"{arm}: not measured: {measured.note}"
-    error = alone_mm(measured)
+    error = measured.compensated_mm
     if error is None:
         return
     before = "" if measured.nominal_mm is None else f", {measured.nominal_mm:.4f} mm with the nominal command"
@@ -128,7 +145,7 @@ def _measured_lines(measured: MeasuredTarget) -> Iterator[str]:
         kept = "within" if error <= measured.within_mm else "beyond"
         bound = f"; {kept} the predicted bound of {measured.within_mm:.4f} mm"
     yield f"{arm}: measured {error:.4f} mm from the target{before}{bound}"
-    if len(measured.rounds_mm) > 1:
+    if measured.rounds_mm:
         yield f"{arm}: by the model alone and after each correction: {_rounds(measured.rounds_mm)} mm"
     if measured.verdict:
         yield f"{arm}: {measured.verdict} of tolerance" if measured.verdict == "out" else f"{arm}: within tolerance"
@@ -141,12 +158,13 @@ def _pair_lines(state: TargetState) -> Iterator[str]:
     arms = enumerated(pair.arms)
     if pair.note:
         yield f"arms {arms}: not measured: {pair.note}"
-    if (error := last_mm(pair)) is None:
+    if (error := pair.final_mm) is None:
         return
+    wanted = "" if pair.wanted_mm is None else f" of {pair.wanted_mm:.3f} mm"
     before = "" if pair.nominal_mm is None else f", {pair.nominal_mm:.4f} mm with the nominal commands"
     verdict = {"in": "; within tolerance", "out": "; out of tolerance"}.get(pair.verdict, "")
-    yield f"arms {arms}: distance of {pair.wanted_mm:.3f} mm off by {error:.4f} mm{before}{verdict}"
-    if len(pair.rounds_mm) > 1:
+    yield f"arms {arms}: distance{wanted} off by {error:.4f} mm{before}{verdict}"
+    if pair.rounds_mm:
         yield f"arms {arms}: by the model alone and after each correction: {_rounds(pair.rounds_mm)} mm"
 
 

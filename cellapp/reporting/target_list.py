@@ -9,10 +9,11 @@ from typing import TypeVar
 
 from cellapp.compensation.targets import Target, same_target
 from cellapp.reporting.table import Cell, Column, Table, number_column
-from cellapp.reporting.target_words import Measured, alone_mm, arms_words, last_mm, shown_tolerance
+from cellapp.reporting.target_words import Measured, arms_words, shown_tolerance
 from cellapp.results import (
     CALIBRATE,
     DISCOVER,
+    LOCATE,
     MeasuredPair,
     MeasuredTarget,
     RunResults,
@@ -135,7 +136,11 @@ def target_words(target: Target, results: RunResults | None) -> str:
 
 def stale_model(results: RunResults) -> str:
     """Why the model in force should not be used as it is; empty if it holds."""
-    outdated = [name for name in (CALIBRATE, DISCOVER) if name in results.out_of_date]
+    located = results.locate
+    if located is not None and located.verdict != "located":
+        return "no motion of the tracker explains the points of the last 'locate'"
+    asked = (CALIBRATE, DISCOVER, LOCATE) if located is not None and located.moved else (CALIBRATE, DISCOVER)
+    outdated = [name for name in asked if name in results.out_of_date]
     return "; ".join(f"'{name}' is out of date ({results.out_of_date[name]})" for name in outdated)
 
 
@@ -152,11 +157,11 @@ def _state_words(target: Target, state: TargetState) -> str:
         words.append(f"tolerance {shown_tolerance(target.tolerance_mm):g} mm predicted: {predicted}")
     several = len(state.measured) > 1
     for one in state.measured:
-        if (mm := last_mm(one)) is not None:
+        if (mm := one.final_mm) is not None:
             arm = f"arm {one.arm} " if several else ""
             before = "" if one.nominal_mm is None else f", {one.nominal_mm:.4f} mm without compensation"
             words.append(f"{arm}measured {mm:.4f} mm from the target{before}{_rounds_words(one)}")
-    if state.pair is not None and (mm := last_mm(state.pair)) is not None:
+    if state.pair is not None and (mm := state.pair.final_mm) is not None:
         words.append(f"distance of both SMRs off by {mm:.4f} mm{_rounds_words(state.pair)}")
     if state.is_measured and state.verdict:
         words.append("out of tolerance" if state.verdict == "out" else "within tolerance")
@@ -175,7 +180,7 @@ def _uncertainty_words(commands: Iterable[TargetCommand]) -> str:
 def _rounds_words(one: Measured) -> str:
     """How far the model alone came, where the target was corrected by measuring."""
     rounds = len(one.rounds_mm) - 1
-    return "" if rounds < 1 else f" ({alone_mm(one):.4f} mm by the model alone, {rounds} corrected)"
+    return "" if rounds < 1 else f" ({one.compensated_mm:.4f} mm by the model alone, {rounds} corrected)"
 
 
 def _row(target: Target, state: TargetState) -> tuple[Cell, ...]:
@@ -204,9 +209,9 @@ def _errors(state: TargetState) -> str:
         shown = [state.pair]
     if not shown:
         return ""
-    worst = max(shown, key=lambda one: last_mm(one) or 0.0)
+    worst = max(shown, key=lambda one: one.final_mm or 0.0)
     before = "" if worst.nominal_mm is None else f"{worst.nominal_mm:.3f} -> "
-    return f"{before}{last_mm(worst):.3f}"
+    return f"{before}{worst.final_mm:.3f}"
 
 
 def _short_state(state: TargetState) -> str:

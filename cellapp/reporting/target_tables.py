@@ -12,9 +12,7 @@ from cellapp.reporting.tables import MM, verification_tables
 from cellapp.reporting.target_words import (
     PART_WORDS,
     advice,
-    alone_mm,
     arms_words,
-    last_mm,
     shown_tolerance,
     unknown_conditions,
 )
@@ -171,8 +169,8 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
             arms_words(pair.arms),
             pair.wanted_mm,
             pair.nominal_mm,
-            alone_mm(pair),
-            last_mm(pair) if len(pair.rounds_mm) > 1 else None,
+            pair.compensated_mm,
+            pair.final_mm if len(pair.rounds_mm) > 1 else None,
             shown_tolerance(pair.tolerance_mm),
             pair.verdict,
         )
@@ -211,13 +209,13 @@ def _arm_tables(verify: VerifyResult) -> list[Table]:
                 target.name,
                 "" if target.frame == "base" else target.frame,
                 target.nominal_mm,
-                alone_mm(target),
-                last_mm(target) if len(target.rounds_mm) > 1 else None,
+                target.compensated_mm,
+                target.final_mm if len(target.rounds_mm) > 1 else None,
                 target.within_mm,
                 shown_tolerance(target.tolerance_mm),
                 target.verdict,
             )
-            for number, target in most_urgent(measured, lambda row: last_mm(row[1]) or 0.0)
+            for number, target in most_urgent(measured, lambda row: row[1].final_mm or 0.0)
         ]
         tables.append(_without_empty(part_table(f"Arm {arm}: each target [mm]", columns, rows, len(measured))))
     return tables

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,10 @@ PART_WORDS: Mapping[str, str] = {
     "conditions": "conditions",
 }
 """Column headings of the parts of an uncertainty."""
+_MOST_NOTES = 20
+"""Notes on single targets that are printed; all are in the JSON."""
 Measured = MeasuredTarget | MeasuredPair
+"""A measured target of one arm, or of two."""
 _MOST_NAMED = 5
 """Targets that a sentence names; further ones are counted."""
 _ADVICE: Mapping[str, str] = {
@@ -26,14 +29,12 @@ _ADVICE: Mapping[str, str] = {
     "payload": "state conditions: {payload: ...} of the target, or the payload of the arm in the profile",
     "time": "state conditions: {time: ...} of the target, or calibrate again shortly before the work",
     "dwell": "state conditions: {dwell: ...} of the target: how long the arm rests before it works",
-    "approach": "prefer a side: approach: [1, ...] of the target, one sign for each joint",
-    "other arm": "make it a cooperative target, or leave the other arm at home",
-    "reach": "move the target nearer to the arm, or leave its rotation free",
-    "limit": "turn the target about the tool's axis, or leave its rotation free",
-    "singular": "turn or move the target a little: near a singular posture a joint turns fast",
-    "tracker": "turn the target so that the SMR faces the tracker, or move what hides it",
-    "collide": "move or turn the target; the profile's obstacles and bodies are what is checked",
-    "closer": "move or turn the target; the profile's obstacles and bodies are what is checked",
+    "approach": "state a side: approach: [1, 0, ...] of the target, one sign for each joint",
+    "out of reach": "move the target nearer to the arm, or leave its rotation free",
+    "beyond limits": "turn the target about the tool's axis, or leave its rotation free",
+    "singular": "turn or move the target a little, or leave its rotation free",
+    "collide": "move or turn the target; bodies and obstacles are those of the profile",
+    "asked": "move or turn the target; clearance, bodies and obstacles are those of the profile",
 }
 """What to do, by a word of the condition or of the reason."""
 
@@ -57,16 +58,6 @@ def advice(reason: str) -> str:
 def all_measured(verify: VerifyResult) -> list[Measured]:
     """Single and cooperative targets."""
     return [*verify.targets, *verify.pairs]
-
-
-def alone_mm(measured: Measured) -> float | None:
-    """Error with the model alone, before any correction by measuring."""
-    return measured.rounds_mm[0] if measured.rounds_mm else measured.compensated_mm
-
-
-def last_mm(measured: Measured) -> float | None:
-    """Error after the last correction."""
-    return measured.rounds_mm[-1] if measured.rounds_mm else measured.compensated_mm
 
 
 def shown_tolerance(tolerance_mm: float | None) -> float | None:
@@ -98,7 +89,8 @@ def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
 
 def compensate_lines(result: CompensateResult) -> list[str]:
     """What ``compensate`` prints: the summary, what is unknown, each refusal, notes."""
-    return [*compensate_summary(result), *unknown_lines(result.targets), *refusal_lines(result), *result.notes]
+    lines = [*unknown_lines(result.targets), *note_lines(result.targets), *refusal_lines(result), *result.notes]
+    return [*compensate_summary(result), *dict.fromkeys(lines)]
 
 
 def compensate_summary(result: CompensateResult) -> list[str]:
@@ -115,6 +107,13 @@ def refusal_lines(result: CompensateResult) -> list[str]:
             what = advice(target.refusal)
             lines.append(f"target {target.name}{arm}: {target.refusal}" + (f"; {what}" if what else ""))
     return lines
+
+
+def note_lines(targets: Sequence[TargetCommand]) -> list[str]:
+    """What to know about commands that are not refused; of many, the first ones."""
+    lines = [f"target {target.name}, arm {target.arm}: {target.note}" for target in targets if target.note]
+    more = [f"and {len(lines) - _MOST_NOTES} more notes on targets"] if len(lines) > _MOST_NOTES else []
+    return [*lines[:_MOST_NOTES], *more]
 
 
 def unknown_lines(targets: Sequence[TargetCommand]) -> list[str]:
@@ -173,13 +172,13 @@ def verify_message(verify: VerifyResult) -> str:
     """The verification in one sentence: how many targets are within tolerance, and the mean error before and after."""
     parts = [_tolerance_message(verify)] if _judged(verify) else []
     before = [target.nominal_mm for target in verify.targets if target.nominal_mm is not None]
-    after = [mm for target in verify.targets if (mm := last_mm(target)) is not None]
+    after = [mm for target in verify.targets if (mm := target.final_mm) is not None]
     if before and after:
         parts.append(f"mean error {np.mean(before):.2f} -> {np.mean(after):.3f} mm at {len(after)} targets")
-    pairs = [pair for pair in verify.pairs if pair.nominal_mm is not None and last_mm(pair) is not None]
+    pairs = [pair for pair in verify.pairs if pair.nominal_mm is not None and pair.final_mm is not None]
     if pairs:
         nominal = np.mean([pair.nominal_mm for pair in pairs if pair.nominal_mm is not None])
-        last = np.mean([mm for pair in pairs if (mm := last_mm(pair)) is not None])
+        last = np.mean([mm for pair in pairs if (mm := pair.final_mm) is not None])
         parts.append(f"distance of both SMRs {nominal:.2f} -> {last:.3f} mm at {len(pairs)} cooperative targets")
     return "; ".join(parts)
 
@@ -191,37 +190,42 @@ def push_lines(pushed: VerifyResult) -> list[str]:
     notes = {target.name: target.note for target in reversed(pushed.targets) if target.note}
     count = len({target.name for target in pushed.targets})
     missing = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
-    return [f"{count - len(notes)} of {count} targets reached", *dict.fromkeys((*missing, *pushed.notes))]
+    return [f"{count - len(notes)} of {count} targets reached", *dict.fromkeys([*missing, *pushed.notes])]
 
 
 def verify_lines(verify: VerifyResult) -> list[str]:
     """What ``push --verify`` prints: the summary, what was not measured, notes."""
     missing = [f"target {target.name}: {target.note}" for target in verify.targets if target.note]
     missing += [f"target {pair.name}, both arms: {pair.note}" for pair in verify.pairs if pair.note]
-    return [*verify_summary(verify), *dict.fromkeys((*missing, *verify.notes))]
+    return [*verify_summary(verify), *dict.fromkeys([*missing, *verify.notes])]
 
 
 def verify_summary(verify: VerifyResult) -> list[str]:
-    """The message, what is out of tolerance, how far the model alone came, whether its bounds held."""
+    """The message, how far the model alone came, whether its bounds held."""
     message = verify_message(verify)
     return [
         *([message] if message else []),
-        *(f"out of tolerance: {words}" for words in _out_words(verify)),
         *rounds_words(verify),
         *promise_words(verify),
+        *([verify.stopped] if verify.stopped else []),
     ]
 
 
 def rounds_words(verify: VerifyResult) -> list[str]:
-    """How far the model alone came, and what each correction by measuring left; empty without corrections."""
-    corrected = [target for target in verify.targets if len(target.rounds_mm) > 1]
-    if not corrected:
-        return []
-    alone = np.mean([target.rounds_mm[0] for target in corrected])
-    last = np.mean([target.rounds_mm[-1] for target in corrected])
-    rounds = max(len(target.rounds_mm) for target in corrected) - 1
-    times = "1 correction" if rounds == 1 else f"up to {rounds} corrections"
-    return [f"the model alone came to {alone:.4f} mm in the mean; {times} by measuring brought it to {last:.4f} mm"]
+    """How far the model alone came, and what correcting by measuring left; empty without corrections."""
+    lines = []
+    for measured, what in ((verify.targets, ""), (verify.pairs, ", of the distance of both SMRs")):
+        corrected = [one for one in measured if len(one.rounds_mm) > 1]
+        if corrected:
+            alone = np.mean([one.rounds_mm[0] for one in corrected])
+            last = np.mean([mm for one in corrected if (mm := one.final_mm) is not None])
+            rounds = max(len(one.rounds_mm) for one in corrected) - 1
+            times = "1 correction" if rounds == 1 else f"up to {rounds} corrections"
+            lines.append(
+                f"the model alone came to {alone:.4f} mm in the mean{what};"
+                f" {times} by measuring brought it to {last:.4f} mm ({len(corrected)} targets)"
+            )
+    return lines
 
 
 def promise_words(verify: VerifyResult) -> list[str]:
@@ -238,7 +242,7 @@ def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tupl
     return [
         (target.within_mm, error)
         for target in verify.targets
-        if arm in (None, target.arm) and target.within_mm is not None and (error := alone_mm(target)) is not None
+        if arm in (None, target.arm) and target.within_mm is not None and (error := target.compensated_mm) is not None
     ]
 
 
@@ -250,10 +254,10 @@ def by_name(commands: Sequence[TargetCommand]) -> dict[str, list[TargetCommand]]
     return found
 
 
-def named_few(names: Sequence[str], words: Callable[[str], str] = str) -> str:
+def named_few(names: Sequence[str]) -> str:
     """Some names; further ones are counted."""
     more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
-    return ", ".join([*map(words, names[:_MOST_NAMED]), *more])
+    return ", ".join([*names[:_MOST_NAMED], *more])
 
 
 def _judged(verify: VerifyResult) -> list[Measured]:
@@ -262,15 +266,6 @@ def _judged(verify: VerifyResult) -> list[Measured]:
 
 def _tolerance_message(verify: VerifyResult) -> str:
     judged = _judged(verify)
-    out = [one.name for one in judged if one.verdict == "out"]
+    out = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "out"]
     within = f"{len(judged) - len(out)} of {len(judged)} measurements within tolerance"
-    return within + (f", {len(out)} out: {named_few(list(dict.fromkeys(out)))}" if out else "")
-
-
-def _out_words(verify: VerifyResult) -> list[str]:
-    out = [one for one in _judged(verify) if one.verdict == "out"]
-    words = []
-    for one in out[:_MOST_NAMED]:
-        what = f"arm {one.arm}" if isinstance(one, MeasuredTarget) else f"distance of {arms_words(one.arms)}"
-        words.append(f"{one.name}, {what}: {last_mm(one) or 0.0:.3f} mm, tolerance {one.tolerance_mm or 0.0:g} mm")
-    return words + ([f"{len(out) - _MOST_NAMED} more"] if len(out) > _MOST_NAMED else [])
+    return within + (f", {len(out)} out: {named_few(out)}" if out else "")

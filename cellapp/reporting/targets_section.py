@@ -65,7 +65,7 @@ def _charts(data: ReportData, compensate: CompensateResult | None) -> Iterator[C
 
 def _tables(data: ReportData, compensate: CompensateResult | None) -> Iterator[Table]:
     if data.verify is not None:
-        yield from verification_tables(data.verify)
+        yield from verification_tables(data.verify)[:1]  # the tables of each target have the tolerances, too
         yield from measured_tables(data.verify)
     if compensate is not None:
         if data.verify is None:

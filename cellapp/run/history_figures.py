@@ -41,8 +41,13 @@ class _Errors(_Part):
     position_mm: _Mean
 
 
+class _Prior(_Part):
+    run: str
+
+
 class _CalibratedArm(_Part):
     errors: Mapping[Stage, _Errors] = Field(default={}, alias="validate")
+    prior: _Prior | None = None
 
 
 class _Calibrated(_Part):
@@ -91,7 +96,8 @@ def run_figures(stages: RunStages) -> tuple[dict[str, ArmFigures], dict[StageNam
         found = searched.arms.get(name) if searched else None
         reached = verified.arms.get(name) if verified else None
         errors: dict[Stage, _Errors] = {} if arm is None else {**arm.errors}
-        errors.pop("effects", None)  # older versions wrote it into the calibration
+        if arm is None or arm.prior is None:
+            errors.pop("effects", None)  # older versions wrote it into the calibration
         if found is not None and DISCOVER not in stages.out_of_date:
             errors |= found.errors
         best = next((stage for stage in reversed(STAGES) if stage in errors), None)

@@ -154,18 +154,28 @@ class RunStages:
     in_force: StoredStage | None
 
     def stale_model(self) -> str:
-        """Why the model in force should not be used as it is; empty if it holds and so does the newest discovery."""
+        """Why the model in force should not be used as it is; empty if it holds, so does the newest discovery, and the
+        tracker stands where the model says."""
+        return "; ".join(filter(None, (self.stale_arms(), self.stale_station())))
+
+    def stale_arms(self) -> str:
+        """Why the arms of the model in force should not be used as they are, wherever the tracker stands now; empty if
+        they may."""
         reasons = [
             f"'{name}' is out of date ({self.out_of_date[name]})"
             for name in (CALIBRATE, DISCOVER)
             if name in self.out_of_date
         ]
+        return "; ".join(reasons)
+
+    def stale_station(self) -> str:
+        """Why the tracker does not stand where the model in force says; empty if it does as far as is known."""
         located = self.current.get(LOCATE)
         if located is not None and located.model is None:
-            reasons.append("no motion of the tracker explains the points of the last 'locate'")
-        elif tracker_moved(located) and LOCATE in self.out_of_date:
-            reasons.append(f"the tracker was moved, and '{LOCATE}' is out of date ({self.out_of_date[LOCATE]})")
-        return "; ".join(reasons)
+            return "no motion of the tracker explains the points of the last 'locate'"
+        if tracker_moved(located) and LOCATE in self.out_of_date:
+            return f"the tracker was moved, and '{LOCATE}' is out of date ({self.out_of_date[LOCATE]})"
+        return ""
 
     def next_verb(self) -> NextVerb:
         """The verb that makes or repeats the first missing or outdated step; empty if there is none."""
@@ -173,8 +183,7 @@ class RunStages:
             return "calibrate"
         if DISCOVER not in self.current or DISCOVER in self.out_of_date:
             return "discover"
-        located = self.current.get(LOCATE)
-        if located is not None and (located.model is None or (tracker_moved(located) and LOCATE in self.out_of_date)):
+        if self.stale_station():
             return "locate"
         return "push" if VERIFY not in self.current or VERIFY in self.out_of_date else ""
 
@@ -449,6 +458,9 @@ def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:
         notes.append(
             f"the discovery is out of date ({reason}): {CALIBRATION_FILE} {kept}; run 'cellapp discover {run.folder}'"
         )
+    if LOCATE in stages.out_of_date:
+        reason = stages.out_of_date[LOCATE]
+        notes.append(f"the tracker's station is out of date ({reason}); run 'cellapp locate {run.folder}'")
     if VERIFY in stages.out_of_date:
         notes.append(f"the verification is out of date ({stages.out_of_date[VERIFY]})")
     for note in notes:

@@ -19,7 +19,6 @@ from cellapp.discovery.joint_fit import mean_variance
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
-from cellapp.model.measuring_noise import MeasuringNoise
 from cellapp.model.posterior import PosteriorDraws
 from cellapp.profile import Profile
 from cellapp.results import ArmPriorResult
@@ -148,7 +147,6 @@ def stated_model(found: Posterior, seed: int) -> ArmModel:
         covariance=found.covariance,
         noise_m=math.sqrt(mean_variance(found.measured.sigma)),
         seed=(seed, _DRAW_SEED),
-        noise=MeasuringNoise.of_readings(found.measured.sigma, found.measured.readings.p_M),
     )
     return replace(
         model,

@@ -14,7 +14,7 @@ import numpy as np
 from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.held_out import HeldOut
 from cellapp.discovery.outcome import Discovery
-from cellapp.effects import EFFECTS, MeasurementConditions
+from cellapp.effects import EFFECTS, MeasurementConditions, place_in_words
 from cellapp.model import ArmModel
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Report, ignore_report
@@ -22,6 +22,9 @@ from cellapp.run import Readings
 from cellapp.signature.calibrate import learned, stated_model
 from cellapp.signature.earlier import Earlier
 from cellapp.signature.update import update
+
+_SEARCHES = 2
+"""Searches where the first one finds something: the values that were carried over had to make up for it before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,35 +48,51 @@ class SearchWithPriors:
         its = self.earlier.get(name)
         if its is None:
             return discover_arm(profile, name, model, readings, cancel, conditions=conditions, report=report)
-        learn, learn_conditions = learned(profile, name, readings, conditions, its)
-        known = update(profile, name, learn, learn_conditions, its.belief, its.since)
-        bare = replace(model, effects=(), network=None, posterior=None, nominal=known.belief.geometry(model.nominal))
-        found = discover_arm(
-            profile,
-            name,
-            bare,
-            without_effects(model, readings, conditions),
-            cancel,
-            conditions=conditions,
-            report=report,
-            prior_sigma=known.belief.sigma(),
-        )
-        if not found.accepted:
-            final = model
-        else:
+        learn = learned(profile, name, readings, conditions, its)
+        final, terms = model, model.effects[:0]
+        for _ in range(_SEARCHES):
+            known = replace(final, effects=final.effects[: len(its.belief.terms)])
+            belief = update(profile, name, *learn, its.belief, its.since, terms).belief
+            found = discover_arm(
+                profile,
+                name,
+                replace(known, effects=(), network=None, posterior=None, nominal=belief.geometry(model.nominal)),
+                without_effects(known, readings, conditions),
+                cancel,
+                conditions=conditions,
+                report=report,
+                prior_sigma=belief.sigma(),
+            )
             terms = tuple(effect.term for effect in found.accepted)
-            again = update(profile, name, learn, learn_conditions, its.belief, its.since, terms)
-            final = stated_model(again.found, profile.seed)
-        held_out = HeldOut.of(readings, conditions)
-        carried = ", ".join(dict.fromkeys(EFFECTS[term.slug].title for term in its.belief.terms))
-        return replace(
-            found,
-            sentence=f"{found.sentence}; carried over from {its.since}: {carried or 'geometry alone'}",
-            model=final,
-            after=held_out.position_mm(final),
-            stage=held_out.evaluate(final),
-            uncertainty_mm=held_out.predicted_uncertainty_mm(final),
-        )
+            if not terms:
+                final = model
+                break
+            final = stated_model(update(profile, name, *learn, its.belief, its.since, terms).found, profile.seed)
+        return _with_final_model(found, final, its, HeldOut.of(readings, conditions))
+
+
+def _with_final_model(found: Discovery, final: ArmModel, earlier: Earlier, held_out: HeldOut) -> Discovery:
+    """The outcome of a search with the model that holds all that was carried over."""
+    return replace(
+        found,
+        sentence=f"{found.sentence}; {since_words(earlier, found)}",
+        model=final,
+        after=held_out.position_mm(final),
+        stage=held_out.evaluate(final),
+        uncertainty_mm=held_out.predicted_uncertainty_mm(final),
+    )
+
+
+def since_words(earlier: Earlier, found: Discovery) -> str:
+    """What was carried over, and which effects of the arm itself have appeared since."""
+    carried = list(dict.fromkeys(EFFECTS[term.slug].title for term in earlier.belief.terms))
+    appeared = [
+        f"{EFFECTS[effect.term.slug].title} of {place_in_words(effect.acts_on)} has appeared"
+        for effect in found.accepted
+        if EFFECTS[effect.term.slug].arm_bound
+    ]
+    said = [f"carried over: geometry{''.join(f', {title}' for title in carried)}"]
+    return "; ".join([*said, *(f"{words} since {earlier.since}" for words in appeared)])
 
 
 def without_effects(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> Readings:

@@ -7,7 +7,12 @@ from cellapp.trials.signature import SignatureResult
 
 _MM = ".4f"
 _WITHOUT = number_column("without", _MM)
-_ERRORS = (_WITHOUT, number_column("calibrate --prior", _MM), number_column("then discover", _MM))
+_ERRORS = (
+    _WITHOUT,
+    number_column("calibrate --prior", _MM),
+    number_column("then discover", _MM),
+    number_column("arm exact", _MM),
+)
 
 
 def signature_tables(result: SignatureResult) -> list[Table]:
@@ -21,6 +26,7 @@ def signature_tables(result: SignatureResult) -> list[Table]:
             line.alone_mm,
             line.calibrated_mm,
             line.discovered_mm,
+            line.exact_mm,
             line.worst_ratio,
             line.worse,
         )
@@ -28,7 +34,15 @@ def signature_tables(result: SignatureResult) -> list[Table]:
     )
     judged = (number_column("worst to without", ".3f"), number_column("worse", "d"))
     every = tuple(
-        (draw.cell, draw.stops, f"{draw.seed} {draw.arm}", draw.alone_mm, draw.calibrated_mm, draw.discovered_mm)
+        (
+            draw.cell,
+            draw.stops,
+            f"{draw.seed} {draw.arm}",
+            draw.alone_mm,
+            draw.calibrated_mm,
+            draw.discovered_mm,
+            draw.exact_mm,
+        )
         for draw in result.draws
     )
     bars = tuple((bar.what, bar.reached, bar.most, "yes" if bar.met else "NO") for bar in result.bars)
@@ -48,7 +62,8 @@ def signature_sentences(result: SignatureResult) -> list[str]:
     earlier = ", ".join(f"{name}: {stops}" for name, stops in result.earlier_stops.items())
     said = [
         f"Earlier calibration from so many stops: {earlier}. Without: calibrate and discover on the new stops alone."
-        " With: calibrate with the earlier run as prior, then discover. Errors on stops that were not learned from."
+        " With: calibrate with the earlier run as prior, then discover. Arm exact: the earlier values are kept, only"
+        " base and tool are identified. Errors on stops that were not learned from."
     ]
     return said + [
         f"{draw.cell}, {draw.stops} stops, seed {draw.seed}, arm {draw.arm}: {change}"

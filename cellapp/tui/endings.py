@@ -71,7 +71,7 @@ def _done(job: Job, result: Result | None) -> Ending:
 
 def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
     """What did not hold, and what is said of the verification or of a plan if all did."""
-    from cellapp.results import CollectResult, PlanResult, VerifyResult, WholeRunResult
+    from cellapp.results import CollectResult, LocateResult, PlanResult, VerifyResult, WholeRunResult
 
     if isinstance(result, PlanResult):
         return [], "".join(f"; {note}" for note in result.notes)
@@ -82,6 +82,8 @@ def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
         collected, verified = result.collect, result.verify
     missing = [] if collected is None else collected.complaints()
     wrong = [] if verified is None else verified.complaints()
+    if isinstance(result, LocateResult):
+        return [f"location: {text}" for text in result.complaints()], "; the tracker was located"
     unverified = "; nothing was verified, the profile names no targets" if is_day else ""
     held = unverified if verified is None else "; the verification held"
     return [*missing, *(f"verification: {text}" for text in wrong)], held

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cellapp.run import RunFile
     from cellapp.tui.dialogs.correct_program import CorrectRequest
     from cellapp.tui.dialogs.export_arms import ExportRequest
+    from cellapp.tui.dialogs.locate_tracker import LocateRequest
 
 
 VERIFY = "verify"
@@ -168,13 +169,13 @@ def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
     return _on_run("collect", folder, work, moves=True)
 
 
-def calibrate(folder: Path) -> Job:
-    """Identify arms and pair and evaluate them on held-out stops."""
+def calibrate(folder: Path, prior: Path | None = None) -> Job:
+    """Identify arms and pair and evaluate them on held-out stops; ``prior`` is the folder of an earlier run."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.pipeline import calibrate_run
 
-        return calibrate_run(run, listener, control)
+        return calibrate_run(run, listener, control, prior=prior)
 
     return _on_run("calibrate", folder, work)
 
@@ -224,6 +225,21 @@ def push(
         )
 
     return _on_run(VERIFY if verify else "push", folder, work, moves=True)
+
+
+def locate(folder: Path, request: LocateRequest) -> Job:
+    """Measure where the tracker stands after it was moved."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.locate_verb import locate_run, typed_pose
+
+        rough, simulated = (
+            None if text is None else typed_pose(text, "locate")
+            for text in (request.tracker_pose, request.simulated_pose)
+        )
+        return locate_run(run, request.points, listener, control, tracker_pose=rough, simulated_pose=simulated, ask=ask)
+
+    return _on_run("locate", folder, work, moves=True)
 
 
 def report(folder: Path) -> Job:

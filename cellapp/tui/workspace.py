@@ -94,8 +94,9 @@ class Workspace:
             if any(arm.measured for arm in self.overview.arms.values()):
                 states["collect"] = "done"
             for stage in self.overview.stages:
-                step = _STEP_OF_VERB[stage.name]
-                states[step] = "out of date" if stage.out_of_date else "done"
+                step = _STEP_OF_VERB.get(stage.name)
+                if step is not None:  # locating a moved tracker is no step of every day
+                    states[step] = "out of date" if stage.out_of_date else "done"
         if states[self.next_step] in ("open", "done"):
             states[self.next_step] = "next"
         return states

@@ -158,6 +158,19 @@ class UrControl:
             except (RuntimeError, ValueError) as error:
                 raise failed(f"the RTDE client refused the motion: {error}") from error
 
+    def servo(self, goal: Sequence[float], period_s: float, lookahead_s: float, gain: float) -> bool:
+        """Send one position of a stream, which takes effect in the next control cycle; return whether it was sent."""
+        with exit_after(_COMMAND_WITHIN_S):
+            try:
+                return bool(self._control.servoJ(goal, 0.0, 0.0, period_s, lookahead_s, gain))
+            except (RuntimeError, ValueError) as error:
+                raise failed(f"the RTDE client refused a position of the path: {error}") from error
+
+    def end_servo(self) -> bool:
+        """End a stream; the arm rests at its last position. Return whether the program took it."""
+        with self._commanding():
+            return bool(self._control.servoStop(_DECELERATION))
+
     def brake(self) -> None:
         """Stop a motion with full deceleration; does nothing if the program has ended, or has just had a command."""
         if time.monotonic() - self._commanded_s < _READY_AFTER_S or not (self.connected and self.program_runs):

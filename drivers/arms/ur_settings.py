@@ -47,6 +47,11 @@ class UrSettings(ArmSettings):
     settle_speed: Annotated[AngularSpeed, Field(gt=0.0, le=0.1)] = 0.005
     settle_window: Annotated[Angle, Field(gt=0.0, le=0.01)] = 2e-4
 
+    servo_lookahead: Annotated[Time, Field(ge=0.03, le=0.2)] = 0.03
+    """Look-ahead time of ``servoj`` on paths. They are smooth already: a longer one only adds lag."""
+    servo_gain: Annotated[float, Field(strict=True, ge=100.0, le=2000.0)] = 300.0
+    """Gain of ``servoj`` on paths; a higher one lags less and may shake the arm."""
+
     @property
     def controller_address(self) -> str:
         """The host, as written."""
@@ -87,9 +92,9 @@ class UrSettings(ArmSettings):
 
     def open(self, arm: ArmContext) -> Arm:
         """Return the driver, not connected yet. Raises ``SettingError``."""
-        from drivers.arms.ur import UrArm
+        from drivers.arms.ur_path import UrPathArm
 
-        return UrArm(arm.name, self, self.expectation(arm))
+        return UrPathArm(arm.name, self, self.expectation(arm))
 
     def probe(self, arm: ArmContext, patience_s: float) -> list[Finding]:
         """Query the controller over plain sockets and compare its answers with the profile."""

@@ -33,7 +33,7 @@ _STREAMS_APART_S = 0.05
 _CUT_SHORT_S = 0.5
 """An arm that rests away from its goal for this long after the end of a motion will not reach it."""
 _STANDS_RAD_S = 1e-4
-_AT_GOAL_RAD = 2e-3
+AT_GOAL_RAD = 2e-3
 _STOP_WITHIN_S = 1.0
 _LOCAL_WITHIN_S = 0.3
 _REST_WITHIN_S = 3.0
@@ -225,6 +225,9 @@ class Supervisor:
             self._application.exit_link_lost("the controller's state is not one of six joints")
         return sample
 
+    def _meanwhile(self) -> None:
+        """Do what cannot wait for the next state; nothing here."""
+
     def _next_sample(self) -> WorkerSample:
         """Return the first state that comes after this call."""
         before = self._control.time_s
@@ -233,6 +236,7 @@ class Supervisor:
             self._check_links()
             if time.monotonic() > deadline:
                 self._application.exit_link_lost(f"no state came for {_SILENT_S:g} s")
+            self._meanwhile()
             time.sleep(0.0005)
         return self._sample()
 
@@ -337,7 +341,7 @@ class Supervisor:
         if news:
             self._update_rest(sample)
         if self._motion is not None and self._motion.running:
-            self._track_motion(self._motion, sample, now)
+            self._track_motion(self._motion, sample, now, news)
         may_kick = self._fault is None and self._program_stopped_s is None and not self._halted
         if may_kick and not self._application.braked and self._kicks.due(now):
             self._kicks.kicked(now)
@@ -382,7 +386,7 @@ class Supervisor:
         elif now - self._program_stopped_s > _STOP_SEEN_WITHIN_S:
             self._program_stopped()
 
-    def _track_motion(self, motion: Motion, sample: WorkerSample, now: float) -> None:
+    def _track_motion(self, motion: Motion, sample: WorkerSample, now: float, news: bool) -> None:
         """Detect the end of a motion; end the process if the client's report contradicts the arm's state."""
         number, running = self._control.operation()
         if number != motion.number_before:
@@ -433,10 +437,10 @@ class Supervisor:
         if first is None or sample.time_s - first.time_s < self._rest.dwell_s:
             return None
         off = 0.0 if motion is None else sample.distance(motion.goal)
-        if off > _AT_GOAL_RAD and ended_for_s < _CUT_SHORT_S:
+        if off > AT_GOAL_RAD and ended_for_s < _CUT_SHORT_S:
             return None
         self._motion = None
-        if off > _AT_GOAL_RAD:
+        if off > AT_GOAL_RAD:
             text = f"its motion was cut short: it rests {math.degrees(off):.2f} deg from its goal"
             fault = self._record_fault(failed(text))
             return {"error": fault.kind, "text": fault.text}

@@ -47,7 +47,7 @@ from drivers.arms.protocol import LinkLost
 from drivers.arms.ur_control import Refusal, UrControl, failed
 from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_motion import DECELERATES_WITHIN_S, Kicks, RestCriterion
-from drivers.arms.ur_supervisor import Supervisor
+from drivers.arms.ur_path_supervisor import PathSupervisor
 
 _TICK_S = 0.008
 """The arm is looked at with 125 Hz, the rate at which its states come."""
@@ -72,7 +72,7 @@ class Worker:
         self._writing = threading.Lock()
         self._parent = os.getppid()
         self._host = ""
-        self._supervisor: Supervisor | None = None
+        self._supervisor: PathSupervisor | None = None
         self._brakes = 0  # counted by the reading thread
         self._released = 0  # the number of brakes that are no longer in force
         self._decelerating = threading.Event()
@@ -152,11 +152,13 @@ class Worker:
         """Serve until the process ends."""
         self.answer({"hello": os.getpid()})
         while True:
+            supervisor = self._supervisor
             with suppress(queue.Empty):
-                request = self._requests.get(timeout=_TICK_S)
+                request = self._requests.get(timeout=min(_TICK_S, supervisor.patience_s if supervisor else _TICK_S))
                 if request is not None:
                     self._serve(request)
             if self._supervisor is not None:
+                self._supervisor.stream()
                 self._supervisor.monitor()
             if self.braked and not self._decelerating.is_set():
                 self._decelerating.set()
@@ -183,6 +185,10 @@ class Worker:
                 return supervisor.state()
             case "move":
                 return supervisor.move(request)
+            case "path":
+                return supervisor.path(request)
+            case "followed":
+                return supervisor.followed()
             case "settled":
                 supervisor.wait_settled(int(request["id"]), float(request["timeout_s"]))
                 return None
@@ -207,7 +213,7 @@ class Worker:
             self._host = host  # from here on a program of this worker may run there
 
         control = UrControl.open(host, request["optional"], float(request["timeout_s"]), opening)
-        supervisor = Supervisor(self, control, float(request["watchdog_hz"]), rest)
+        supervisor = PathSupervisor(self, control, float(request["watchdog_hz"]), rest)
         state = supervisor.begin()
         self._supervisor = supervisor
         return state

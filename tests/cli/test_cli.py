@@ -523,6 +523,16 @@ BAD = [
     (None, "discover collected", ["not calibrated yet; run 'cellapp calibrate' first"]),
     (None, "push collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
     (None, "compensate collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (
+        lambda work: (work / "holes.csv").write_text("name,arm,x_mm,y_m,z_mm\none,left,1,2,3\n"),
+        "compensate done holes.csv",
+        ["holes.csv:1: y_m: column x_mm is in mm; give all coordinates of a file in one unit"],
+    ),
+    (
+        lambda work: (work / "holes.csv").write_text("name,arm,frame,x_mm,y_mm,z_mm\none,left,plate,1,2,3\n"),
+        "push done holes.csv --verify",
+        ["holes.csv:2: target 'one': no frame 'plate'; frames are base, tracker, left, right"],
+    ),
     (None, "export collected --geometry out.json", ["not calibrated yet; run 'cellapp calibrate' first"]),
     (None, "export collected --as urdf --out out.urdf", ["not calibrated yet; run 'cellapp calibrate' first"]),
     (None, "export done --as jpeg --out out.urdf", ["no format 'jpeg'; --as takes ur-calibration, ur-description, "]),

@@ -1,43 +1,46 @@
-"""Commands of cooperative targets, made from stops of a run's plan: safe and visible for both arms at once."""
+"""Cooperative targets made from stops of a run's plan: safe and visible for both arms at once."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
-from cellapp.compensation.command import Command, Prediction
 from cellapp.compensation.targets import Partner, Target
-from cellapp.kinematics.inverse import solve_pose
-from cellapp.kinematics.transforms import Array
-from cellapp.model import CellModel
-from cellapp.results import UncertaintyParts
+from cellapp.kinematics.transforms import Array, invert, transform, zyx_angles
+from cellapp.model import ArmModel, CellModel
 from cellapp.run import RunFile
 
-PARTS = UncertaintyParts(parameters=0.02, effects=0.01, network=0.0, extrapolation=0.0, noise=0.03, conditions=0.0)
-PREDICTION = Prediction(uncertainty_mm=0.03, parts=PARTS, within_mm=0.1, unknown=(), offered_approach=None, verdict="")
 
-
-def pair_commands(run: RunFile, model: CellModel, stops: list[int], tolerance: float | None = None) -> list[Command]:
-    """One target for each stop, wanted where the model expects the SMRs there; a command for each arm."""
+def pair_targets(
+    run: RunFile, model: CellModel, stops: Sequence[int], tolerance: float | None = None
+) -> tuple[Target, ...]:
+    """One target for each stop, wanted where the model expects the SMRs there."""
     plan = run.read_plan()
     assert plan is not None
-    commands = []
+    targets = []
     for stop in stops:
-        target = Target(
-            name=f"pair-{stop}",
-            arm="left",
-            position=(0.0, 0.0, 0.0),
-            frame="tracker",
-            tolerance=tolerance,
-            partner=Partner(arm="right", position=(0.0, 0.0, 0.0)),
+        left, right = (_pose(model.arms[name], plan[name][stop]) for name in ("left", "right"))
+        between = invert(left) @ right
+        partner = Partner(arm="right", position=_point(between), rpy=zyx_angles(between[:3, :3])[::-1])
+        targets.append(
+            Target(
+                name=f"pair-{stop}",
+                arm="left",
+                position=_point(left),
+                rpy=zyx_angles(left[:3, :3])[::-1],
+                frame="tracker",
+                tolerance=tolerance,
+                partner=partner,
+            )
         )
-        commands += [_command(model, target, name, plan[name][stop]) for name in ("left", "right")]
-    return commands
+    return tuple(targets)
 
 
-def _command(model: CellModel, target: Target, name: str, q: Array) -> Command:
-    arm = model.arms[name]
-    p_M = arm.predict(q[None])
+def _pose(arm: ArmModel, q: Array) -> Array:
+    """SMR position and flange rotation that the model expects (4, 4)."""
     rotation_M, _ = arm.flange(q[None])
-    nominal = solve_pose(arm.nominal, p_M, rotation_M, q[None])
-    assert nominal.reached[0]
-    return Command(target, name, np.asarray(nominal.q[0]), q, p_M[0], p_M[0], "", prediction=PREDICTION)
+    return transform(rotation_M[0], arm.predict(q[None])[0])
+
+
+def _point(T: Array) -> tuple[float, float, float]:
+    x, y, z = T[:3, 3].tolist()
+    return (x, y, z)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.compensation.compensate import Command, compensate
+from cellapp.compensation.command import Command
+from cellapp.compensation.compensate import compensate
 from cellapp.compensation.iteration import (
     FARTHEST_M,
     CorrectionRefused,
@@ -28,7 +30,7 @@ from cellapp.results import CALIBRATE
 from cellapp.run import RunFile
 from cellapp.run.stages import read_stages
 from cellapp.run.stored_model import model_of
-from tests.compensation.pairs import pair_commands
+from tests.compensation.pairs import pair_targets
 from tests.twin import PROFILES, small_twin
 
 pytestmark = pytest.mark.fast
@@ -78,11 +80,11 @@ def test_rounds_fall_to_what_tracker_and_repeatability_allow(
         assert target.corrected_mm == min(target.rounds_mm)
         assert command.q_compensated is not None
         assert 0.0 < np.abs(np.subtract(target.q_corrected, command.q_compensated)).max() < 1e-2
-    assert any(line.startswith("the model alone came to ") for line in verify_lines(found))
+    assert any(line.startswith("arm left: mean error with the model alone ") for line in verify_lines(found))
 
 
 def test_both_arms_of_a_pair_are_corrected(run: RunFile, geometric: CellModel) -> None:
-    commands = pair_commands(run, geometric, [0, 5, 11])
+    commands = compensate(run.profile, geometric, pair_targets(run, geometric, [0, 5, 11]))
     found = push(run.profile, geometric, commands, verify=True, rounds=4)
     assert [pair.note for pair in found.pairs] == [""] * 3
     final_mm = [pair.final_mm for pair in found.pairs if pair.final_mm is not None]
@@ -158,3 +160,15 @@ def test_noise_explains_95_of_100_errors() -> None:
 def test_rounds_that_make_no_sense_are_refused(run: RunFile, iterate: int, verify: bool, words: str) -> None:
     with pytest.raises(InputError, match=words):
         push_run(run, TARGETS, verify=verify, iterate=iterate)
+
+
+def test_a_stated_approach_is_kept_with_every_command(run: RunFile, model: CellModel) -> None:
+    """Backlash of the right arm is compensated from either side, whichever the target states."""
+    sides: tuple[Literal[-1, 0, 1], ...] = (1, -1, 1, 0, 0, 0)
+    targets = [target.model_copy(update={"approach": sides}) for target in TARGETS if target.arm == "right"]
+    found = push(run.profile, model, compensate(run.profile, model, targets), verify=True, rounds=1)
+    for target in found.targets:
+        assert target.note == ""
+        assert target.approach is not None
+        assert target.approach[:3] == sides[:3]
+    assert found.arms["right"].compensated_mm.mean < 40e-3

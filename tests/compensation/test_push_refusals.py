@@ -14,7 +14,8 @@ from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.controllers import recorded_controllers
 from cellapp.compensation import push as pushing
 from cellapp.compensation.cell_checks import require_same_arms
-from cellapp.compensation.compensate import Command, compensate
+from cellapp.compensation.command import Command
+from cellapp.compensation.compensate import compensate
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import WorkingConditions, load_targets
 from cellapp.compensation.verification import Agreement

@@ -147,7 +147,7 @@ def test_a_header_that_is_refused(path: Path, header: str, says: str) -> None:
         ("", ",left,1,2,3", "targets.csv:2: target 1: name: expected a text, got an empty one"),
         ("", "one,middle,1,2,3", "targets.csv:2: target 'one': no arm 'middle'; arms are left, right"),
         ("", f"{ROW}\n{ROW}", "targets.csv:3: target 'one' is listed twice"),
-        (",frame", f"{ROW},table", "no frame 'table'; frames are base, tracker, left, right; points give others"),
+        (",frame", f"{ROW},table", "no frame 'table'; frames are base, tracker, left, right; a YAML list, whose"),
         (",qw,qx,qy,qz", f"{ROW},0.9,0,0,0", "target 'one': qw: its norm is 0.9, 0.1 from one (at most 0.001)"),
         (",qw,qx,qy,qz", f"{ROW},1,0,,0", "target 'one': qy: the value is missing"),
         (",roll_rad,pitch_rad,yaw_rad", f"{ROW},0,90,0", "target 'one': pitch_rad: 90 rad is more than two turns; is"),
@@ -181,6 +181,10 @@ def test_a_row_that_is_refused(path: Path, more: str, row: str, says: str) -> No
     assert says in refusal(path, HEADER + more, row)
 
 
+def test_a_unit_that_is_missing_is_said_once(path: Path) -> None:
+    assert refusal(path, "name,arm,x,y_mm,z_mm") == "targets.csv:1: x: has no unit; name it x_mm or x_m"
+
+
 def test_many_problems_are_counted(path: Path) -> None:
     rows = [f"t{number},left,x,0,0" for number in range(9)]
     lines = refusal(path, HEADER, *rows).splitlines()
@@ -212,5 +216,5 @@ def test_a_yaml_file_gives_a_csv_file_work_frames_and_conditions(path: Path) -> 
     with pytest.raises(InputError, match=r"targets.csv:2: target 'one': no frame 'table'"):
         load_targets(yaml, PROFILE)
     yaml.write_text(head.replace("targets.csv", "targets.txt"))
-    with pytest.raises(InputError, match=r"job.yaml:3: targets: expected a list or a CSV file, got 'targets.txt'"):
+    with pytest.raises(InputError, match=r"job.yaml:3: targets: expected a list, got 'targets.txt'"):
         load_targets(yaml, PROFILE)

@@ -176,6 +176,10 @@ def test_units_in_a_rotation_vector_and_no_rotation(path: Path) -> None:
             "matrix: its rows are off unit length and right angles by 0.01",
         ),
         ({"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0, -1]]"}, "matrix: its determinant is -1: a reflection, no rotation"),
+        (
+            {"matrix": "[[1e200, 0, 0], [0, 1, 0], [0, 0, 1]]"},
+            "matrix: its rows are off unit length and right angles",
+        ),
         ({"matrix": "[[1, 0, 0], [0, 1, 0]]"}, "matrix[2]: missing"),
         ({"matrix": "[[1, 0, 0], [0, 1, x], [0, 0, 1]]"}, "matrix[1][2]: expected a number, got 'x'"),
         ({"rotation_vector": "[180, 0, 0]"}, "rotation_vector[0]: 180 rad is more than two turns"),

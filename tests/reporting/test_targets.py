@@ -77,7 +77,9 @@ def command(target: Target, arm: str = "", **values: object) -> TargetCommand:
 
 
 def measured(target: Target, before: float | None, *after: float, arm: str = "", **values: object) -> MeasuredTarget:
-    known = {"nominal_mm": before, "compensated_mm": after[-1] if after else None, "rounds_mm": after, "note": ""}
+    known = {"nominal_mm": before, "compensated_mm": after[0] if after else None, "rounds_mm": after, "note": ""}
+    if len(after) > 1:
+        known["corrected_mm"] = after[-1]
     return MeasuredTarget.model_validate({**dict(record(target, arm)), **known, **values})
 
 
@@ -101,7 +103,7 @@ COMPENSATED = CompensateResult(
     )
 )
 VERIFIED = VerifyResult(
-    arms={"left": ArmVerification(nominal_mm=ERRORS, compensated_mm=ERRORS)},
+    arms={"left": ArmVerification(nominal_mm=ERRORS, compensated_mm=ERRORS, corrected_mm=ERRORS)},
     targets=(
         measured(
             ONE,
@@ -148,11 +150,10 @@ def test_compensate_says_what_is_in_and_out_unknown_and_refused() -> None:
 
 def test_a_verification_is_one_sentence_and_what_needs_more() -> None:
     assert verify_message(VERIFIED) == (
-        "1 of 2 measurements within tolerance, 1 out: both; mean error 3.60 -> 0.050 mm at 2 targets;"
+        "1 of 2 measurements within tolerance, 1 out: both (0.060 mm); mean error 3.60 -> 0.050 mm at 2 targets;"
         " distance of both SMRs 2.00 -> 0.060 mm at 1 cooperative targets"
     )
     text = "\n".join(verify_lines(VERIFIED))
-    assert "out of tolerance: both, distance of left + right: 0.060 mm, tolerance 0.05 mm" in text
     assert "the model alone came to 0.0500 mm in the mean; 1 correction by measuring brought it to 0.0200 mm" in text
     assert "1 of 2 measured errors are within the predicted 95 % bound" in text
     assert "target far: out of reach" in text
@@ -169,7 +170,7 @@ def test_a_target_in_its_details() -> None:
     text = "\n".join(details.sentences)
     assert "one of 4 solutions within the joint limits" in text
     assert "the tracker sees the SMR there" in text
-    assert "made for the approach joint 1 +, joint 3 -" in text
+    assert "made for the approach: joint 1 +, joint 3 -" in text
     assert "95 % of measured errors are within 0.0610 mm" in text
     assert "predicted against 0.1 mm: in" in text
     assert "measured 0.0500 mm from the target, 4.2000 mm with the nominal command; within the predicted bound" in text
@@ -253,7 +254,7 @@ def test_tables_of_measurements() -> None:
     assert "tolerance met" in arm.headings
     assert arm.text_rows()[0][:2] == ("1", "one")
     summary, tolerances = verification_tables(VERIFIED)
-    assert summary.rows[-1][0] == "cooperative (distance of both SMRs), compensated"
+    assert summary.rows[-1][0] == "between arms, compensated"
     assert [row[0] for row in tolerances.rows] == ["one", "both", "both"]
 
 

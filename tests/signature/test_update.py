@@ -10,8 +10,11 @@ import pytest
 from cellapp.calibration.identification import identify
 from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.calibration.parameters import candidate_columns, weak_priors
+from cellapp.effects import EFFECTS, EffectTerm
 from cellapp.kinematics.chain import parameter_names, smr_positions
 from cellapp.signature.belief import Belief, is_own
+from cellapp.signature.calibrate import stated_model, updated_arm
+from cellapp.signature.discovery import SearchWithPriors
 from cellapp.signature.earlier import Earlier
 from cellapp.signature.linear_model import Measured
 from cellapp.signature.posterior import posterior
@@ -128,3 +131,22 @@ def test_the_belief_has_no_say_in_base_and_tool(arm: SimulatedArm, earlier: Earl
     assert len(free) == 9
     assert not prior.precision[free].any()
     assert len(Measured(readings, measurement_conditions(readings), np.ones(20)).take(np.arange(5))) == 5
+
+
+def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: SimulatedArm, earlier: Earlier) -> None:
+    law = EFFECTS["encoder_eccentricity"].forms[0].law()
+    readings = arm.readings(70, seed=6, learn=40)
+    columns = EFFECTS["encoder_eccentricity"].columns(arm.model.context(readings.q), law)
+    some = [column for column in columns if column.joint == 1]
+    names, units = tuple(column.name for column in some), tuple(column.unit for column in some)
+    new = EffectTerm("encoder_eccentricity", names, np.full(len(some), 1e-4), np.zeros(len(some)), units, law)
+    worn = replace(arm, model=replace(arm.model, effects=(*arm.model.effects, new))).mounted(ELSEWHERE, TOOL)
+    readings = worn.readings(70, seed=6, learn=40)
+    conditions = measurement_conditions(readings)
+    outcome = updated_arm(worn.profile, "left", readings, conditions, earlier)
+    model = stated_model(outcome.found, 0)
+    found = SearchWithPriors({"left": earlier})(worn.profile, "left", model, readings, conditions=conditions)
+    assert [effect.term.slug for effect in found.accepted] == ["encoder_eccentricity"]
+    assert "joint 2 has appeared since 2026-03-01" in found.sentence
+    assert [term.slug for term in found.model.effects] == ["joint_compliance", "encoder_eccentricity"]
+    np.testing.assert_allclose(found.model.effects[1].values, 1e-4, atol=3e-5)

@@ -8,6 +8,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
+from cellapp import push_verb
 from cellapp.compensation.target_text import targets_text
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.run import RunFile
@@ -17,7 +18,7 @@ from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.dialogs.question import Choice
 from cellapp.tui.dialogs.save_as import SaveAs
 from cellapp.tui.dialogs.target_form import TargetForm
-from cellapp.tui.dialogs.verify_targets import VerifyTargets
+from cellapp.tui.dialogs.verify_targets import MOST_ROUNDS, VerifyTargets
 from cellapp.tui.jobs import Job
 from cellapp.tui.screens import targets_jobs
 from cellapp.tui.screens.targets import TargetsScreen
@@ -261,9 +262,9 @@ async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, 
         await until(pilot, lambda: isinstance(app.screen, VerifyTargets), "the question")
         assert "arm left to 2 targets" in asked(app)
         assert "the arms are simulated" in asked(app)
-        app.screen.query_one("#iterate", Input).value = "6"
+        app.screen.query_one("#iterate", Input).value = str(MOST_ROUNDS + 1)
         await pilot.press("b")
-        await until(pilot, lambda: "from 0 to 5" in shown_text(app), "a word about the number")
+        await until(pilot, lambda: f"from 0 to {MOST_ROUNDS}" in shown_text(app), "a word about the number")
         app.screen.query_one("#iterate", Input).value = "0"
         await pilot.press("b")
         await until(pilot, lambda: column(app, 3) == ["in, measured", "out, measured"], "the verdicts")
@@ -305,6 +306,10 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
             await until(pilot, lambda: app.screen is app.day_screen, "the answer")
         await ended(pilot, app)
     assert started == [(load_targets(few, small_twin()), False, True)]
+
+
+def test_the_question_allows_what_the_command_allows() -> None:
+    assert MOST_ROUNDS == push_verb.MOST_ROUNDS
 
 
 def test_undo_and_redo_are_a_stack() -> None:

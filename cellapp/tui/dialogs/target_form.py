@@ -18,9 +18,6 @@ from cellapp.profile import Profile
 from cellapp.tui.dialogs.question import Question
 from cellapp.tui.widgets.form_fields import FieldRow
 
-_ARMS = ("arm", "partner", "partner_arm")
-"""Fields that the right arrow completes with the name of an arm."""
-
 
 class TargetForm(Question[Target]):
     """Edit a target, or type a new one. Returns it; None where the dialog is closed.
@@ -58,11 +55,10 @@ class TargetForm(Question[Target]):
     def body(self) -> ComposeResult:
         yield Static(self._title, classes="title", markup=False)
         listed = self._others if self._before is None else [self._before, *self._others]
-        arms = tuple(self._profile.arms)
-        choices = {**dict.fromkeys(_ARMS, arms), "frame": frame_choices(listed, self._profile)}
+        choices = {"arm": tuple(self._profile.arms), "frame": frame_choices(listed, self._profile)}
         with VerticalScroll(classes="fields", can_focus=False):
             for field in FIELDS:
-                row = FieldRow(field.name, field, self._texts.get(field.name, ""), choices.get(field.name, ()))
+                row = FieldRow(field.name, field, self._texts[field.name], choices.get(field.name, ()))
                 row.input.tooltip = field.help
                 yield row
         yield Static("", id="target-help", classes="text", markup=False)

@@ -13,8 +13,8 @@ from textual.widgets import Button, Input, Static
 
 from cellapp.tui.dialogs.question import Answer, Question
 
-MOST_ROUNDS = 5
-"""Each round drives to every target again; two reach the arm's repeatability."""
+MOST_ROUNDS = 20
+"""As ``cellapp.push_verb`` has it, which loads more than a dialog needs."""
 
 
 class VerifyTargets(Question[int]):
@@ -44,7 +44,7 @@ class VerifyTargets(Question[int]):
         yield Static("Push and verify?", classes="title", markup=False)
         yield Static(self._text, classes="text", markup=False)
         yield Static(f"Corrections of each target by measuring it, 0 to {MOST_ROUNDS}:", markup=False)
-        yield Input("0", id="iterate", compact=True, restrict="[0-9]?", select_on_focus=True)
+        yield Input("0", id="iterate", compact=True, restrict="[0-9]{0,2}", select_on_focus=True)
         yield Static("", id="why", classes="text", markup=False)
         with Horizontal(classes="answers"):
             for answer in self._answers:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import ClassVar
 
 from textual import work as in_thread
@@ -23,6 +24,7 @@ from cellapp.reporting.report_data import ReportData
 from cellapp.reporting.run_tables import merged_sentences
 from cellapp.reporting.tables import calibration_tables, parameter_tables, tracker_sentences
 from cellapp.results import CALIBRATE, ExportResult, Result
+from cellapp.run.sqlite_file import FILE_NAME
 from cellapp.tui import work
 from cellapp.tui.dialogs.question import Reading
 from cellapp.tui.plots import ChartPlot
@@ -59,6 +61,10 @@ held out. Nothing moves.
 - *Space*: where in the cell the errors are large. **v** looks from above or from the side.
 - *Parameters*: what was identified, with standard errors.
 
+**p** calibrates with an earlier run of the same arms as prior: base and tool are found anew, the arms are believed as
+far as they were certain then. What has changed on them since stands below the errors. The handbook's chapter
+*signature* describes it.
+
 **e** writes the calibrated arms for other programs: UR controllers, ROS, URDF, tables. The handbook's chapter *exports*
 describes the formats.
 
@@ -67,6 +73,7 @@ The step after this one is Discover (5).
 """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("b", "begin", "Calibrate", tooltip="identify and evaluate; nothing moves"),
+        Binding("p", "begin_with_prior", "With prior", show=False, tooltip="calibrate with an earlier run as prior"),
         Binding("a", "other_arm", "Other arm", tooltip="show the plots of the other arm"),
         Binding("comma", "joint(-1)", "Joint before", key_display=",", show=False),
         Binding("full_stop", "joint(1)", "Next joint", key_display="."),
@@ -102,6 +109,19 @@ The step after this one is Discover (5).
         """Calibrate the run that is open."""
         if folder := self.open_folder():
             self.start(work.calibrate(folder))
+
+    def action_begin_with_prior(self) -> None:
+        """Ask for an earlier run, and calibrate the run that is open with it as prior."""
+        if (folder := self.open_folder()) is None:
+            return
+        from cellapp.tui.dialogs.file_picker import FilePicker
+
+        def begin(path: Path | None) -> None:
+            if path is not None:
+                self.start(work.calibrate(folder, path.parent))
+
+        title = f"{FILE_NAME} of the earlier run of the same arms"
+        self.app.push_screen(FilePicker(title, folder.parent, lambda path: path.name == FILE_NAME), begin)
 
     def action_other_arm(self) -> None:
         """Show the next arm."""

@@ -33,7 +33,7 @@ from cellapp.reporting.target_list import (
 )
 from cellapp.reporting.target_tables import all_measured_tables, stored_tables
 from cellapp.reporting.target_words import compensate_summary, unknown_lines, verify_summary
-from cellapp.results import CorrectResult, Result, RunResults
+from cellapp.results import CorrectResult, LocateResult, Result, RunResults
 from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.tui.dialogs.save_as import SaveAs
@@ -87,6 +87,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
 - **g** drives the arms there. **v** drives with the nominal and with the compensated command and measures both; its
   question takes how often each target is then corrected by measuring it. Each asks first; real arms ask again, with the
   first path.
+- **l** locates the tracker after it was moved: a few measured points, and the calibration holds again.
 - **c** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true poses.
 - *tol.* is how far the SMR may be from the target. *state* says whether that is met: predicted from the uncertainty of
   the model (in, out, cannot say), or measured; or why the target is refused. *95 %* is the bound that a measured error
@@ -110,6 +111,7 @@ explains frames, conditions and verdicts.
         Binding("i", "open_list", "Open", tooltip="open another list (YAML, CSV)"),
         Binding("w", "save", "Save", tooltip="save the list (YAML)"),
         Binding("c", "correct", "Program", tooltip="correct the targets of a UR program; nothing moves"),
+        Binding("l", "locate", "Locate", tooltip="measure where the moved tracker stands: THE ARMS MOVE"),
         Binding("a", "next_chart", "Next chart", show=False, tooltip="show the next chart of what was measured"),
         Binding("s", "attention", "Attention", show=False, tooltip="only targets that need attention, or all"),
         Binding("t", "next_tab", "Next tab"),
@@ -290,12 +292,21 @@ explains frames, conditions and verdicts.
         """Ask, then drive to the targets and measure."""
         targets_jobs.ask_verify(self, self._edits.targets)
 
+    def action_locate(self) -> None:
+        """Ask, then measure where the tracker stands after it was moved."""
+        targets_jobs.ask_locate(self)
+
     def action_correct(self) -> None:
         """Ask for a program and where its corrected copy is written."""
         targets_jobs.ask_correct(self)
 
     def show_result(self, result: Result) -> None:
-        """Show the targets of a program that was corrected, and why some were not."""
+        """Show where the tracker stands, or the targets of a program that was corrected, and why some were not."""
+        if isinstance(result, LocateResult) and self.app.screen is self:
+            from cellapp.reporting.location_text import location_sentences
+
+            said = "\n".join(f"- {line}" for line in location_sentences(result))
+            self.app.push_screen(Reading(f"# Station of the tracker\n\n{said}"))
         if isinstance(result, CorrectResult) and self.app.screen is self:
             from cellapp.programs.words import correct_lines
 

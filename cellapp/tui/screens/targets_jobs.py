@@ -11,6 +11,7 @@ from cellapp.reporting.target_list import stale_model
 from cellapp.tui import work
 from cellapp.tui.dialogs.correct_program import CorrectProgram, CorrectRequest
 from cellapp.tui.dialogs.file_picker import FilePicker
+from cellapp.tui.dialogs.locate_tracker import LocateRequest, LocateTracker
 from cellapp.tui.dialogs.question import Answer, Choice
 from cellapp.tui.dialogs.verify_targets import VerifyTargets
 from cellapp.tui.offers import BEGIN, arms_words
@@ -50,11 +51,29 @@ def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
 
     def begin(rounds: int | None) -> None:
         if rounds is not None:
-            screen.start(work.push(folder, targets, verify=True, out_of_date=bool(stale)))
+            screen.start(work.push(folder, targets, verify=True, iterate=rounds or None, out_of_date=bool(stale)))
 
     measured = " with the nominal and the compensated command, measured by the tracker"
     text = _push_words(screen, targets, measured, stale)
     screen.app.push_screen(VerifyTargets(text, _STALE if stale else BEGIN), begin)
+
+
+def ask_locate(screen: DayScreen) -> None:
+    """Ask how, then measure where the tracker stands after it was moved."""
+    folder, results = screen.open_folder(), screen.workspace.results
+    if folder is None:
+        return
+    if results is None or results.calibrate is None:
+        screen.say(NOT_CALIBRATED, "warning")
+        return
+
+    def begin(request: LocateRequest | None) -> None:
+        if request is not None:
+            screen.start(work.locate(folder, request))
+
+    workspace = screen.workspace
+    dialog = LocateTracker(arms_words(workspace), simulated=workspace.kind == "simulated", stale=stale_model(results))
+    screen.app.push_screen(dialog, begin)
 
 
 def ask_correct(screen: DayScreen) -> None:

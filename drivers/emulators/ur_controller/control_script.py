@@ -11,11 +11,13 @@ from collections.abc import Sequence
 
 from drivers.emulators.ur_controller import poses
 from drivers.emulators.ur_controller.controller import Controller, ScriptError
+from drivers.plant.servo import servo_rate
 
 _READY, _DONE = 1, 2
 _RUNNING_BIT = 1 << 15
 _IMMEDIATE = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
 """Commands that are executed in every cycle while they are in the register, and leave the script READY."""
+_SERVO = 11
 _STOP = 255
 _KG_MOST = 50.0
 _NO_TOOL = (0.0,) * 6
@@ -35,6 +37,8 @@ class ControlScript:
         self._thread = "none"
         self._writes = 0
         self._operation = 0
+        self._streamed: tuple[float, ...] | None = None
+        """The position of a stream that the arm follows; None after any other command."""
 
     def begin(self, controller: Controller) -> None:
         """Report that the script is ready and no asynchronous motion runs."""
@@ -56,6 +60,8 @@ class ControlScript:
             return True
         if command == _STOP:
             return False
+        if command != _SERVO:
+            self._streamed = None
         if command in _IMMEDIATE:
             self._immediate(controller, command)
             controller.set_output_int(self._i, _READY)
@@ -116,6 +122,8 @@ class ControlScript:
 
     def _immediate(self, controller: Controller, command: int) -> None:
         match command:
+            case 11:
+                self._servo(controller)
             case 26:
                 self._answer_doubles(controller, [controller.period_s])
             case 27:
@@ -181,6 +189,24 @@ class ControlScript:
             return
         self._blocked = True
         self._advance(controller)
+
+    def _servo(self, controller: Controller) -> None:
+        """``servoj``: follow the position in the registers; the same position in the next cycle changes nothing."""
+        *goal, _, _, time_s, lookahead_s, gain = self._doubles(controller, 0, 11)
+        if not all(map(math.isfinite, (*goal, time_s))):
+            raise ScriptError("servoj: a value is not a finite number")
+        for joint, (value, (low, high)) in enumerate(zip(goal, controller.config.limits, strict=True), start=1):
+            if not low - 1e-9 <= value <= high + 1e-9:
+                raise ScriptError(f"servoj: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
+        try:
+            rate = servo_rate(lookahead_s, gain)
+        except ValueError as error:
+            raise ScriptError(str(error)) from None
+        if controller.moving and self._streamed is None:  # another motion is still in progress
+            return
+        if tuple(goal) != self._streamed:
+            self._streamed = tuple(goal)
+            controller.follow(goal, rate)
 
     def _stop(self, controller: Controller, deceleration: float | None, *, asynchronous: bool) -> None:
         if deceleration is not None and not 0.0 < deceleration < math.inf:

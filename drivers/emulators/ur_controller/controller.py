@@ -232,6 +232,17 @@ class Controller:
         self.moves += 1
         self.began_s.append(self._monotonic())
 
+    def follow(self, q: Sequence[float], rate: float) -> None:
+        """Follow a position of a stream with the lag ``rate`` [1/s]; an arm that brakes does not."""
+        if self.brakes.braking:
+            return
+        if not self.moving:
+            self._move_from = self.motions.q(self.name)
+            self.moves += 1
+            self.began_s.append(self._monotonic())
+        self.motions.servo(self.name, np.array(q, dtype=np.float64), rate)
+        self._was_moving = True
+
     def brake(self, deceleration: float | None = None) -> None:
         """Stop the arm like ``stopj`` at ``deceleration`` [rad/s^2], and forget its goal."""
         self._goal = None

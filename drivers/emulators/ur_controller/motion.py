@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.plant.clearance import Clearance
-from drivers.plant.motion import Motion, braked, travel
+from drivers.plant.motion import AnyMotion, braked, travel
+from drivers.plant.servo import ServoMotion
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,9 @@ class Motions(Protocol):
     def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
         """Start a joint motion of an arm at rest, at most at ``speed`` and ``acceleration`` (6,)."""
 
+    def servo(self, name: str, goal: Array, rate: float) -> None:
+        """Follow ``goal`` (6,) of a stream from now on, with the lag ``rate`` [1/s]; at rest or in a stream."""
+
     def stop(self, name: str, deceleration: Array | None = None) -> None:
         """Brake at most at ``deceleration`` (6,), by default the greatest; harmless at rest."""
 
@@ -69,7 +73,7 @@ class FreeMotions:
     def __init__(self, homes: Mapping[str, Array], accelerations: Mapping[str, Array]) -> None:
         self._q = {name: np.array(home, dtype=np.float64) for name, home in homes.items()}
         self._accelerations = dict(accelerations)
-        self._motions: dict[str, Motion | None] = dict.fromkeys(self._q)
+        self._motions: dict[str, AnyMotion | None] = dict.fromkeys(self._q)
         self._clock_s = 0.0
 
     @property
@@ -103,6 +107,10 @@ class FreeMotions:
         if self._motions[name] is not None:
             raise ValueError(f"arm {name} is still moving")
         self._motions[name] = travel(self._clock_s, self._q[name], np.array(q), speed, acceleration)
+
+    def servo(self, name: str, goal: Array, rate: float) -> None:
+        """Follow ``goal`` (6,) of a stream from now on."""
+        self._motions[name] = ServoMotion.towards(np.array(goal), self._clock_s, self.q(name), self.speeds(name), rate)
 
     def stop(self, name: str, deceleration: Array | None = None) -> None:
         """Brake at most at ``deceleration`` (6,), by default the greatest acceleration."""

@@ -39,6 +39,7 @@ from drivers.arms.ur import UrArm
 from drivers.arms.ur_control import UrControl
 from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_motion import MAX_SPEED, Kicks, Motion, RestCriterion, leading_rates
+from drivers.arms.ur_path_supervisor import PathSupervisor
 from drivers.arms.ur_rtde_reader import wait_at_rest
 from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_worker_process import HeartbeatGaps
@@ -540,7 +541,7 @@ def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Callable[..
     monkeypatch.setattr(ur_supervisor, "in_local_control", lambda host, within_s: client.local)
     worker = ur_worker.Worker(answers)
     control = UrControl("127.0.0.1", client, client, ("target_speed_fraction",))
-    supervisor = ur_supervisor.Supervisor(worker, control, 5.0, RestCriterion(dwell_s=0.1, speed=0.005, position=2e-4))
+    supervisor = PathSupervisor(worker, control, 5.0, RestCriterion(dwell_s=0.1, speed=0.005, position=2e-4))
     supervisor.begin()
     supervisor._motion = Motion(list(AWAY), number_before=1, began_s=now[0])
     supervisor.wait_settled(7, 60.0)

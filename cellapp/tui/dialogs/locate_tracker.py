@@ -1,0 +1,98 @@
+"""Ask before the tracker's new station is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from textual import on
+from textual.app import ComposeResult
+from textual.containers import Horizontal
+from textual.widgets import Button, Input, Static
+
+from cellapp.tui.dialogs.question import Question
+
+POINTS = 4
+"""As ``cellapp.locate_verb`` has it, which loads more than a dialog needs."""
+
+
+@dataclass(frozen=True)
+class LocateRequest:
+    """What ``locate`` is asked for; see ``locate_run``. Poses are what a person typed; None for nothing."""
+
+    points: int
+    tracker_pose: str | None
+    simulated_pose: str | None
+
+
+class LocateTracker(Question[LocateRequest]):
+    """Ask how the tracker is located. Returns the request; None where the dialog is closed.
+
+    Parameters
+    ----------
+    arms : str
+        Which arms move, in words.
+    simulated : bool
+        Whether the cell is simulated: its tracker can be put elsewhere first.
+    stale : str
+        Why the model should not be used as it is; empty if it holds.
+    """
+
+    DEFAULT_CSS = """
+    LocateTracker .field { height: 1; }
+    LocateTracker .field Static { width: 20; }
+    LocateTracker .field Input { width: 1fr; }
+    """
+
+    def __init__(self, arms: str, *, simulated: bool, stale: str) -> None:
+        super().__init__()
+        self._arms, self._simulated, self._stale = arms, simulated, stale
+
+    def body(self) -> ComposeResult:
+        yield Static("Locate the tracker?", classes="title", markup=False)
+        text = f"After the tracker was moved: drive to a few points and measure where it stands now; {self._arms}."
+        if self._stale:
+            text += f"\nThe model is not up to date: {self._stale}."
+        yield Static(text, classes="text", markup=False)
+        yield from self._field("points", "points", str(POINTS), "of all arms together")
+        yield from self._field("tracker-pose", "tracker about at", "", "x,y,z,r,p,y (m, deg); empty: where it was")
+        if self._simulated:
+            yield from self._field("simulated-pose", "put it first to", "", "x,y,z,r,p,y (m, deg); empty: nowhere")
+        yield Static(f"Enter begins, {self.closing_key} closes.", id="why", classes="text", markup=False)
+        with Horizontal(classes="answers"):
+            yield Button("Begin", id="begin", variant="success", compact=True)
+            yield Button("Not now", id="no", compact=True)
+
+    def _field(self, name: str, label: str, text: str, hint: str) -> ComposeResult:
+        with Horizontal(classes="field"):
+            yield Static(label, markup=False)
+            yield Input(text, id=name, compact=True, placeholder=hint)
+
+    def on_mount(self) -> None:
+        """Begin with the number of points."""
+        self.query_one("#points").focus()
+
+    @on(Input.Submitted)
+    def submit(self, event: Input.Submitted) -> None:
+        """Take what was typed."""
+        event.stop()
+        self._begin()
+
+    @on(Button.Pressed)
+    def press(self, event: Button.Pressed) -> None:
+        """Begin or close."""
+        event.stop()
+        if event.button.id == "begin":
+            self._begin()
+        else:
+            self.dismiss(None)
+
+    def _begin(self) -> None:
+        points = self._text("points")
+        if not (points.isascii() and points.isdigit()):
+            self.query_one("#why", Static).update(f"Type how many points, as {POINTS}.")
+            return
+        simulated = self._text("simulated-pose") if self._simulated else ""
+        self.dismiss(LocateRequest(int(points[:6]), self._text("tracker-pose") or None, simulated or None))
+
+    def _text(self, name: str) -> str:
+        return self.query_one(f"#{name}", Input).value.strip()

@@ -1,0 +1,118 @@
+"""One connected UR arm that follows paths: the supervisor of its worker, which also sends a stream of positions.
+
+While a stream is in progress, its positions keep the controller's watchdog from expiring; a kick would interrupt it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from drivers.arms.ur_control import Refusal, UrControl, failed
+from drivers.arms.ur_motion import Motion, RestCriterion, WorkerSample
+from drivers.arms.ur_stream import LATE_S, SLIDER_UP, Stream
+from drivers.arms.ur_supervisor import AT_GOAL_RAD, Application, Supervisor
+
+
+class PathSupervisor(Supervisor):
+    """Executes requests for one arm, see ``Supervisor``; ``stream`` is to be called when ``patience_s`` has passed."""
+
+    def __init__(self, application: Application, control: UrControl, watchdog_hz: float, rest: RestCriterion) -> None:
+        super().__init__(application, control, watchdog_hz, rest)
+        self._stream: Stream | None = None  # the last one; it is in progress while ``_streams``
+        self._streamed: Motion | None = None  # its motion
+
+    def path(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Begin to stream joint positions; ``stream`` sends them."""
+        sample = self._require_movable()
+        rows = request["q"]
+        if sample.speed_fraction is not None and sample.speed_fraction < SLIDER_UP:
+            raise failed(f"the speed slider is at {sample.speed_fraction:.0%}; a path needs 100 %")
+        if sample.distance(rows[0]) > AT_GOAL_RAD:
+            raise failed("it is not at the beginning of the path")
+        self._ensure_program_runs(sample)
+        self._require_not_braked()
+        now = time.monotonic()
+        self._resting_since, self._cut_short = None, False
+        self._stream = Stream(rows, request["period_s"], request["lookahead_s"], request["gain"], now)
+        self._motion = self._streamed = Motion(rows[-1], -1, now)
+        return {}
+
+    def followed(self) -> dict[str, Any]:
+        """Return where the arm was while it followed the last path."""
+        return {"time_s": [], "q": []} if self._stream is None else self._stream.answer()
+
+    @property
+    def _streams(self) -> bool:
+        motion = self._motion
+        return motion is not None and motion is self._streamed and motion.running and not self._halted
+
+    @property
+    def patience_s(self) -> float:
+        """Time until the next position of a stream is due [s]; infinite without one."""
+        if self._stream is None or not self._streams:
+            return math.inf
+        return max(self._stream.due_s - time.monotonic(), 0.0)
+
+    def stream(self) -> None:
+        """Send the position that is due, if any; a brake, a fault or a late computer ends the stream."""
+        stream, now = self._stream, time.monotonic()
+        if stream is None or not self._streams or self._application.braked or now < stream.due_s:
+            return
+        late_s = now - stream.due_s
+        if stream.sent and late_s > LATE_S:
+            text = (
+                f"this computer was late by {late_s:.2f} s with the next position of the path, so the arm was stopped"
+            )
+            self._control.brake()
+            self._record_fault(Refusal("stalled", text))
+            return
+        try:
+            accepted = self._control.servo(stream.goal, stream.period_s, stream.lookahead_s, stream.gain)
+        except Refusal as refusal:
+            self._record_fault(refusal)
+            return
+        if self._application.braked:  # perhaps before the position was sent
+            self.take_brake()
+            self._stop_program()
+        elif not accepted:
+            self._check_links()
+            self._not_streamed()
+        else:
+            self._kicks.kicked(now)
+            stream.note_sent(now)
+
+    def _not_streamed(self) -> None:
+        """Record why the control program took no further position."""
+        self._streamed = None  # no further position is sent while the reason is looked for
+        try:
+            self._require_ready(self._next_sample())
+        except Refusal:
+            return  # recorded
+        self._not_served(failed("the control program did not take a position of the path"))
+
+    def _meanwhile(self) -> None:
+        self.stream()
+
+    def _track_motion(self, motion: Motion, sample: WorkerSample, now: float, news: bool) -> None:
+        """End a stream whose arm has arrived; record that an arm does not follow, or that its slider was moved."""
+        stream = self._stream
+        if stream is None or not self._streams:
+            super()._track_motion(motion, sample, now, news)
+            return
+        if not news or self._application.braked:
+            return
+        stream.note_state(sample)
+        problem = stream.behind(sample)
+        if sample.speed_fraction is not None and sample.speed_fraction < SLIDER_UP:
+            problem = "its speed slider was moved while it followed a path; set it to 100 %"
+        if problem:
+            self._control.brake()
+            self._record_fault(failed(problem))
+        elif stream.arrived(sample, now, self._rest.speed):
+            motion.running, motion.ended_s = False, now
+            self._resting_since = None
+            if not self._control.end_servo() and not self._application.braked:
+                self._not_streamed()

@@ -1,0 +1,93 @@
+"""A stream of joint positions that a UR arm's worker sends, one each control cycle (``servoj``).
+
+Loads no numpy: the worker process starts faster without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.arms.ur_motion import WorkerSample
+
+SLIDER_UP = 0.995
+"""A path needs the speed slider at 100 %: a controller that scales time no longer follows the positions."""
+LATE_S = 0.1
+"""A computer that sends the next position this late stops the arm: it stood in the middle of the path."""
+_FOLLOWS_WITHIN_S = 0.3
+"""Every joint must be, to ``_FOLLOWS_RAD``, where it was sent in this time: the lag of ``servoj`` is shorter."""
+_FOLLOWS_RAD = 0.02
+_AT_GOAL_RAD = 2e-4
+_ARRIVES_WITHIN_S = 1.0
+"""Time that the arm has to come up with the last position."""
+
+
+@dataclass
+class Stream:
+    """A stream in progress. A position that is due late shifts all later ones: none is left out, none comes early.
+
+    Attributes
+    ----------
+    rows : sequence of joint positions [rad]
+    period_s, lookahead_s, gain : float
+        Of ``servoj``.
+    due_s : float
+        When the next position is to be sent, by ``time.monotonic``.
+    sent : int
+        Number of positions sent; the last one is repeated until the arm is there.
+    trace : list
+        Controller time [s] and joint positions of every state since the first position was sent.
+    """
+
+    rows: Sequence[Sequence[float]]
+    period_s: float
+    lookahead_s: float
+    gain: float
+    due_s: float
+    sent: int = 0
+    ended_s: float | None = None
+    trace: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)
+
+    @property
+    def goal(self) -> Sequence[float]:
+        """The position to be sent next."""
+        return self.rows[min(self.sent, len(self.rows) - 1)]
+
+    def note_sent(self, now: float) -> None:
+        """Note that the position was sent at ``now``."""
+        self.sent += 1
+        self.due_s = max(self.due_s, now - self.period_s) + self.period_s
+        if self.sent >= len(self.rows) and self.ended_s is None:
+            self.ended_s = now
+
+    def note_state(self, sample: WorkerSample) -> None:
+        """Keep a new state of the arm."""
+        if self.sent:
+            self.trace.append((sample.time_s, sample.q))
+
+    def arrived(self, sample: WorkerSample, now: float, rest_speed: float) -> bool:
+        """Return whether the arm is at the last position, or has had the time to get there."""
+        if self.ended_s is None:
+            return False
+        there = sample.distance(self.rows[-1]) <= _AT_GOAL_RAD and sample.speed <= rest_speed
+        return there or now - self.ended_s > _ARRIVES_WITHIN_S
+
+    def behind(self, sample: WorkerSample) -> str:
+        """Return why the arm does not follow, in words; empty if it does."""
+        if not self.sent:
+            return ""
+        last = min(self.sent, len(self.rows)) - 1
+        first = max(0, last - int(_FOLLOWS_WITHIN_S / self.period_s))
+        recent = self.rows[first : last + 1]
+        for joint, value in enumerate(sample.q):
+            low, high = min(row[joint] for row in recent), max(row[joint] for row in recent)
+            if not low - _FOLLOWS_RAD <= value <= high + _FOLLOWS_RAD:
+                away = max(low - value, value - high)
+                return f"joint {joint + 1} is {away:.3f} rad away from the path that it was to follow"
+        return ""
+
+    def answer(self) -> dict[str, Any]:
+        """Return the trace, as time since the first state [s] and joint positions [rad]."""
+        start_s = self.trace[0][0] if self.trace else 0.0
+        return {"time_s": [time_s - start_s for time_s, _ in self.trace], "q": [list(q) for _, q in self.trace]}

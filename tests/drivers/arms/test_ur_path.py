@@ -1,0 +1,154 @@
+"""Paths of a UR arm with the real client against emulated controllers: followed, interrupted, refused."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.arms.protocol import (
+    ArmError,
+    EmergencyStop,
+    LimitExceeded,
+    LinkLost,
+    MotionStopped,
+    PathFollower,
+    ProtectiveStop,
+)
+from drivers.arms.ur_path import UrPathArm
+from drivers.arms.ur_settings import UrSettings
+from drivers.emulators.ur_controller import EmulatorProcess
+from tests.drivers.arms.emulated_ur_cell import (
+    ACCELERATION,
+    HOME,
+    HOSTS,
+    PATIENT_S,
+    SETTLE_S,
+    SPEED,
+    WATCHDOG_HZ,
+    assert_stays_at_rest,
+    emulated_cell,
+    expectation,
+    repair,
+    until,
+)
+
+WAY = np.array([0.5, 0.2, -0.3, 0.2, 0.3, -0.4])
+
+
+@pytest.fixture(scope="module")
+def emulator() -> Iterator[EmulatorProcess]:
+    with emulated_cell() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def drivers() -> Iterator[dict[str, UrPathArm]]:
+    arms = {}
+    for name in HOSTS:
+        settings = UrSettings(host=HOSTS[name], watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S)
+        arms[name] = UrPathArm(name, settings, expectation(name), rest_s=1.0)
+    yield arms
+    for arm in arms.values():
+        arm.disconnect()
+
+
+@pytest.fixture(params=["left", "right"], ids=["CB3", "e-Series"])
+def arm(request: pytest.FixtureRequest, emulator: EmulatorProcess, drivers: dict[str, UrPathArm]) -> UrPathArm:
+    """An arm without fault, at HOME."""
+    driver = drivers[request.param]
+    repair(emulator, driver.name)
+    driver.connect()
+    driver.start_move(HOME, SPEED, ACCELERATION)
+    driver.wait_settled(PATIENT_S)
+    return driver
+
+
+def smooth_path(period_s: float, duration_s: float) -> np.ndarray:
+    """From HOME and back again, at rest at both ends."""
+    x = np.linspace(0.0, 1.0, round(duration_s / period_s) + 1)[:, None]
+    return HOME + 0.5 * (1.0 - np.cos(2.0 * np.pi * x)) * WAY * x * (1.0 - x) * 4.0
+
+
+def begun(arm: UrPathArm, duration_s: float = 3.0) -> UrPathArm:
+    """The arm in the middle of a path."""
+    arm.start_path(smooth_path(arm.path_period_s, duration_s), arm.path_period_s)
+    until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.05, "the arm follows the path")
+    return arm
+
+
+def test_a_path_is_followed_to_its_end(arm: UrPathArm, emulator: EmulatorProcess) -> None:
+    assert isinstance(arm, PathFollower)
+    assert arm.path_period_s == {"left": 0.008, "right": 0.002}[arm.name]
+    path = smooth_path(arm.path_period_s, 1.6)
+    arm.start_path(path, arm.path_period_s)
+    with pytest.raises(ArmError, match="still moving"):
+        arm.start_path(path, arm.path_period_s)
+    state = arm.wait_settled(PATIENT_S)
+    np.testing.assert_allclose(state.q, path[-1], atol=1e-3)
+    followed = arm.followed()
+    assert (np.diff(followed.time_s) > 0.0).all()
+    farthest = np.abs(followed.q - HOME).max(axis=0)
+    np.testing.assert_allclose(farthest, np.abs(path - HOME).max(axis=0), rtol=0.1)
+    # another motion is possible at once, and the program is the same
+    arm.start_move(HOME + 0.05, SPEED, ACCELERATION)
+    arm.wait_settled(PATIENT_S)
+    assert emulator.control(arm.name, "status")["runtime_state"] == "PLAYING"
+
+
+FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
+    "protective stop": (("protective", "now"), ProtectiveStop),
+    "emergency stop": (("estop",), EmergencyStop),
+    "lost link": (("drop", "rtde", "fin"), LinkLost),
+    "slider": (("slider", 0.5), ArmError),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=FAULTS)
+def test_a_fault_in_mid_path_stops_the_arm(fault: str, arm: UrPathArm, emulator: EmulatorProcess) -> None:
+    command, error = FAULTS[fault]
+    heard: list[ArmError] = []
+    arm.watch(heard.append)
+    begun(arm)
+    emulator.control(arm.name, *command)
+    with pytest.raises(error):
+        arm.wait_settled(PATIENT_S)
+    assert isinstance(heard[0], error)
+    assert_stays_at_rest(emulator, arm.name)
+    with pytest.raises(ArmError):  # nothing moves until a person connects again
+        arm.start_path(smooth_path(0.008, 1.6), 0.008)
+    emulator.control(arm.name, "slider", 1.0)
+
+
+STOPS: dict[str, Callable[[UrPathArm], None]] = {"brake": UrPathArm.brake, "stop": UrPathArm.stop}
+
+
+@pytest.mark.parametrize("how", STOPS, ids=STOPS)
+def test_a_stop_from_another_thread_ends_the_path(how: str, arm: UrPathArm, emulator: EmulatorProcess) -> None:
+    begun(arm)
+    thread = threading.Thread(target=STOPS[how], args=(arm,))
+    thread.start()
+    with pytest.raises(MotionStopped):
+        arm.wait_settled(PATIENT_S)
+    thread.join(PATIENT_S)
+    assert_stays_at_rest(emulator, arm.name)
+
+
+def test_nothing_moves_where_a_path_is_wrong(arm: UrPathArm, emulator: EmulatorProcess) -> None:
+    period_s, moves = arm.path_period_s, emulator.control(arm.name, "status")["moves"]
+    good = smooth_path(period_s, 1.6)
+    cases: dict[str, tuple[np.ndarray, float]] = {
+        "not a finite number": (np.where(np.arange(len(good))[:, None] == 9, np.nan, good), period_s),
+        "outside its limits": (good + 20.0, period_s),
+        "speed .* beyond its limit": (np.concatenate([good[:50], good[50:] + 0.1]), period_s),
+        "from the beginning of the path": (good + 0.01, period_s),
+        "its controller takes one each": (good, 2.0 * period_s),
+        "two or more rows of 6": (good[:, :5], period_s),
+    }
+    for words, (path, every_s) in cases.items():
+        with pytest.raises(LimitExceeded, match=words):
+            arm.start_path(path, every_s)
+    assert emulator.control(arm.name, "status")["moves"] == moves

@@ -1,0 +1,44 @@
+"""The tracker is located from the screen Targets, as the command does it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from textual.widgets import Input
+
+from cellapp.locate_verb import POINTS as BY_COMMAND
+from cellapp.run import RunFile
+from cellapp.run.stages import read_results
+from cellapp.tui.app import CellApp
+from cellapp.tui.dialogs.locate_tracker import POINTS, LocateTracker
+from cellapp.tui.dialogs.question import Reading
+from tests.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
+
+
+async def test_the_tracker_is_located_and_a_wrong_pose_is_refused(finished_copy: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.open_run(finished_copy)
+        await until(pilot, lambda: app.workspace.results is not None, "the run")
+        await pilot.press("6")
+        await until(pilot, lambda: app.day_screen.STEP == "targets", "the screen")
+        await pilot.press("l")
+        await until(pilot, lambda: isinstance(app.screen, LocateTracker), "the question")
+        assert "Not now" in shown_text(app), "all of the dialog fits into the smallest terminal"
+        assert app.screen.query_one("#points", Input).value == str(POINTS) == str(BY_COMMAND)
+        app.screen.query_one("#points", Input).value = "many"
+        await pilot.press("enter")
+        assert "Type how many points" in shown_text(app)
+        app.screen.query_one("#points", Input).value = "4"
+        app.screen.query_one("#tracker-pose", Input).value = "1,2"
+        await pilot.press("enter")
+        await until(pilot, lambda: "expected x,y,z,roll,pitch,yaw" in app.message, "the refusal")
+        await pilot.press("l")
+        await until(pilot, lambda: isinstance(app.screen, LocateTracker), "the question again")
+        await pilot.press("enter")
+        await until(pilot, lambda: isinstance(app.screen, Reading), "where the tracker stands")
+        assert "it stands at" in shown_text(app)
+        await ended(pilot, app)
+    with RunFile.open(finished_copy) as run:
+        assert read_results(run).locate is not None
