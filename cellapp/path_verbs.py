@@ -37,26 +37,30 @@ def follow_run(
     control: JobControl | None = None,
     *,
     driving: Driving = "plan",
+    rehearse: bool = False,
     out_of_date: bool = False,
     csv: Path | None = None,
     ask: Ask | None = None,
 ) -> PathResult:
     """Plan paths and store the result; with ``driving`` also drive them, and measure how well they are followed.
 
-    ``out_of_date`` drives by the model in force even where it, or a discovery, is out of date. ``csv`` is a file for
-    the joint positions. ``ask`` is asked before the first motion of real arms.
+    ``rehearse`` drives each path once before and corrects it by how the joints lagged. ``out_of_date`` drives by the
+    model in force even where it, or a discovery, is out of date. ``csv`` is a file for the joint positions. ``ask`` is
+    asked before the first motion of real arms.
 
     Raises
     ------
     InputError
-        If the model is out of date and the operator does not insist, no path can be driven, or ``csv`` cannot be
-        written. Nothing has moved.
+        If the model is out of date and the operator does not insist, no path can be driven, ``csv`` cannot be written,
+        or a rehearsal is asked for without driving. Nothing has moved.
     CheckFailed
         If the doctor finds a fault before real arms move. Nothing has moved.
     HardwareError
         If a device refused or failed.
     Cancelled
     """
+    if rehearse and driving == "plan":
+        raise InputError("follow: a rehearsal moves the arms; ask for driving or verifying too (--drive, --verify)")
     control = control or JobControl()
     stages = read_stages(run)
     stale = stages.stale_model()
@@ -86,6 +90,7 @@ def follow_run(
                 with_eta(listener),
                 control,
                 verify=driving == "verify",
+                rehearse=rehearse,
                 confirm=confirm,
                 opened=opened,
             )

@@ -21,6 +21,9 @@ def follow(
     verify: Annotated[
         bool, typer.Option("--verify", help="Let the arms follow the paths, and measure how far the SMR is from them.")
     ] = False,
+    rehearse: Annotated[
+        bool, typer.Option("--rehearse", help="Drive each path once before, and correct it by how the joints lag.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="CSV", help="Write the joint positions over time as CSV.")
     ] = None,
@@ -44,6 +47,7 @@ def follow(
             job.listen,
             job.control,
             driving="verify" if verify else "drive" if drive else "plan",
+            rehearse=rehearse,
             out_of_date=out_of_date,
             csv=out,
             ask=ask,

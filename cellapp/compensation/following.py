@@ -13,18 +13,18 @@ from cellapp.collection.motion import Confirm, MotionRefused, Mover
 from cellapp.collection.reaction import StopCause, StopReaction
 from cellapp.collection.supervision import hold_while_paused, reacting
 from cellapp.compensation.path_file import PathSpec
-from cellapp.compensation.path_lag import path_lag
 from cellapp.compensation.tolerance import measured_verdict
 from cellapp.control import JobControl
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
 from cellapp.paths.cartesian import CartesianPath
-from cellapp.paths.plan_path import RUN_UP_RAD, PathPlan, plan_path
+from cellapp.paths.lag import Lag, lag, rehearsed
+from cellapp.paths.plan_path import RUN_UP_RAD, PathPlan, path_rates, plan_path
 from cellapp.paths.timing import Trajectory
 from cellapp.profile import Profile
 from cellapp.progress import Listener, Progress, ignore
-from cellapp.results import DrivenPath, ErrorSummary
+from cellapp.results import DrivenPath, ErrorSummary, PathLag
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from drivers.arms.protocol import FollowedPath, PathFollower
 from drivers.trackers.protocol import StreamingTracker, TrackerError
@@ -44,11 +44,13 @@ def follow(
     control: JobControl | None = None,
     *,
     verify: bool,
+    rehearse: bool = False,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
 ) -> list[tuple[PathPlan, DrivenPath | None]]:
     """Drive every path that is not refused, the other arms at home; with ``verify`` measure it.
 
+    ``rehearse`` drives each path once before, and corrects it by how the joints were seen to follow.
     A path is planned again where the arm's controller has another rate. ``opened`` is called with the open cell before
     anything moves; what it raises ends the job. ``confirm`` is asked before the first motion.
 
@@ -78,8 +80,8 @@ def follow(
             hold_while_paused(cell, control, reaction)
             listener(Progress("follow", done, len(plans), plan.spec.name))
             plan = _at_rate_of_arm(profile, model, plan, cell)
-            driver = _Driver(mover, cell, reaction, model, plan.spec, homes)
-            found.append((plan, None if plan.refusal else driver.drive(plan, verify=verify)))
+            driver = _Driver(profile, mover, cell, reaction, model, plan.spec, homes)
+            found.append((plan, None if plan.refusal else driver.drive(plan, verify=verify, rehearse=rehearse)))
             mover.go_home()
     listener(Progress("follow", len(plans), len(plans), "done"))
     return found
@@ -101,6 +103,7 @@ def _at_rate_of_arm(profile: Profile, model: CellModel, plan: PathPlan, cell: Ce
 class _Driver:
     """Drives the paths of one arm in an open cell."""
 
+    profile: Profile
     mover: Mover
     cell: Cell
     reaction: StopReaction
@@ -108,20 +111,37 @@ class _Driver:
     spec: PathSpec
     homes: dict[str, Array]
 
-    def drive(self, plan: PathPlan, *, verify: bool) -> DrivenPath:
+    def drive(self, plan: PathPlan, *, verify: bool, rehearse: bool) -> DrivenPath:
         """Drive one path; with ``verify`` also at rest, and as the published geometry drives it."""
         assert plan.path is not None
         assert plan.nominal_path is not None
         assert plan.trajectory is not None
+        notes: list[str] = []
         try:
-            points, followed = self._run(plan.trajectory, plan.path, measure=verify)
+            trajectory = self._rehearsed(plan.trajectory, plan.path, notes) if rehearse else plan.trajectory
+            points, followed = self._run(trajectory, plan.path, measure=verify)
         except (MotionRefused, TrackerError) as error:
             return DrivenPath(note=str(error))
-        arm = self.model.arms[self.spec.arm]
-        driven = DrivenPath(lag=path_lag(arm, plan.trajectory, followed))
-        if not verify:
-            return driven
-        notes, nominal, at_rest = [], None, None
+        found = lag(self.model.arms[self.spec.arm], plan.trajectory, followed.time_s, followed.q)
+        driven = DrivenPath(lag=_lag_record(found), rehearsed=trajectory is not plan.trajectory, note="; ".join(notes))
+        return self._verified(plan, driven, points) if verify else driven
+
+    def _rehearsed(self, trajectory: Trajectory, path: CartesianPath, notes: list[str]) -> Trajectory:
+        """The positions to send after the path was driven once; a note says where they would exceed a limit."""
+        _, followed = self._run(trajectory, path, measure=False)
+        rates = path_rates(self.profile, self.spec)
+        corrected = rehearsed(trajectory, followed.time_s, followed.q, rates)
+        if corrected is None:
+            notes.append("its rehearsal is not used: the corrected joints would exceed their limits")
+            return trajectory
+        return corrected
+
+    def _verified(self, plan: PathPlan, driven: DrivenPath, points: Array | None) -> DrivenPath:
+        """What was driven, with its distances from the path, also at rest and by the published geometry."""
+        assert plan.path is not None
+        assert plan.nominal_path is not None
+        assert plan.trajectory is not None
+        notes, nominal, at_rest = [driven.note] if driven.note else [], None, None
         try:
             at_rest = _summary(plan.path, self._at_rest(plan.trajectory))
             if plan.nominal is None:
@@ -192,6 +212,12 @@ def _run_up(q: Array) -> Array:
     first = np.argmax(moved, axis=0)
     ahead = q[first, np.arange(q.shape[1])] - q[0]
     return np.asarray(q[0] - RUN_UP_RAD * np.where(ahead < 0.0, -1.0, 1.0))
+
+
+def _lag_record(found: Lag | None) -> PathLag | None:
+    if found is None:
+        return None
+    return PathLag(delay_ms=found.delay_s * 1e3, late_mm=found.late_m * 1e3, cut_mm=found.cut_m * 1e3)
 
 
 def _summary(path: CartesianPath, points: Array) -> ErrorSummary | None:

@@ -40,6 +40,14 @@ def _above_zero(value: float) -> float:
     return value
 
 
+class PoseProblem(ValueError):
+    """Poses make no path; ``pose`` is the number of the wrong one, from 0."""
+
+    def __init__(self, pose: int, text: str) -> None:
+        super().__init__(f"pose {pose + 1}: {text}")
+        self.pose = pose
+
+
 PathSpeed = Annotated[Speed, AfterValidator(_speed)]
 
 
@@ -93,8 +101,7 @@ class PathSpec(Section):
     @field_validator("poses")
     @classmethod
     def _poses_make_a_path(cls, poses: tuple[PathPose, ...]) -> tuple[PathPose, ...]:
-        if problem := _first_problem(poses):
-            raise ValueError(problem)
+        _require_path(poses)
         return poses
 
     @model_validator(mode="after")
@@ -149,7 +156,9 @@ def load_paths(path: Path, profile: Profile, arm: str | None = None) -> tuple[Pa
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise InputError(f"{path}:{_line_of(text, first['loc'])}: {key}: {value_message(first)}") from None
+        problem = first.get("ctx", {}).get("error")
+        at = (*first["loc"], problem.pose) if isinstance(problem, PoseProblem) else first["loc"]
+        raise InputError(f"{path}:{_line_of(text, at)}: {key}: {value_message(first)}") from None
     for index, spec in enumerate(listed.paths):
         if problem := _misfit(spec, listed.paths[:index], profile):
             raise InputError(f"{path}:{_line_of(text, ('paths', index))}: path '{spec.name}'{problem}")
@@ -179,26 +188,27 @@ def _misfit(spec: PathSpec, others: tuple[PathSpec, ...], profile: Profile) -> s
     return ""
 
 
-def _first_problem(poses: tuple[PathPose, ...]) -> str:
-    """Why poses make no path; empty if they do."""
-    if poses[0].rpy is None:
-        return "pose 1: 'rpy' is needed: a path begins with a full pose"
-    if poses[0].via is not None or poses[0].blend or poses[0].speed is not None:
-        return "pose 1: 'via', 'blend' and 'speed' belong to a pose that is reached from another one"
-    if poses[-1].blend:
-        return f"pose {len(poses)}: 'blend' at the end of a path rounds no corner"
-    for number, (before, pose) in enumerate(itertools.pairwise(poses), start=2):
+def _require_path(poses: tuple[PathPose, ...]) -> None:
+    """Raise ``PoseProblem`` where poses make no path."""
+    first, last = poses[0], len(poses) - 1
+    if first.rpy is None:
+        raise PoseProblem(0, "'rpy' is needed: a path begins with a full pose")
+    if first.via is not None or first.blend or first.speed is not None:
+        raise PoseProblem(0, "'via', 'blend' and 'speed' belong to a pose that is reached from another one")
+    if poses[last].blend:
+        raise PoseProblem(last, "'blend' at the end of a path rounds no corner")
+    for number, (before, pose) in enumerate(itertools.pairwise(poses), start=1):
         if problem := _piece_problem(before, pose):
-            return f"pose {number}: {problem}"
+            raise PoseProblem(number, problem)
     lengths = [_chord_m(before, pose) for before, pose in itertools.pairwise(poses)]
-    for number, pose in enumerate(poses[1:-1], start=2):
-        shortest = min(lengths[number - 2], lengths[number - 1])
+    for number, pose in enumerate(poses[1:-1], start=1):
+        shortest = min(lengths[number - 1], lengths[number])
         if pose.blend > 0.5 * shortest:
-            return (
-                f"pose {number}: blend {pose.blend * 1e3:g} mm is more than half of {shortest * 1e3:.1f} mm,"
-                " the distance to the next pose or from the one before"
+            raise PoseProblem(
+                number,
+                f"blend {pose.blend * 1e3:g} mm is more than half of {shortest * 1e3:.1f} mm, the distance to the next"
+                " pose or from the one before",
             )
-    return ""
 
 
 def _piece_problem(before: PathPose, pose: PathPose) -> str:

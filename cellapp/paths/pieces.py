@@ -11,7 +11,7 @@ from scipy.interpolate import BPoly
 
 from cellapp.kinematics.transforms import Array
 
-_BLEND_SAMPLES = 513
+_BLEND_SAMPLES = 2049
 """Samples of a rounded corner: interpolation between them is wrong by about 1e-6 of the blend."""
 
 

@@ -128,7 +128,7 @@ def _on_branch(
     period_s: float,
 ) -> PathPlan:
     """The plan on one branch of the inverse."""
-    rates = _rates(profile, spec)
+    rates = path_rates(profile, spec)
     cross_s = float(np.sqrt(5.774 / (_CROSS_SHARE * rates.acceleration.min())))
     try:
         joints = joint_path(arm, path, branch, _conditions(profile, spec), spec.tolerance, cross_s)
@@ -167,14 +167,14 @@ def _nominal(
         joints = joint_path(
             published, path, Branch(share, branch.q), _conditions(profile, spec), spec.tolerance, cross_s=0.0
         )
-        trajectory = timed(path, joints, _rates(profile, spec), period_s)
+        trajectory = timed(path, joints, path_rates(profile, spec), period_s)
     except PathError:
         return None
     others = {name: q for name, q in homes.items() if name != spec.arm}
     return None if refuse_path(cell, spec.arm, trajectory.q, others, trajectory.s) else trajectory
 
 
-def _rates(profile: Profile, spec: PathSpec) -> Rates:
+def path_rates(profile: Profile, spec: PathSpec) -> Rates:
     """The limits of the arm's joints at the profile's share, and the path's own acceleration."""
     arm = profile.arms[spec.arm]
     speed = np.array([joint.speed for joint in arm.type.joints]) * arm.speed_scale

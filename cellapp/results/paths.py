@@ -53,6 +53,8 @@ class DrivenPath(Record):
         Of the path as the published geometry drives it; measured moving, or else at rest.
     lag : PathLag or None
         None where the arm did not report its joints.
+    rehearsed : bool
+        Whether the path was driven once before, and corrected by how the joints followed.
     verdict : str
         Of 95 % of the points, moving or else at rest, against the tolerance.
     judged : str
@@ -65,6 +67,7 @@ class DrivenPath(Record):
     at_rest: ErrorSummary | None = None
     nominal: ErrorSummary | None = None
     lag: PathLag | None = None
+    rehearsed: bool = False
     verdict: ToleranceVerdict = ""
     judged: PathSource = ""
     note: str = ""

@@ -36,7 +36,7 @@ from cellapp.tui.endings import STOPPED, UNEXPECTED, ending_of, forget_terminal,
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
 from cellapp.tui.messages import LeaveAsked, ResumeOffered, Severity, WorkspaceLoaded
-from cellapp.tui.offers import offer_to_quit, offer_to_resume, offer_whole_day
+from cellapp.tui.offers import offer_paths, offer_to_quit, offer_to_resume, offer_whole_day, show_paths
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.themes import HIGH_CONTRAST
@@ -274,6 +274,7 @@ class CellApp(App[None]):
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
         """Every action for the command palette: those of the application and of the screen below it."""
         yield from self._commands
+        yield SystemCommand("Paths", "plan, drive or verify paths of lines and arcs", partial(offer_paths, self))
         yield SystemCommand("Theme", "light, dark, high contrast and others", self.action_change_theme)
 
     def action_command_palette(self) -> None:
@@ -437,6 +438,7 @@ class CellApp(App[None]):
         if not isinstance(message.ending, BaseException | None):
             for screen in dict.fromkeys((self.asked_by or self.day_screen, self.day_screen)):
                 screen.show_result(message.ending)
+            show_paths(self, message.ending)
         folder = message.job.folder or self.workspace.folder
         self._load(self.workspace.profile_path, folder if holds_run(folder) else self.workspace.folder)
         self.refresh_bindings()

@@ -71,10 +71,12 @@ def _done(job: Job, result: Result | None) -> Ending:
 
 def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
     """What did not hold, and what is said of the verification or of a plan if all did."""
-    from cellapp.results import CollectResult, LocateResult, PlanResult, VerifyResult, WholeRunResult
+    from cellapp.results import CollectResult, LocateResult, PathResult, PlanResult, VerifyResult, WholeRunResult
 
     if isinstance(result, PlanResult):
         return [], "".join(f"; {note}" for note in result.notes)
+    if isinstance(result, PathResult):
+        return result.complaints(), ""
     collected = result if isinstance(result, CollectResult) else None
     verified = result if verifies and isinstance(result, VerifyResult) else None
     is_day = isinstance(result, WholeRunResult)

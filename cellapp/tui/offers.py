@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellapp.tui import work
-from cellapp.tui.dialogs.question import Answer, Choice
-from cellapp.tui.workspace import NO_PROFILE, Workspace, new_folder
+from cellapp.tui.dialogs.follow_path import FollowPath, FollowRequest
+from cellapp.tui.dialogs.question import Answer, Choice, Reading
+from cellapp.tui.workspace import NO_PROFILE, NO_RUN, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.results import RunSummary
@@ -39,6 +40,39 @@ def offer_whole_day(app: CellApp) -> None:
             app.action_show("collect")
 
     app.push_screen(Choice("Everything, unattended?", text, BEGIN), begin)
+
+
+def offer_paths(app: CellApp) -> None:
+    """Plan paths of lines and arcs for the run that is open; drive and measure them where a person asks for that."""
+    from cellapp.reporting.target_list import stale_model
+    from cellapp.tui.screens.targets_state import NOT_CALIBRATED
+
+    folder, profile, results = app.workspace.folder, app.workspace.profile, app.workspace.results
+    if folder is None or profile is None:
+        app.say(NO_RUN, "warning")
+        return
+    if results is None or results.calibrate is None:
+        app.say(NOT_CALIBRATED, "warning")
+        return
+
+    def begin(request: FollowRequest | None) -> None:
+        if request is not None:
+            app.start_job(work.follow(folder, request))
+
+    of_profile = Path("profiles") / "paths" / f"{profile.name}.yaml"
+    proposed = str(of_profile) if of_profile.is_file() else ""
+    stale = stale_model(results) or ""
+    app.push_screen(FollowPath(proposed, tuple(profile.arms), arms_words(app.workspace), stale), begin)
+
+
+def show_paths(app: CellApp, result: object) -> None:
+    """Show the tables of paths that were planned or followed; anything else is shown by its screen."""
+    from cellapp.reporting.path_table import path_sentences, path_tables
+    from cellapp.reporting.table import markdown
+    from cellapp.results import PathResult
+
+    if isinstance(result, PathResult):
+        app.push_screen(Reading(markdown(path_tables(result), path_sentences(result))))
 
 
 def offer_to_quit(app: CellApp, leave: Callable[[bool], None]) -> None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cellapp.run import RunFile
     from cellapp.tui.dialogs.correct_program import CorrectRequest
     from cellapp.tui.dialogs.export_arms import ExportRequest
+    from cellapp.tui.dialogs.follow_path import FollowRequest
     from cellapp.tui.dialogs.locate_tracker import LocateRequest
 
 
@@ -240,6 +241,28 @@ def locate(folder: Path, request: LocateRequest) -> Job:
         return locate_run(run, request.points, listener, control, tracker_pose=rough, simulated_pose=simulated, ask=ask)
 
     return _on_run("locate", folder, work, moves=True)
+
+
+def follow(folder: Path, request: FollowRequest) -> Job:
+    """Plan paths, and drive and measure them where that is asked for."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.compensation.path_file import load_paths
+        from cellapp.path_verbs import follow_run
+
+        return follow_run(
+            run,
+            load_paths(request.paths, run.profile, request.arm),
+            listener,
+            control,
+            driving=request.driving,
+            rehearse=request.rehearse,
+            out_of_date=request.out_of_date,
+            csv=request.csv,
+            ask=ask,
+        )
+
+    return _on_run("follow", folder, work, moves=request.driving != "plan")
 
 
 def report(folder: Path) -> Job:

@@ -94,8 +94,7 @@ class Workspace:
             if any(arm.measured for arm in self.overview.arms.values()):
                 states["collect"] = "done"
             for stage in self.overview.stages:
-                step = _STEP_OF_VERB.get(stage.name)
-                if step is not None:  # locating a moved tracker is no step of every day
+                if (step := _STEP_OF_VERB.get(stage.name)) is not None:  # locating and paths are no steps of the day
                     states[step] = "out of date" if stage.out_of_date else "done"
         if states[self.next_step] in ("open", "done"):
             states[self.next_step] = "next"

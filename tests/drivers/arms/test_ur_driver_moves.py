@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 
 from cellapp.trials.link_bench import travel_s
 from cellapp.trials.links import link_trials
-from drivers.arms import ur_supervisor, ur_worker
+from drivers.arms import ur_path_supervisor, ur_supervisor, ur_worker
 from drivers.arms.protocol import (
     ArmError,
     JointLimits,
@@ -535,6 +535,7 @@ def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Callable[..
     """The client, and a function that sends a message, runs the worker for some seconds and returns its answers."""
     client, answers, now = DelayedClient(), io.BytesIO(), [1000.0]
     clock = SimpleNamespace(monotonic=lambda: now[0], sleep=client.tick)
+    monkeypatch.setattr(ur_path_supervisor, "time", clock)
     for module in (ur_worker, ur_supervisor):
         monkeypatch.setattr(module, "time", clock)
         monkeypatch.setattr(module, "stop_program", lambda host, within_s: None)

@@ -56,7 +56,7 @@ def drivers() -> Iterator[dict[str, UrPathArm]]:
         arm.disconnect()
 
 
-@pytest.fixture(params=["left", "right"], ids=["CB3", "e-Series"])
+@pytest.fixture
 def arm(request: pytest.FixtureRequest, emulator: EmulatorProcess, drivers: dict[str, UrPathArm]) -> UrPathArm:
     """An arm without fault, at HOME."""
     driver = drivers[request.param]
@@ -80,6 +80,7 @@ def begun(arm: UrPathArm, duration_s: float = 3.0) -> UrPathArm:
     return arm
 
 
+@pytest.mark.parametrize("arm", ["left", "right"], ids=["CB3", "e-Series"], indirect=True)
 def test_a_path_is_followed_to_its_end(arm: UrPathArm, emulator: EmulatorProcess) -> None:
     assert isinstance(arm, PathFollower)
     assert arm.path_period_s == {"left": 0.008, "right": 0.002}[arm.name]
@@ -105,9 +106,11 @@ FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
     "lost link": (("drop", "rtde", "fin"), LinkLost),
     "slider": (("slider", 0.5), ArmError),
 }
+IN_TURN = dict(zip(FAULTS, ("right", "left", "right", "left"), strict=True))
+"""Fault -> the arm that has it."""
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=FAULTS)
+@pytest.mark.parametrize(("fault", "arm"), IN_TURN.items(), ids=IN_TURN, indirect=["arm"])
 def test_a_fault_in_mid_path_stops_the_arm(fault: str, arm: UrPathArm, emulator: EmulatorProcess) -> None:
     command, error = FAULTS[fault]
     heard: list[ArmError] = []
@@ -126,7 +129,7 @@ def test_a_fault_in_mid_path_stops_the_arm(fault: str, arm: UrPathArm, emulator:
 STOPS: dict[str, Callable[[UrPathArm], None]] = {"brake": UrPathArm.brake, "stop": UrPathArm.stop}
 
 
-@pytest.mark.parametrize("how", STOPS, ids=STOPS)
+@pytest.mark.parametrize(("how", "arm"), [("brake", "left"), ("stop", "right")], ids=STOPS, indirect=["arm"])
 def test_a_stop_from_another_thread_ends_the_path(how: str, arm: UrPathArm, emulator: EmulatorProcess) -> None:
     begun(arm)
     thread = threading.Thread(target=STOPS[how], args=(arm,))
@@ -137,6 +140,7 @@ def test_a_stop_from_another_thread_ends_the_path(how: str, arm: UrPathArm, emul
     assert_stays_at_rest(emulator, arm.name)
 
 
+@pytest.mark.parametrize("arm", ["right"], ids=["e-Series"], indirect=True)
 def test_nothing_moves_where_a_path_is_wrong(arm: UrPathArm, emulator: EmulatorProcess) -> None:
     period_s, moves = arm.path_period_s, emulator.control(arm.name, "status")["moves"]
     good = smooth_path(period_s, 1.6)

@@ -1,0 +1,154 @@
+"""The simulated arm follows paths with a lag, and every stop ends them; the tracker measures it on the way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.arms.protocol import (
+    ArmError,
+    EmergencyStop,
+    LimitExceeded,
+    LinkLost,
+    MotionStopped,
+    PathFollower,
+    ProtectiveStop,
+)
+from drivers.arms.simulated import CYCLE_S, SimulatedArm
+from drivers.plant.servo import GAIN, LOOKAHEAD_S, ServoMotion, servo_rate
+from drivers.trackers.protocol import StreamingTracker, TargetLost, TrackerError
+from drivers.trackers.simulated import SimulatedTracker
+
+pytestmark = pytest.mark.fast
+
+WAY = np.array([0.2, 0.1, -0.1, 0.1, 0.1, -0.2])
+
+
+@pytest.fixture
+def plant(make_arm, make_plant):
+    return make_plant(make_arm(effects={"backlash": {"play": [2e-4] * 6}}), make_arm("ur5", "right", 1.2))
+
+
+@pytest.fixture
+def arm(plant):
+    simulated = SimulatedArm(plant, "left")
+    simulated.connect()
+    return simulated
+
+
+def path_of(plant, duration_s=2.0, name="left"):
+    x = np.linspace(0.0, 1.0, round(duration_s / CYCLE_S) + 1)[:, None]
+    return plant.q(name) + x**3 * (10.0 - x * (15.0 - 6.0 * x)) * WAY
+
+
+def test_arm_and_tracker_say_what_they_can(plant, arm):
+    assert isinstance(arm, PathFollower)
+    assert isinstance(SimulatedTracker(plant), StreamingTracker)
+
+
+def test_a_path_is_followed_late_and_to_its_end(plant, arm):
+    path = path_of(plant)
+    arm.start_path(path, arm.path_period_s)
+    assert arm.state().moving
+    with pytest.raises(ArmError, match="still moving"):
+        arm.start_path(path, CYCLE_S)
+    state = arm.wait_settled(10.0)
+    np.testing.assert_array_equal(state.q, path[-1])
+    followed = arm.followed()
+    late = LOOKAHEAD_S / np.sqrt(GAIN / 300.0) + 0.5 * CYCLE_S  # a position holds for a cycle
+    wanted = np.array([np.interp(followed.time_s - late, CYCLE_S * np.arange(len(path)), column) for column in path.T])
+    assert np.abs(followed.q - wanted.T).max() < 5e-4
+    assert np.abs(followed.q[:-1] - path).max() > 3e-3
+
+
+@given(
+    away=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array),
+    speed=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array),
+    rate=st.floats(5.0, 100.0),
+)
+def test_the_lag_is_a_smooth_way_to_the_goal(away, speed, rate):
+    goal = np.array([0.1, 0.2, 0.3])
+    motion = ServoMotion.towards(goal, 5.0, goal + away, speed, rate)
+    t = np.linspace(5.0, motion.end_s, 4001)
+    q, v = motion.position(t), motion.velocity(t)
+    np.testing.assert_allclose(q[0], goal + away, atol=1e-12)
+    np.testing.assert_allclose(v[0] if len(t) > 1 else speed, speed, atol=1e-12)
+    np.testing.assert_allclose(q[-2:], np.stack([goal, goal]), atol=1e-6)
+    h = t[1] - t[0]
+    middle = 0.5 * (v[1:-1] + v[:-2]) * h
+    np.testing.assert_allclose(np.diff(q, axis=0)[:-1], middle, atol=4.0 * (rate * h) ** 2 * (1.0 + rate) * h + 1e-9)
+
+
+def test_no_controller_takes_another_look_ahead():
+    with pytest.raises(ValueError, match="look-ahead"):
+        servo_rate(0.01, 300.0)
+    assert servo_rate(0.1, 1200.0) == pytest.approx(40.0)
+
+
+STOPS = {
+    "brake": (SimulatedArm.brake, MotionStopped),
+    "stop": (SimulatedArm.stop, MotionStopped),
+    "protective stop": (SimulatedArm.protective_stop, ProtectiveStop),
+    "emergency stop": (SimulatedArm.emergency_stop, EmergencyStop),
+    "lost link": (SimulatedArm.cut_link, LinkLost),
+}
+
+
+@pytest.mark.parametrize("how", STOPS, ids=STOPS)
+def test_every_stop_ends_a_path(how, plant, arm):
+    stop, error = STOPS[how]
+    path = path_of(plant)
+    arm.start_path(path, CYCLE_S)
+    plant.schedule.at(plant.clock_s + 1.0, lambda: stop(arm))
+    with pytest.raises(error):
+        arm.wait_settled(10.0)
+    plant.advance(1.0)
+    rested = plant.q("left")
+    assert 0.2 < (rested - path[0])[0] / WAY[0] < 0.95
+    plant.advance(2.0)  # no later position of the path moves it
+    np.testing.assert_array_equal(plant.q("left"), rested)
+
+
+def test_nothing_moves_where_a_path_is_wrong(plant, arm):
+    path = path_of(plant)
+    cases = {
+        "not a finite number": (np.where(np.arange(len(path))[:, None] == 9, np.nan, path), CYCLE_S),
+        "speed .* beyond its limit": (path_of(plant, 0.1), CYCLE_S),
+        "from the beginning of the path": (path + 0.01, CYCLE_S),
+        "outside its limits": (path + 20.0, CYCLE_S),
+        "takes one each": (path, 0.004),
+        "two or more rows": (path[:1], CYCLE_S),
+    }
+    for words, (wrong, period_s) in cases.items():
+        with pytest.raises(LimitExceeded, match=words):
+            arm.start_path(wrong, period_s)
+    assert not plant.moving("left")
+
+
+def test_memories_of_a_stream_are_those_of_its_turns(plant, arm):
+    there = path_of(plant)
+    arm.start_path(np.concatenate([there, there[::-1]]), CYCLE_S)
+    arm.wait_settled(10.0)
+    back = plant.targets()[0].p_M
+    wanted = plant.smr_positions("left", plant.q("left")[None], approach=-np.sign(WAY)[None])[0]
+    np.testing.assert_allclose(back, wanted, atol=2e-6)
+
+
+def test_the_tracker_follows_an_smr_until_the_beam_breaks(plant, arm):
+    tracker = SimulatedTracker(plant)
+    lost: list[TrackerError] = []
+    tracker.connect()
+    tracker.start_track(plant.targets()[0].p_M, 0.02, lost.append)
+    arm.start_path(path_of(plant), CYCLE_S)
+    arm.wait_settled(10.0)
+    track = tracker.end_track()
+    np.testing.assert_allclose(np.diff(track.time_s), 0.02, rtol=1e-6)
+    assert np.linalg.norm(track.p_M[-1] - plant.targets()[0].p_M) < 2e-4
+    assert np.linalg.norm(np.diff(track.p_M, axis=0), axis=1).max() > 2e-3
+    assert lost == []
+    tracker.start_track(plant.targets()[0].p_M, 0.02, lost.append)
+    plant.schedule.at(plant.clock_s + 0.1, lambda: tracker.covered.add("left"))
+    plant.advance(1.0)
+    assert [type(error) for error in lost] == [TargetLost]
