@@ -11,11 +11,11 @@ from cellapp.collection.controllers import check_controllers
 from cellapp.commissioning.confirm import Ask, confirmation
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.compensation.following import follow
+from cellapp.compensation.path_file import PathSpec
 from cellapp.compensation.path_result import path_csv, path_result
 from cellapp.control import JobControl
 from cellapp.errors import InputError
 from cellapp.model import CellModel
-from cellapp.paths.path_file import PathSpec
 from cellapp.paths.plan_path import PathPlan, plan_path
 from cellapp.progress import Listener, Progress, ignore, with_eta
 from cellapp.results import PATH, DrivenPath, PathResult

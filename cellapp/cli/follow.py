@@ -34,8 +34,8 @@ def follow(
     json_file: JsonOption = None,
 ) -> None:
     """Turn poses with speeds into joint paths of the calibrated model. Nothing moves without --drive or --verify."""
+    from cellapp.compensation.path_file import load_paths
     from cellapp.path_verbs import follow_run
-    from cellapp.paths.path_file import load_paths
     from cellapp.reporting.path_table import path_sentences, path_tables
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:

@@ -12,6 +12,7 @@ from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.motion import Confirm, MotionRefused, Mover
 from cellapp.collection.reaction import StopCause, StopReaction
 from cellapp.collection.supervision import hold_while_paused, reacting
+from cellapp.compensation.path_file import PathSpec
 from cellapp.compensation.tolerance import measured_verdict
 from cellapp.control import JobControl
 from cellapp.errors import InputError
@@ -19,7 +20,6 @@ from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
 from cellapp.paths.cartesian import CartesianPath
 from cellapp.paths.lag import Lag, lag, rehearsed
-from cellapp.paths.path_file import PathSpec
 from cellapp.paths.plan_path import RUN_UP_RAD, PathPlan, path_rates, plan_path
 from cellapp.paths.timing import Trajectory
 from cellapp.profile import Profile

@@ -21,6 +21,7 @@ CHAPTERS: Mapping[str, str] = {
     "planning": "which stops are measured, obstacles, editing a plan",
     "terminal": "the terminal application: a day, its screens and its keys",
     "exports": "calibrated arms for other programs, and what their files cannot hold",
+    "paths": "lines and arcs that the true SMR follows: the file, driving, measuring",
     "programs": "programs of UR controllers, corrected so that the real arm reaches their targets",
 }
 """Name and subject of each chapter, a Markdown file of this package."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.compensation.goals import goals_of_arm
+from cellapp.compensation.path_file import PathSpec
 from cellapp.compensation.targets import WorkingConditions
 from cellapp.effects import MeasurementConditions
 from cellapp.errors import InputError
@@ -16,7 +17,6 @@ from cellapp.model import ArmModel, CellModel
 from cellapp.paths.branches import Branch, follow_branches
 from cellapp.paths.cartesian import CartesianPath, cartesian_path
 from cellapp.paths.joint_path import Conditions, JointPath, PathError, joint_path
-from cellapp.paths.path_file import PathSpec
 from cellapp.paths.timing import Rates, Trajectory, timed
 from cellapp.profile import Profile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions

@@ -219,8 +219,8 @@ def follow(folder: Path, request: FollowRequest) -> Job:
     """Plan paths, and drive and measure them where that is asked for."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.compensation.path_file import load_paths
         from cellapp.path_verbs import follow_run
-        from cellapp.paths.path_file import load_paths
 
         return follow_run(
             run,

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellapp.compensation.path_file import PathSpec, load_paths
 from cellapp.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import parameter_names
@@ -19,7 +20,6 @@ from cellapp.model import ArmModel, CellModel
 from cellapp.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.paths.cartesian import CartesianPath, cartesian_path
 from cellapp.paths.lag import lag, rehearsed
-from cellapp.paths.path_file import PathSpec, load_paths
 from cellapp.paths.pieces import Arc
 from cellapp.paths.plan_path import PathPlan, plan_path
 from cellapp.paths.timing import Rates
@@ -245,7 +245,7 @@ def test_a_rehearsal_takes_out_what_the_lag_cuts(profile: Profile, model: CellMo
         now = 0.0 if motion is None else motion.start_s + PERIOD_S
         here = (sent.q[0], np.zeros(6)) if motion is None else at_time(motion, now)
         q.append(here[0])
-        motion = ServoMotion.towards(row, now, *here, 66.7)
+        motion = ServoMotion.towards(row, now, here[0], here[1], 66.7)
     followed = np.array(q)
     plain = lag(model.arms["left"], sent, sent.time_s, followed)
     assert plain is not None
