@@ -569,6 +569,8 @@ BAD = [
     (None, "compare done nothing", ["nothing: run folder not found"]),
     (newer, "compare done collected", ["written by a newer cellapp (schema 99"]),
     (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-plan, "]),
+    (None, "push done targets.yaml --verify --iterate 0", ["--iterate: expected 1 to 20 rounds, got 0"]),
+    (None, "push done targets.yaml --iterate 2", ["--iterate corrects what was measured; add --verify"]),
     (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
     (None, "push done twin.yaml", ["twin.yaml:7: schema: "]),
     (None, "export planned --csv out.csv", ["holds no readings yet"]),
