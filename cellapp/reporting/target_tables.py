@@ -24,14 +24,9 @@ _YES_NO = {True: "yes", False: "no", None: ""}
 _TARGET = (Column("target"), Column("arm"))
 
 
-def compensate_tables(result: CompensateResult) -> list[Table]:
-    """What ``compensate`` prints: targets with a tolerance, unknown conditions."""
-    return [*predicted_tables(result), *unknown_tables(result)]
-
-
 def stored_tables(result: CompensateResult) -> list[Table]:
-    """What ``show DIR targets`` prints: commands, uncertainties by their parts, tolerances, unknown conditions."""
-    return [*command_tables(result), *uncertainty_tables(result), *compensate_tables(result)]
+    """What ``show DIR targets`` prints beside its sentences: commands, uncertainties by their parts, tolerances."""
+    return [*command_tables(result), *uncertainty_tables(result), *predicted_tables(result)]
 
 
 def command_tables(result: CompensateResult) -> list[Table]:
