@@ -150,11 +150,11 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
         Column("target"),
         Column("arms"),
         number_column("distance", ".3f"),
-        number_column("uncompensated", MM),
-        number_column("compensated", MM),
+        number_column("before", MM),
+        number_column("after", MM),
         number_column("corrected", MM),
         number_column("tolerance", "g"),
-        Column("tolerance met"),
+        Column("met"),
     )
     measured = [pair for pair in verify.pairs if pair.compensated_mm is not None]
     rows: list[tuple[Cell, ...]] = [
@@ -188,12 +188,12 @@ def _arm_tables(verify: VerifyResult) -> list[Table]:
         Column("number"),
         Column("target"),
         Column("frame"),
-        number_column("uncompensated", MM),
-        number_column("compensated", MM),
+        number_column("before", MM),
+        number_column("after", MM),
         number_column("corrected", MM),
         number_column("95 % bound", MM),
         number_column("tolerance", "g"),
-        Column("tolerance met"),
+        Column("met"),
     )
     tables = []
     for arm in verify.arms:
