@@ -65,14 +65,19 @@ class TargetVisit:
     # -- driving and measuring -----------------------------------------------------------------------------------------
 
     def _drive(self, found: Findings) -> None:
-        if self.verify and all(command.q_nominal is not None for command in found.commands.values()):
-            found.nominal = self._measure("nominal", found, *self._go("nominal", found))
-            if not found.nominal:  # the compensated command is a millimetre away
-                return
+        """Drive and measure with the compensated commands first, on a way as in work.
+
+        From the nominal ones the joints would move by less than their play, so that it would be open where they stand.
+        """
         states, sent = self._go("compensated", found)
-        if self.verify:
-            found.rounds.append(self._measure("compensated", found, states, sent))
-            self._correct(found, states)
+        if not self.verify:
+            return
+        found.rounds.append(self._measure("compensated", found, states, sent))
+        if not found.rounds[0]:  # the nominal command is a millimetre away
+            return
+        self._correct(found, states)
+        if all(command.q_nominal is not None for command in found.commands.values()):
+            found.nominal = self._measure("nominal", found, *self._go("nominal", found))
 
     def _go(self, kind: CommandKind, found: Findings) -> tuple[States, Mapping[str, Vector]]:
         """Drive all arms of a target to their commands of one kind; return their states and what was sent."""

@@ -21,12 +21,15 @@ from cellapp.calibration.inter_base_transform import distances
 from cellapp.collection.cell import build_plant, open_cell
 from cellapp.collection.collect import collect_run
 from cellapp.compensation.compensate import compensate
+from cellapp.compensation.prediction import spread_of
 from cellapp.compensation.push import push
+from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.targets import Target
+from cellapp.effects import MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array, rotation_z, transform, zyx_angles
 from cellapp.locate_verb import locate_run
-from cellapp.model import CellModel
+from cellapp.model import ArmModel, CellModel
 from cellapp.model.nominal import pose_matrix
 from cellapp.pipeline import calibrate_run, discover_run, new_planned_run
 from cellapp.planning.duration import planned_time
@@ -120,7 +123,8 @@ def target_trial(task: TrialTask) -> TargetTrial:
         collect_run(run, opened=partial(open_cell, plant=plant))
         calibrate_run(run)
         found = discover_run(run)
-        bench = _Bench(profile, plant, plant.clock_s, *_models(run), task.seed)
+        ranges = {name: ConditionRanges.of(run.readings(name)) for name in profile.arms}
+        bench = _Bench(profile, plant, plant.clock_s, *_models(run), ranges, task.seed)
         pushing = time.perf_counter()
         states = {CALIBRATED: _state(bench, task)}
         push_seconds = time.perf_counter() - pushing
@@ -146,7 +150,7 @@ class _Bench:
     ``known_s`` is when the model was last made to fit, by the last reading or point [s]; ``moved`` whether the tracker
     stands elsewhere since.
     ``paper`` is the model of geometry and network in the base frame, by the proposed method of Bai et al., from the
-    same readings; its pair is the one identified from distances.
+    same readings; its pair is the one identified from distances. ``ranges`` are what the readings covered.
     """
 
     profile: Profile
@@ -154,6 +158,7 @@ class _Bench:
     known_s: float
     model: CellModel
     paper: CellModel
+    ranges: Mapping[str, ConditionRanges]
     seed: int
     moved: bool = False
 
@@ -206,7 +211,7 @@ def _state(bench: _Bench, task: TrialTask) -> StateFigures:
 
 
 def _measured(bench: _Bench, targets: Sequence[Target]) -> VerifyResult:
-    commands = compensate(bench.profile, bench.model, targets)
+    commands = compensate(bench.profile, bench.model, targets, ranges=bench.ranges)
     return push(bench.profile, bench.model, commands, verify=True, open_with=partial(open_cell, plant=bench.plant))
 
 
@@ -217,7 +222,8 @@ def _arm_figures(bench: _Bench, name: str, targets: Sequence[MeasuredTarget]) ->
     q, measured_M = _rows([one.q for one in done]), _rows([one.measured_M for one in done])
     predicted_M = _rows([one.predicted_M for one in done])
     model = bench.model.arms[name]
-    limit = _NORMAL_95 * model.measured_uncertainty(q)[:, None]
+    approach = np.array([one.approach for one in done], dtype=np.float64)
+    limit = _NORMAL_95 * _measured_sd(model, q, approach, bench.ranges[name])
     stated = [one for one in done if one.within_mm is not None]
     paper_M = None if bench.moved else bench.paper.arms[name].predict(q)
     return ArmFigures(
@@ -285,6 +291,15 @@ def _changed(bench: _Bench, name: str, q: Array) -> Array:
     times = (np.array([time_s]) for time_s in (bench.known_s, bench.plant.clock_s))
     then, now = (bench.plant.smr_positions(name, q, time_s=time_s) for time_s in times)
     return now - then
+
+
+def _measured_sd(model: ArmModel, q: Array, approach: Array, ranges: ConditionRanges) -> Array:
+    """Standard deviations (n, 3) [m] of measured coordinates about their prediction, as the product states them."""
+    conditions = MeasurementConditions(approach=approach)
+    covariance = spread_of(model, q, conditions, ranges).of_model
+    if model.posterior is not None and ranges.noise is not None:
+        covariance = covariance + ranges.noise.covariance(model.predict(q, approach), model.posterior.noise_m)
+    return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
 
 
 def _rows(vectors: Sequence[tuple[float, ...] | None]) -> Array:

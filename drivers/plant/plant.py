@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.plant import effects as hidden
 from drivers.plant.clearance import Clearance
-from drivers.plant.climate import Air, joint_rise
+from drivers.plant.climate import Air, joint_rise, rises_during
 from drivers.plant.config import ArmConfig, Array, PlantConfig, broadcast
 from drivers.plant.effect import Situation
 from drivers.plant.executed import Executed, executed_clearance
@@ -257,16 +257,8 @@ class Plant:
 
         Each joint rotates at constant speed from stop to stop; times must not decrease.
         """
-        arm = self._arm(name)
         q, time_s = np.asarray(q, dtype=np.float64), np.asarray(time_s, dtype=np.float64)
-        rise, found = np.zeros(arm.config.joints), np.empty_like(q)
-        waits = np.diff(time_s, prepend=0.0)
-        travels = np.abs(np.diff(q, axis=0, prepend=q[:1]))
-        for k, (wait, distance) in enumerate(zip(waits, travels, strict=True)):
-            speed = distance / wait if wait > 0.0 else np.zeros_like(distance)
-            rise = joint_rise(rise, speed, wait, self.config.holding_k)
-            found[k] = rise
-        return self._air.temperature_c(time_s)[:, None] + found
+        return self._air.temperature_c(time_s)[:, None] + rises_during(q, time_s, self.config.holding_k)
 
     # -- time and motion ---------------------------------------------------------------------------------------------
 
@@ -351,8 +343,7 @@ class Plant:
     def servo(self, name: str, goal: Array, rate: float) -> None:
         """Let an arm follow ``goal`` (N,) [rad] from now on, with the lag ``rate`` [1/s] of ``ServoMotion``.
 
-        Called once in each control cycle with the next goal of a stream; the arm may be at rest or follow one already.
-        Raises ``ValueError`` in another motion.
+        Called in each control cycle of a stream. Raises ``ValueError`` in another motion.
         """
         arm = self._arm(name)
         if (ended := follow(arm, goal, self._clock_s, rate, self.config.repeatability)) and self._executed is not None:

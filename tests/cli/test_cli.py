@@ -252,6 +252,17 @@ SHOWN = {
 
 
 @pytest.mark.fast
+def test_all_about_one_target_is_shown(work: Path, call: Any) -> None:
+    ended = call("show", "done", "targets", "--target", "left-01", "--json", "one.json")
+    assert ended.code == 0, ended.err
+    assert "standard uncertainty of a coordinate" in ended.out
+    assert "mm with the nominal command" in ended.out
+    assert [target["name"] for target in json.loads((work / "one.json").read_text("utf-8"))["targets"]] == ["left-01"]
+    one_sentence(call("show", "done", "targets", "--target", "nobody"), "no compensated target 'nobody' is stored")
+    one_sentence(call("show", "done", "plan", "--target", "left-01"), "--target belongs to 'targets'")
+
+
+@pytest.mark.fast
 def test_looking_changes_no_byte(work: Path, call: Any) -> None:
     with RunFile.open(work / "done", write=True) as run:
         run.log("warning", "the first line")
