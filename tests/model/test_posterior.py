@@ -92,9 +92,8 @@ def test_the_second_moment_of_draws_of_few_parameters_is_the_covariance_itself()
     drawn = draws_of(Sigma, 1)
     values = np.hstack([drawn.geometry, *drawn.terms])
     size = np.sqrt(np.diag(Sigma))
-    np.testing.assert_allclose(
-        values.T @ values / DRAWS / size / size[:, None], Sigma / size / size[:, None], atol=1e-9
-    )
+    found = values.T @ values / DRAWS
+    np.testing.assert_allclose(found / size / size[:, None], Sigma / size / size[:, None], atol=1e-9)
 
 
 def test_a_parameter_that_is_certain_stays():
