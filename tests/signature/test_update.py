@@ -15,7 +15,7 @@ from cellapp.kinematics.chain import parameter_names, smr_positions
 from cellapp.signature.belief import Belief, is_own
 from cellapp.signature.calibrate import stated_model, updated_arm
 from cellapp.signature.discovery import SearchWithPriors
-from cellapp.signature.earlier import Earlier
+from cellapp.signature.earlier import Earlier, believed
 from cellapp.signature.linear_model import Measured
 from cellapp.signature.posterior import posterior
 from cellapp.signature.update import Updated, first_model, update
@@ -170,3 +170,17 @@ def test_of_a_quite_different_arm_nothing_is_used(arm: SimulatedArm, earlier: Ea
     assert not any(part.used for part in outcome.parts.values())
     assert outcome.changes == ()
     assert outcome.found.model.effects == ()
+
+
+def test_a_chain_passes_on_what_was_left_out_and_what_appeared(arm: SimulatedArm, earlier: Earlier) -> None:
+    free = replace(arm, model=replace(arm.model, effects=())).mounted(ELSEWHERE, TOOL)
+    readings = free.readings(60, seed=12)
+    before = update(
+        free.profile, "left", readings, measurement_conditions(readings), earlier.belief, earlier.since
+    )  # fmt: skip
+    models = {"left": stated_model(before.found, 0)}
+    belief, count = believed(free.profile, "left", models, {"left": readings}, earlier.belief, earlier.since)
+    assert count == 60
+    assert len(belief.mean) == len(belief.covariance) == len(belief.size) == len(belief.parts)
+    again_free = free.mounted(np.eye(4), -TOOL)
+    assert error_um(again_free, again(again_free, replace(earlier, belief=belief), 30)) < 15.0
