@@ -83,29 +83,25 @@ def locate_run(
         raise InputError(f"locate: at least {FEWEST_POINTS} points are needed, better {POINTS}; not {points}")
     stages = read_stages(run)
     used = _stage_before_moving(run, stages)
-    profile = _at_station(run, stages, simulated_pose)
-    model = model_of(run, used)
-    rough = _rough_station(run, stages, tracker_pose)
+    task = LocateTask(
+        profile=_at_station(run, stages, simulated_pose),
+        model=model_of(run, used),
+        rough_T=_rough_station(run, stages, tracker_pose),
+        candidates={name: run.readings(name).q for name in run.profile.arms},
+        excess_m=_excess(run, model_of(run, used)),
+        points=points,
+        still_m=run.profile.collection.reference.drift,
+    )
     notes: list[str] = []
 
     def opened(cell: Cell) -> None:
         notes.extend(check_controllers(run, cell).notes)
 
     with taking_requests(run.folder, control):
-        task = LocateTask(
-            profile=profile,
-            model=model,
-            rough_T=rough,
-            candidates={name: run.readings(name).q for name in model.arms},
-            excess_m=_excess(run, model),
-            points=points,
-            still_m=profile.collection.reference.drift,
-        )
         confirm = confirmation(run.profile, ask)
         found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)
     result = _result(run.profile, task, found, (*notes, *found.notes))
-    moved = relocated(model, found.fit.T_new_old, found.fit.twists) if found.explained else None
-    _store(run, used, result, moved)
+    _store(run, used, result, relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.explained else None)
     return result
 
 
@@ -218,13 +214,13 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
     assert pose is not None
     T_C_M = pose_matrix(pose) @ invert(fit.T_new_old)
     old_station = invert(fit.T_new_old)[:3, 3]
-    moved_m = displacement_m(task.model, found.points, fit.T_new_old)
+    moved = displacement_m(task.model, found.points, fit.T_new_old) > task.still_m
     plant = task.profile.plant
     placed = None if plant is None or plant.tracker_pose is None else plant.tracker_pose
     rows = {name: iter(own) for name, own in fit.residuals.items()}
     return LocateResult(
         verdict=_verdict(found),
-        moved=moved_m > task.still_m,
+        moved=moved,
         T_new_old=_rows(fit.T_new_old),
         shift_mm=float(np.linalg.norm(old_station)) * 1e3,
         turn_deg=float(np.degrees(np.linalg.norm(rotation_vectors(fit.T_new_old[None, :3, :3])[0]))),
@@ -248,7 +244,7 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
             for one in found.found
         ),
         other_motions=tuple(_motion(cause) for cause in found.causes),
-        notes=(*notes, *_model_notes(task.model)),
+        notes=(*notes, *_station_notes(task, found, moved=moved), *_model_notes(task.model)),
     )
 
 
@@ -274,6 +270,25 @@ def _verdict(found: LocatedStation) -> LocateVerdict:
     if first is None:
         return "not explained"
     return "base moved" if first.kind == "base" else "smr moved"
+
+
+def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> list[str]:
+    """What a person must know of a station that was found."""
+    if not found.explained:
+        return []
+    notes = [
+        f"arm {name} was not measured: that its base and SMR are where they were is taken for granted"
+        for name in task.model.arms
+        if name not in found.points
+    ]
+    if moved:
+        notes.append(
+            "targets and work frames in the tracker's frame are taken in its new frame from now on: measure those that"
+            " were measured from the old station again"
+        )
+    if moved and len(task.model.arms) == 1:
+        notes.append("one arm does not show whether the tracker was moved or its own base; the model holds either way")
+    return notes
 
 
 def _model_notes(model: CellModel) -> list[str]:

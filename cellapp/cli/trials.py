@@ -399,6 +399,7 @@ def signature(
     earlier: Annotated[int, typer.Option("--earlier", min=40, help="Stops of the earlier calibration.")] = 400,
     few: Annotated[int, typer.Option("--few", min=5, help="Stops with the earlier calibration.")] = 30,
     many: Annotated[int, typer.Option("--many", min=10, help="Stops without it, to compare with.")] = 150,
+    held_out: Annotated[int, typer.Option("--held-out", min=10, help="Stops to compare on.")] = 120,
     mix: Annotated[bool, typer.Option("--mix", help="Hide compliance, curves and backlash on the arms.")] = False,
     real: Annotated[bool, typer.Option("--real", help="Series D of a real UR10 with series C as prior.")] = False,
     rows: Annotated[
@@ -437,6 +438,7 @@ def signature(
                 earlier=earlier,
                 few=few,
                 many=many,
+                held_out=held_out,
                 mix=mix,
                 jobs=jobs,
                 listener=job.listen,

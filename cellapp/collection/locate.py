@@ -51,9 +51,9 @@ _REACH = 3.0
 """An SMR is searched for within so many standard deviations of its prediction."""
 _REACH_M = (0.05, 0.16)
 """Least and largest distance within which an SMR is searched for: beyond, the search would take too long."""
-_LATTICE_M = 0.08
-"""Spacing of the places that the tracker is pointed at. No place is farther than 69 mm from one of a cubic lattice, and
-half of them are within 45 mm: trackers search some 50 to 100 mm about the place by themselves."""
+_LATTICE_M = 0.057
+"""Spacing of the places that the tracker is pointed at: no place is farther than 50 mm from one of a cubic lattice, the
+least distance within which a tracker's driver accepts an SMR."""
 _REPEATS = 5
 """Measurements of each point: what scatters from one to the next falls below half."""
 _MISSED_AT_FIRST, _MISSED_LATER = 2, 3
@@ -148,26 +148,31 @@ def locate_station(
         mover.go_home()
         stops = LocatingStops(task.profile, task.model, bodies, task.candidates)
         measuring = _Measuring(task, mover, stops, checkpoint, listener)
-        measuring.measure(_shares(list(task.candidates), task.points))
-        fit = measuring.fit()
-        causes: tuple[Cause, ...] = ()
-        if not fit.explains:
-            measuring.notes.append(
-                f"one motion of the tracker does not explain the {len(measuring.found)} points (probability"
-                f" {fit.probability:.1g}, at least {LEAST_PROBABILITY:g} is asked): more were measured to see what does"
-            )
-            measuring.measure({name: DIAGNOSTIC_POINTS for name in task.candidates})
-            fit = measuring.fit()
-            if not fit.explains:
-                causes = possible_causes(
-                    task.model, measuring.points(), fit.T_new_old, excess_m=task.excess_m, still_m=task.still_m
-                )
+        fit, causes = _explained(task, measuring)
         mover.go_home()
     listener(Progress("locate", len(measuring.found), len(measuring.found), "done"))
     return LocatedStation(tuple(measuring.found), measuring.points(), fit, causes, tuple(measuring.notes))
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _explained(task: LocateTask, measuring: _Measuring) -> tuple[StationFit, tuple[Cause, ...]]:
+    """Measure and fit; where one motion does not explain the points, measure more and see what does."""
+    measuring.measure(_shares(list(task.candidates), task.points))
+    fit = measuring.fit()
+    if fit.explains:
+        return fit, ()
+    measuring.notes.append(
+        f"one motion of the tracker does not explain the {len(measuring.found)} points (probability"
+        f" {fit.probability:.1g}, at least {LEAST_PROBABILITY:g} is asked): more were measured to see what does"
+    )
+    measuring.measure({name: DIAGNOSTIC_POINTS for name in task.candidates})
+    fit = measuring.fit()
+    if fit.explains:
+        return fit, ()
+    points, start = measuring.points(), fit.T_new_old
+    return fit, possible_causes(task.model, points, start, excess_m=task.excess_m, still_m=task.still_m)
 
 
 def _shares(names: list[str], points: int) -> dict[str, int]:

@@ -25,7 +25,7 @@ class Prediction:
     offered_approach : signs or None
         Side from which to approach where the side matters and the target states none.
     verdict : str
-        Of the true position against the tolerance.
+        Of the true position against the tolerance, its repeatability included.
     """
 
     uncertainty_mm: float

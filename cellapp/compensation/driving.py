@@ -43,7 +43,7 @@ class Driver:
             As ``Mover.move``.
         """
         q = self.mover.positions()
-        away = [name for name in q if name not in names and np.any(q[name] != self.homes[name])]
+        away = [name for name in q if name not in names and not self.mover.rests_at({name: self.homes[name]})]
         if away:
             self.mover.go_home(away)
         way, refusal = self._accepted({name: command(name, q[name]) for name in names}, sides)

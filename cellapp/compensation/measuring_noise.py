@@ -38,6 +38,13 @@ class MeasuringNoise:
         across = np.sqrt(np.maximum(0.5 * (whole - along), 0.0))
         return cls(_line(distance, np.sqrt(along)), _line(distance, across), float(np.mean(whole)) / 3.0)
 
+    def excess(self, noise_m: float) -> float:
+        """Variance [m^2] of a coordinate by which the readings scatter beyond what the tracker states.
+
+        It is repeatability, or what the model lacks: the SMR itself is elsewhere by as much.
+        """
+        return max(noise_m**2 - self.typical, 0.0)
+
     def covariance(self, p_M: Array, noise_m: float) -> Array:
         """Covariance (n, 3, 3) [m^2] of readings at ``p_M`` (n, 3), whose scatter over the run was ``noise_m``.
 
@@ -51,8 +58,8 @@ class MeasuringNoise:
         )
         outer = beam[:, :, None] * beam[:, None]
         stated = along * outer + across * (np.eye(3) - outer)
-        excess = noise_m**2 - self.typical
-        if excess <= 0.0:
+        excess = self.excess(noise_m)
+        if excess == 0.0:
             return np.asarray(stated * (noise_m**2 / self.typical))
         return np.asarray(stated + excess * np.eye(3))
 

@@ -70,7 +70,8 @@ def predictions(
         spread = replace(spread, conditions=covariance)
         sides = _offered(unknown, here, home)
         noise = _noise(arm, here, stated, ranges)
-        judged = _judged(spread, noise, tolerances_mm[begin : begin + _AT_ONCE])
+        excess = 0.0 if ranges.noise is None else ranges.noise.excess(arm.posterior.noise_m)
+        judged = _judged(spread, noise, excess, tolerances_mm[begin : begin + _AT_ONCE])
         found += [
             replace(one, unknown=unknown_records(unknown, k), offered_approach=sides[k]) for k, one in enumerate(judged)
         ]
@@ -162,9 +163,9 @@ def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: C
     return ranges.noise.covariance(arm.predict(q, conditions=conditions), arm.posterior.noise_m)
 
 
-def _judged(spread: Spread, noise: Array, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
-    """Predictions in mm from covariances."""
-    low, high = (bound * 1e3 for bound in length_bounds(spread.whole))
+def _judged(spread: Spread, noise: Array, excess: float, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
+    """Predictions in mm from covariances, that of a measurement's ``noise`` and its part by which the SMR moves."""
+    low, high = (bound * 1e3 for bound in length_bounds(spread.whole + excess * np.eye(3)))
     _, within = length_bounds(spread.of_model + noise)
     parts = {name: _coordinate_mm(value) for name, value in vars(spread).items()}
     parts["noise"], whole = _coordinate_mm(noise), _coordinate_mm(spread.whole)

@@ -85,19 +85,13 @@ def push(
     require_same_arms(profile, model, commands)
     if not any(command.q_compensated is not None for command in commands):
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
-    by_target: dict[str, list[Command]] = {}
-    for command in commands:
-        by_target.setdefault(command.target.name, []).append(command)
     bodies, homes = cell_bodies(profile, model), home_positions(profile)
-    agreement, stopped = Agreement(), ""
     with (open_with or open_cell)(profile) as cell, reacting(cell, control) as reaction:
         opened(cell)
         cell.require_tracker()
         mover = Mover(profile, cell, bodies, reaction)
         mover.confirm_first(homes, confirm)
-        slow = profile.collection.slow_start
-        slow_targets = slow.stops if profile.moves_hardware else 0
-        mover.speed = slow.speed if slow_targets else 1.0
+        mover.speed = _speed(profile, 0)
         mover.go_home()
         visit = TargetVisit(
             model=model,
@@ -108,15 +102,34 @@ def push(
             rounds=rounds,
             repeatability_m=repeatability_m or {},
         )
-        for done, (name, own) in enumerate(by_target.items()):
-            hold_while_paused(cell, control, reaction)
-            mover.speed = slow.speed if done < slow_targets else 1.0
-            listener(Progress("push", done, len(by_target), name))
-            found = visit.to(own)
-            visited.add(found, verify=verify)
-            agreement.add(found.contradictions())
-            if stopped := agreement.broken(ended=done + 1 == len(by_target)):
-                break
+        stopped = _visit_all(visit, profile, commands, visited, listener)
         mover.go_home()
-    listener(Progress("push", len(by_target), len(by_target), "done"))
+    total = len(dict.fromkeys(command.target.name for command in commands))
+    listener(Progress("push", total, total, "done"))
     return visited.result(stopped)
+
+
+def _visit_all(
+    visit: TargetVisit, profile: Profile, commands: Sequence[Command], visited: Visited, listener: Listener
+) -> str:
+    """Visit all targets in their order; return why some are left out, because measurements contradict the model."""
+    by_target: dict[str, list[Command]] = {}
+    for command in commands:
+        by_target.setdefault(command.target.name, []).append(command)
+    agreement, total = Agreement(), len(by_target)
+    for done, (name, own) in enumerate(by_target.items()):
+        visit.hold()
+        visit.driver.mover.speed = _speed(profile, done)
+        listener(Progress("push", done, total, name))
+        found = visit.to(own)
+        visited.add(found, verify=visit.verify)
+        agreement.add(found.contradictions())
+        if stopped := agreement.broken(ended=done + 1 == total):
+            return stopped
+    return ""
+
+
+def _speed(profile: Profile, done: int) -> float:
+    """Share of the profile's speed after some targets: the first ones are visited slowly, on real hardware only."""
+    slow = profile.collection.slow_start
+    return slow.speed if profile.moves_hardware and done < slow.stops else 1.0

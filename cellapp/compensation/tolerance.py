@@ -41,7 +41,7 @@ def length_bounds(covariance: Array) -> tuple[Array, Array]:
 
 
 def predicted_verdict(low_mm: float, high_mm: float, tolerance_mm: float | None) -> ToleranceVerdict:
-    """Judge a compensated command before it is driven, by the true position of the SMR, without noise of measuring.
+    """Judge a compensated command before it is driven, by the true position of the SMR, without the tracker's noise.
 
     The model expects the SMR at the target. ``low_mm`` and ``high_mm`` are the ``length_bounds`` of its error. "in":
     with 95 % probability the error is within ``tolerance_mm``; "out": with 95 % probability it is beyond; "cannot say":

@@ -246,10 +246,11 @@ def rms_error_m(rest: Rest) -> float:
 
 
 def disagreement(found: Sequence[Measured], within_mm: float | None) -> str:
-    """Why the measurements at one target contradict the model, in words; empty if one of them agrees."""
+    """Why the measurements at one target contradict the model, in words; empty if one of them agrees, or if none can
+    be judged because its prediction is not finite."""
     allowed_m = max(_FAR_M, _FAR_RATIO * (within_mm or 0.0) * 1e-3)
-    nearest_m = min((one.unexpected_m for one in found), default=0.0)
-    if nearest_m <= allowed_m:  # a prediction that is no number agrees with nothing
+    nearest_m = min((one.unexpected_m for one in found if np.isfinite(one.unexpected_m)), default=0.0)
+    if nearest_m <= allowed_m:
         return ""
     return f"measured {nearest_m * 1e3:.2f} mm from where the model expects it, at most {allowed_m * 1e3:.2f} mm fits"
 

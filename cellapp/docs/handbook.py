@@ -23,6 +23,7 @@ CHAPTERS: Mapping[str, str] = {
     "terminal": "the terminal application: a day, its screens and its keys",
     "targets": "targets of calibrated arms: lists, verdicts, uncertainty, measuring them",
     "exports": "calibrated arms for other programs, and what their files cannot hold",
+    "paths": "lines and arcs that the true SMR follows: the file, driving, measuring",
     "programs": "programs of UR controllers, corrected so that the real arm reaches their targets",
 }
 """Name and subject of each chapter, a Markdown file of this package."""

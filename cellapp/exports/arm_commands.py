@@ -68,7 +68,7 @@ def exported_commands(
 
 
 def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[TargetCommand]) -> tuple[TargetCommand, ...]:
-    """Commands as verification left them: what was driven last, with the rest of what was computed for that target.
+    """Commands as verification left them: corrected by measuring where that was better, else as they were computed.
 
     Raises
     ------
@@ -84,11 +84,20 @@ def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[Target
                 f"export: target '{one.name}' of arm '{one.arm}' was verified, but other targets were compensated"
                 " since; nothing was written. Leave --stage out, or push these targets again"
             )
-        found.append(record if one.q is None else record.model_copy(update={"q_compensated": one.q}))
+        found.append(_corrected(record, one))
     return tuple(found)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _corrected(record: TargetCommand, one: MeasuredTarget) -> TargetCommand:
+    """The command with its correction, which holds for the side from which it was measured."""
+    if one.q_corrected is None:
+        return record
+    unknown = tuple(condition for condition in record.unknown if condition.condition != "approach")
+    kept = {"q_compensated": one.q_corrected, "approach": one.approach, "unknown": unknown}
+    return record.model_copy(update=kept)
 
 
 def _way(

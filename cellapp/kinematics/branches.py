@@ -11,6 +11,8 @@ from cellapp.kinematics.sampled_inverse import position_solutions, sampled_confi
 from cellapp.kinematics.transforms import Array
 
 _TURN = 2.0 * np.pi
+_ROUNDING = 1e-9
+"""Joint positions [rad] may exceed a limit by rounding, as the safety gate allows."""
 
 
 def all_branches(
@@ -67,7 +69,7 @@ def turned_into(q: Array, limits: Array, to: Array) -> tuple[Array, Array]:
         By how much that exceeds them [rad]; zero within.
     """
     low, high = limits.T
-    fewest, most = np.ceil((low - q) / _TURN), np.floor((high - q) / _TURN)
+    fewest, most = np.ceil((low - _ROUNDING - q) / _TURN), np.floor((high + _ROUNDING - q) / _TURN)
     inside = q + _TURN * np.clip(np.round((to - q) / _TURN), fewest, np.maximum(fewest, most))
     above, below = q + _TURN * fewest - high, low - q - _TURN * most
     outside = np.where(above <= below, q + _TURN * fewest, q + _TURN * most)

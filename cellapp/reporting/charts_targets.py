@@ -66,7 +66,7 @@ def bound_chart(verify: VerifyResult) -> Chart:
             drawn.append(series(f"arm {name}", drawable_mm(bound), drawable_mm(error), "points", style=style))
     if not drawn:
         return Chart(title, x, y, (), "No measured target has a predicted bound.")
-    ends = np.concatenate([one.x for one in drawn])
+    ends = np.concatenate([values for one in drawn for values in (one.x, one.y)])  # bounds alone are much alike
     diagonal = np.array([ends.min(), ends.max()])
     drawn.append(series("error = bound", diagonal, diagonal, "line", style=len(STAGE_STYLES) + 1, mark=":"))
     message = f"{promise_words(verify)[0].capitalize()}: 95 % are to be expected."

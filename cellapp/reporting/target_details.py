@@ -119,7 +119,7 @@ def _command_lines(command: TargetCommand) -> Iterator[str]:
         yield f"{arm}: the model meets the target within {residual}"
     if command.approach is not None:
         offered = any(one.condition == "approach" for one in command.unknown)
-        what = "an approach that would be known, if the target states it" if offered else "made for the approach"
+        what = "made for the middle of both sides; offered approach" if offered else "made for the approach"
         yield f"{arm}: {what}: {side_words(command.approach)}"
     if command.note:
         yield f"{arm}: {command.note}"
@@ -146,7 +146,7 @@ def _measured_lines(measured: MeasuredTarget) -> Iterator[str]:
         bound = f"; {kept} the predicted bound of {measured.within_mm:.4f} mm"
     yield f"{arm}: measured {error:.4f} mm from the target{before}{bound}"
     if measured.rounds_mm:
-        yield f"{arm}: by the model alone and after each correction: {_rounds(measured.rounds_mm)} mm"
+        yield f"{arm}: {_rounds(measured.rounds_mm)}"
     if measured.verdict:
         yield f"{arm}: {measured.verdict} of tolerance" if measured.verdict == "out" else f"{arm}: within tolerance"
 
@@ -165,11 +165,13 @@ def _pair_lines(state: TargetState) -> Iterator[str]:
     verdict = {"in": "; within tolerance", "out": "; out of tolerance"}.get(pair.verdict, "")
     yield f"arms {arms}: distance{wanted} off by {error:.4f} mm{before}{verdict}"
     if pair.rounds_mm:
-        yield f"arms {arms}: by the model alone and after each correction: {_rounds(pair.rounds_mm)} mm"
+        yield f"arms {arms}: {_rounds(pair.rounds_mm)}"
 
 
 def _rounds(rounds_mm: Sequence[float]) -> str:
-    return " -> ".join(f"{mm:.4f}" for mm in rounds_mm)
+    if len(rounds_mm) == 1:
+        return "nothing was left to correct: noise explains the error"
+    return f"by the model alone and after each correction: {' -> '.join(f'{mm:.4f}' for mm in rounds_mm)} mm"
 
 
 def _point_tables(measured: MeasuredTarget) -> Iterator[Table]:
@@ -192,7 +194,7 @@ def _point_tables(measured: MeasuredTarget) -> Iterator[Table]:
 
 
 def _mm(point: Point) -> tuple[float, ...]:
-    return tuple(value * 1e3 for value in point)
+    return tuple(round(value * 1e3, 6) + 0.0 for value in point)  # no -0.0
 
 
 def _difference(name: str, last: Point, first: Point) -> tuple[Cell, ...]:

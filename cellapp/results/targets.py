@@ -32,7 +32,7 @@ class TargetRecord(Record):
 
 
 class UncertaintyParts(Record):
-    """Standard uncertainty of a coordinate of the SMR at a command by its sources [mm].
+    """Standard uncertainty of a coordinate of the SMR at a command by its sources [mm]; all but noise are independent.
 
     ``extrapolation`` is what the command's distance from the measured joint ranges adds; ``noise`` is the scatter of
     the readings about the model: tracker and repeatability; ``conditions`` is what unknown working conditions add.
@@ -72,17 +72,19 @@ class TargetCommand(TargetRecord):
     note : str
         What to know about a command that is not refused.
     uncertainty_mm : float or None
-        Standard uncertainty of a coordinate of the SMR, without noise; None where the model states none.
+        Standard uncertainty of a coordinate of the SMR under any plausible conditions, without noise; None where the
+        model states none.
     parts : UncertaintyParts or None
     within_mm : float or None
-        Distance from the target that a measurement keeps with 95 % probability.
+        Distance from the target that a measurement keeps with 95 % probability under the conditions that the command
+        was made for, approached from the side that it is corrected for: as ``push --verify`` measures.
     unknown : sequence of UnknownCondition
     approach : signs or None
         Sign of each joint's last motion, 0 where it does not matter: those that the target states, for which the
         command was made; else, where ``unknown`` names the approach, those that are offered: the command itself is at
         the middle of both sides.
     verdict : str
-        Prediction from the uncertainty.
+        Prediction for the true position under any plausible conditions, the arm's repeatability included.
     """
 
     refusal: str

@@ -111,7 +111,7 @@ class Evidence:
         return float(-0.5 * self.left @ solved - np.sum(np.log(np.diag(factor))))
 
     def drifts(self, start: Drifts | None = None) -> Drifts:
-        """The drifts and the scatter of the greatest likelihood; of two starts the better one."""
+        """The drifts and the scatter of the greatest likelihood, searched from ``start``."""
         parts = list(self.drift)
         bounds = [
             *((math.log(_NO_DRIFT), math.log(_MOST_DRIFT[part])) for part in parts),

@@ -73,8 +73,8 @@ def _same_arm(run: RunFile, earlier: RunFile, name: str) -> tuple[str, ...]:
     now, then = recorded_controllers(run).get(name), recorded_controllers(earlier).get(name)
     if now is None or then is None:
         return (
-            f"arm '{name}': {_who_is_unknown(now, then)} controller is not known; that {earlier.folder} is of the same"
-            " arm is taken from you",
+            f"arm '{name}': {_who_knows(now, then)} knows its controller; that {earlier.folder} is of the"
+            " same arm is taken from you",
         )
     for what, a, b in (("model", then.model, now.model), ("serial number", then.serial, now.serial)):
         if a and b and a != b:
@@ -84,10 +84,10 @@ def _same_arm(run: RunFile, earlier: RunFile, name: str) -> tuple[str, ...]:
     return ()
 
 
-def _who_is_unknown(now: ControllerIdentity | None, then: ControllerIdentity | None) -> str:
+def _who_knows(now: ControllerIdentity | None, then: ControllerIdentity | None) -> str:
     if now is None and then is None:
-        return "neither run's"
-    return "this run's" if now is None else "the earlier run's"
+        return "neither this nor the earlier run"
+    return "only the earlier run" if now is None else "only this run"
 
 
 def _earlier(run: RunFile, stage: StoredStage, name: str, notes: tuple[str, ...]) -> Earlier:

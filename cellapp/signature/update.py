@@ -134,23 +134,16 @@ def _changed(
 
 
 def _evidence(belief: Belief, model: ArmModel, judged: Measured) -> Evidence:
-    columns = model.geometry.joints
-    all_columns = tuple(sorted({*range(6), *belief.columns, *range(6 + 5 * columns, 9 + 5 * columns)}))
-    rows = design(model, judged, all_columns)
-    own = [place for place, column in enumerate(all_columns) if is_own(column, columns)]
-    own += range(len(all_columns), len(rows))
-    order = {column: place for place, column in enumerate(all_columns)}
-    own[: len(belief.columns)] = [order[column] for column in belief.columns]
-    free = [place for place, column in enumerate(all_columns) if not is_own(column, columns)]
-    stated = stated_uncertainty(judged.readings)
-    present = [part for part in dict.fromkeys(belief.parts)]
+    joints = model.geometry.joints
+    free = tuple(column for column in range(9 + 5 * joints) if not is_own(column, joints))
+    rows = design(model, judged, (*free, *belief.columns))
     return evidence(
-        free=rows[free],
-        own=rows[own],
+        free=rows[: len(free)],
+        own=rows[len(free) :],
         left=judged.left(model).T.ravel(),
         covariance=belief.covariance,
-        stated=_covariance_matrix(stated, len(judged)),
-        units={part: _units(belief, part) for part in present},
+        stated=_covariance_matrix(stated_uncertainty(judged.readings), len(judged)),
+        units={part: _units(belief, part) for part in dict.fromkeys(belief.parts)},
     )
 
 

@@ -165,7 +165,7 @@ def twin_trials(
     few_draws = [draw for draw in draws if draw.stops == few]
     many_mm = float(np.mean([draw.alone_mm for draw in draws if draw.stops == many]))
     reached = float(np.mean([draw.discovered_mm for draw in few_draws if draw.discovered_mm is not None]))
-    what = f"mean held-out error [mm] of {few} stops with the earlier calibration; {many} without: {many_mm:.4f}"
+    what = f"{few} stops with [mm], {many} without: {many_mm:.4f}"
     bar = SignatureBar(what=what, most=_AS_GOOD * many_mm, reached=reached, met=reached <= _AS_GOOD * many_mm)
     return SignatureResult(
         earlier_stops={cells[0].name: earlier}, lines=lines_of(draws), bars=(bar,), draws=tuple(draws)
@@ -261,7 +261,7 @@ def real_trials(
     lines = lines_of(draws)
     bars = [
         SignatureBar(
-            what=f"series {line.cell}, {line.stops} rows: worst error with the earlier calibration to that without",
+            what=f"series {line.cell}, {line.stops} rows: worst ratio",
             most=1.0,
             reached=line.worst_ratio or 1.0,
             met=line.worse == 0,

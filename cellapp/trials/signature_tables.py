@@ -9,9 +9,9 @@ _MM = ".4f"
 _WITHOUT = number_column("without", _MM)
 _ERRORS = (
     _WITHOUT,
-    number_column("calibrate --prior", _MM),
-    number_column("then discover", _MM),
-    number_column("arm exact", _MM),
+    number_column("with", _MM),
+    number_column("searched", _MM),
+    number_column("exact", _MM),
 )
 
 
@@ -32,7 +32,7 @@ def signature_tables(result: SignatureResult) -> list[Table]:
         )
         for line in result.lines
     )
-    judged = (number_column("worst to without", ".3f"), number_column("worse", "d"))
+    judged = (number_column("worst", ".3f"), number_column("worse", "d"))
     every = tuple(
         (
             draw.cell,
@@ -62,8 +62,9 @@ def signature_sentences(result: SignatureResult) -> list[str]:
     earlier = ", ".join(f"{name}: {stops}" for name, stops in result.earlier_stops.items())
     said = [
         f"Earlier calibration from so many stops: {earlier}. Without: calibrate and discover on the new stops alone."
-        " With: calibrate with the earlier run as prior, then discover. Arm exact: the earlier values are kept, only"
-        " base and tool are identified. Errors on stops that were not learned from."
+        " With: calibrate with the earlier run as prior; searched: then discover. Exact: the earlier values are kept,"
+        " only base and tool are identified. Worst: the largest ratio of searched to without; worse: draws with a ratio"
+        " above 1. Errors are means over stops that were not learned from."
     ]
     return said + [
         f"{draw.cell}, {draw.stops} stops, seed {draw.seed}, arm {draw.arm}: {change}"

@@ -22,9 +22,11 @@ _STEP_OF_VERB: Mapping[str, Step] = {
     "collect": "collect",
     "calibrate": "calibrate",
     "discover": "discover",
+    "locate": "targets",
     "compensate": "targets",
     "push": "targets",
     "verify": "targets",
+    "path": "targets",
 }
 
 

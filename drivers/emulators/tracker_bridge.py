@@ -31,8 +31,9 @@ from drivers.trackers.bridge_links import Link
 from drivers.trackers.bridge_server import TrackerService, is_loopback
 from drivers.trackers.bridge_wire import BadField, Line
 from drivers.trackers.bridge_worker import Reply
+from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.protocol import TrackerTimeout
-from drivers.trackers.simulated import Imperfections, SimulatedTracker
+from drivers.trackers.simulated import SimulatedTracker
 
 Fault = Literal["beam", "slow", "garbage", "truncate", "silence", "drop", "repeat", "reboot", "tracker-reboot"]
 FAULTS: tuple[Fault, ...] = get_args(Fault)

@@ -343,8 +343,7 @@ class Plant:
     def servo(self, name: str, goal: Array, rate: float) -> None:
         """Let an arm follow ``goal`` (N,) [rad] from now on, with the lag ``rate`` [1/s] of ``ServoMotion``.
 
-        Called once in each control cycle with the next goal of a stream; the arm may be at rest or follow one already.
-        Raises ``ValueError`` in another motion.
+        Called in each control cycle of a stream. Raises ``ValueError`` in another motion.
         """
         arm = self._arm(name)
         if (ended := follow(arm, goal, self._clock_s, rate, self.config.repeatability)) and self._executed is not None:

@@ -16,6 +16,7 @@ from drivers.plant.clearance import segment_distances
 from drivers.plant.lines import carry, rigid
 from drivers.plant.mechanism import Posture, nominal
 from drivers.plant.optics import why_hidden
+from drivers.trackers.imperfections import PERFECT, Imperfections, refractivity
 from drivers.trackers.protocol import (
     Face,
     Halted,
@@ -57,43 +58,6 @@ _STANDARD_AIR = (20.0, 1013.25, 50.0)
 """Temperature [degC], pressure [hPa] and humidity [%] without a weather station."""
 
 
-@dataclass(frozen=True)
-class Imperfections:
-    """Errors of the tracker itself. The defaults are a tracker with the noise of its specification alone.
-
-    Attributes
-    ----------
-    warm_up_rad, warm_up_m : array (3,), float
-        Pointing error as a rotation vector in M [rad], and distance error [m], just after switching on; both decay with
-        the time constant ``warm_up_s``.
-    laser_s : float
-        Warm-up time of the laser, before which nothing can be measured [s].
-    collimation_rad, index_rad : float
-        Errors of azimuth and elevation that change sign with the face [rad]; the first increases towards the zenith.
-    tilt_rad : tuple of two float
-        Tilt of the tracker, as its level reports it [rad].
-    weather_station : bool
-        Whether it measures the air. Otherwise it corrects for the values of ``prepare``, or for standard air.
-    pressure_hpa, humidity_percent : float
-        Pressure and humidity of the true air; its temperature is the plant's.
-    clock_offset_s, clock_rate : float
-        Its own clock against the plant's: ``offset + (1 + rate) t``.
-    """
-
-    warm_up_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    warm_up_m: float = 0.0
-    warm_up_s: float = 2400.0
-    laser_s: float = 0.0
-    collimation_rad: float = 0.0
-    index_rad: float = 0.0
-    tilt_rad: tuple[float, float] = (0.0, 0.0)
-    weather_station: bool = True
-    pressure_hpa: float = 1013.25
-    humidity_percent: float = 50.0
-    clock_offset_s: float = 0.0
-    clock_rate: float = 0.0
-
-
 @dataclass(frozen=True, eq=False)
 class _Smr:
     """An SMR: its owner in words, its arm (None: a nest), position (3,) [m] in M, why it is hidden ("" if visible)."""
@@ -103,16 +67,6 @@ class _Smr:
     p_M: Vector
     hidden: str
     moving: bool = False
-
-
-def refractivity(temperature_c: float, pressure_hpa: float, humidity_percent: float) -> float:
-    """Return n - 1 of moist air at 633 nm: density of an ideal gas, and Edlen's term for water vapour.
-
-    Within 0.3 ppm of Ciddor (1996) between 10 and 30 degC: 271.4e-6 at 20 degC, 1013.25 hPa, 50 %.
-    """
-    vapour_hpa = 0.01 * humidity_percent * 6.1078 * math.exp(17.27 * temperature_c / (temperature_c + 237.3))
-    dry = 271.8e-6 * (pressure_hpa / 1013.25) * 293.15 / (273.15 + temperature_c)
-    return dry - 3.63e-8 * vapour_hpa
 
 
 class SimulatedTracker:
@@ -133,7 +87,7 @@ class SimulatedTracker:
     def __init__(
         self,
         plant: Plant,
-        imperfections: Imperfections = Imperfections(),
+        imperfections: Imperfections = PERFECT,
         *,
         nests: Mapping[str, Vector] | None = None,
         wrong_target_m: float | None = None,

@@ -252,6 +252,17 @@ SHOWN = {
 
 
 @pytest.mark.fast
+def test_all_about_one_target_is_shown(work: Path, call: Any) -> None:
+    ended = call("show", "done", "targets", "--target", "left-01", "--json", "one.json")
+    assert ended.code == 0, ended.err
+    assert "standard uncertainty of a coordinate" in ended.out
+    assert "mm with the nominal command" in ended.out
+    assert [target["name"] for target in json.loads((work / "one.json").read_text("utf-8"))["targets"]] == ["left-01"]
+    one_sentence(call("show", "done", "targets", "--target", "nobody"), "no compensated target 'nobody' is stored")
+    one_sentence(call("show", "done", "plan", "--target", "left-01"), "--target belongs to 'targets'")
+
+
+@pytest.mark.fast
 def test_looking_changes_no_byte(work: Path, call: Any) -> None:
     with RunFile.open(work / "done", write=True) as run:
         run.log("warning", "the first line")
@@ -558,6 +569,8 @@ BAD = [
     (None, "compare done nothing", ["nothing: run folder not found"]),
     (newer, "compare done collected", ["written by a newer cellapp (schema 99"]),
     (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-plan, "]),
+    (None, "push done targets.yaml --verify --iterate 0", ["--iterate: expected 1 to 20 rounds, got 0"]),
+    (None, "push done targets.yaml --iterate 2", ["--iterate corrects what was measured; add --verify"]),
     (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
     (None, "push done twin.yaml", ["twin.yaml:7: schema: "]),
     (None, "export planned --csv out.csv", ["holds no readings yet"]),

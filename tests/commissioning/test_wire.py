@@ -22,13 +22,16 @@ import pytest
 
 from cellapp.collection.collect import collect_run
 from cellapp.commissioning.emulate import EmulatedTracker, emulate, emulated_arms
-from cellapp.pipeline import calibrate_run, new_planned_run
+from cellapp.model import CellModel
+from cellapp.pipeline import calibrate_run, new_planned_run, push_run
 from cellapp.profile import Profile, profile_from_json, profile_to_json
 from cellapp.progress import CancelToken
-from cellapp.results import CalibrateResult
+from cellapp.results import CalibrateResult, VerifyResult
 from cellapp.run import Readings
+from cellapp.run.stages import CALIBRATION_FILE
 from drivers.arms.ur_settings import UrSettings
 from drivers.trackers.bridge_settings import BridgeSettings
+from tests.compensation.pairs import pair_targets
 from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES, small_twin
 
@@ -87,16 +90,19 @@ def emulated(profile: Profile) -> Iterator[int]:
     assert process.exitcode == 0
 
 
-def collected(profile: Profile, folder: Path) -> tuple[dict[str, Readings], CalibrateResult]:
+def collected(profile: Profile, folder: Path) -> tuple[dict[str, Readings], CalibrateResult, VerifyResult]:
+    """What was read, its calibration, and a cooperative target at the last stop that is measured and corrected."""
     with new_planned_run(profile, folder) as run:
         collect_run(run)
-        return {name: run.readings(name) for name in run.arms()}, calibrate_run(run)
+        readings, calibrated = {name: run.readings(name) for name in run.arms()}, calibrate_run(run)
+        targets = pair_targets(run, CellModel.load(folder / CALIBRATION_FILE), [STOPS - 1])
+        return readings, calibrated, push_run(run, targets, verify=True, iterate=1)
 
 
 def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_twin(tmp_path: Path) -> None:
     twin = small_twin(STOPS)
     twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
-    direct, its = collected(twin, tmp_path / "direct")
+    direct, its, verified = collected(twin, tmp_path / "direct")
     served = twin.model_copy(
         update={"tracker": twin.tracker.model_copy(update={"driver": BridgeSettings(url="socket://127.0.0.1:50960")})}
     )
@@ -107,7 +113,9 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
         }
         bridge = BridgeSettings(url=f"socket://127.0.0.1:{port}")
         tracker = twin.tracker.model_copy(update={"driver": bridge})
-        wired, ours = collected(twin.model_copy(update={"arms": arms, "tracker": tracker}), tmp_path / "wired")
+        wired, ours, over_wire = collected(
+            twin.model_copy(update={"arms": arms, "tracker": tracker}), tmp_path / "wired"
+        )
     assert list(wired) == list(direct) == ["left", "right"]
     for name in direct:
         assert len(wired[name].q) == STOPS
@@ -122,6 +130,11 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
             assert estimate.standard_error is not None
             assert abs(found[parameter].value - estimate.value) < 1e-3 * estimate.standard_error
             assert found[parameter].standard_error == pytest.approx(estimate.standard_error, rel=1e-3)
+    for verification in (verified, over_wire):
+        assert [target.note for target in verification.targets] == ["", ""]
+        assert max(target.final_mm for target in verification.targets if target.final_mm is not None) < 0.1
+        assert verification.pairs[0].final_mm is not None
+        assert verification.pairs[0].final_mm < 0.1
 
 
 # -- as a user does it -------------------------------------------------------------------------------------------------

@@ -43,6 +43,8 @@ def test_the_statement_is_found_again_and_scatter_beyond_it_is_added() -> None:
     np.testing.assert_allclose(noise.covariance(elsewhere, as_stated), stated(elsewhere), rtol=1e-6, atol=1e-16)
     more = noise.covariance(elsewhere, np.hypot(as_stated, 2e-5))
     np.testing.assert_allclose(more - stated(elsewhere), np.tile(4e-10 * np.eye(3), (10, 1, 1)), atol=1e-16)
+    assert noise.excess(np.hypot(as_stated, 2e-5)) == pytest.approx(4e-10, rel=1e-6)
+    assert noise.excess(0.5 * as_stated) == 0.0
     less = noise.covariance(elsewhere, 0.5 * as_stated)
     np.testing.assert_allclose(less, 0.25 * stated(elsewhere), rtol=1e-6, atol=1e-16)
 

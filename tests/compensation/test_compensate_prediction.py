@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cellapp.compensation.measuring_noise import MeasuringNoise
 from cellapp.compensation.prediction import outside_notes, predictions, spread_of
 from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.tolerance import length_bounds, predicted_verdict
@@ -192,6 +193,20 @@ def test_beyond_the_readings_extrapolation_is_a_part_of_its_own(arm: ArmModel) -
     np.testing.assert_allclose(np.trace(bare.of_model[0]), 3.0 * arm.uncertainty(far)[0] ** 2)
     notes = outside_notes(np.vstack([near, far]), ranges, [None, None])
     assert notes == ["", "outside the calibrated joint ranges: joint 1 by 27 deg"]
+
+
+def test_repeatability_belongs_to_the_true_position_and_the_trackers_noise_does_not(arm: ArmModel) -> None:
+    q = configurations(1)
+    tolerance = [0.045]
+    exact = MeasuringNoise(along=(1.5e-5, 0.0), across=(1.5e-5, 0.0), typical=1.5e-5**2)
+    better = MeasuringNoise(along=(1e-6, 0.0), across=(1e-6, 0.0), typical=1e-12)
+    (of_tracker,) = predictions(arm, q, NOTHING, tolerance, HOME, ConditionRanges(noise=exact))
+    (of_arm,) = predictions(arm, q, NOTHING, tolerance, HOME, ConditionRanges(noise=better))
+    assert of_tracker is not None
+    assert of_arm is not None
+    assert of_tracker.within_mm == pytest.approx(of_arm.within_mm, rel=1e-6)
+    assert of_tracker.uncertainty_mm == of_arm.uncertainty_mm
+    assert (of_tracker.verdict, of_arm.verdict) == ("in", "cannot say")
 
 
 def test_ranges_of_a_run(run: RunFile) -> None:

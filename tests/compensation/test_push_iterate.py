@@ -80,7 +80,7 @@ def test_rounds_fall_to_what_tracker_and_repeatability_allow(
         assert target.corrected_mm == min(target.rounds_mm)
         assert command.q_compensated is not None
         assert 0.0 < np.abs(np.subtract(target.q_corrected, command.q_compensated)).max() < 1e-2
-    assert any(line.startswith("arm left: mean error with the model alone ") for line in verify_lines(found))
+    assert any(line.startswith("the model alone came to ") for line in verify_lines(found))
 
 
 def test_both_arms_of_a_pair_are_corrected(run: RunFile, geometric: CellModel) -> None:

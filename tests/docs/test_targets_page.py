@@ -31,7 +31,7 @@ def test_the_commands_do_what_the_page_says(
     shutil.copytree(finished_run, "logs/my-run")
     Path("holes.yaml").write_text(blocks("yaml")[0], encoding="utf-8")
     commands = [line for block in blocks("sh") for line in block.splitlines()]
-    assert len(commands) == 6
+    assert len(commands) == 8
     schemas = []
     for command in commands:
         program, *arguments = shlex.split(command)
@@ -40,7 +40,7 @@ def test_the_commands_do_what_the_page_says(
         out = any(target.get("verdict") == "out" for target in found.get("targets", ()))
         assert (program, ended.exit_code) == ("cellapp", 1 if "push" in command and out else 0), ended.exception
         schemas.append(found["schema"])
-    assert schemas == [*["cellapp-compensate"] * 3, *["cellapp-verify"] * 2, "cellapp-locate"]
+    assert schemas == [*["cellapp-compensate"] * 3, *["cellapp-verify"] * 2, *["cellapp-locate"] * 3]
 
 
 @pytest.mark.fast

@@ -12,10 +12,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cellapp.compensation.command import command_record
+from cellapp.compensation.compensate import compensate
 from cellapp.compensation.goals import goals_of_arm
+from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.errors import InputError
-from cellapp.exports.arm_commands import ArmCommands, ExportedCommand
+from cellapp.exports.arm_commands import ArmCommands, ExportedCommand, exported_commands, final_commands
 from cellapp.exports.formats import COMMAND_FORMATS
 from cellapp.exports.run_commands import export_commands
 from cellapp.exports.run_export import export_as_run
@@ -25,10 +28,11 @@ from cellapp.model import CellModel
 from cellapp.pipeline import compensate_run
 from cellapp.profile import load_profile
 from cellapp.programs.script_targets import read_script
-from cellapp.results import ExportResult, TargetCommand
+from cellapp.results import CALIBRATE, ExportResult, TargetCommand
 from cellapp.run import RunFile
 from cellapp.run.stages import CALIBRATION_FILE, read_stages
-from cellapp.safety.cell_bodies import home_positions
+from cellapp.run.stored_model import model_of
+from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from tests.twin import PROFILES
 
 Array = NDArray[np.float64]
@@ -123,12 +127,37 @@ def test_what_verification_drove_last_is_written(finished_copy: Path, tmp_path: 
             last, computed = (rows_of(Path(one.file)) for one in (file, before.commands[name]))
             assert [row["name"] for row in last] == [row["name"] for row in computed]
             off = [np.abs(positions(a, "q") - positions(b, "q")).max() for a, b in zip(last, computed, strict=True)]
-            assert max(off) < 1e-3, "they differ by the play of joints at most"
+            assert max(off) == 0.0, "nothing was corrected"
         targets = load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[4:5]
         compensate_run(run, targets)
         with pytest.raises(InputError, match="other targets were compensated since; nothing was written"):
             export_as_run(run, "commands", tmp_path / "never.csv", None, "verify")
     assert not list(tmp_path.glob("never*"))
+
+
+def test_corrections_by_measuring_are_written_for_the_side_they_were_measured_from(
+    finished_copy: Path, tmp_path: Path
+) -> None:
+    """The calibration is used without the effects that were found, so that every target is corrected."""
+    with RunFile.open(finished_copy) as run:
+        model = model_of(run, read_stages(run).current[CALIBRATE])
+        targets = load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[:2]
+        commands = compensate(run.profile, model, targets)
+        found = push(run.profile, model, commands, verify=True, rounds=2)
+    computed = [command_record(command) for command in commands]
+    written = final_commands(found.targets, computed)
+    assert [one.q_corrected is None for one in found.targets] == [False, False]
+    for one, before, after in zip(found.targets, computed, written, strict=True):
+        assert (after.q_compensated, after.approach) == (one.q_corrected, one.approach)
+        assert (after.q_nominal, after.position) == (before.q_nominal, before.position)
+    homes = home_positions(run.profile)
+    exported = exported_commands(written, "left", model, cell_bodies(run.profile, model), homes)
+    for one, command in zip(found.targets, exported, strict=True):
+        assert command.refusal == ""
+        back, there = command.way
+        np.testing.assert_array_equal(there, one.q_corrected)
+        assert one.approach is not None
+        assert np.array_equal(np.sign(there - back), one.approach)
 
 
 @pytest.mark.parametrize("form", COMMAND_FORMATS)

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellapp.compensation.path_file import PathSpec, load_paths
 from cellapp.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.errors import InputError
-from cellapp.kinematics.chain import parameter_names
-from cellapp.kinematics.transforms import rotation_zyx
+from cellapp.kinematics.chain import flange_poses, parameter_names, smr_positions
+from cellapp.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.model import ArmModel, CellModel
 from cellapp.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.paths.cartesian import CartesianPath, cartesian_path
@@ -23,7 +25,7 @@ from cellapp.paths.lag import lag, rehearsed
 from cellapp.paths.pieces import Arc
 from cellapp.paths.plan_path import PathPlan, plan_path
 from cellapp.paths.timing import Rates
-from cellapp.profile import Profile
+from cellapp.profile import Profile, load_profile
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import refuse_stop
 from drivers.plant.servo import ServoMotion
@@ -42,7 +44,11 @@ def profile() -> Profile:
 
 @pytest.fixture(scope="module")
 def model(profile: Profile) -> CellModel:
-    """A calibrated cell: every arm's geometry is some 0.3 mm off the published one; both have backlash."""
+    return calibrated(profile)
+
+
+def calibrated(profile: Profile) -> CellModel:
+    """A calibrated cell: every arm's geometry is some 0.3 mm off the published one; all have backlash."""
     rng = np.random.default_rng(5)
     arms = {}
     for name, arm in profile.arms.items():
@@ -55,7 +61,12 @@ def model(profile: Profile) -> CellModel:
         real = nominal.with_vector(nominal.vector() + 0.3 * sizes * rng.standard_normal(len(names)))
         plays = tuple(f"half_play{j + 1}" for j in range(nominal.joints))
         term = EffectTerm(
-            "backlash", plays, np.full(6, 1e-4), np.full(6, 1e-6), ("rad",) * 6, EFFECTS["backlash"].law()
+            "backlash",
+            plays,
+            np.full(len(plays), 1e-4),
+            np.zeros(len(plays)),
+            ("rad",) * len(plays),
+            EFFECTS["backlash"].law(),
         )
         arms[name] = ArmModel(real, nominal, bodies_of(arm), up_in_tracker(profile), (term,))
     return CellModel(arms)
@@ -243,9 +254,9 @@ def test_a_rehearsal_takes_out_what_the_lag_cuts(profile: Profile, model: CellMo
     motion, q = None, []
     for row in sent.q:  # as a controller follows, one position in each cycle
         now = 0.0 if motion is None else motion.start_s + PERIOD_S
-        here, speed = (sent.q[0], np.zeros(6)) if motion is None else at_time(motion, now)[:2]
-        q.append(here)
-        motion = ServoMotion.towards(row, now, here, speed, 66.7)
+        here = (sent.q[0], np.zeros(6)) if motion is None else at_time(motion, now)
+        q.append(here[0])
+        motion = ServoMotion.towards(row, now, here[0], here[1], 66.7)
     followed = np.array(q)
     plain = lag(model.arms["left"], sent, sent.time_s, followed)
     assert plain is not None
@@ -263,6 +274,29 @@ def test_a_rehearsal_takes_out_what_the_lag_cuts(profile: Profile, model: CellMo
 def at_time(motion: ServoMotion, time_s: float) -> tuple[np.ndarray, np.ndarray]:
     now = np.array([time_s])
     return motion.position(now)[0], motion.velocity(now)[0]
+
+
+def test_a_single_arm_of_seven_joints_follows_too(tmp_path: Path) -> None:
+    shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
+    content = yaml.safe_load((tmp_path / "twin.yaml").read_text("utf-8"))
+    arm = content["arms"]["left"]
+    arm.update(type="arms/seven-joint.yaml", home=[0.0, 0.3, 0.0, -1.2, 0.0, 0.6, 0.0])
+    content["arms"], content["plant"]["effects"] = {"left": arm}, {}
+    for section in ("pair", "targets"):
+        content.pop(section, None)
+    (tmp_path / "seven.yaml").write_text(yaml.safe_dump(content), "utf-8")
+    alone = load_profile(tmp_path / "seven.yaml")
+    model = calibrated(alone)
+    geometry = model.arms["left"].geometry.with_T_M_B(np.eye(4))
+    home = np.array([arm["home"]])
+    smr, flange = smr_positions(geometry, home)[0], flange_poses(geometry, home)[0][0]
+    yaw, pitch, roll = zyx_angles(flange)
+    poses = [
+        {"position": smr.tolist(), "rpy": [roll, pitch, yaw]},
+        {"position": np.add(smr, (0.05, 0.1, -0.05)).tolist(), "blend": "10 mm"},
+        {"position": np.add(smr, (-0.05, 0.1, 0.0)).tolist()},
+    ]
+    assert_followed(alone, model, planned(alone, model, spec(poses=poses)))
 
 
 # -- refusals ---------------------------------------------------------------------------------------------------------

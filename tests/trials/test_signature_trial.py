@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from cellapp.cli.app import app
 from cellapp.collection.cell import build_plant
 from cellapp.errors import InputError
 from cellapp.profile import load_profile
@@ -17,14 +19,17 @@ PROFILES = Path(__file__).parents[2] / "profiles"
 
 
 @pytest.fixture(scope="module")
-def result() -> SignatureResult:
-    twin = load_profile(PROFILES / "twin.yaml")
-    return twin_trials(twin, [0], earlier=120, few=20, many=60, held_out=30)
+def result(tmp_path_factory: pytest.TempPathFactory) -> SignatureResult:
+    """By the command, on few stops."""
+    file = tmp_path_factory.mktemp("signature") / "result.json"
+    sizes = ["--seeds", "1", "--earlier", "80", "--few", "20", "--many", "40", "--held-out", "30"]
+    CliRunner().invoke(app, ["trials", "signature", str(PROFILES / "twin.yaml"), *sizes, "--json", str(file)])
+    return SignatureResult.from_json(file.read_text("utf-8"), "result")
 
 
 def test_few_stops_with_the_earlier_calibration_beat_few_without(result: SignatureResult) -> None:
     few, many = result.lines
-    assert (few.stops, few.draws, many.stops, many.draws) == (20, 2, 60, 2)
+    assert (few.stops, few.draws, many.stops, many.draws) == (20, 2, 40, 2)
     assert few.discovered_mm is not None
     assert few.discovered_mm < 0.8 * few.alone_mm
     assert few.discovered_mm < 1.15 * many.alone_mm
@@ -35,7 +40,7 @@ def test_few_stops_with_the_earlier_calibration_beat_few_without(result: Signatu
 def test_tables_state_every_draw_and_bar(result: SignatureResult) -> None:
     lines, draws, bars = signature_tables(result)
     assert (len(lines.rows), len(draws.rows), len(bars.rows)) == (2, 4, len(result.bars))
-    assert "twin: 120" in signature_sentences(result)[0]
+    assert "twin: 80" in signature_sentences(result)[0]
     assert SignatureResult.from_json(result.to_json(), "again") == result
 
 

@@ -38,6 +38,7 @@ from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.tui.dialogs.save_as import SaveAs
 from cellapp.tui.dialogs.target_form import TargetForm
+from cellapp.tui.offers import offer_paths
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens import targets_jobs
 from cellapp.tui.screens.base import DayScreen
@@ -88,6 +89,7 @@ Points to which the calibrated arms are sent. The list that the profile names is
   question takes how often each target is then corrected by measuring it. Each asks first; real arms ask again, with the
   first path.
 - **l** locates the tracker after it was moved: a few measured points, and the calibration holds again.
+- **f** turns a file of poses with speeds into paths of the calibrated model, drives and measures them if asked to.
 - **c** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true poses.
 - *tol.* is how far the SMR may be from the target. *state* says whether that is met: predicted from the uncertainty of
   the model (in, out, cannot say), or measured; or why the target is refused. *95 %* is the bound that a measured error
@@ -112,6 +114,7 @@ explains frames, conditions and verdicts.
         Binding("w", "save", "Save", tooltip="save the list (YAML)"),
         Binding("c", "correct", "Program", tooltip="correct the targets of a UR program; nothing moves"),
         Binding("l", "locate", "Locate", tooltip="measure where the moved tracker stands: THE ARMS MOVE"),
+        Binding("f", "follow", "Paths", show=False, tooltip="plan, drive or verify paths of lines and arcs"),
         Binding("a", "next_chart", "Next chart", show=False, tooltip="show the next chart of what was measured"),
         Binding("s", "attention", "Attention", show=False, tooltip="only targets that need attention, or all"),
         Binding("t", "next_tab", "Next tab"),
@@ -295,6 +298,10 @@ explains frames, conditions and verdicts.
     def action_locate(self) -> None:
         """Ask, then measure where the tracker stands after it was moved."""
         targets_jobs.ask_locate(self)
+
+    def action_follow(self) -> None:
+        """Ask for a path file and whether the arms follow it."""
+        offer_paths(self.cell_app)
 
     def action_correct(self) -> None:
         """Ask for a program and where its corrected copy is written."""

@@ -65,6 +65,14 @@ class StopRecord:
         return asdict(self)
 
 
+@dataclass
+class StopTrigger:
+    """Condition of a protective stop: the arm reaches ``speed`` [rad/s] or has moved by ``travel`` [rad]."""
+
+    speed: float = math.inf
+    travel: float = math.inf
+
+
 class Brakes:
     """The stops of one arm.
 

@@ -10,13 +10,12 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from drivers.emulators.ur_controller import poses, streamed
-from drivers.emulators.ur_controller.braking import Brakes
+from drivers.emulators.ur_controller.braking import Brakes, StopTrigger
 from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.motion import Array, Motions
 from drivers.emulators.ur_controller.personality import ControllerConfig
@@ -45,14 +44,6 @@ class Program(Protocol):
 
     def cycle(self, controller: Controller) -> bool:
         """Execute one control cycle; return whether the program continues. Raises ``ScriptError``."""
-
-
-@dataclass
-class _StopTrigger:
-    """Condition of a protective stop: the arm reaches ``speed`` [rad/s] or has moved by ``travel`` [rad]."""
-
-    speed: float = math.inf
-    travel: float = math.inf
 
 
 class Controller:
@@ -107,7 +98,7 @@ class Controller:
         self._protective_stop_s = -math.inf
         self._release_s = math.inf
         self._mode_due: list[tuple[float, RobotMode]] = []
-        self._stop_trigger = _StopTrigger()
+        self._stop_trigger = StopTrigger()
         self._move_from = np.zeros(6)
         self._rest_since_s = -math.inf
         self._temperature_due_s = -math.inf
@@ -225,23 +216,23 @@ class Controller:
 
     def _start(self, goal: Array, speed: Array, acceleration: Array) -> None:
         self._goal = (goal, speed, acceleration)
-        self._move_from = self.motions.q(self.name)
+        self._note_start()
         self.motions.start_move(self.name, goal, speed, acceleration)
         self.motions.scale_speed(self.name, self.slider.scaling)
         self._was_moving = True  # at a high pace the motion may end before the next cycle
+
+    def _note_start(self) -> None:
+        self._move_from = self.motions.q(self.name)
         self.moves += 1
         self.began_s.append(self._monotonic())
 
     def follow(self, q: Sequence[float], rate: float) -> None:
         """Follow a position of a stream with the lag ``rate`` [1/s]; an arm that brakes does not."""
-        if self.brakes.braking:
-            return
-        if not self.moving:
-            self._move_from = self.motions.q(self.name)
-            self.moves += 1
-            self.began_s.append(self._monotonic())
-        self.motions.servo(self.name, np.array(q, dtype=np.float64), rate)
-        self._was_moving = True
+        if not self.brakes.braking:
+            if not self.moving:
+                self._note_start()
+            self.motions.servo(self.name, np.array(q), rate)
+            self._was_moving = True
 
     def brake(self, deceleration: float | None = None) -> None:
         """Stop the arm like ``stopj`` at ``deceleration`` [rad/s^2], and forget its goal."""
@@ -311,7 +302,7 @@ class Controller:
         self._protective_stop_s = self.motions.clock_s
         self._release_s = math.inf
         self._uploaded = None
-        self._stop_trigger = _StopTrigger()
+        self._stop_trigger = StopTrigger()
         self.brakes.request("protective")
         if self.running:
             self._set_runtime(Runtime.PAUSING)
@@ -319,7 +310,7 @@ class Controller:
 
     def arm_protective_stop(self, *, speed: float = math.inf, travel: float = math.inf) -> None:
         """Trigger a stop when the arm reaches ``speed`` [rad/s] or has moved by ``travel`` [rad]; inf: never."""
-        self._stop_trigger = _StopTrigger(speed, travel)
+        self._stop_trigger = StopTrigger(speed, travel)
 
     def unlock(self, *, at_once: bool = False) -> bool:
         """Release a protective stop as the operator does; return False if too early (unless ``at_once``)."""
@@ -335,7 +326,7 @@ class Controller:
         self.brakes.request("emergency")
         self.stop_program()
         self._goal = None
-        self._stop_trigger = _StopTrigger()
+        self._stop_trigger = StopTrigger()
         self.safety_mode = SafetyMode.ROBOT_EMERGENCY_STOP
         self.robot_mode = RobotMode.POWER_OFF
         self._mode_due.clear()

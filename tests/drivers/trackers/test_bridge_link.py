@@ -14,6 +14,7 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_server import TrackerService
+from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.lmf import LmfTracker
 from drivers.trackers.lmf_settings import LmfSettings
 from drivers.trackers.protocol import (
@@ -31,7 +32,7 @@ from drivers.trackers.protocol import (
     Unstable,
     WrongTarget,
 )
-from drivers.trackers.simulated import Imperfections, SimulatedTracker
+from drivers.trackers.simulated import SimulatedTracker
 from tests.drivers.trackers.fake_lmf import Scene
 from tests.drivers.trackers.virtual_serial_cable import serial_cable
 

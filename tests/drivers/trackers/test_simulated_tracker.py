@@ -9,6 +9,7 @@ import pytest
 
 from drivers.arms.simulated import SimulatedArm
 from drivers.plant.optics import covariances, why_hidden
+from drivers.trackers.imperfections import Imperfections, refractivity
 from drivers.trackers.protocol import (
     Inclination,
     NotReady,
@@ -24,9 +25,7 @@ from drivers.trackers.simulated import (
     INITIALISE_S,
     POINTING_S,
     SETTLE_S,
-    Imperfections,
     SimulatedTracker,
-    refractivity,
 )
 
 pytestmark = pytest.mark.fast
