@@ -314,12 +314,12 @@ def compensate(folder: RunFolder, targets: TargetsPath, json_file: JsonOption = 
     """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
     from cellapp.compensation.targets import load_targets
     from cellapp.pipeline import compensate_run
-    from cellapp.reporting.target_tables import compensate_tables
+    from cellapp.reporting.target_tables import predicted_tables
     from cellapp.reporting.target_words import compensate_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         result = compensate_run(opened, load_targets(targets, opened.profile))
-        job.show(compensate_tables(result))
+        job.show(predicted_tables(result))
         job.say(*compensate_lines(result))
         job.result(result)
 

@@ -24,14 +24,9 @@ _YES_NO = {True: "yes", False: "no", None: ""}
 _TARGET = (Column("target"), Column("arm"))
 
 
-def compensate_tables(result: CompensateResult) -> list[Table]:
-    """What ``compensate`` prints: targets with a tolerance, unknown conditions."""
-    return [*predicted_tables(result), *unknown_tables(result)]
-
-
 def stored_tables(result: CompensateResult) -> list[Table]:
-    """What ``show DIR targets`` prints: commands, uncertainties by their parts, tolerances, unknown conditions."""
-    return [*command_tables(result), *uncertainty_tables(result), *compensate_tables(result)]
+    """What ``show DIR targets`` prints beside its sentences: commands, uncertainties by their parts, tolerances."""
+    return [*command_tables(result), *uncertainty_tables(result), *predicted_tables(result)]
 
 
 def command_tables(result: CompensateResult) -> list[Table]:
@@ -155,11 +150,11 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
         Column("target"),
         Column("arms"),
         number_column("distance", ".3f"),
-        number_column("uncompensated", MM),
-        number_column("compensated", MM),
+        number_column("before", MM),
+        number_column("after", MM),
         number_column("corrected", MM),
         number_column("tolerance", "g"),
-        Column("tolerance met"),
+        Column("met"),
     )
     measured = [pair for pair in verify.pairs if pair.compensated_mm is not None]
     rows: list[tuple[Cell, ...]] = [
@@ -193,12 +188,12 @@ def _arm_tables(verify: VerifyResult) -> list[Table]:
         Column("number"),
         Column("target"),
         Column("frame"),
-        number_column("uncompensated", MM),
-        number_column("compensated", MM),
+        number_column("before", MM),
+        number_column("after", MM),
         number_column("corrected", MM),
         number_column("95 % bound", MM),
         number_column("tolerance", "g"),
-        Column("tolerance met"),
+        Column("met"),
     )
     tables = []
     for arm in verify.arms:

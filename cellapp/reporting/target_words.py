@@ -30,6 +30,7 @@ _ADVICE: Mapping[str, str] = {
     "time": "state conditions: {time: ...} of the target, or calibrate again shortly before the work",
     "dwell": "state conditions: {dwell: ...} of the target: how long the arm rests before it works",
     "approach": "state a side: approach: [1, 0, ...] of the target, one sign for each joint",
+    "with any rotation": "move the target nearer to the arm",
     "out of reach": "move the target nearer to the arm, or leave its rotation free",
     "beyond limits": "turn the target about the tool's axis, or leave its rotation free",
     "singular": "turn or move the target a little, or leave its rotation free",
@@ -155,7 +156,10 @@ def _bound_words(result: CompensateResult) -> list[str]:
         return []
     largest, name = max(bounds)
     median = float(np.median([bound for bound, _ in bounds]))
-    return [f"95 % bound of the measured error: median {median:.3f} mm, largest {largest:.3f} mm at {name}"]
+    left_out = (
+        "; conditions that nobody stated are left out" if any(target.unknown for target in result.targets) else ""
+    )
+    return [f"95 % bound of the measured error: median {median:.3f} mm, largest {largest:.3f} mm at {name}{left_out}"]
 
 
 def _unseen_words(result: CompensateResult) -> list[str]:

@@ -75,7 +75,7 @@ def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
 
     if isinstance(result, PlanResult):
         return [], "".join(f"; {note}" for note in result.notes)
-    if isinstance(result, LocateResult | PathResult):
+    if isinstance(result, PathResult):
         return result.complaints(), ""
     collected = result if isinstance(result, CollectResult) else None
     verified = result if verifies and isinstance(result, VerifyResult) else None

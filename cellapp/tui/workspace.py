@@ -96,7 +96,7 @@ class Workspace:
             if any(arm.measured for arm in self.overview.arms.values()):
                 states["collect"] = "done"
             for stage in self.overview.stages:
-                if (step := _STEP_OF_VERB.get(stage.name)) is not None:  # locating and paths are no steps of the day
+                if (step := _STEP_OF_VERB.get(stage.name)) is not None:  # a later version may have others
                     states[step] = "out of date" if stage.out_of_date else "done"
         if states[self.next_step] in ("open", "done"):
             states[self.next_step] = "next"

@@ -91,8 +91,9 @@ def test_is_well_formed(whole: RunFile, whole_page: Page) -> None:
     certainties = sum(arm.uncertainty_mm is not None for arm in found.arms.values())
     plan = plan_section(whole)
     assert plan is not None
-    # errors, histogram, two of vectors, targets, steps and effects of each arm; two of the pair; three of the cell
-    drawn = 17 + len(pictures) + certainties + len(plan.figures)
+    # errors, histogram, two of vectors, targets, their uncertainty, steps and effects of each arm; stated bounds; two
+    # of the pair; three of the cell
+    drawn = 20 + len(pictures) + certainties + len(plan.figures)
     assert [tag for tag, _ in whole_page.elements].count("svg") == drawn
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from textual.widgets import Input
 
 from cellapp.locate_verb import POINTS as BY_COMMAND
@@ -12,7 +13,7 @@ from cellapp.run.stages import read_results
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.locate_tracker import POINTS, LocateTracker
 from cellapp.tui.dialogs.question import Reading
-from tests.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
+from tests.tui.pilot import PROFILES, SMALL, ended, log_text, opened, shown_text, until
 
 
 async def test_the_tracker_is_located_and_a_wrong_pose_is_refused(finished_copy: Path) -> None:
@@ -36,9 +37,14 @@ async def test_the_tracker_is_located_and_a_wrong_pose_is_refused(finished_copy:
         await until(pilot, lambda: "expected x,y,z,roll,pitch,yaw" in app.message, "the refusal")
         await pilot.press("l")
         await until(pilot, lambda: isinstance(app.screen, LocateTracker), "the question again")
+        app.screen.query_one("#tracker-pose", Input).value = "4.1,0.1,0.6,0,0,183"
+        app.screen.query_one("#simulated-pose", Input).value = "4.11,0.09,0.61,0,0,183.2"
         await pilot.press("enter")
         await until(pilot, lambda: isinstance(app.screen, Reading), "where the tracker stands")
         assert "it stands at" in shown_text(app)
         await ended(pilot, app)
+        assert "locate: done; the tracker was located" in log_text(app)
     with RunFile.open(finished_copy) as run:
-        assert read_results(run).locate is not None
+        found = read_results(run).locate
+    assert found is not None
+    assert found.tracker_pose.position == pytest.approx((4.11, 0.09, 0.61), abs=0.5e-3)

@@ -15,7 +15,6 @@ from cellapp.run import RunFile
 from cellapp.run.stages import read_results
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.file_picker import FilePicker
-from cellapp.tui.dialogs.locate_tracker import LocateTracker
 from cellapp.tui.dialogs.question import Choice
 from cellapp.tui.dialogs.save_as import SaveAs
 from cellapp.tui.dialogs.target_form import TargetForm
@@ -283,27 +282,6 @@ async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, 
         verify = read_results(run).verify
     assert verify is not None
     assert [target.verdict for target in verify.targets] == ["in", "out"]
-
-
-async def test_a_tracker_that_was_moved_is_located(finished_copy: Path, few: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(120, 40)) as pilot:
-        await show_targets(pilot, app, finished_copy, few)
-        await pilot.press("l")
-        await until(pilot, lambda: isinstance(app.screen, LocateTracker), "the question")
-        assert "the arms are simulated" in asked(app)
-        app.screen.query_one("#pose", Input).value = "4.1,0.1"
-        await pilot.press("b")
-        await until(pilot, lambda: "expected x,y,z,roll,pitch,yaw" in shown_text(app), "a word about the pose")
-        app.screen.query_one("#pose", Input).value = "4.1,0.1,0.6,0,0,183"
-        app.screen.query_one("#simulated", Input).value = "4.11,0.09,0.61,0,0,183.2"
-        await pilot.press("b")
-        await ended(pilot, app)
-        assert "locate: done; the tracker was located" in log_text(app)
-    with RunFile.open(finished_copy) as run:
-        found = read_results(run).locate
-    assert found is not None
-    assert found.tracker_pose.position == pytest.approx((4.11, 0.09, 0.61), abs=0.5e-3)
 
 
 async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(

@@ -54,9 +54,9 @@ class LocateTracker(Question[LocateRequest]):
             text += f"\nThe model is not up to date: {self._stale}."
         yield Static(text, classes="text", markup=False)
         yield from self._field("points", "points", str(POINTS), "of all arms together")
-        yield from self._field("tracker-pose", "tracker about at", "", "x,y,z,r,p,y (m, deg); empty: where it was")
+        yield from self._field("tracker-pose", "tracker about at", "", "x,y,z,r,p,y in m, deg; empty: as before")
         if self._simulated:
-            yield from self._field("simulated-pose", "put it first to", "", "x,y,z,r,p,y (m, deg); empty: nowhere")
+            yield from self._field("simulated-pose", "put it first to", "", "x,y,z,r,p,y in m, deg; may be empty")
         yield Static(f"Enter begins, {self.closing_key} closes.", id="why", classes="text", markup=False)
         with Horizontal(classes="answers"):
             yield Button("Begin", id="begin", variant="success", compact=True)

@@ -310,10 +310,11 @@ explains frames, conditions and verdicts.
     def show_result(self, result: Result) -> None:
         """Show where the tracker stands, or the targets of a program that was corrected, and why some were not."""
         if isinstance(result, LocateResult) and self.app.screen is self:
-            from cellapp.reporting.location_text import location_sentences
+            from cellapp.reporting.location_text import location_sentences, location_tables
+            from cellapp.reporting.table import markdown
 
             said = "\n".join(f"- {line}" for line in location_sentences(result))
-            self.app.push_screen(Reading(f"# Station of the tracker\n\n{said}"))
+            self.app.push_screen(Reading(f"{said}\n\n{markdown(location_tables(result), ())}"))
         if isinstance(result, CorrectResult) and self.app.screen is self:
             from cellapp.programs.words import correct_lines
 
