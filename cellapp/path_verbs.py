@@ -18,7 +18,7 @@ from cellapp.errors import InputError
 from cellapp.model import CellModel
 from cellapp.paths.plan_path import PathPlan, plan_path
 from cellapp.progress import Listener, Progress, ignore, with_eta
-from cellapp.results import PATH, DrivenPath, PathResult
+from cellapp.results import FOLLOW, PATH, DrivenPath, PathResult
 from cellapp.run import RunFile
 from cellapp.run.stages import append_stage, basis_on_model, read_stages
 from cellapp.run.stored_model import model_of, stage_in_force
@@ -95,7 +95,7 @@ def follow_run(
             )
     result = path_result(model, followed, notes)
     text = "\n".join(spec.model_dump_json(exclude_none=True, exclude_defaults=True) for spec in paths)
-    append_stage(run, PATH, result, basis_on_model(run, used, text))
+    append_stage(run, FOLLOW if driving == "verify" else PATH, result, basis_on_model(run, used, text))
     return result
 
 

@@ -26,6 +26,7 @@ from cellapp.results import (
     CALIBRATE,
     COMPENSATE,
     DISCOVER,
+    FOLLOW,
     PATH,
     PUSH,
     STAGE_NAMES,
@@ -282,6 +283,7 @@ _RESULTS: Mapping[StageName, type[Result]] = {
     PUSH: VerifyResult,
     VERIFY: VerifyResult,
     PATH: PathResult,
+    FOLLOW: PathResult,
 }
 
 
