@@ -8,6 +8,7 @@ from typing import Literal
 
 from cellapp.collection.cell import Cell
 from cellapp.collection.controllers import check_controllers
+from cellapp.collection.motion import Confirm
 from cellapp.commissioning.confirm import Ask, confirmation
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.compensation.following import follow
@@ -18,10 +19,11 @@ from cellapp.errors import InputError
 from cellapp.locate_verb import profile_at_station
 from cellapp.model import CellModel
 from cellapp.paths.plan_path import PathPlan, plan_path
+from cellapp.profile import Profile
 from cellapp.progress import Listener, Progress, ignore, with_eta
-from cellapp.results import PATH, DrivenPath, PathResult
+from cellapp.results import FOLLOW, PATH, DrivenPath, PathResult
 from cellapp.run import RunFile
-from cellapp.run.stages import append_stage, basis_on_model, read_stages
+from cellapp.run.stages import RunStages, append_stage, basis_on_model, read_stages
 from cellapp.run.stored_model import model_of, stage_in_force
 
 Driving = Literal["plan", "drive", "verify"]
@@ -59,45 +61,80 @@ def follow_run(
         If a device refused or failed.
     Cancelled
     """
-    if rehearse and driving == "plan":
-        raise InputError("follow: a rehearsal moves the arms; ask for driving or verifying too (--drive, --verify)")
     control = control or JobControl()
     stages = read_stages(run)
-    stale = stages.stale_model()
-    if stale and driving != "plan" and not out_of_date:
-        raise InputError(
-            f"follow: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
-            " --out-of-date"
-        )
+    if rehearse and driving == "plan":
+        raise InputError("follow: a rehearsal moves the arms; ask for driving or verifying too (--drive, --verify)")
+    if driving != "plan" and not out_of_date:
+        _require_current(run, stages)
     used = stage_in_force(run, stages)
     model = model_of(run, used)
+    stale = stages.stale_model()
     notes = [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
     plans = _planned(run, model, paths, listener, control)
     if csv is not None:
         _write(csv, path_csv(plans))
     followed: list[tuple[PathPlan, DrivenPath | None]] = [(plan, None) for plan in plans]
     if driving != "plan":
-
-        def opened(cell: Cell) -> None:
-            notes.extend(check_controllers(run, cell).notes)
-
-        confirm = confirmation(run.profile, ask)
         with taking_requests(run.folder, control):
-            followed = follow(
+            followed = _driven(
+                run,
                 profile_at_station(run, stages),
                 model,
                 plans,
-                with_eta(listener),
+                notes,
+                listener,
                 control,
+                confirmation(run.profile, ask),
                 verify=driving == "verify",
                 rehearse=rehearse,
-                confirm=confirm,
-                opened=opened,
             )
     result = path_result(model, followed, notes)
     text = "\n".join(spec.model_dump_json(exclude_none=True, exclude_defaults=True) for spec in paths)
-    append_stage(run, PATH, result, basis_on_model(run, used, text))
+    append_stage(run, FOLLOW if driving == "verify" else PATH, result, basis_on_model(run, used, text))
     return result
+
+
+def _require_current(run: RunFile, stages: RunStages) -> None:
+    if stale := stages.stale_model():
+        raise InputError(
+            f"follow: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
+            " --out-of-date"
+        )
+
+
+def _driven(
+    run: RunFile,
+    profile: Profile,
+    model: CellModel,
+    plans: Sequence[PathPlan],
+    notes: list[str],
+    listener: Listener,
+    control: JobControl,
+    confirm: Confirm | None,
+    *,
+    verify: bool,
+    rehearse: bool,
+) -> list[tuple[PathPlan, DrivenPath | None]]:
+    """Drive paths after the controllers were checked; what that finds is added to ``notes``.
+
+    ``profile`` is that of the run, with the tracker of a simulated cell where it stands now.
+    """
+
+    def opened(cell: Cell) -> None:
+        notes.extend(check_controllers(run, cell).notes)
+
+    return follow(
+        profile,
+        model,
+        plans,
+        with_eta(listener),
+        control,
+        verify=verify,
+        rehearse=rehearse,
+        confirm=confirm,
+        opened=opened,
+    )
 
 
 def _planned(

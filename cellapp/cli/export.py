@@ -11,7 +11,7 @@ from cellapp.cli.job import Job, open_run
 from cellapp.cli.options import JsonOption, RunFolder
 from cellapp.errors import InputError
 
-_FORMATS = "ur-calibration, ur-description, urdf, dh, dh-plain, poe, parameters; urdf-cell; urscript or commands."
+_FORMATS = "ur-calibration, ur-description, urdf, dh, dh-plain, poe, parameters, urdf-cell, commands or urscript."
 """For the help, which must not load the formats; a test compares them."""
 
 
@@ -20,7 +20,7 @@ def export(
     csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Where to write the readings.")] = None,
     plan: Annotated[Path | None, typer.Option("--plan", metavar="FILE", help="Where to write the plan.")] = None,
     form: Annotated[
-        str | None, typer.Option("--as", metavar="FORMAT", help="Write the calibrated arms as " + _FORMATS)
+        str | None, typer.Option("--as", metavar="FORMAT", help="Write calibrated arms or commands as " + _FORMATS)
     ] = None,
     out: Annotated[
         Path | None,
@@ -29,7 +29,9 @@ def export(
     arm: Annotated[str | None, typer.Option("--arm", metavar="NAME", help="With --as: this arm only.")] = None,
     stage: Annotated[
         str | None,
-        typer.Option("--stage", metavar="STAGE", help="With --as: geometry of calibrate or discover; else in force."),
+        typer.Option(
+            "--stage", metavar="STAGE", help="With --as: calibrate or discover; of commands compensate or verify."
+        ),
     ] = None,
     geometry: Annotated[
         Path | None,
@@ -37,7 +39,7 @@ def export(
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Write the readings or the plan of a run as CSV, or the calibrated arms for other programs.
+    """Write the readings or the plan of a run as CSV, or calibrated arms and commands for other programs.
 
     Importing the CSV again gives the same readings bit for bit, and so does planning from the plan.
     'cellapp docs exports' describes the formats.

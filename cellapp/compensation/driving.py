@@ -18,8 +18,9 @@ Sides = Mapping[str, Vector]
 CommandFrom = Callable[[str, Vector], Vector]
 """The command (N,) of an arm that stands at joint positions (N,) [rad] before: backlash depends on the side."""
 
-_STEP_BACK_RAD = np.radians(1.0)
-"""How far a joint steps back to come from a given side: well beyond any play, short enough to stay clear."""
+_STEPS_BACK_RAD = (np.radians(1.0), np.radians(0.25))
+"""How far a joint steps back to come from a given side: well beyond any play, short enough to stay clear. The second
+one is for arms that are near to something."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +55,18 @@ class Driver:
 
     def back_to(self, targets: Targets, sides: Sides) -> dict[str, ArmState]:
         """Drive arms that are near to ``targets``, from the given sides. Returns and raises as ``to``."""
-        return self._along(*self._accepted(targets, sides))
+        way, refusal = self._accepted(targets, sides)
+        if not way:
+            way, _ = self._accepted(targets, sides, _STEPS_BACK_RAD[1])
+        return self._along(way, refusal)
 
-    def _accepted(self, targets: Targets, sides: Sides) -> tuple[list[Targets], str]:
+    def _accepted(
+        self, targets: Targets, sides: Sides, step_rad: float = _STEPS_BACK_RAD[0]
+    ) -> tuple[list[Targets], str]:
         """The first way that the gate accepts, followed by some way home; else none, and the first refusal."""
         legs = {name: [q] for name, q in targets.items()}
         if any(np.any(sides[name]) for name in targets if name in sides):
-            legs = {name: [before_side(q, sides.get(name)), q] for name, q in targets.items()}
+            legs = {name: [before_side(q, sides.get(name), step_rad), q] for name, q in targets.items()}
         first = ""
         for way in _ways(legs):
             for order in permutations(targets):
@@ -79,9 +85,9 @@ class Driver:
         return states
 
 
-def before_side(q: Vector, sides: Vector | None) -> Vector:
+def before_side(q: Vector, sides: Vector | None, step_rad: float = _STEPS_BACK_RAD[0]) -> Vector:
     """Where an arm (N,) [rad] steps back to, so that each joint with a sign comes to ``q`` (N,) from that side."""
-    return q if sides is None else np.asarray(q - _STEP_BACK_RAD * sides)
+    return q if sides is None else np.asarray(q - step_rad * sides)
 
 
 def arrival(q: Vector, start: Vector, sides: Vector | None) -> Vector:

@@ -19,7 +19,7 @@ FORMATS: dict[str, ExportFormat] = {entry.name: entry for entry in _FORMATS}
 """Formats for one calibrated arm by name, in the order in which they are listed."""
 CELL_FORMATS: dict[str, CellFormat] = {entry.name: entry for entry in (CELL_URDF,)}
 """Formats for the whole cell."""
-COMMAND_FORMATS: dict[str, CommandFormat] = {entry.name: entry for entry in (URSCRIPT, COMMAND_TABLE)}
+COMMAND_FORMATS: dict[str, CommandFormat] = {entry.name: entry for entry in (COMMAND_TABLE, URSCRIPT)}
 """Formats for commands at targets."""
 
 AnyFormat = ExportFormat | CellFormat | CommandFormat

@@ -31,7 +31,8 @@ STAGE_TITLES: dict[StageName, str] = {
     "compensate": "Compensated targets",
     "push": "Pushed targets",
     "verify": "Verification at new targets",
-    "path": "Paths",
+    "path": "Planned paths",
+    "follow": "Paths that were followed and measured",
 }
 
 

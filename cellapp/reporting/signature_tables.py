@@ -53,6 +53,8 @@ def _part_table(name: str, prior: ArmPriorResult) -> Table:
 
 
 def _drift(one: PartDrift) -> tuple[Cell, Cell]:
+    if one.drift is None:
+        return None, ""
     if one.unit == "m, rad":
         return one.drift * 1e6, "um, urad"
     return one.drift * 100.0, f"% {one.unit}"

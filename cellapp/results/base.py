@@ -18,7 +18,7 @@ METHODS: tuple[Method, ...] = ("nominal", "method_1", "method_2", "proposed", "e
 
 Verdict = Literal["explained", "nothing missing", "unknown effect", "ambiguous"]
 
-StageName = Literal["calibrate", "discover", "locate", "compensate", "push", "verify", "path"]
+StageName = Literal["calibrate", "discover", "locate", "compensate", "push", "verify", "path", "follow"]
 CALIBRATE: StageName = "calibrate"
 DISCOVER: StageName = "discover"
 LOCATE: StageName = "locate"
@@ -28,7 +28,9 @@ PUSH: StageName = "push"
 """Targets that were pushed without measuring them; it does not replace a verification."""
 VERIFY: StageName = "verify"
 PATH: StageName = "path"
-STAGE_NAMES: tuple[StageName, ...] = (CALIBRATE, DISCOVER, LOCATE, COMPENSATE, PUSH, VERIFY, PATH)
+"""Paths that were planned, or driven without measuring them; it does not replace a measured one."""
+FOLLOW: StageName = "follow"
+STAGE_NAMES: tuple[StageName, ...] = (CALIBRATE, DISCOVER, LOCATE, COMPENSATE, PUSH, VERIFY, PATH, FOLLOW)
 """What verbs store in a run, in the order of the work."""
 
 

@@ -53,10 +53,11 @@ SignaturePart = Literal["geometry", "effects", "curves"]
 
 class PartDrift(Record):
     """How far a part was believed: ``drift`` is the standard deviation, in ``unit``, by which each of its
-    ``parameters`` may have changed since; it maximises the likelihood of the new readings."""
+    ``parameters`` may have changed since; it maximises the likelihood of the new readings. None where that is larger
+    without the part."""
 
     parameters: int
-    drift: float
+    drift: float | None
     unit: str
     used: bool
 

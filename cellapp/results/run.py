@@ -33,8 +33,9 @@ class RunResults(Result):
     push: VerifyResult | None = None
     verify: VerifyResult | None = None
     path: PathResult | None = None
+    follow: PathResult | None = None
     out_of_date: Mapping[StageName, str] = {}
-    omitted_when_none = frozenset({"calibrate", "discover", "locate", "compensate", "push", "verify", "path"})
+    omitted_when_none = frozenset({"calibrate", "discover", "locate", "compensate", "push", "verify", "path", "follow"})
 
 
 class WholeRunResult(RunResults):

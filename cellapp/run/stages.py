@@ -26,6 +26,7 @@ from cellapp.results import (
     CALIBRATE,
     COMPENSATE,
     DISCOVER,
+    FOLLOW,
     LOCATE,
     PATH,
     PUSH,
@@ -320,6 +321,7 @@ _RESULTS: Mapping[StageName, type[Result]] = {
     PUSH: VerifyResult,
     VERIFY: VerifyResult,
     PATH: PathResult,
+    FOLLOW: PathResult,
 }
 
 

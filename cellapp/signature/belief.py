@@ -8,6 +8,7 @@ and of the last joint) is then left to the priors that it had before.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -51,6 +52,8 @@ class Belief:
     covariance : array, shape (p, p)
     size : array, shape (p,)
         Standard deviation of a parameter of which nothing is known yet.
+    is_forgotten : bool
+        Whether nothing of a calibration is in it.
     """
 
     nominal: Geometry
@@ -59,6 +62,7 @@ class Belief:
     mean: Array
     covariance: Array
     size: Array
+    is_forgotten: bool = False
 
     @classmethod
     def of(cls, found: Posterior, size: Array) -> Belief:
@@ -100,6 +104,24 @@ class Belief:
     def widened(self, variance: Array) -> Belief:
         """The belief after changes of each parameter with ``variance`` (p,)."""
         return replace(self, covariance=self.covariance + np.diag(variance))
+
+    def restricted(self, parts: Collection[SignaturePart]) -> Belief:
+        """The belief about some parts only; effects of the others are left out of the model."""
+        kept = np.flatnonzero([part in parts for part in self.parts]).astype(np.intp)
+        smooth = {"curves": True, "effects": False}
+        taken = [part for part in smooth if part in parts]
+        return replace(
+            self,
+            terms=tuple(term for term in self.terms if is_smooth(term) in [smooth[part] for part in taken]),
+            mean=self.mean[kept],
+            covariance=self.covariance[np.ix_(kept, kept)],
+            size=self.size[kept],
+        )
+
+    def forgotten(self) -> Belief:
+        """What was known of the geometry before any calibration, and no effect."""
+        bare = self.restricted(["geometry"])
+        return replace(bare, mean=np.zeros_like(bare.mean), covariance=np.diag(bare.jump_sd**2), is_forgotten=True)
 
     def geometry(self, start: Geometry) -> Geometry:
         """The mean geometry with base and tool of ``start``."""

@@ -52,6 +52,8 @@ def with_prior(
         notes += its.notes
         prior = arms[name].prior
         notes += [] if prior is None else [f"arm '{name}': {change.sentence}" for change in prior.changes]
+        if prior is not None and not any(part.used for part in prior.parts.values()):
+            notes.append(f"arm '{name}': the readings contradict {its.run}; nothing of it was used")
     notes += [
         f"arm '{name}': no earlier calibration; calibrated from these readings alone"
         for name in arms
@@ -97,6 +99,8 @@ def _calibrated(
     earlier: Earlier,
 ) -> ArmCalibration:
     outcome = updated_arm(profile, name, readings, conditions, earlier)
+    if not outcome.used:
+        return replace(alone, prior=prior_result(name, earlier, outcome))
     model = stated_model(outcome.found, profile.seed)
     rows = readings.in_split("validate")
     held_out, its = readings.take(rows), conditions.take(rows)

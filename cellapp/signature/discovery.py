@@ -49,10 +49,12 @@ class SearchWithPriors:
         if its is None:
             return discover_arm(profile, name, model, readings, cancel, conditions=conditions, report=report)
         learn = learned(profile, name, readings, conditions, its)
+        if not update(profile, name, *learn, its.belief, its.since).used:
+            return discover_arm(profile, name, model, readings, cancel, conditions=conditions, report=report)
         final, terms = model, model.effects[:0]
         for _ in range(_SEARCHES):
-            known = replace(final, effects=final.effects[: len(its.belief.terms)])
             belief = update(profile, name, *learn, its.belief, its.since, terms).belief
+            known = replace(final, effects=final.effects[: len(belief.terms)])
             found = discover_arm(
                 profile,
                 name,

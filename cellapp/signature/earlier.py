@@ -12,6 +12,7 @@ import numpy as np
 from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.calibration.parameters import candidate_columns
 from cellapp.discovery.gross_errors import gross_errors
+from cellapp.effects import EffectTerm
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.profile import Profile
@@ -57,13 +58,19 @@ def believed(
     good = ~gross_errors(readings[name].p_M - model.predict(readings[name].q, conditions=conditions))
     some, conditions = readings[name].take(good), conditions.take(good)
     model = replace(model, network=None, posterior=None)
-    size = sizes(profile, model, Measured(some, conditions, np.ones(len(some))))
+    measured = Measured(some, conditions, np.ones(len(some)))
     if before is None:
-        found = posterior(model, some, conditions, _first_prior(model, size))
+        found = posterior(model, some, conditions, _first_prior(model, sizes(profile, model, measured)))
     else:
-        further = model.effects[len(before.terms) :]
+        carried = {_key(term) for term in before.terms}
+        further = tuple(term for term in model.effects if _key(term) not in carried)
         found = update(profile, name, some, conditions, before, since, further).found
-    return Belief.of(found, size), len(some)
+    return Belief.of(found, sizes(profile, found.model, measured)), len(some)
+
+
+def _key(term: EffectTerm) -> tuple[str, str, tuple[str, ...]]:
+    """What tells a term from others of a model."""
+    return term.slug, term.law.name, term.names
 
 
 def _first_prior(model: ArmModel, size: Array) -> Prior:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, qr
 from scipy.optimize import minimize
 
 from cellapp.kinematics.transforms import Array
@@ -36,6 +36,8 @@ _SCATTER_M = (1e-7, 1e-2)
 """Least and largest scatter of a coordinate beyond what is stated [m]."""
 _EVALUATIONS = 160
 """Evaluations of the likelihood for two to four numbers; it settles after some 80."""
+_DEPENDENT = 1e-9
+"""Share of the largest pivot below which a column of base and tool depends on the others."""
 _TOLERANCE = 0.01
 """Change of the log likelihood, and of the logarithm of a drift, below which the search ends."""
 
@@ -172,9 +174,9 @@ def evidence(
         Part -> unit of drift (p,) of each parameter, zero outside the part.
     """
     scale = 1.0 / np.maximum(np.linalg.norm(free, axis=1), 1e-300)
-    left_vectors, values, _ = np.linalg.svd((free * scale[:, None]).T, full_matrices=True)
-    rank = int(np.sum(values > 1e-9 * values[0]))
-    Z = left_vectors[:, rank:]
+    Q, R, _ = qr((free * scale[:, None]).T, pivoting=True)
+    pivots = np.abs(np.diag(R))
+    Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
     rows = own @ Z
     return Evidence(
         left=Z.T @ left,

@@ -1,7 +1,8 @@
 """An arm calibrated again with its earlier calibration as prior.
 
-1. The earlier calibration becomes a belief about the arm's own parameters (``belief``).
-2. Drifts of its parts and the scatter of the new readings maximise the likelihood of these (``evidence``).
+1. The earlier calibration becomes a belief about the arm's own parameters (``belief``). The likelihood of the new
+   readings decides which parts of it are used.
+2. Drifts of these parts and the scatter of the new readings maximise the likelihood of these (``evidence``).
 3. Jumps of single parameters, effects or curves are added one after another while one is proven (``changes``).
 4. Geometry, effects, base and tool follow from the new readings and the belief, widened by drifts and jumps.
 """
@@ -33,8 +34,16 @@ _MOST_CHANGES = 10
 """Jumps at most: all joints of an arm may have got new gears."""
 _MOST_READINGS = 300
 """Readings that judge drifts and jumps at most: the cost grows with the cube, and a few hundred show them."""
+_FEW_READINGS = 100
+"""Readings that judge at most which parts are believed at all: a part that is wrong contradicts most of them."""
 _SUBSET_SEED = 0x51A7
 """Beside the profile's seed: the draw of these readings is then independent of all other draws."""
+_PARTS: tuple[tuple[SignaturePart, ...], ...] = (
+    ("geometry", "effects", "curves"),
+    ("geometry", "curves"),
+    ("geometry",),
+)
+"""Parts that may be believed together. Curves go with the geometry they were found with; named effects may be wrong."""
 _BELIEVED = 0.5
 """Drift beyond this share of what the parameters may be at all counts as a part that is not believed."""
 _GEOMETRY_UNIT = "m, rad"
@@ -51,6 +60,11 @@ class Updated:
     changes: tuple[SignatureChange, ...]
     tested: int
     scatter_m: float
+
+    @property
+    def used(self) -> bool:
+        """Whether anything of the earlier calibration was believed."""
+        return not self.belief.is_forgotten
 
 
 def first_model(
@@ -90,16 +104,38 @@ def update(
     numpy.linalg.LinAlgError
         If readings are not finite.
     """
-    model = first_model(profile, name, readings, conditions, belief)
-    some = _subset(profile, len(readings))
-    judged = Measured(readings.take(some), conditions.take(some), np.ones(len(some)))
-    changed, drifts, changes, tested = _changed(belief, model, judged, since)
-    model = replace(model, effects=(*model.effects, *further))
     measured = Measured(readings, conditions, np.ones(len(readings)))
-    day_sd = sizes(profile, model, measured)[len(sizes(profile, replace(model, effects=belief.terms), measured)) :]
-    found = posterior(model, readings, conditions, changed.prior(model.nominal, day_sd))
-    parts = {part: _part(belief, part, drift) for part, drift in drifts.of_parts.items()}
+    supported = _supported(profile, name, measured, belief)
+    model = first_model(profile, name, readings, conditions, supported)
+    judged = measured.take(_subset(profile, len(readings), _MOST_READINGS))
+    changed, drifts, changes, tested = _changed(supported, model, judged, since)
+    first = len(sizes(profile, model, measured))
+    model = replace(model, effects=(*model.effects, *further))
+    found = posterior(
+        model, readings, conditions, changed.prior(model.nominal, sizes(profile, model, measured)[first:])
+    )
+    parts = {part: _part(belief, part, drifts.of_parts.get(part)) for part in dict.fromkeys(belief.parts)}
     return Updated(changed, found, parts, tuple(changes), tested, drifts.scatter_m)
+
+
+def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) -> Belief:
+    """The belief about those parts with which the readings are likeliest; without any, what was known at first."""
+    some = measured.take(_subset(profile, len(measured), _FEW_READINGS))
+    kept: tuple[tuple[SignaturePart, ...], ...] = (
+        ("geometry", "effects", "curves"),
+        ("geometry", "curves"),
+        ("geometry",),
+    )
+    alternatives = {len(one.mean): one for parts in kept for one in [belief.restricted(parts)]}
+    found = []
+    for one in (*alternatives.values(), belief.forgotten()):
+        model = first_model(profile, name, some.readings, some.conditions, one)
+        problem = _evidence(one, model, some)
+        if one.is_forgotten:
+            problem = replace(problem, drift={})
+        drifts = problem.drifts()
+        found.append((drifts.log_likelihood - len(drifts.of_parts), one))
+    return max(found, key=lambda pair: pair[0])[1]
 
 
 def _changed(
@@ -107,6 +143,9 @@ def _changed(
 ) -> tuple[Belief, Drifts, list[SignatureChange], int]:
     """The belief widened by drifts and proven jumps, these, and the number of jumps that were tested."""
     problem = _evidence(belief, model, judged)
+    if belief.is_forgotten:
+        problem = replace(problem, drift={})
+        return belief, problem.drifts(), [], 0
     columns = term_columns(model, judged)
     left = candidates(belief, columns)
     tested, needed = len(left), SURE + math.log(max(len(left), 1))
@@ -166,19 +205,19 @@ def _units(belief: Belief, part: SignaturePart) -> Array:
     return units
 
 
-def _part(belief: Belief, part: SignaturePart, drift: float) -> PartDrift:
+def _part(belief: Belief, part: SignaturePart, drift: float | None) -> PartDrift:
     places = belief.places(part)
     size = float(np.sqrt(np.mean(belief.jump_sd[places] ** 2))) if part == "geometry" else 1.0
     return PartDrift(
         parameters=len(places),
         drift=drift,
         unit=_GEOMETRY_UNIT if part == "geometry" else _SHARE_UNIT,
-        used=drift < _BELIEVED * size,
+        used=drift is not None and drift < _BELIEVED * size,
     )
 
 
-def _subset(profile: Profile, count: int) -> NDArray[np.intp]:
-    if count <= _MOST_READINGS:
+def _subset(profile: Profile, count: int, most: int) -> NDArray[np.intp]:
+    if count <= most:
         return np.arange(count, dtype=np.intp)
     generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
-    return np.sort(generator.permutation(count)[:_MOST_READINGS]).astype(np.intp)
+    return np.sort(generator.permutation(count)[:most]).astype(np.intp)

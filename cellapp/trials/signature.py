@@ -373,7 +373,7 @@ def _draw(
     if earlier is None:
         return draw
     outcome = updated_arm(profile, name, readings, conditions, earlier)
-    model = stated_model(outcome.found, profile.seed)
+    model = stated_model(outcome.found, profile.seed) if outcome.used else geometry
     found = SearchWithPriors({name: earlier})(profile, name, model, readings, conditions=conditions)
     prior = prior_result(name, earlier, outcome)
     exact = replace(earlier, belief=replace(earlier.belief, covariance=_EXACT * earlier.belief.covariance))
@@ -382,7 +382,7 @@ def _draw(
             "calibrated_mm": error_mm(model),
             "discovered_mm": error_mm(found.model),
             "exact_mm": error_mm(updated_arm(profile, name, readings, conditions, exact).found.model),
-            "drifts": {part: one.drift for part, one in prior.parts.items()},
+            "drifts": {part: one.drift for part, one in prior.parts.items() if one.drift is not None},
             "changes": tuple(change.sentence for change in prior.changes),
         }
     )

@@ -51,7 +51,9 @@ def draw_hidden(profile: Profile, seed: int, duration_s: float) -> tuple[dict[st
 def draw_targets(profile: Profile, model: CellModel, count: int, seed: int) -> list[Target]:
     """``count`` single targets of each arm in the tracker frame, which the arm reaches where the tracker sees it.
 
-    Each is the SMR pose of the nominal arm at a random configuration; the other arms wait at home.
+    Each is the SMR pose of the nominal arm at a random configuration; the other arms wait at home. The side from which
+    each joint comes is stated, drawn at random: a short last motion, as designed plans have it. After ways of radians
+    effects of the last motion would be larger than any that the run could show.
     """
     cell, homes = cell_bodies(profile, model), home_positions(profile)
     targets = []
@@ -59,9 +61,11 @@ def draw_targets(profile: Profile, model: CellModel, count: int, seed: int) -> l
         others = {other: home for other, home in homes.items() if other != name}
         drawn = _drawn(cell, profile, name, [seed, _TARGET_SEED, place])
         found = (q for q in drawn if not refuse_stop(cell, {**others, name: q}) and _seen(cell, name, q, others))
+        sides = np.random.default_rng([seed, _TARGET_SEED, place, 1])
         for number, q in zip(range(count), found, strict=False):
             position, rpy = _smr(model.arms[name].nominal, q)
-            targets.append(_target(f"{name} {number + 1}", name, position, rpy))
+            target = _target(f"{name} {number + 1}", name, position, rpy)
+            targets.append(target.model_copy(update={"approach": tuple(sides.choice([-1, 1], len(q)).tolist())}))
     return targets
 
 

@@ -84,11 +84,22 @@ class HiddenEffects(Record):
 
 
 class TargetTrial(Record):
-    """One cell. ``states`` maps ``CALIBRATED`` and ``RELOCATED`` to the figures; ``seconds`` is what it took."""
+    """One cell.
+
+    Attributes
+    ----------
+    states : mapping
+        ``CALIBRATED`` and ``RELOCATED`` -> the figures; the second is missing where the tracker was not located.
+    location : str
+        Verdict of locating the moved tracker.
+    seconds, push_seconds : float
+        What all of it took, and compensating and pushing the targets as calibrated.
+    """
 
     seed: int
     effects: Mapping[str, HiddenEffects]
     states: Mapping[str, StateFigures]
+    location: str
     seconds: float
     push_seconds: float
 

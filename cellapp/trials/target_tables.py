@@ -33,6 +33,11 @@ def target_trial_sentences(result: TargetTrialsResult) -> list[str]:
         f" cooperative at least {LEAST_GAIN:.0%} below the paper's proposed method on the same readings.",
         "Floor: repeated measurements of the same point, the tracker's noise and the arm's repeatability.",
         "Changed since: displacement by effects of time between the last reading and the last target.",
+        *(
+            f"Seed {trial.seed}: the moved tracker was not located: {trial.location}."
+            for trial in result.trials
+            if trial.location != "located"
+        ),
         *(f"Missed: {text}." for text in result.complaints()),
     ]
 

@@ -36,7 +36,7 @@ from cellapp.planning.duration import planned_time
 from cellapp.planning.stored_stops import read_planned_stops
 from cellapp.profile import Pose, Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.results import CALIBRATE, DiscoverResult, MeasuredTarget, VerifyResult
+from cellapp.results import CALIBRATE, DiscoverResult, LocateVerdict, MeasuredTarget, VerifyResult
 from cellapp.run import RunFile
 from cellapp.run.stages import read_stages
 from cellapp.run.stored_model import model_of, stage_in_force
@@ -128,13 +128,15 @@ def target_trial(task: TrialTask) -> TargetTrial:
         pushing = time.perf_counter()
         states = {CALIBRATED: _state(bench, task)}
         push_seconds = time.perf_counter() - pushing
-        located = _locate(run, bench)
-        if located is not None:
+        location = _locate(run, bench)
+        if location == "located":
+            located = replace(bench, known_s=plant.clock_s, model=_models(run)[0], moved=True)
             states[RELOCATED] = _state(located, task)
     return TargetTrial(
         seed=task.seed,
         effects={name: _effects(tuple(hidden[name]), laws[name], found, name) for name in profile.arms},
         states=states,
+        location=location,
         seconds=time.perf_counter() - began,
         push_seconds=push_seconds,
     )
@@ -174,8 +176,8 @@ def _effects(hidden: tuple[str, ...], laws: str, found: DiscoverResult, name: st
     return HiddenEffects(hidden=hidden, laws=laws, found=tuple(one.effect for one in arm.accepted), verdict=arm.verdict)
 
 
-def _locate(run: RunFile, bench: _Bench) -> _Bench | None:
-    """Move the tracker and locate it again; None where the points do not fit together.
+def _locate(run: RunFile, bench: _Bench) -> LocateVerdict:
+    """Move the tracker and locate it again.
 
     The new station is known as well as one that was paced out.
     """
@@ -187,10 +189,7 @@ def _locate(run: RunFile, bench: _Bench) -> _Bench | None:
     paced = T_C_M[:3, 3] + _PACED_M * rng.standard_normal(3)
     yaw, pitch, roll = np.array(zyx_angles(T_C_M[:3, :3])) + _PACED_RAD * rng.standard_normal(3)
     rough = Pose(position=tuple(paced.tolist()), rpy=(roll, pitch, yaw))
-    result = locate_run(run, tracker_pose=rough, open_with=partial(open_cell, plant=bench.plant))
-    if result.verdict != "located":
-        return None
-    return replace(bench, known_s=bench.plant.clock_s, model=_models(run)[0], moved=True)
+    return locate_run(run, tracker_pose=rough, open_with=partial(open_cell, plant=bench.plant)).verdict
 
 
 def _state(bench: _Bench, task: TrialTask) -> StateFigures:

@@ -103,6 +103,9 @@ def test_a_followed_path_is_as_good_as_one_measured_at_rest(run: RunFile, cells:
     assert [table.title for table in path_tables(result)][-1] == "Distance of measured points from the path"
     assert any("ms late" in line for line in path_sentences(result))
     assert result.complaints() == []
+    planned = follow_run(run, [spec()])
+    stored = read_results(run)
+    assert (stored.path, stored.follow) == (planned, result)
 
 
 def test_a_rehearsed_path_cuts_bends_less(run: RunFile) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellapp.collection.motion import Mover
 from cellapp.compensation.command import Command
 from cellapp.compensation.compensate import compensate
 from cellapp.compensation.iteration import (
@@ -172,3 +174,22 @@ def test_a_stated_approach_is_kept_with_every_command(run: RunFile, model: CellM
         assert target.approach is not None
         assert target.approach[:3] == sides[:3]
     assert found.arms["right"].compensated_mm.mean < 40e-3
+
+
+def test_where_the_step_back_is_refused_a_shorter_one_is_taken(
+    run: RunFile, geometric: CellModel, commands: tuple[Command, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The gate is made to refuse short ways of more than half a degree; nothing else changes."""
+    asked = Mover.refusal
+
+    def refusal(self: Mover, *legs: Mapping[str, np.ndarray]) -> str:
+        here = self.positions()
+        steps = [np.abs(q - here[name]).max() for leg in legs[:1] for name, q in leg.items()]
+        return "near" if np.radians(0.5) < max(steps) < np.radians(2.0) else asked(self, *legs)
+
+    monkeypatch.setattr(Mover, "refusal", refusal)
+    found = push(run.profile, geometric, commands[:1], verify=True, rounds=1)
+    (target,) = found.targets
+    assert target.note == ""
+    assert len(target.rounds_mm) == 2
+    assert target.rounds_mm[1] < 0.2 * target.rounds_mm[0]

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from cellapp.cli.app import app
 from cellapp.docs.handbook import chapter_text
-from cellapp.exports.formats import FORMATS
+from cellapp.exports.formats import all_formats
 
 COMMANDS = [
     line
@@ -33,12 +33,14 @@ def test_the_commands_do_what_the_page_says(
         ended = CliRunner().invoke(app, [*arguments, "--json", "result.json"])
         assert (program, ended.exit_code) == ("cellapp", 0), f"{command}: {ended.exception}"
         result = json.loads(Path("result.json").read_text("utf-8"))
-        assert all(Path(arm["file"]).is_file() for arm in result.get("arms", {}).values())
+        files = [*result.get("arms", {}).values(), *result.get("commands", {}).values()]
+        assert all(Path(one["file"]).is_file() for one in files)
     written = {path.name for path in tmp_path.iterdir() if path.is_file()}
     assert written >= {"cell-left.urdf", "cell-right.urdf", "calibration-left.conf", "readings.csv", "rigid-left.urdf"}
+    assert written >= {"commands.csv", "left.script"}
 
 
 @pytest.mark.fast
 def test_the_page_describes_every_format() -> None:
     described = re.findall(r"^\| `([a-z-]+)` \|", chapter_text("exports"), re.M)
-    assert described == list(FORMATS)
+    assert described == list(all_formats())

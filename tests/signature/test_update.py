@@ -15,7 +15,7 @@ from cellapp.kinematics.chain import parameter_names, smr_positions
 from cellapp.signature.belief import Belief, is_own
 from cellapp.signature.calibrate import stated_model, updated_arm
 from cellapp.signature.discovery import SearchWithPriors
-from cellapp.signature.earlier import Earlier
+from cellapp.signature.earlier import Earlier, believed
 from cellapp.signature.linear_model import Measured
 from cellapp.signature.posterior import posterior
 from cellapp.signature.update import Updated, first_model, update
@@ -119,7 +119,7 @@ def test_an_arm_that_is_another_one_is_not_believed(arm: SimulatedArm, earlier: 
     rng = np.random.default_rng(8)
     other = arm.with_rows(rng.normal(0.0, 1e-3, (6, 5)) * [1, 1, 1, 1, 0])
     outcome = again(other.mounted(ELSEWHERE, TOOL), earlier, 60)
-    assert outcome.parts["geometry"].drift > 1e-4
+    assert (outcome.parts["geometry"].drift or 1.0) > 1e-4
     assert error_um(other.mounted(ELSEWHERE, TOOL), outcome) < 30.0
 
 
@@ -150,3 +150,37 @@ def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: Simu
     assert "joint 2 has appeared since 2026-03-01" in found.sentence
     assert [term.slug for term in found.model.effects] == ["joint_compliance", "encoder_eccentricity"]
     np.testing.assert_allclose(found.model.effects[1].values, 1e-4, atol=3e-5)
+
+
+def test_a_wrong_effect_of_the_earlier_calibration_is_left_out(arm: SimulatedArm, earlier: Earlier) -> None:
+    free = replace(arm, model=replace(arm.model, effects=())).mounted(ELSEWHERE, TOOL)
+    outcome = again(free, earlier, 40)
+    assert outcome.used
+    assert outcome.parts["geometry"].used
+    assert not outcome.parts["effects"].used or outcome.changes
+    assert error_um(free, outcome) < 15.0
+
+
+def test_of_a_quite_different_arm_nothing_is_used(arm: SimulatedArm, earlier: Earlier) -> None:
+    belief = earlier.belief
+    terms = tuple(replace(term, values=-3.0 * term.values) for term in belief.terms)
+    mean = np.concatenate([-8.0 * belief.mean[: len(belief.columns)], *(term.values for term in terms)])
+    outcome = again(arm.mounted(ELSEWHERE, TOOL), replace(earlier, belief=replace(belief, mean=mean, terms=terms)), 60)
+    assert not outcome.used
+    assert not any(part.used for part in outcome.parts.values())
+    assert outcome.changes == ()
+    assert outcome.found.model.effects == ()
+
+
+def test_a_chain_passes_on_what_was_left_out_and_what_appeared(arm: SimulatedArm, earlier: Earlier) -> None:
+    free = replace(arm, model=replace(arm.model, effects=())).mounted(ELSEWHERE, TOOL)
+    readings = free.readings(60, seed=12)
+    before = update(
+        free.profile, "left", readings, measurement_conditions(readings), earlier.belief, earlier.since
+    )  # fmt: skip
+    models = {"left": stated_model(before.found, 0)}
+    belief, count = believed(free.profile, "left", models, {"left": readings}, earlier.belief, earlier.since)
+    assert count == 60
+    assert len(belief.mean) == len(belief.covariance) == len(belief.size) == len(belief.parts)
+    again_free = free.mounted(np.eye(4), -TOOL)
+    assert error_um(again_free, again(again_free, replace(earlier, belief=belief), 30)) < 15.0

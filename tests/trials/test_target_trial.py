@@ -12,6 +12,7 @@ from cellapp.trials.measured import measured_plan
 from cellapp.trials.target_draws import draw_hidden, draw_pairs, draw_targets
 from cellapp.trials.target_records import (
     CALIBRATED,
+    RELOCATED,
     ArmFigures,
     PairFigures,
     StateFigures,
@@ -38,7 +39,7 @@ PAIR = PairFigures(targets=200, refused=0, nominal_mm=1.0, compensated_mm=0.03, 
 
 def result_of(arm: ArmFigures, pair: PairFigures | None = PAIR, state: str = CALIBRATED) -> TargetTrialsResult:
     states = {state: StateFigures(arms={"left": arm}, pair=pair)}
-    trial = TargetTrial(seed=0, effects={}, states=states, seconds=1.0, push_seconds=1.0)
+    trial = TargetTrial(seed=0, effects={}, states=states, location="located", seconds=1.0, push_seconds=1.0)
     return TargetTrialsResult(profile="twin", trials=(trial, trial))
 
 
@@ -95,7 +96,8 @@ def test_a_cell_from_plan_to_measured_targets() -> None:
         assert arm.compensated_mm < 0.3 * arm.nominal_mm
         assert 0.015 < arm.floor_mm < 0.035, "the tracker at 3 to 5 m"
         assert trial.effects[name].hidden
-    assert len(target_trial_tables(result)) == 2
+    assert (trial.location == "located") == (RELOCATED in trial.states)
+    assert len(target_trial_tables(result)) == 1 + len(trial.states)
 
 
 def test_drawn_targets_can_be_reached() -> None:
@@ -105,6 +107,7 @@ def test_drawn_targets_can_be_reached() -> None:
     singles, pairs = draw_targets(profile, model, 3, 5), draw_pairs(profile, model, 2, 5)
     assert singles == draw_targets(profile, model, 3, 5)
     assert [target.arm for target in singles] == ["left"] * 3 + ["right"] * 3
+    assert all(target.approach is not None and set(target.approach) <= {-1, 1} for target in singles)
     for target in pairs:
         assert target.partner is not None
         assert np.linalg.norm(target.partner.position) > 0.05, "the arms keep their clearance"

@@ -9,7 +9,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Input, OptionList
 
-from cellapp.exports.formats import FORMATS
+from cellapp.exports.formats import all_formats
 from cellapp.exports.run_export import export_as_run
 from cellapp.run import RunFile
 from cellapp.tui.app import CellApp
@@ -37,7 +37,7 @@ async def test_a_format_is_chosen_and_both_arms_are_written(finished_run: Path) 
         await pilot.press("e")
         await until(pilot, lambda: isinstance(app.screen, ExportArms), "the dialog")
         text = shown_text(app)
-        assert all(form in text for form in FORMATS)
+        assert all(form in text for form in all_formats())
         assert "Write (Ctrl+S)" in text, "all of the dialog fits into the smallest terminal"
         await pilot.press("down", "down")
         assert app.screen.query_one("#path", Input).value == str(DAY / "urdf.urdf")

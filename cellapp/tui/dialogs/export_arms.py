@@ -1,4 +1,4 @@
-"""Ask in which format, and where, the calibrated arms are written for other programs."""
+"""Ask in which format, and where, the calibrated arms or the commands are written for other programs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cellapp.exports.formats import all_formats
 from cellapp.tui.dialogs.file_picker import PathField
 from cellapp.tui.dialogs.write_question import WriteQuestion
 
-_STAGES = ("calibrate", "discover")
+_STAGES = ("calibrate", "discover", "compensate", "verify")
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class ExportArms(WriteQuestion[ExportRequest]):
         self._proposed = ""
 
     def body(self) -> ComposeResult:
-        yield Static("Calibrated arms for other programs", classes="title", markup=False)
+        yield Static("Calibrated arms and commands for other programs", classes="title", markup=False)
         options = [Option(f"{entry.name:15} {entry.what}", id=entry.name) for entry in all_formats().values()]
         yield OptionList(*options, id="formats", markup=False, compact=True)
         with Horizontal(classes="field"):
@@ -63,8 +63,10 @@ class ExportArms(WriteQuestion[ExportRequest]):
             yield Static("arm (empty: all)", markup=False)
             yield Input(id="arm", compact=True, suggester=SuggestFromList(self._arms))
         with Horizontal(classes="field"):
-            yield Static("geometry of stage", markup=False)
-            yield Input(id="stage", compact=True, placeholder="empty: in force", suggester=SuggestFromList(_STAGES))
+            yield Static("of stage", markup=False)
+            yield Input(
+                id="stage", compact=True, placeholder="empty: in force, or last", suggester=SuggestFromList(_STAGES)
+            )
         yield Static(
             f"Enter goes on and writes, {self.closing_key} closes. Several arms get a file each.",
             classes="text",

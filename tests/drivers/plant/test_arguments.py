@@ -7,6 +7,7 @@ import pytest
 
 from drivers.plant import GeometryErrors
 from drivers.plant.climate import JOINT_RISE_K, JOINT_TIME_CONSTANT_S
+from drivers.plant.lines import carry, rigid
 
 pytestmark = pytest.mark.fast
 
@@ -127,3 +128,13 @@ def test_joints_that_are_switched_on_become_warm_without_moving(make_plant):
     held.advance(JOINT_TIME_CONSTANT_S)
     assert held.joint_temperatures_c("left") == pytest.approx(found[0])
     assert held.joint_temperatures_c("left") - held.air_temperature_c == pytest.approx(8.0 * (1.0 - np.exp(-1.0)))
+
+
+def test_a_moved_tracker_sees_the_same_cell_from_elsewhere(make_plant):
+    plant, moved = make_plant(), make_plant()
+    T_C_M = rigid(np.array([3.0, 0.7, 0.2, 0.1, -0.2, 2.5]))
+    moved.move_tracker(T_C_M)
+    in_cell = carry(plant.config.tracker.T_C_M, plant.smr_positions("left", Q))
+    np.testing.assert_allclose(carry(T_C_M, moved.smr_positions("left", Q)), in_cell, atol=1e-12)
+    (found,) = (target for target in moved.targets() if target.arm == "left")
+    np.testing.assert_allclose(found.p_M, moved.smr_positions("left", moved.q("left")[None])[0], atol=1e-9)
