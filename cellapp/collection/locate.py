@@ -56,6 +56,8 @@ _LATTICE_M = 0.057
 least distance within which a tracker's driver accepts an SMR."""
 _REPEATS = 5
 """Measurements of each point: what scatters from one to the next falls below half."""
+_RUN_UP_RAD = np.radians(2.0)
+"""Last motion of each joint to a point: as short as most of a plan, and well beyond any play."""
 _MISSED_AT_FIRST, _MISSED_LATER = 2, 3
 """So many SMRs that are not found one after the other end the job, before the first one is found and after it."""
 
@@ -275,12 +277,18 @@ class _Measuring:
         return True
 
     def _go(self, name: str, q: Vector) -> ArmState:
-        """Move one arm, straight if it can return home from there, else via home; the one that was away goes home."""
+        """Move one arm, straight if it can return home from there, else via home; the one that was away goes home.
+
+        Its last motion is short where the gate accepts that: effects that depend on the motion are known for such ones.
+        """
         if self._away and self._away != name:
             self.mover.move({self._away: self._homes[self._away]})
         self._away = name
         if self.mover.refusal({name: q}, {name: self._homes[name]}):
             self.mover.move({name: self._homes[name]})
+        run_up = q - _RUN_UP_RAD * np.sign(q - self.mover.positions()[name])
+        if not self.mover.refusal({name: run_up}, {name: q}):
+            self.mover.move({name: run_up})
         return self.mover.move({name: q})[name]
 
     def _search(self, name: str, state: ArmState) -> FoundPoint | None:

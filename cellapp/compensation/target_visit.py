@@ -15,8 +15,9 @@ from cellapp.compensation.iteration import CorrectionRefused, corrected_command,
 from cellapp.compensation.verification import CommandKind, Findings, Measured, Rest, predict_at_rest, rms_error_m
 from cellapp.compensation.working_conditions import conditions_of
 from cellapp.control import JobControl
+from cellapp.effects import EFFECTS, DriverVariable
 from cellapp.kinematics.transforms import Array
-from cellapp.model import CellModel
+from cellapp.model import ArmModel, CellModel
 from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import TargetLost, TrackerError, WrongTarget
 
@@ -82,7 +83,7 @@ class TargetVisit:
     def _go(self, kind: CommandKind, found: Findings) -> tuple[States, Mapping[str, Vector]]:
         """Drive all arms of a target to their commands of one kind; return their states and what was sent."""
         sent: dict[str, Vector] = {}
-        sides = {} if kind == "nominal" else _stated_sides(found)
+        sides = {} if kind == "nominal" else self._sides(found)
 
         def command(name: str, start: Vector) -> Vector:
             one = found.commands[name]
@@ -93,6 +94,20 @@ class TargetVisit:
             return sent[name]
 
         return self.driver.to(list(found.commands), command, sides), sent
+
+    def _sides(self, found: Findings) -> dict[str, Vector]:
+        """The sides from which arms are to come: as stated; else, where they matter to the model, those of the way.
+
+        The last motion is then short, as in most stops of a plan: effects that depend on its size are known there.
+        """
+        here = self.driver.mover.positions()
+        sides = {}
+        for name, command in found.commands.items():
+            if command.approach is not None:
+                sides[name] = np.array(command.approach, dtype=np.float64)
+            elif _last_motion_matters(self.model.arms[name]):
+                sides[name] = np.sign(np.asarray(command.q_compensated) - here[name])
+        return sides
 
     def _measure(self, kind: CommandKind, found: Findings, states: States, sent: Mapping[str, Vector]) -> Rest:
         """Measure the SMRs of arms at rest; one that cannot be measured becomes its arm's note."""
@@ -159,10 +174,7 @@ class TargetVisit:
             found.best = len(found.rounds) - 1
 
 
-def _stated_sides(found: Findings) -> dict[str, Vector]:
-    """The sides from which a target's first arm is to come."""
-    return {
-        name: np.array(command.approach, dtype=np.float64)
-        for name, command in found.commands.items()
-        if command.approach is not None
-    }
+def _last_motion_matters(arm: ArmModel) -> bool:
+    """Whether an effect of the model depends on the last motion of the joints."""
+    variables = {variable for term in arm.effects for variable in EFFECTS[term.slug].variables}
+    return not variables.isdisjoint({DriverVariable.APPROACH, DriverVariable.STEP})
