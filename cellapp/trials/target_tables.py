@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from cellapp.reporting.table import Column, Table, number_column
+from cellapp.reporting.table import Cell, Column, Table, number_column
 from cellapp.trials.target_records import (
     LEAST_GAIN,
     LEAST_RATIO,
@@ -20,7 +20,7 @@ def target_trial_tables(result: TargetTrialsResult) -> list[Table]:
     """Errors by arm and by pair in every state, a row each cell and one of the means; then what was hidden."""
     tables = []
     for state in result.states():
-        tables.append(_arms(result, state))
+        tables += [_arms(result, state), _promises(result, state)]
         if result.pairs(state):
             tables.append(_pairs(result, state))
     return [*tables, _effects(result)]
@@ -43,11 +43,7 @@ def target_trial_sentences(result: TargetTrialsResult) -> list[str]:
 
 
 def _arms(result: TargetTrialsResult, state: str) -> Table:
-    rows = []
-    for name, arms in result.by_arm(state).items():
-        seeds = [trial.seed for trial in result.trials if state in trial.states]
-        rows += [(name, str(seed), *_arm_cells([arm])) for seed, arm in zip(seeds, arms, strict=True)]
-        rows.append((name, "mean", *_arm_cells(arms)))
+    """Errors of single targets."""
     return Table(
         f"{result.profile}: single targets, {state}",
         (
@@ -56,37 +52,59 @@ def _arms(result: TargetTrialsResult, state: str) -> Table:
             number_column("targets", "d"),
             number_column("refused", "d"),
             number_column("nominal", ".3f", "mm"),
-            number_column("compensated", ".4f", "mm"),
-            number_column("times below", ".1f"),
+            number_column("ours", ".4f", "mm"),
+            number_column("times", ".0f"),
             number_column("floor", ".4f", "mm"),
             number_column("of floor", ".2f"),
-            number_column("changed since", ".4f", "mm"),
-            number_column("paper's", ".4f", "mm"),
-            number_column("within 95 %", ".1f", "%"),
-            number_column("coordinates", ".1f", "%"),
         ),
-        tuple(rows),
+        _rows_of_arms(result, state, _error_cells),
     )
 
 
-def _arm_cells(arms: Sequence[ArmFigures]) -> tuple[int | float | None, ...]:
+def _promises(result: TargetTrialsResult, state: str) -> Table:
+    """How often measurements keep what was stated of them, beside what no calibration can foresee."""
+    return Table(
+        f"{result.profile}: stated intervals of single targets, {state}",
+        (
+            Column("arm"),
+            Column("seed"),
+            number_column("distances", ".1f", "%"),
+            number_column("coordinates", ".1f", "%"),
+            number_column("changed since", ".4f", "mm"),
+            number_column("paper's", ".4f", "mm"),
+        ),
+        _rows_of_arms(result, state, _promise_cells),
+    )
+
+
+def _rows_of_arms(
+    result: TargetTrialsResult, state: str, cells: Callable[[Sequence[ArmFigures]], tuple[Cell, ...]]
+) -> tuple[tuple[Cell, ...], ...]:
+    """A row for each arm of each cell, and one of the means of each arm."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, arms in result.by_arm(state).items():
+        seeds = [trial.seed for trial in result.trials if state in trial.states]
+        rows += [(name, str(seed), *cells([arm])) for seed, arm in zip(seeds, arms, strict=True)]
+        rows.append((name, "mean", *cells(arms)))
+    return tuple(rows)
+
+
+def _error_cells(arms: Sequence[ArmFigures]) -> tuple[Cell, ...]:
     nominal, ours = mean_of(arm.nominal_mm for arm in arms), mean_of(arm.compensated_mm for arm in arms)
     floor = mean_of(arm.floor_mm for arm in arms)
     assert nominal is not None
     assert ours is not None
     assert floor is not None
+    counts = sum(arm.targets for arm in arms), sum(arm.refused for arm in arms)
+    return (*counts, nominal, ours, nominal / ours, floor, ours / floor)
+
+
+def _promise_cells(arms: Sequence[ArmFigures]) -> tuple[Cell, ...]:
     return (
-        sum(arm.targets for arm in arms),
-        sum(arm.refused for arm in arms),
-        nominal,
-        ours,
-        nominal / ours,
-        floor,
-        ours / floor,
-        mean_of(arm.changed_mm for arm in arms),
-        mean_of(arm.paper_mm for arm in arms),
         _percent(mean_of(arm.within_95 for arm in arms)),
         _percent(mean_of(arm.coordinates_95 for arm in arms)),
+        mean_of(arm.changed_mm for arm in arms),
+        mean_of(arm.paper_mm for arm in arms),
     )
 
 

@@ -97,7 +97,7 @@ def test_a_cell_from_plan_to_measured_targets() -> None:
         assert 0.015 < arm.floor_mm < 0.035, "the tracker at 3 to 5 m"
         assert trial.effects[name].hidden
     assert (trial.location == "located") == (RELOCATED in trial.states)
-    assert len(target_trial_tables(result)) == 1 + len(trial.states)
+    assert len(target_trial_tables(result)) == 1 + 2 * len(trial.states)
 
 
 def test_drawn_targets_can_be_reached() -> None:
