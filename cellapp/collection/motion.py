@@ -343,9 +343,11 @@ class Mover:
         return self.measure_at(predicted_smr(self._bodies, name, q[None])[0], f"arm {name}")
 
     def measure_at(
-        self, expected_M: Vector, what: str, within_m: float = _WRONG_TARGET_M, tries: int = _MEASURING_TRIES
+        self, expected_M: Vector, what: str, within_m: float | None = None, tries: int = _MEASURING_TRIES
     ) -> Point:
-        """Measure the SMR of ``what`` within ``within_m`` [m] of ``expected_M`` (3,) [m]. Raises as ``measure``."""
+        """Measure the SMR of ``what`` at ``expected_M`` (3,) [m], ``within_m`` [m] of it; None: as far as a prediction
+        may be off. Raises as ``measure``."""
+        within_m = _WRONG_TARGET_M if within_m is None else within_m
         problem: TrackerError = TargetLost("not tried")
         for _ in range(tries):
             self._reaction.check()
