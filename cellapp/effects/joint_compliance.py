@@ -119,7 +119,7 @@ class JointCompliance(Effect):
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint, and those that refine it: bodies, load, knee."""
         if law.form == FREE_MASSES:
-            return _torques_of_unit_masses(context, law.constants[AMPLITUDE.name])
+            return _torques_of_unit_masses(context, law.constants[AMPLITUDE.name], names)
         columns = _corrections_by_body(context, names)
         loads = context.loads.torques_of(-1)
         for j, stiff in enumerate(_compliances("compliance", context.torques)):
@@ -257,8 +257,13 @@ def _corrections_by_body(context: EffectContext, names: Collection[str] | None) 
     return columns
 
 
-def _torques_of_unit_masses(context: EffectContext, amplitude: float) -> list[EffectColumn]:
-    """``unit{j}_{i}``: torque about joint j [Nm] of 1 kg at the origin of each later frame i (the last: SMR)."""
+def _torques_of_unit_masses(
+    context: EffectContext, amplitude: float, names: Collection[str] | None
+) -> list[EffectColumn]:
+    """``unit{j}_{i}``: torque about joint j [Nm] of 1 kg at the origin of each later frame i (the last: SMR).
+
+    Without ``names`` those that are more than rounding: a single posture may have none about a joint of the model.
+    """
     rotations, origins = context.frames
     weight_M = -_GRAVITY * context.up_M
     columns = []
@@ -267,8 +272,9 @@ def _torques_of_unit_masses(context: EffectContext, amplitude: float) -> list[Ef
         for i in range(j + 1, context.joints + 1):
             place = context.p_M if i == context.joints else origins[i]
             torque = np.einsum("na,na->n", axis, np.cross(place - origins[j], weight_M))
-            if np.abs(torque).max(initial=0.0) > _ROUNDING:
-                column = joint_column(f"unit{j + 1}_{i}", "rad/Nm", j, torque, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
+            name = f"unit{j + 1}_{i}"
+            if name in names if names is not None else np.abs(torque).max(initial=0.0) > _ROUNDING:
+                column = joint_column(name, "rad/Nm", j, torque, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
                 columns.append(with_prior(column, amplitude))
     return columns
 

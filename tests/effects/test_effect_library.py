@@ -356,3 +356,15 @@ def term_of(slug, law, values):
         units=("",) * len(values),
         law=law,
     )
+
+
+FREE_MASSES = EFFECTS["joint_compliance"].law("smooth", {"amplitude": 1e-4})
+
+
+@pytest.mark.parametrize(("slug", "law"), [*NAMED, ("joint_compliance", FREE_MASSES)], ids=label)
+def test_a_term_can_be_evaluated_at_any_single_posture(slug: str, law: Law) -> None:
+    """Columns that vanish at a posture, such as a torque of an upright arm, are columns of the term all the same."""
+    names = frozenset(by_name(EFFECTS[slug].columns(CONTEXT, law)))
+    for q in (CONTEXT.q[:1], np.zeros((1, 6)), np.array([[0.0, -np.pi / 2.0, 0.0, -np.pi / 2.0, 0.0, 0.0]])):
+        alone = replace(rows_of(CONTEXT, np.array([0])), q=q)
+        assert names <= set(by_name(EFFECTS[slug].columns(alone, law, names)))
