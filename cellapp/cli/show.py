@@ -28,6 +28,7 @@ class Part(StrEnum):
     LOCATION = "location"
     TARGETS = "targets"
     VERIFICATION = "verification"
+    PATHS = "paths"
     LOG = "log"
     PROFILE = "profile"
     HISTORY = "history"
@@ -40,6 +41,7 @@ _NOTHING = {
     Part.LOCATION: "no station of the tracker is",
     Part.TARGETS: "no compensated targets are",
     Part.VERIFICATION: "no verification is",
+    Part.PATHS: "no paths are",
 }
 """Subject and verb where a part is missing."""
 
@@ -205,6 +207,7 @@ def _show_result(job: Job, run: RunFile, part: Part) -> None:
         Part.LOCATION: ("locate", "cellapp locate", _show_location),
         Part.TARGETS: ("compensate", "cellapp compensate", _show_targets),
         Part.VERIFICATION: ("verify", "cellapp push --verify", _show_verification),
+        Part.PATHS: ("path" if results.follow is None else "follow", "cellapp follow", _show_paths),
     }[part]
     reason = {str(key): text for key, text in results.out_of_date.items()}.get(name)
     stored = getattr(results, name)
@@ -249,6 +252,15 @@ def _show_location(job: Job, results: RunResults) -> None:
     assert results.locate is not None
     job.show(location_tables(results.locate))
     job.say(*location_sentences(results.locate))
+
+
+def _show_paths(job: Job, results: RunResults) -> None:
+    from cellapp.reporting.path_table import path_sentences, path_tables
+
+    stored = results.path if results.follow is None else results.follow
+    assert stored is not None
+    job.show(path_tables(stored))
+    job.say(*path_sentences(stored))
 
 
 def _show_targets(job: Job, results: RunResults) -> None:

@@ -26,6 +26,7 @@ from cellapp.reporting.page_tables import (
     nominal_and_identified_tables,
     pair_tables,
 )
+from cellapp.reporting.path_table import path_sentences, path_tables, stored_paths
 from cellapp.reporting.plan_section import plan_section
 from cellapp.reporting.provenance import provenance_lines
 from cellapp.reporting.report_data import ReportData, read_report_data
@@ -83,6 +84,7 @@ def page_text(run: RunFile, written: datetime) -> str:
         **_discovery(data),
         **_station(data),
         targets=targets_section(data),
+        **_paths(data),
         **_collection(run),
         plan=plan_section(run),
         cell=cell_views(data.model, data.readings),
@@ -153,6 +155,14 @@ def _station(data: ReportData) -> Mapping[str, object]:
     return {
         "station_tables": location_tables(located) if located is not None and shown else [],
         "station_sentences": location_sentences(located) if located is not None and shown else [],
+    }
+
+
+def _paths(data: ReportData) -> Mapping[str, object]:
+    stored = stored_paths(data.results)
+    return {
+        "path_tables": [] if stored is None else path_tables(stored),
+        "path_sentences": [] if stored is None else path_sentences(stored),
     }
 
 

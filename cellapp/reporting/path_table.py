@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from cellapp.reporting.table import Cell, Column, Table, number_column
-from cellapp.results import ErrorSummary, PathRecord, PathResult
+from cellapp.results import FOLLOW, PATH, ErrorSummary, PathRecord, PathResult, RunResults
+
+
+def stored_paths(results: RunResults) -> PathResult | None:
+    """The paths that were measured last; without them those that were planned or driven. None where neither holds."""
+    for name, stored in ((FOLLOW, results.follow), (PATH, results.path)):
+        if stored is not None and name not in results.out_of_date:
+            return stored
+    return None
 
 
 def path_tables(result: PathResult) -> list[Table]:
@@ -90,13 +98,13 @@ def _reversals(paths: list[PathRecord]) -> Table:
 def _distances(paths: list[PathRecord]) -> Table:
     columns = (
         Column("path"),
-        Column("driven by"),
-        Column("measured"),
-        number_column("points", "d"),
+        Column("by"),
+        Column("how"),
+        number_column("n", "d"),
         number_column("mean", ".3f", "mm"),
         number_column("95 %", ".3f", "mm"),
         number_column("max", ".3f", "mm"),
-        Column("verdict"),
+        Column("met"),
     )
     rows = []
     for path in paths:
@@ -104,13 +112,13 @@ def _distances(paths: list[PathRecord]) -> Table:
         if driven is None:
             continue
         kinds = (
-            ("calibrated model", "moving", driven.moving),
-            ("calibrated model", "at rest", driven.at_rest),
-            ("published geometry", driven.judged, driven.nominal),
+            ("model", "moving", driven.moving),
+            ("model", "at rest", driven.at_rest),
+            ("nominal", driven.judged, driven.nominal),
         )
         for by, how, errors in kinds:
             if errors is not None:
-                verdict = driven.verdict if by == "calibrated model" and how == driven.judged else ""
+                verdict = driven.verdict if by == "model" and how == driven.judged else ""
                 rows.append(_distance_row(path.name, by, how, errors, verdict))
     return Table("Distance of measured points from the path", columns, tuple(rows))
 

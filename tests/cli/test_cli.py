@@ -226,6 +226,33 @@ def test_what_a_person_sees_without_json(work: Path, call: Any) -> None:
     assert call("show", "planned", "log").out == "no log lines to show\n"
 
 
+PATHS = """\
+schema: cellapp-paths
+version: 1
+paths:
+  - name: short
+    arm: left
+    poses:
+      - {position: [-0.15, -0.75, 0.55], rpy: ["90 deg", 0, 0]}
+      - {position: [-0.10, -0.75, 0.55]}
+    speed: 100 mm/s
+    tolerance: 0.3 mm
+"""
+
+
+def test_paths_are_planned_measured_and_shown(work: Path, call: Any) -> None:
+    (work / "paths.yaml").write_text(PATHS)
+    assert call("show", "collected", "paths").err.endswith("no paths are stored; run 'cellapp follow' first\n")
+    planned = call("follow", "done", "paths.yaml", "--out", "q.csv", "--json", "-").json
+    assert planned["schema"] == "cellapp-path"
+    assert (work / "q.csv").is_file()
+    assert call("follow", "done", "paths.yaml", "--verify").code == 0
+    shown = call("show", "done", "paths")
+    assert "Distance of measured points from the path" in shown.out
+    assert call("report", "done").code == 0
+    assert "<h2>Paths</h2>" in (work / "done" / "report.html").read_text("utf-8")
+
+
 def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
     (work / "targets" / "twin.yaml").write_text(few_targets())
     ended = call("run", "twin.yaml", "--run", "all/of/it", "--json", "-")
