@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.kinematics.branches import all_branches, turned_into
 from cellapp.kinematics.chain import Geometry
 from cellapp.kinematics.inverse import solve_pose
 from cellapp.kinematics.transforms import Array
 from cellapp.paths.cartesian import CartesianPath
 
-_STARTS = 64
-"""Random starts of the inverse at the beginning: a six-joint arm has at most 16 solutions, and each is met often."""
-_SAME_RAD = 1e-4
-"""Solutions that differ by less are one."""
 _COARSE_M = 0.01
 _COARSE_TURN_RAD = 0.05
 """Spacing of the samples along which a branch is followed: neighbours are near enough that Newton stays on it."""
@@ -44,17 +41,15 @@ class Branch:
     failed_m: float = np.inf
 
 
-def follow_branches(
-    geometry: Geometry, path: CartesianPath, limits: Array, near: Array, rng: np.random.Generator
-) -> list[Branch]:
+def follow_branches(geometry: Geometry, path: CartesianPath, limits: Array, near: Array, seed: int) -> list[Branch]:
     """Every branch of ``geometry`` along a path: first those that reach its end, the nearest to ``near`` (N,) first.
 
-    Then those that fail, the farthest first. ``limits`` (N, 2) [rad] hold on the whole path. Empty if the beginning is
-    out of reach.
+    Then those that fail, the farthest first. ``limits`` (N, 2) [rad] hold on the whole path; ``seed`` is that of
+    ``all_branches``. Empty if the beginning is out of reach.
     """
     s = _samples(path)
     positions, rotations = path.poses(s)
-    start = _solutions(geometry, positions[0], rotations[0], limits, rng)
+    start = _solutions(geometry, positions[0], rotations[0], limits, near, seed)
     q = np.empty((len(s), *start.shape))
     failed = np.full(len(start), len(s))
     reasons = [""] * len(start)
@@ -88,21 +83,11 @@ def _samples(path: CartesianPath) -> Array:
     return np.concatenate(found)
 
 
-def _solutions(geometry: Geometry, position: Array, rotation: Array, limits: Array, rng: np.random.Generator) -> Array:
+def _solutions(geometry: Geometry, position: Array, rotation: Array, limits: Array, near: Array, seed: int) -> Array:
     """Different solutions (b, N) [rad] within the limits at one pose."""
-    middle = np.clip(0.0, limits[:, 0] + np.pi, limits[:, 1] - np.pi)
-    low, high = np.maximum(limits[:, 0], middle - np.pi), np.minimum(limits[:, 1], middle + np.pi)
-    starts = rng.uniform(low, high, size=(_STARTS, len(low)))
-    solved = solve_pose(geometry, np.tile(position, (_STARTS, 1)), np.tile(rotation, (_STARTS, 1, 1)), starts)
-    near = solved.q - 2.0 * np.pi * np.round(solved.q / (2.0 * np.pi))
-    low_turn = solved.q + 2.0 * np.pi * np.ceil((limits[:, 0] - solved.q) / (2.0 * np.pi))
-    q = np.where((near >= limits[:, 0]) & (near <= limits[:, 1]), near, low_turn)
-    good = q[solved.reached & np.all((q >= limits[:, 0]) & (q <= limits[:, 1]), axis=1)]
-    if len(good) == 0:
-        return np.asarray(good)
-    apart = np.abs(good[:, None] - good[None]).max(axis=2) > _SAME_RAD
-    first = np.all(apart | ~np.tri(len(good), k=-1, dtype=bool), axis=1)  # no earlier one is the same
-    return np.asarray(good[first])
+    (found,) = all_branches(geometry, position[None], rotation[None], limits, near, seed)
+    q, _ = turned_into(found[np.isfinite(found[:, 0])], limits, np.zeros(len(limits)))
+    return np.asarray(q[np.all((q >= limits[:, 0]) & (q <= limits[:, 1]), axis=1)])
 
 
 def _why_not(before: Array, here: Array, reached: bool, limits: Array) -> str:

@@ -75,9 +75,8 @@ def plan_path(profile: Profile, model: CellModel, spec: PathSpec, period_s: floa
         raise InputError(f"profile {profile.name}: arms.{missing[0]}.home is needed: a path begins and ends there")
     arm, cell = model.arms[spec.arm], cell_bodies(profile, model)
     path, nominal_path = paths_of(model, spec)
-    rng = np.random.default_rng([profile.seed, 0x9A7])
     limits = cell.arms[spec.arm].limits
-    branches = follow_branches(arm.geometry, path, limits, homes[spec.arm], rng)
+    branches = follow_branches(arm.geometry, path, limits, homes[spec.arm], profile.seed)
     if not branches:
         return PathPlan(spec, "its beginning, at 0 mm, is out of reach", path, nominal_path)
     if branches[0].failure:
