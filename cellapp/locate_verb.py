@@ -249,7 +249,7 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
 
 
 def _store(run: RunFile, used: StoredStage, result: LocateResult, moved: CellModel | None) -> None:
-    basis = basis_on_model(run, used, "")
+    basis = basis_on_model(run, used)
     assert basis is not None
     text = None
     if moved is not None:

@@ -23,8 +23,8 @@ from cellapp.profile import Profile
 from cellapp.progress import Listener, Progress, ignore, with_eta
 from cellapp.results import FOLLOW, PATH, DrivenPath, PathResult
 from cellapp.run import RunFile
-from cellapp.run.stages import RunStages, append_stage, basis_on_model, read_stages
-from cellapp.run.stored_model import model_of, stage_in_force
+from cellapp.run.stages import append_stage, basis_on_model, read_stages
+from cellapp.run.stored_model import model_of, require_current_model, stage_in_force, stale_notes
 
 Driving = Literal["plan", "drive", "verify"]
 """Only plan, which moves nothing; drive; drive and measure."""
@@ -66,11 +66,10 @@ def follow_run(
     if rehearse and driving == "plan":
         raise InputError("follow: a rehearsal moves the arms; ask for driving or verifying too (--drive, --verify)")
     if driving != "plan" and not out_of_date:
-        _require_current(run, stages)
+        require_current_model(run, stages, "follow")
     used = stage_in_force(run, stages)
     model = model_of(run, used)
-    stale = stages.stale_model()
-    notes = [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
+    notes = stale_notes(stages, used)
     plans = _planned(run, model, paths, listener, control)
     if csv is not None:
         _write(csv, path_csv(plans))
@@ -90,17 +89,9 @@ def follow_run(
                 rehearse=rehearse,
             )
     result = path_result(model, followed, notes)
-    text = "\n".join(spec.model_dump_json(exclude_none=True, exclude_defaults=True) for spec in paths)
-    append_stage(run, FOLLOW if driving == "verify" else PATH, result, basis_on_model(run, used, text))
+    basis = basis_on_model(run, used, paths)
+    append_stage(run, FOLLOW if driving == "verify" else PATH, result, basis)
     return result
-
-
-def _require_current(run: RunFile, stages: RunStages) -> None:
-    if stale := stages.stale_model():
-        raise InputError(
-            f"follow: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
-            " --out-of-date"
-        )
 
 
 def _driven(

@@ -36,7 +36,7 @@ from cellapp.planning.method import plan_run
 from cellapp.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken, Listener, ignore, with_eta
-from cellapp.push_verb import PushJob, check_rounds, push_commands, require_current_model
+from cellapp.push_verb import PushJob, check_rounds, push_commands
 from cellapp.reporting.page import write_page
 from cellapp.results import (
     CALIBRATE,
@@ -70,7 +70,7 @@ from cellapp.run.stages import (
     read_results,
     read_stages,
 )
-from cellapp.run.stored_model import model_of, stage_in_force
+from cellapp.run.stored_model import model_of, require_current_model, stage_in_force, stale_notes
 from cellapp.signature.calibrate import with_prior
 from cellapp.signature.discovery import SearchWithPriors
 from cellapp.signature.source import basis_of_priors, earlier_arms, earlier_of_calibration, recorded_priors
@@ -379,14 +379,15 @@ def _push(
     out_of_date: bool = False,
 ) -> VerifyResult:
     stages = read_stages(run)
-    require_current_model(run, stages, out_of_date=out_of_date)
+    if not out_of_date:
+        require_current_model(run, stages, "push")
     commands, compensated = _compensate(run, stages, targets)
     job = PushJob(
         run=run,
         profile=profile_at_station(run, stages),
         model=stage_in_force(run, stages),
         commands=commands,
-        targets_json=_targets_json(targets),
+        targets=tuple(targets),
         notes=compensated.notes,
         verify=verify,
         rounds=iterate or 0,
@@ -458,14 +459,9 @@ def _compensate(
     used = stage_in_force(run, stages)
     ranges = {name: ConditionRanges.of(readings) for name, readings in _readings(run).items()}
     commands = compensate(run.profile, model_of(run, used), targets, ranges=ranges)
-    stale = stages.stale_model()
-    notes = [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
+    notes = stale_notes(stages, used)
     result = compensate_result(commands, notes)
-    append_stage(run, COMPENSATE, result, basis_on_model(run, used, _targets_json(targets)))
+    append_stage(run, COMPENSATE, result, basis_on_model(run, used, targets))
     for note in notes:
         run.log("warning", note)
     return commands, result
-
-
-def _targets_json(targets: Sequence[Target]) -> str:
-    return "\n".join(target.model_dump_json(exclude_none=True, exclude_defaults=True) for target in targets)

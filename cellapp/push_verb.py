@@ -11,13 +11,14 @@ from cellapp.collection.motion import Confirm
 from cellapp.compensation.cell_checks import check_cell
 from cellapp.compensation.command import Command
 from cellapp.compensation.push import Visited, push
+from cellapp.compensation.targets import Target
 from cellapp.control import JobControl
 from cellapp.errors import CellappError, InputError
 from cellapp.profile import Profile
 from cellapp.progress import Cancelled, Listener
 from cellapp.results import PUSH, VERIFY, VerifyResult
 from cellapp.run import RunFile
-from cellapp.run.stages import RunStages, StoredStage, append_stage, basis_on_model, read_results
+from cellapp.run.stages import StoredStage, append_stage, basis_on_model, read_results
 from cellapp.run.stored_model import model_of
 
 MOST_ROUNDS = 20
@@ -28,7 +29,7 @@ _MEAN_LENGTH = 2.0 * math.sqrt(2.0 / math.pi)
 
 @dataclass(frozen=True)
 class PushJob:
-    """What is pushed: the commands that ``model`` gave for targets (JSON), and how.
+    """What is pushed: the commands that ``model`` gave for ``targets``, and how.
 
     ``profile`` is that of the run, with the tracker of a simulated cell where it stands now.
     ``notes`` are those of the commands. ``rounds`` and ``verify`` are as in ``push``; ``out_of_date`` accepts a
@@ -39,7 +40,7 @@ class PushJob:
     profile: Profile
     model: StoredStage
     commands: tuple[Command, ...]
-    targets_json: str
+    targets: tuple[Target, ...]
     notes: tuple[str, ...]
     verify: bool
     rounds: int
@@ -54,16 +55,6 @@ def check_rounds(iterate: int | None, *, verify: bool) -> None:
         raise InputError(f"push: --iterate: expected 1 to {MOST_ROUNDS} rounds, got {iterate}; nothing was moved")
     if not verify:
         raise InputError("push: --iterate corrects what was measured; add --verify. Nothing was moved")
-
-
-def require_current_model(run: RunFile, stages: RunStages, *, out_of_date: bool) -> None:
-    """Raise ``InputError`` if the model in force does not hold any more and the operator does not insist."""
-    stale = stages.stale_model()
-    if stale and not out_of_date:
-        raise InputError(
-            f"push: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
-            " --out-of-date"
-        )
 
 
 def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm: Confirm | None) -> VerifyResult:
@@ -103,7 +94,7 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
 def _store(job: PushJob, pushed: VerifyResult, notes: list[str]) -> VerifyResult:
     said = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
     result = pushed.model_copy(update={"notes": tuple([*notes, *said])})
-    basis = basis_on_model(job.run, job.model, job.targets_json)
+    basis = basis_on_model(job.run, job.model, job.targets)
     append_stage(job.run, VERIFY if job.verify else PUSH, result, basis)
     return result
 

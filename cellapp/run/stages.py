@@ -10,14 +10,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import cast
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from cellapp.errors import InputError
 from cellapp.model.model import MODEL_SCHEMA
@@ -284,8 +284,8 @@ def counted_basis(run: RunFile) -> Basis:
     )
 
 
-def basis_on_model(run: RunFile, model: StoredStage, targets: str) -> Basis | None:
-    """The basis of a stage that uses a model for targets (JSON); it rests on the readings that the model rests on.
+def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel] = ()) -> Basis | None:
+    """The basis of a stage that uses a model for targets or paths; it rests on the readings that the model rests on.
 
     None where it was not recorded what the model rests on.
     """
@@ -295,7 +295,7 @@ def basis_on_model(run: RunFile, model: StoredStage, targets: str) -> Basis | No
         profile=_sha256(profile_to_json(run.profile)),
         readings=model.basis.readings,
         stages={model.name: model.digest},
-        targets=_sha256(targets),
+        targets=_sha256("\n".join(one.model_dump_json(exclude_none=True, exclude_defaults=True) for one in targets)),
     )
 
 

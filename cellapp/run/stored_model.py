@@ -20,3 +20,18 @@ def model_of(run: RunFile, stage: StoredStage) -> CellModel:
     if stage.model is None:
         raise InputError(f"{run.folder / CALIBRATION_FILE} is missing or damaged; run 'cellapp calibrate' again")
     return CellModel.from_json(stage.model, f"{run.path}: {stage.name}")
+
+
+def require_current_model(run: RunFile, stages: RunStages, verb: str) -> None:
+    """Raise ``InputError`` if the model in force does not hold any more; ``verb`` is what was to be done with it."""
+    if stale := stages.stale_model():
+        raise InputError(
+            f"{verb}: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
+            " --out-of-date"
+        )
+
+
+def stale_notes(stages: RunStages, used: StoredStage) -> list[str]:
+    """A note where the model of stage ``used`` is used although it does not hold any more."""
+    stale = stages.stale_model()
+    return [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
