@@ -284,8 +284,7 @@ class _Measuring:
         if self._away and self._away != name:
             self.mover.move({self._away: self._homes[self._away]})
         self._away = name
-        if self.mover.refusal({name: q}, {name: self._homes[name]}):
-            self.mover.move({name: self._homes[name]})
+        self.mover.go_home_unless_clear(name, q)
         run_up = q - _RUN_UP_RAD * np.sign(q - self.mover.positions()[name])
         if not self.mover.refusal({name: run_up}, {name: q}):
             self.mover.move({name: run_up})

@@ -266,6 +266,15 @@ class Mover:
             self.move({name: homes[name]})
             waiting.remove(name)
 
+    def go_home_unless_clear(self, name: str, q: Vector) -> None:
+        """Move an arm home, unless the gate accepts the straight way to ``q`` (N,) [rad] and home from there.
+
+        So an arm is never stranded. Raises as ``move`` does.
+        """
+        home = home_positions(self._profile)[name]
+        if self.refusal({name: q}, {name: home}):
+            self.move({name: home})
+
     def _settled(self, names: Sequence[str], timeout_s: float) -> dict[str, ArmState]:
         """Wait for the arms in turn, until each of them was at rest in the same round.
 

@@ -80,7 +80,7 @@ def follow(
             hold_while_paused(cell, control, reaction)
             listener(Progress("follow", done, len(plans), plan.spec.name))
             plan = _at_rate_of_arm(profile, model, plan, cell)
-            driver = _Driver(profile, mover, cell, reaction, model, plan.spec, homes)
+            driver = _Driver(profile, mover, cell, reaction, model, plan.spec)
             found.append((plan, None if plan.refusal else driver.drive(plan, verify=verify, rehearse=rehearse)))
             mover.go_home()
     listener(Progress("follow", len(plans), len(plans), "done"))
@@ -109,7 +109,6 @@ class _Driver:
     reaction: StopReaction
     model: CellModel
     spec: PathSpec
-    homes: dict[str, Array]
 
     def drive(self, plan: PathPlan, *, verify: bool, rehearse: bool) -> DrivenPath:
         """Drive one path; with ``verify`` also at rest, and as the published geometry drives it."""
@@ -197,10 +196,8 @@ class _Driver:
 
     def _go(self, q: Array) -> None:
         """Move straight, or via home where the gate refuses that."""
-        name = self.spec.arm
-        if self.mover.refusal({name: q}, {name: self.homes[name]}):
-            self.mover.move({name: self.homes[name]})
-        self.mover.move({name: q})
+        self.mover.go_home_unless_clear(self.spec.arm, q)
+        self.mover.move({self.spec.arm: q})
 
     def _beam_lost(self, error: TrackerError) -> None:
         self.reaction.trigger(StopCause("tracker", str(error)))
