@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class CellappError(Exception):
-    """What is wrong, where, what was expected, what to do. ``exit_code`` as in the README."""
+    """What is wrong, where, what was expected, what to do. ``exit_code`` as in the handbook, chapter "commands"."""
 
     exit_code = 2
 

@@ -29,14 +29,12 @@ from cellapp.discovery.proposal.candidate_poses import Effort
 from cellapp.discovery.propose import propose_stops
 from cellapp.discovery.result import discover_result, proposal_result
 from cellapp.errors import InputError
-from cellapp.locate_verb import profile_at_station, refuse_second_station
 from cellapp.model import CellModel
-from cellapp.plan_verbs import plan_result
 from cellapp.planning.method import plan_run
 from cellapp.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.profile import Profile, load_profile
 from cellapp.progress import CancelToken, Listener, ignore, with_eta
-from cellapp.push_verb import PushJob, check_rounds, push_commands
+from cellapp.reporting.chromium import print_pdf
 from cellapp.reporting.page import write_page
 from cellapp.results import (
     CALIBRATE,
@@ -58,6 +56,7 @@ from cellapp.results import (
 from cellapp.run import Readings, RunFile, import_csv
 from cellapp.run.collected import missing_share, reference_drifts
 from cellapp.run.in_order import read_in_order
+from cellapp.run.later_stages import note_later_stages
 from cellapp.run.stages import (
     CALIBRATION_FILE,
     Basis,
@@ -66,7 +65,6 @@ from cellapp.run.stages import (
     append_stage,
     basis_of,
     basis_on_model,
-    note_later_stages,
     read_results,
     read_stages,
 )
@@ -74,6 +72,9 @@ from cellapp.run.stored_model import model_of, require_current_model, stage_in_f
 from cellapp.signature.calibrate import with_prior
 from cellapp.signature.discovery import SearchWithPriors
 from cellapp.signature.source import basis_of_priors, earlier_arms, earlier_of_calibration, recorded_priors
+from cellapp.verbs.locate import profile_at_station, refuse_second_station
+from cellapp.verbs.plan import plan_result
+from cellapp.verbs.push import PushJob, check_rounds, push_commands
 
 R = TypeVar("R", bound=RunResults)
 
@@ -147,7 +148,8 @@ def new_planned_run(
     """
 
     def fill(run: RunFile) -> None:
-        plan_run(run, with_eta(listener), cancel)
+        with _one_blas_thread():
+            plan_run(run, with_eta(listener), cancel)
 
     return RunFile.create(folder, profile, fill)
 
@@ -189,7 +191,9 @@ def _collect(
 ) -> CollectResult:
     refuse_second_station(run)
     confirm = confirmation(run.profile, ask)
-    summary = collect_run(run, with_eta(listener), control, resume=resume, accept_drift=accept_drift, confirm=confirm)
+    report = with_eta(listener)
+    with _one_blas_thread():
+        summary = collect_run(run, report, control, resume=resume, accept_drift=accept_drift, confirm=confirm)
     return CollectResult(
         stops=len(run.stops_done()),
         notes=summary.notes,
@@ -396,10 +400,18 @@ def _push(
     return push_commands(job, with_eta(listener), control, confirmation(run.profile, ask))
 
 
-def report_run(run: RunFile) -> ReportResult:
-    """Write ``report.html`` into the run's folder. Raises ``InputError`` if the run is not calibrated yet."""
+def report_run(run: RunFile, pdf: Path | None = None) -> ReportResult:
+    """Write ``report.html`` into the run's folder and, with ``pdf``, print it to that file.
+
+    Raises
+    ------
+    InputError
+        If the run is not calibrated yet, or the page was written but cannot be printed.
+    """
     page = write_page(run)
-    return _shown(ReportResult, read_results(run), page=str(page))
+    if pdf is not None:
+        print_pdf(page, pdf)
+    return _shown(ReportResult, read_results(run), page=str(page), pdf=None if pdf is None else str(pdf))
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -436,6 +448,8 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
     model = replace(found.model, provenance=provenance_of(run.profile).model_dump())
     basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
     _append_with_model(run, DISCOVER, result, model, basis)
+    for note in result.notes or ():
+        run.log("warning", note)
     _export_model(run, read_stages(run))
     return result, found
 

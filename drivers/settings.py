@@ -5,14 +5,17 @@ Settings modules import neither numpy nor a device library: loading a profile im
 
 from __future__ import annotations
 
+import inspect
 import ipaddress
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import or_
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
-from pydantic_core import CoreSchema
+from pydantic_core import CoreSchema, core_schema
+
+from drivers.plugins import Registry
 
 if TYPE_CHECKING:
     from drivers.plant import Plant
@@ -28,19 +31,61 @@ class SettingError(ValueError):
     """A setting that a device cannot be opened with. The message starts with the key inside the device's section."""
 
 
+S = TypeVar("S", bound=Section)
+
+
+def device_kinds(group: str, what: str, base: type[S], built_in: Sequence[type[S]]) -> Registry[type[S]]:
+    """The registry of the settings of some kind of device, by their key ``kind``; see ``drivers.plugins.Registry``."""
+    return Registry(group, what, {_kind(one): one for one in built_in}, _accept(base))
+
+
+def _kind(settings: type[Section]) -> str:
+    return str(settings.model_fields["kind"].default)
+
+
+def _accept(base: type[S]) -> Callable[[str, object], type[S]]:
+    def accept(name: str, found: object) -> type[S]:
+        if not (isinstance(found, type) and issubclass(found, base)):
+            raise ValueError(f"expected a class made from {base.__module__}.{base.__name__}, got {found!r}")
+        lacking = sorted(getattr(found, "__abstractmethods__", ()))
+        if inspect.isabstract(found):
+            raise ValueError(f"class {found.__name__} lacks {', '.join(lacking)}")
+        field = found.model_fields["kind"]
+        if get_args(field.annotation) != (name,) or field.default != name:
+            raise ValueError(f'class {found.__name__} needs the line \'kind: Literal["{name}"] = "{name}"\'')
+        found.model_rebuild()  # an annotation that cannot be resolved is told here, not with the whole profile
+        return found
+
+    return accept
+
+
 class OneOf:
     """Annotation for a field that holds the settings of one of several device kinds, selected by their key ``kind``.
 
     ``driver: Annotated[TrackerSettings, OneOf(TRACKERS)]`` is a ``TrackerSettings`` for a type checker and the
-    discriminated union of the registered kinds for pydantic.
+    discriminated union of the registered kinds for pydantic. A section with such a field sets ``defer_build``: its
+    schema is then made when it is first used, not while modules of plug-ins may still be half imported.
     """
 
-    def __init__(self, kinds: Sequence[type[Section]]) -> None:
-        self.kinds = tuple(kinds)
+    def __init__(self, registry: Registry[type[S]]) -> None:
+        self.registry: Registry[Any] = registry
+
+    @property
+    def kinds(self) -> tuple[type[Section], ...]:
+        """The settings of all kinds."""
+        return tuple(self.registry.values())
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Return pydantic's schema of the union, whatever the annotated type is."""
-        return handler.generate_schema(Annotated[reduce(or_, self.kinds), Field(discriminator="kind")])
+        union = handler.generate_schema(Annotated[reduce(or_, self.kinds), Field(discriminator="kind")])
+        return core_schema.no_info_before_validator_function(self._not_refused, union)
+
+    def _not_refused(self, value: object) -> object:
+        """Say why a plug-in that has the wanted kind is not used, in the place of the kinds that there are."""
+        kind = value.get("kind") if isinstance(value, dict) else None
+        if isinstance(kind, str) and (refusal := self.registry.refusal(kind)):
+            raise ValueError(f"kind: {refusal}")
+        return value
 
 
 def simulated_cell(plant: Plant | None) -> Plant:

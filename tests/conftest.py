@@ -9,6 +9,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import shutil
+from collections import Counter
 from collections.abc import Generator
 from pathlib import Path
 
@@ -19,9 +20,27 @@ from cellapp.collection.collect import collect_run
 from cellapp.compensation.targets import load_targets
 from cellapp.pipeline import calibrate_run, discover_run, new_planned_run, push_run
 from tests.alone import turn
+from tests.made_once import made_once
 from tests.twin import PROFILES, finished_twin
 
 FEW_TARGETS = 2
+LONG_COMMANDS = "--long-commands"
+_COUNTED = "documented "
+"""What properties of tests begin with whose numbers are added up for the end of the session."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(LONG_COMMANDS, action="store_true", help="run commands of the handbook that take minutes, too")
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how many commands and examples of the handbook were run, and how many were only read."""
+    counts = Counter[str]()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            counts.update({key: n for key, n in getattr(report, "user_properties", ()) if key.startswith(_COUNTED)})
+    for key, number in sorted(counts.items()):
+        terminalreporter.write_line(f"{key}: {number}")
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -49,14 +68,16 @@ settings.load_profile("cellapp")
 @pytest.fixture(scope="session")
 def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a run that was collected, calibrated, searched and verified at two targets. No test may write to it."""
-    folder = tmp_path_factory.mktemp("finished") / "run"
-    with new_planned_run(finished_twin(), folder) as run:
-        collect_run(run)
-        calibrate_run(run)
-        discover_run(run)
-        targets = load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[:FEW_TARGETS]
-        push_run(run, targets, verify=True)
-    return folder
+
+    def make(folder: Path) -> None:
+        with new_planned_run(finished_twin(), folder) as run:
+            collect_run(run)
+            calibrate_run(run)
+            discover_run(run)
+            targets = load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[:FEW_TARGETS]
+            push_run(run, targets, verify=True)
+
+    return made_once(tmp_path_factory, "finished-run", make)
 
 
 @pytest.fixture

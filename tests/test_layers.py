@@ -27,6 +27,8 @@ SETTINGS = (
     ),
 )
 """What the profile may import from drivers: settings, and the lists of the kinds that have some."""
+REGISTRIES = "drivers.plugins"
+"""How all registries find plug-ins, those of effects and exports as well; it knows no device."""
 
 
 @functools.cache
@@ -98,7 +100,7 @@ def test_only_the_profile_imports_settings_and_only_some_packages_open_devices()
         package = path.relative_to(ROOT / "cellapp").parts[0]
         if package in OPEN_DEVICES:
             continue
-        allowed = tuple(f"{module}." for module in SETTINGS) if package == "profile" else ()
+        allowed = tuple(f"{module}." for module in (REGISTRIES, *(SETTINGS if package == "profile" else ())))
         found = imports_of(path, "drivers")
         assert [module for module in found if not f"{module}.".startswith(allowed)] == [], name(path)
 
@@ -130,7 +132,7 @@ def test_mathematics_knows_neither_devices_nor_those_who_use_them(package: str) 
             assert imports_of(path, f"cellapp.{module}") == [], name(path)
 
 
-@pytest.mark.parametrize("package", [*PURE, "discovery", "design"])
+@pytest.mark.parametrize("package", [*PURE, "discovery", "design", "check"])
 def test_mathematics_reads_and_writes_no_run(package: str) -> None:
     for path in (ROOT / "cellapp" / package).rglob("*.py"):
         for module in ("cellapp.run.file", "cellapp.run.stages", "cellapp.run.RunFile", "cellapp.run.csv_io"):

@@ -19,6 +19,12 @@ def write_profile(folder: Path) -> Path:
     """Copy the profiles into ``folder``, with 30 stops for the twin and few readings in each split."""
     shutil.copytree(PROFILES, folder, dirs_exist_ok=True)
     path = folder / "twin.yaml"
+    make_small(path)
+    return path
+
+
+def make_small(path: Path) -> None:
+    """Give the twin's profile in a file 30 stops and few readings in each split."""
     text = path.read_text("utf-8")
     sizes = {"stops": 30, "identify": 15, "train": 5, "validate": 10, "pair_identify": 10, "pair_validate": 10}
     for key, size in sizes.items():
@@ -26,7 +32,6 @@ def write_profile(folder: Path) -> Path:
         assert found == 1, key
     text = re.sub(r"^  iterations: .*$", "  iterations: 10", text, flags=re.MULTILINE)
     path.write_text(text, "utf-8")
-    return path
 
 
 def small_twin(stops: int = 30, *, plan: dict[str, Any] | None = None, plant: dict[str, Any] | None = None) -> Profile:

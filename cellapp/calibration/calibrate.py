@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-import cellapp
 from cellapp.calibration.arm_identification import identify_with_excess
 from cellapp.calibration.evaluation import evaluate, repeatability
 from cellapp.calibration.identification import Identification, TooFewReadings, start_from_nominal
@@ -28,6 +27,7 @@ from cellapp.model.nominal import (
     prior_sigmas,
     up_in_tracker,
 )
+from cellapp.plugins import program_of
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.results import ArmPriorResult, Provenance, Repeatability, Stage, StageErrors
@@ -142,7 +142,7 @@ def provenance_of(profile: Profile) -> Provenance:
     return Provenance(
         profile=profile.name,
         seed=profile.seed,
-        program=f"cellapp {cellapp.__version__}",
+        program=program_of(profile),
         python=platform.python_version(),
         numpy=np.__version__,
         written=datetime.now(UTC).isoformat(timespec="seconds"),

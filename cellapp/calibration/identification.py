@@ -361,8 +361,8 @@ class _Problem:
 
     def step(self, point: _Estimate, damping: float) -> tuple[Array, Array]:
         b = point.normal.b / point.variance + point.precision * (self.mean - point.values)
-        unit = 1.0 / point.normal.scale
-        step = damped_step(_posterior_precision(point, unit, point.variance), unit * b, damping)
+        unit = point.normal.unit
+        step = damped_step(_posterior_precision(point, point.variance), unit * b, damping)
         return unit * step, step
 
     def moved(self, point: _Estimate, step: Array) -> _Estimate:
@@ -380,11 +380,9 @@ class _Problem:
         point, effects = minimum.point, self.observations.effects
         normal, n = point.normal, self.observations.count
         geometry, effect_values = split_values(self.start, self.parameters, point.values)
-        before = _covariance(point, point.variance)
-        freedom = self._degrees_of_freedom(point, point.precision * np.diag(before))
+        freedom = self._degrees_of_freedom(point, self._by_priors(point))
         variance = max(normal.cost / freedom, _SMALLEST)
-        weighed = 1.0 if self.sigma_is_exact else variance
-        covariance = before if weighed == point.variance else _covariance(point, weighed)
+        covariance = _covariance(point, 1.0 if self.sigma_is_exact else variance)
         chosen = self._determined(normal.A / point.variance) if self.tabulated else self.parameters
         to_table, kept = chosen.from_estimated(self.parameters, self.effect_count)
         in_table = covariance if chosen is self.parameters else to_table @ covariance @ to_table.T
@@ -430,8 +428,8 @@ class _Problem:
         """Share (k,) of each parameter that its prior, and not the readings, determines."""
         if not point.precision.any():
             return point.precision
-        unit = 1.0 / point.normal.scale
-        return point.precision * unit**2 * inverse_diagonal(_posterior_precision(point, unit, point.variance))
+        variances = inverse_diagonal(_posterior_precision(point, point.variance))
+        return np.asarray(point.precision * point.normal.unit**2 * variances)
 
     def _degrees_of_freedom(self, point: _Estimate, by_priors: Array) -> float:
         """Measured coordinates less the parameters that they determine."""
@@ -441,12 +439,12 @@ class _Problem:
 
 def _covariance(point: _Estimate, variance: float) -> Array:
     """Covariance (k, k) of all values: the readings' part is scaled by their ``variance``, the priors are not."""
-    unit = 1.0 / point.normal.scale
-    return inverse_psd(_posterior_precision(point, unit, variance)) * unit * unit[:, None]
+    unit = point.normal.unit
+    return inverse_psd(_posterior_precision(point, variance)) * (unit * unit[:, None])
 
 
-def _posterior_precision(point: _Estimate, unit: Array, variance: float) -> Array:
-    """Precision (k, k) of the parameters, each divided by its ``unit``."""
-    H = point.normal.A * (unit * unit[:, None] / variance)
-    H.flat[:: len(H) + 1] += point.precision * unit**2
+def _posterior_precision(point: _Estimate, variance: float) -> Array:
+    """Precision (k, k) of the parameters, each in its ``unit``."""
+    H = point.normal.scaled_A / variance
+    H.flat[:: len(H) + 1] += point.precision * point.normal.unit**2
     return H

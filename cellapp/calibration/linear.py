@@ -32,9 +32,9 @@ _SMALLEST = 1e-300
 
 
 def cholesky(gram: Array) -> Array | None:
-    """Lower Cholesky factor of ``gram`` (p, p), its upper triangle undefined; None where it would be inaccurate."""
+    """Lower Cholesky factor of ``gram`` (p, p), zero above the diagonal; None where it would be inaccurate."""
     factor, failed = lapack.dpotrf(gram, lower=1)
-    if failed or not np.all(np.diag(factor) > PIVOT * np.sqrt(np.diag(gram))):
+    if failed or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():
         return None
     return np.asarray(factor)
 
@@ -52,8 +52,10 @@ def inverse_psd(gram: Array) -> Array:
     """Inverse of ``gram`` (p, p); the pseudo-inverse where it is singular."""
     factor = cholesky(gram)
     if factor is not None:
-        lower = np.tril(lapack.dpotri(factor, lower=1)[0])
-        return np.asarray(lower + np.tril(lower, -1).T)
+        lower = lapack.dpotri(factor, lower=1)[0]  # leaves the zeros above the diagonal
+        inverse = lower + lower.T
+        np.fill_diagonal(inverse, lower.diagonal())
+        return np.asarray(inverse)
     values, vectors = _significant(gram)
     return np.asarray((vectors / values) @ vectors.T)
 
@@ -61,7 +63,8 @@ def inverse_psd(gram: Array) -> Array:
 def inverse_diagonal(gram: Array) -> Array:
     """Diagonal (p,) of the inverse of ``gram`` (p, p)."""
     factor = cholesky(gram)
-    return np.diag(inverse_psd(gram) if factor is None else lapack.dpotri(factor, lower=1)[0])
+    inverse = inverse_psd(gram) if factor is None else lapack.dpotri(factor, lower=1)[0]
+    return np.asarray(inverse.diagonal())
 
 
 def orthonormal_basis(design: Array, precision: Array | None = None) -> Array:

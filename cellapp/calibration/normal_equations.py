@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cellapp.calibration.parameters import ParameterSet, gram_matrix
 from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.kinematics.transforms import Array
+from cellapp.kinematics.workspace import Workspace
 
 _CHUNK = 2048
 """Configurations per chunk: the Jacobian of one chunk (3 x 40 x 2048 floats, 2 MB) stays in the cache."""
@@ -71,6 +72,8 @@ class Observations:
     white : array, shape (3, 3, n) or (n,), or None
         Whitening factors (``weights.whitener``); None for equal weights.
     effects : EffectColumns or None
+    workspace : Workspace
+        Holds the Jacobian of one chunk at a time.
     """
 
     angles: JointAngles
@@ -78,6 +81,7 @@ class Observations:
     p_M: Array
     white: Array | None
     effects: EffectColumns | None
+    workspace: Workspace = field(default_factory=Workspace, repr=False, compare=False)
 
     @cached_property
     def common_white(self) -> float | None:
@@ -128,14 +132,17 @@ class Observations:
         factors = self.white[..., first:last]
         return white * factors if factors.ndim == 1 else np.einsum("acn,an->cn", factors, white)
 
-    def whiten(self, vectors: Array, first: int, last: int) -> Array:
-        """Vectors (3, ..., last - first) in units of their standard uncertainty."""
+    def whiten(self, vectors: Array, first: int, last: int, out: Array | None = None) -> Array:
+        """Vectors (3, ..., last - first) in units of their standard uncertainty, in ``out`` if that is given.
+
+        Without whitening, the vectors themselves.
+        """
         if self.white is None:
             return vectors
         white = self.white[..., first:last]
         if white.ndim == 1:
-            return vectors * white
-        out = np.empty_like(vectors)
+            return np.multiply(vectors, white, out=out)
+        out = np.empty_like(vectors) if out is None else out
         for row in range(3):  # white is lower triangular
             np.multiply(white[row, 0], vectors[0], out=out[row])
             for column in range(1, row + 1):
@@ -185,6 +192,16 @@ class NormalEquations:
     scale: Array
     residuals: Array
 
+    @cached_property
+    def unit(self) -> Array:
+        """Amount (k,) of each parameter that moves the SMR by one metre at arm's length."""
+        return 1.0 / self.scale
+
+    @cached_property
+    def scaled_A(self) -> Array:
+        """``A`` (k, k) with each parameter in its ``unit``."""
+        return self.A * (self.unit * self.unit[:, None])
+
 
 def split_values(start: Geometry, parameters: ParameterSet, values: Array) -> tuple[Geometry, Array]:
     """The geometry with the identified parameters set to the first of ``values`` (k,), and the effects' values."""
@@ -221,16 +238,20 @@ def normal_equations(
         r = residuals[:, first:last] = observations.left(model.P, beta, first, last)
         if common is None:
             gram += gram_matrix(J[:, :size])
-            squares += np.einsum("akn,akn->k", J, J)
-            J, r = observations.whiten(J, first, last), observations.whiten(r, first, last)
+            squares[size:] += np.einsum("akn,akn->k", J[:, size:], J[:, size:])
+            (white,) = observations.workspace.arrays("white", (k, 3, last - first))
+            white = white.swapaxes(0, 1)
+            J, r = observations.whiten(J, first, last, out=white), observations.whiten(r, first, last)
             if weights is not None:
                 root = np.sqrt(weights[first:last])
-                J, r = J * root, r * root
+                J, r = np.multiply(J, root, out=white), r * root
         A += gram_matrix(J)
-        b += (J @ r[:, :, None]).sum(axis=0)[:, 0]
+        b += J.swapaxes(0, 1).reshape(k, -1) @ r.ravel()
         cost += float(np.vdot(r, r))
-    if common is not None:
-        gram, squares = A[:size, :size], np.diag(A)
+    if common is None:
+        squares[:size] = gram.diagonal()
+    else:
+        gram, squares = A[:size, :size], A.diagonal()
         A, b, cost = A * common**2, b * common**2, cost * common**2
     scale = parameter_scale(squares, observations.count, parameters)
     return NormalEquations(A, b, gram, cost, scale, residuals)
@@ -249,7 +270,7 @@ def with_gradient(
     size = len(parameters.columns)
     for first, last in observations.chunks():
         angles = observations.angles_with(beta, first, last)
-        P, J = jacobian(geometry, angles, parameters.columns)
+        P, J = jacobian(geometry, angles, parameters.columns, observations.workspace)
         r = residuals[:, first:last] = observations.left(P, beta, first, last)
         white = observations.whiten(r, first, last)
         cost += float(np.vdot(white, white))
@@ -268,11 +289,11 @@ def _linearise(
     geometry: Geometry, observations: Observations, parameters: ParameterSet, beta: Array, first: int, last: int
 ) -> Linearisation:
     angles, effects = observations.angles_with(beta, first, last), observations.effects
-    P, J = jacobian(geometry, angles, parameters.columns)
+    P, J = jacobian(geometry, angles, parameters.columns, observations.workspace)
     if effects is not None:
         _, by_joint = joint_jacobian(geometry, angles)
-        by_offset = effects.offsets[None, :, first:last] * by_joint[:, effects.joints]
-        J = np.concatenate([J, by_offset, effects.shifts_M[:, :, first:last].swapaxes(0, 1)], axis=1)
+        by_offset = effects.offsets[:, None, first:last] * by_joint.swapaxes(0, 1)[effects.joints]
+        J = np.concatenate([J.swapaxes(0, 1), by_offset, effects.shifts_M[:, :, first:last]]).swapaxes(0, 1)
     return Linearisation(P, J)
 
 
@@ -282,6 +303,6 @@ def parameter_scale(squares: Array, count: int, parameters: ParameterSet) -> Arr
     scale = np.ones(len(squares))
     rotations, size = parameters.rotations, len(parameters.columns)
     if rotations:
-        scale[:rotations] = math.sqrt(float(mean_square[:rotations].mean()))
+        scale[:rotations] = math.sqrt(float(mean_square[:rotations].sum()) / rotations)
     scale[size:] = np.sqrt(mean_square[size:])
     return scale

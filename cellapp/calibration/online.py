@@ -203,7 +203,7 @@ class OnlineFit:
         except ValueError as error:
             raise InputError(f"arm '{arm}': calibration.parameter_set: {error}") from None
         self._table = auto_set(typical, planned_q) if parameter_set == "auto" else self._parameters
-        weak = weak_priors(nominal.joints) | _tool_priors(tool_unknown=tool_unknown)
+        weak = {**weak_priors(nominal.joints), **_tool_priors(tool_unknown=tool_unknown)}
         self._precision = 1.0 / prior_sds(self._parameters, weak | dict(priors)) ** 2
         self._spreads = prior_spreads(self._parameters, set(priors) - set(given))
         self._rows = _Rows(self._parameters, planned_q, gravity)

@@ -11,6 +11,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -193,9 +194,10 @@ def paper_set(geometry: Geometry) -> ParameterSet:
     return ParameterSet("paper", geometry.joints, columns)
 
 
-def weak_priors(joints: int) -> dict[str, float]:
+@lru_cache(maxsize=32)
+def weak_priors(joints: int) -> Mapping[str, float]:
     """Standard deviations [m, rad] of the arm's own parameters about their nominal values; base and tool have none."""
-    return {name: _WEAK_PRIOR[parameter_unit(name)] for name in parameter_names(joints)[6:-3]}
+    return MappingProxyType({name: _WEAK_PRIOR[parameter_unit(name)] for name in parameter_names(joints)[6:-3]})
 
 
 def typical_spreads(joints: int) -> dict[str, float]:
@@ -220,7 +222,7 @@ def estimated_parameters(
         return paper_set(geometry), prior_sigma
     if wanted == "full":
         return full_set(geometry), prior_sigma
-    return replace(full_set(geometry), name="auto"), weak_priors(geometry.joints) | dict(prior_sigma)
+    return replace(full_set(geometry), name="auto"), {**weak_priors(geometry.joints), **prior_sigma}
 
 
 def determined_set(estimated: ParameterSet, information: Array, prior_sd: Array) -> ParameterSet:
@@ -318,7 +320,8 @@ def prior_sds(parameters: ParameterSet, sigma: Mapping[str, float]) -> Array:
 
 def gram_matrix(J: Array) -> Array:
     """``J^T J`` (k, k) of a Jacobian (3, k, n), summed over components and configurations."""
-    return np.asarray((J @ J.transpose(0, 2, 1)).sum(axis=0))
+    rows = J.swapaxes(0, 1).reshape(J.shape[1], -1)
+    return np.asarray(rows @ rows.T)
 
 
 def _rotations_first(columns: tuple[int, ...], joints: int) -> tuple[int, ...]:

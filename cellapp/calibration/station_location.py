@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from cellapp.effects import MeasurementConditions
 from cellapp.errors import InputError
@@ -118,7 +118,7 @@ class StationFit:
     @property
     def probability(self) -> float:
         """Probability of a larger chi-squared if the fit holds; 1 without degrees of freedom."""
-        return float(chi2.sf(self.chi_squared, self.degrees_of_freedom)) if self.degrees_of_freedom > 0 else 1.0
+        return float(chdtrc(self.degrees_of_freedom, self.chi_squared)) if self.degrees_of_freedom > 0 else 1.0
 
     @property
     def explains(self) -> bool:

@@ -3,40 +3,69 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from cellapp import __version__
+from cellapp.cli.certificate import certificate, check_certificate, sign_key
+from cellapp.cli.check import check
 from cellapp.cli.correct import correct
 from cellapp.cli.docs import docs
 from cellapp.cli.export import export
+from cellapp.cli.fleet import fleet, recalibrate
 from cellapp.cli.follow import follow
 from cellapp.cli.init import init
-from cellapp.cli.job import Job, open_run, run_program
+from cellapp.cli.iso9283 import app as iso9283_app
+from cellapp.cli.job import Job, open_run, require_none
 from cellapp.cli.motion import asking
-from cellapp.cli.options import AllowMotion, JsonOption, NewRun, PriorOption, ProfilePath, RunFolder, TargetsPath
+from cellapp.cli.options import (
+    AllowMotion,
+    JsonOption,
+    NewRun,
+    OutOfDate,
+    PriorOption,
+    ProfilePath,
+    RunFolder,
+    TargetsPath,
+)
+from cellapp.cli.program import run_program
+from cellapp.cli.report import report
 from cellapp.cli.requests import abort, pause, resume, stop
 from cellapp.cli.runs import compare, runs
 from cellapp.cli.show import schema, show
 from cellapp.cli.trials import trials_app
+from cellapp.cli.whole_run import demo, run
 from cellapp.errors import CheckFailed, InputError
 
 app = typer.Typer(
     help="Calibrate a dual-arm robot cell with a laser tracker, and name the physics that the model is missing.",
     no_args_is_help=False,
     pretty_exceptions_enable=False,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
 def main() -> None:
-    """The program; exit codes as in the README."""
-    run_program(app)
+    """The program; exit codes as in the handbook, chapter "commands"."""
+    run_program(partial(app, prog_name="cellapp"))
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"cellapp {__version__}")
+        raise typer.Exit
 
 
 @app.callback(invoke_without_command=True)
-def tui(context: typer.Context) -> None:
+def tui(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
     """Without a command: the terminal application."""
     if context.invoked_subcommand is None:
         from cellapp.tui import run_app
@@ -44,42 +73,8 @@ def tui(context: typer.Context) -> None:
         raise typer.Exit(run_app())
 
 
-@app.command()
-def run(
-    profile: ProfilePath,
-    folder: Annotated[
-        Path | None, typer.Option("--run", metavar="DIR", help="Folder of the new run; else a new one below logs/.")
-    ] = None,
-    allow_motion: AllowMotion = False,
-    json_file: JsonOption = None,
-) -> None:
-    """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report."""
-    from cellapp.pipeline import run_whole
-    from cellapp.profile import load_profile
-    from cellapp.reporting.collection_text import collect_lines, other_notes
-    from cellapp.reporting.discovery_text import discovery_lines, meaning_lines
-    from cellapp.reporting.tables import calibration_tables, tracker_sentences, verification_tables
-
-    with Job(json_file) as job:
-        ask = asking(job, load_profile(profile).name, allowed=allow_motion)
-        result = run_whole(profile, folder, job.listen, job.control, ask=ask)
-        if result.collect is not None:
-            job.say(*collect_lines(result.collect))
-        if result.calibrate is not None:
-            job.show(calibration_tables(result.calibrate))
-        if result.discover is not None:
-            job.say(*discovery_lines(result.discover), *meaning_lines(result.discover))
-        if result.verify is not None:
-            job.show(verification_tables(result.verify))
-        if result.calibrate is not None:
-            job.say(*tracker_sentences(result.calibrate))
-        job.say(
-            *other_notes(result.collect, result.notes),
-            f"run: {result.run}   report: {Path(result.run) / 'report.html'}",
-        )
-        job.result(result)
-        _check([] if result.collect is None else result.collect.complaints(), "collect")
-        _check([] if result.verify is None else result.verify.complaints(), "verification")
+for whole in (run, demo):
+    app.command()(whole)
 
 
 @app.command()
@@ -172,7 +167,7 @@ def collect(
         result = collect_stops(opened, job.listen, job.control, resume=resume, accept_drift=accept_drift, ask=ask)
         job.say(*collect_lines(result), *other_notes(result, result.notes))
         job.result(result)
-        _check(result.complaints(), "collect")
+        require_none(result.complaints(), "collect")
 
 
 @app.command()
@@ -196,7 +191,7 @@ def replay(
 @app.command("import")
 def import_(
     profile: ProfilePath,
-    csv: Annotated[Path, typer.Argument(metavar="CSV", help="Readings; see the README for the columns.")],
+    csv: Annotated[Path, typer.Argument(metavar="CSV", help="Readings; 'cellapp docs files' has the columns.")],
     folder: NewRun,
     in_order: Annotated[
         bool,
@@ -290,8 +285,8 @@ def locate(
     json_file: JsonOption = None,
 ) -> None:
     """After the tracker was moved: measure a few points, so that the calibration holds from where it stands now."""
-    from cellapp.locate_verb import locate_run, typed_pose
     from cellapp.reporting.location_text import location_sentences, location_tables
+    from cellapp.verbs.locate import locate_run, typed_pose
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         result = locate_run(
@@ -306,7 +301,7 @@ def locate(
         job.show(location_tables(result))
         job.say(*location_sentences(result))
         job.result(result)
-        _check(result.complaints(), "location")
+        require_none(result.complaints(), "location")
 
 
 @app.command()
@@ -333,9 +328,7 @@ def push(
         int | None,
         typer.Option("--iterate", metavar="N", help="Correct what remains by measuring, at most N times a target."),
     ] = None,
-    out_of_date: Annotated[
-        bool, typer.Option("--out-of-date", help="Use the latest model even if it no longer fits the run's data.")
-    ] = False,
+    out_of_date: OutOfDate = False,
     allow_motion: AllowMotion = False,
     json_file: JsonOption = None,
 ) -> None:
@@ -362,24 +355,31 @@ def push(
         job.say(*push_lines(result))
         job.result(result)
         if verify:
-            _check(result.complaints(), "verification")
+            require_none(result.complaints(), "verification")
 
 
-@app.command()
-def report(folder: RunFolder, json_file: JsonOption = None) -> None:
-    """Write report.html, one self-contained page, into the run's folder."""
-    from cellapp.pipeline import report_run
-    from cellapp.reporting.tables import all_tables, out_of_date_sentences
-
-    with Job(json_file) as job, open_run(folder) as opened:
-        result = report_run(opened)
-        job.show(all_tables(result))
-        job.say(*out_of_date_sentences(result), f"written: {result.page}")
-        job.result(result)
-
-
-for command in (follow, init, export, correct, pause, resume, stop, abort, runs, compare, show, schema, docs):
+for command in (
+    check,
+    report,
+    follow,
+    init,
+    export,
+    correct,
+    pause,
+    resume,
+    stop,
+    abort,
+    runs,
+    compare,
+    fleet,
+    recalibrate,
+    show,
+    schema,
+    docs,
+):
     app.command()(command)
+for of_certificates in (certificate, sign_key, check_certificate):
+    app.command()(of_certificates)
 
 
 @app.command()
@@ -460,8 +460,4 @@ def tracker_bridge(
 
 
 app.add_typer(trials_app, name="trials")
-
-
-def _check(complaints: Sequence[str], what: str) -> None:
-    if complaints:
-        raise CheckFailed(f"{what}: {'; '.join(complaints)}")
+app.add_typer(iso9283_app, name="iso9283")

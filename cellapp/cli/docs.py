@@ -11,43 +11,53 @@ from cellapp.cli.job import Job
 from cellapp.cli.options import JsonOption
 from cellapp.errors import InputError
 
-FIGURES, SCREENS = "figures", "screens"
-"""The topics that draw instead of printing."""
+FIGURES, SCREENS, PAGES = "figures", "screens", "pages"
+"""The topics that draw with ``--out``; the first one is a chapter, too."""
 
 
 def docs(
     topic: Annotated[
         str | None,
         typer.Argument(
-            metavar="TOPIC", help="A chapter, an effect's name, 'figures' or 'screens'; without one: all topics."
+            metavar="TOPIC",
+            help="A chapter or an effect; with --out 'figures', 'screens' or 'pages'. Without one: all topics.",
         ),
     ] = None,
     profile: Annotated[
         Path, typer.Option("--profile", metavar="PROFILE", help="With figures or screens: the cell that is drawn.")
     ] = Path("profiles/twin.yaml"),
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="With figures or screens: folder of the files.")
+        Path | None, typer.Option("--out", metavar="DIR", help="With figures, screens or pages: folder of the files.")
     ] = None,
     run: Annotated[
-        Path | None, typer.Option("--run", metavar="DIR", help="With screens: a run that they show.")
+        Path | None, typer.Option("--run", metavar="DIR", help="With screens or pages: a run that they show.")
+    ] = None,
+    words: Annotated[
+        str | None, typer.Option("--search", metavar="WORDS", help="List the sections that have all of these words.")
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Print the handbook: a chapter, or the section of one effect; or draw the effects, or the screens."""
+    """Print the handbook: a chapter, or the section of one effect; or draw effects, screens, pages of a run."""
     from cellapp.docs.handbook import CHAPTERS, effect_sections, topic_text
     from cellapp.results import DocsResult
 
-    if out is not None and topic not in (FIGURES, SCREENS):
-        raise InputError(f"docs: --out belongs to '{FIGURES}' and '{SCREENS}'")
-    if run is not None and topic != SCREENS:
-        raise InputError(f"docs: --run belongs to '{SCREENS}'")
+    if out is not None and topic not in (FIGURES, SCREENS, PAGES):
+        raise InputError(f"docs: --out belongs to '{FIGURES}', '{SCREENS}' and '{PAGES}'")
+    if run is not None and topic not in (SCREENS, PAGES):
+        raise InputError(f"docs: --run belongs to '{SCREENS}' and '{PAGES}'")
+    if words is not None and topic is not None:
+        raise InputError("docs: --search looks through the whole handbook; give it without a topic")
     with Job(json_file) as job:
-        if topic in (FIGURES, SCREENS):
+        if words is not None:
+            _search(job, words)
+        elif topic in (SCREENS, PAGES) or (topic == FIGURES and out is not None):
             _draw(job, topic, profile, run, out)
         elif topic is None:
             lines = [f"{name:12} {subject}" for name, subject in CHAPTERS.items()]
-            lines += [f"{FIGURES:12} draws the figures of the effects; needs --out DIR"]
-            lines += [f"{SCREENS:12} draws the screens of the terminal application; needs --out DIR", ""]
+            lines += ["", "draw into a folder, with --out DIR:"]
+            lines += [f"  {FIGURES:10} the figures of effects, frames and obstacles"]
+            lines += [f"  {SCREENS:10} the screens of the terminal application"]
+            lines += [f"  {PAGES:10} pictures of the pages of a run, with --run DIR", ""]
             lines += ["or an effect:", *(f"  {slug}" for slug in effect_sections())]
             job.say(*lines)
             job.result(DocsResult(topic="", text="\n".join(lines)))
@@ -57,14 +67,32 @@ def docs(
             job.result(DocsResult(topic=topic, text=text))
 
 
+def _search(job: Job, words: str) -> None:
+    from cellapp.docs.sections import search
+    from cellapp.results import DocsResult
+
+    lines = [f"{hit.section.address}\n  {hit.line}" for hit in search(words)]
+    text = "\n".join(lines) or f"no section has all of these words: {words}"
+    job.say(text)
+    job.result(DocsResult(topic="", text=text))
+
+
 def _draw(job: Job, topic: str, profile: Path, run: Path | None, out: Path | None) -> None:
-    from cellapp.docs.handbook import write_figures
+    from cellapp.docs.figure_files import write_figures
+    from cellapp.docs.page_pictures import write_pictures
     from cellapp.profile import load_profile
     from cellapp.results import DocsResult
     from cellapp.tui.pictures import write_screens
 
     if out is None:
         raise InputError(f"docs: '{topic}' needs --out DIR, the folder to draw them in")
-    paths = write_figures(load_profile(profile), out) if topic == FIGURES else write_screens(profile, run, out)
+    if topic == FIGURES:
+        paths = write_figures(load_profile(profile), out)
+    elif topic == SCREENS:
+        paths = write_screens(profile, run, out)
+    elif run is None:
+        raise InputError(f"docs: '{PAGES}' needs --run DIR, a run with a page, a certificate and tests by ISO 9283")
+    else:
+        paths = write_pictures(run, out)
     job.say(f"{len(paths)} {topic} in {out}")
     job.result(DocsResult(topic=topic, files=tuple(str(path) for path in paths)))

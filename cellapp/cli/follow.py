@@ -9,7 +9,7 @@ import typer
 
 from cellapp.cli.job import Job, open_run
 from cellapp.cli.motion import asking
-from cellapp.cli.options import AllowMotion, JsonOption, RunFolder
+from cellapp.cli.options import AllowMotion, JsonOption, OutOfDate, RunFolder
 from cellapp.errors import CheckFailed
 
 
@@ -27,16 +27,14 @@ def follow(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="CSV", help="Write the joint positions over time as CSV.")
     ] = None,
-    out_of_date: Annotated[
-        bool, typer.Option("--out-of-date", help="Use the latest model even if it no longer fits the run's data.")
-    ] = False,
+    out_of_date: OutOfDate = False,
     allow_motion: AllowMotion = False,
     json_file: JsonOption = None,
 ) -> None:
     """Turn poses with speeds into joint paths of the calibrated model. Nothing moves without --drive or --verify."""
     from cellapp.compensation.path_file import load_paths
-    from cellapp.path_verbs import follow_run
     from cellapp.reporting.path_table import path_sentences, path_tables
+    from cellapp.verbs.paths import follow_run
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         specs = load_paths(path, opened.profile, arm)

@@ -21,7 +21,8 @@ def init(
         str | None, typer.Option("--from", metavar="NAME", help="A copy of a profile that comes with cellapp.")
     ] = None,
     answers: Annotated[
-        Path | None, typer.Option("--answers", metavar="FILE", help="A new profile from answers; see the README.")
+        Path | None,
+        typer.Option("--answers", metavar="FILE", help="From answers; see 'cellapp docs cell'."),
     ] = None,
     json_file: JsonOption = None,
 ) -> None:

@@ -1,4 +1,4 @@
-"""What every command shares: progress bars, cancelling, tables and JSON, errors as one sentence and an exit code."""
+"""What every command shares: progress bars, cancelling, tables and JSON."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ import queue
 import signal
 import sys
 import threading
-import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellapp.control import Aborted, JobControl
-from cellapp.errors import CellappError, InputError
-from cellapp.progress import Cancelled, Progress, StateChange, Suspicion, eta_words
+from cellapp.errors import CellappError, CheckFailed, InputError
+from cellapp.progress import Progress, StateChange, Suspicion, eta_words
 from cellapp.signals import available, watch_signals
 
 if TYPE_CHECKING:
@@ -23,39 +22,12 @@ if TYPE_CHECKING:
     from cellapp.results import Result
     from cellapp.run import RunFile
 
-EXIT_INTERRUPTED = 4
-_ERROR_LOG = "cellapp-error.log"
-_INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
-_HANGUP = available("SIGHUP")
+INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
+HANGUP = available("SIGHUP")
 """The terminal was closed. It may come twice: once from the system, once from the shell."""
 _SUSPENDS = available("SIGTSTP")
 _LAST_WORDS_S = 1.0
 """How long the end of a job waits for its messages to be printed."""
-
-
-def run_program(app: Callable[[], object]) -> None:
-    """Run the program; an error or a signal becomes one sentence on standard error and an exit code."""
-    handlers = {number: signal.signal(number, _stop_before_job) for number in (*_INTERRUPTS, *_HANGUP)}
-    try:
-        app()
-    except Cancelled as error:
-        _complain(f"{error}; what was committed is kept; 'cellapp collect DIR --resume' continues a collection")
-        sys.exit(EXIT_INTERRUPTED)
-    except CellappError as error:
-        _complain(str(error))
-        sys.exit(error.exit_code)
-    except BrokenPipeError:  # the reader of our output went away
-        sys.stderr.close()
-        sys.exit(0)
-    except Exception as error:  # noqa: BLE001 - the last door: a user gets a sentence, the trace goes to a file
-        log = Path(_ERROR_LOG)
-        with contextlib.suppress(OSError):
-            log.write_text(traceback.format_exc(), encoding="utf-8")
-        _complain(f"unexpected {type(error).__name__}: {error}; please report it with {log} from this folder")
-        sys.exit(1)
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
 
 
 @contextlib.contextmanager
@@ -96,7 +68,7 @@ class Job:
 
     def __enter__(self) -> Job:
         self._writer.start()
-        numbers = (*_INTERRUPTS, *_HANGUP, *_SUSPENDS)
+        numbers = (*INTERRUPTS, *HANGUP, *_SUSPENDS)
         self._signals.enter_context(watch_signals(numbers, self._react, self._interrupt))
         return self
 
@@ -168,10 +140,10 @@ class Job:
     def _react(self, number: int) -> None:
         """Do what a signal asks for, in the thread that watches the signals; the brakes come before any word."""
         arms = self.control.has_brakes
-        if number in _INTERRUPTS and self.control.request in ("stop", "abort"):
+        if number in INTERRUPTS and self.control.request in ("stop", "abort"):
             self.control.abort()
             self._announce("abort: the job ends at once")
-        elif number in _INTERRUPTS or number in _HANGUP:
+        elif number in INTERRUPTS or number in HANGUP:
             self.control.stop()
             what = "all arms brake now; the job then ends" if arms else "the job ends at its next step"
             self._announce(f"stop: {what} and can be resumed. Once more: end at once")
@@ -186,7 +158,7 @@ class Job:
 
     def _interrupt(self, number: int, frame: object) -> None:
         """End the job at the second interrupt, wherever the main thread is. ``_react`` does all that is urgent."""
-        if number in _INTERRUPTS:
+        if number in INTERRUPTS:
             self._interrupts += 1
             if self._interrupts > 1 or self.control.request == "abort":  # Python may report two signals as one
                 raise Aborted("aborted at once")
@@ -230,11 +202,7 @@ class Job:
             self._bars, self._tasks = None, {}
 
 
-def _stop_before_job(number: int, frame: object) -> None:
-    """Stop while the command is still being loaded; ``Job`` handles signals from then on."""
-    raise Cancelled("stopped on request")
-
-
-def _complain(text: str) -> None:
-    with contextlib.suppress(OSError):  # the terminal was closed
-        print(f"cellapp: {text}", file=sys.stderr, flush=True)
+def require_none(complaints: Sequence[str], what: str) -> None:
+    """Raise ``CheckFailed`` if a check of ``what`` has something to complain of."""
+    if complaints:
+        raise CheckFailed(f"{what}: {'; '.join(complaints)}")

@@ -65,9 +65,9 @@ def run_plan(job: Job, choice: PlanChoice) -> None:
         If a hand-edited plan is refused.
     """
     from cellapp.pipeline import plan_new_run
-    from cellapp.plan_verbs import extend_plan, freeze_stops, plan_around_file, plan_from_file, replan, stop_numbers
     from cellapp.profile import load_profile
     from cellapp.reporting.plan_design_text import plan_lines, plan_result_tables
+    from cellapp.verbs.plan import extend_plan, freeze_stops, plan_around_file, plan_from_file, replan, stop_numbers
 
     if refusal := choice.refusal():
         raise typer.BadParameter(refusal)
@@ -102,9 +102,9 @@ def run_plan(job: Job, choice: PlanChoice) -> None:
 
 
 def _check_file(job: Job, choice: PlanChoice) -> None:
-    from cellapp.plan_verbs import check_plan_file
     from cellapp.profile import load_profile
     from cellapp.reporting.plan_text import check_sentences
+    from cellapp.verbs.plan import check_plan_file
 
     assert choice.profile is not None
     assert choice.check is not None

@@ -1,7 +1,8 @@
-"""``runs`` and ``compare``: what a folder of runs holds, and where two runs differ. They only read."""
+"""``runs`` and ``compare``: what a folder of runs holds, and where runs differ. They only read."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -29,11 +30,23 @@ def runs(
 
 
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="DIR_A", help="Folder of one run.")],
-    second: Annotated[Path, typer.Argument(metavar="DIR_B", help="Folder of the other run.")],
+    folders: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR DIR...", help="Folders of two runs or more; the first is compared with."),
+    ],
     json_file: JsonOption = None,
 ) -> None:
-    """Compare two runs: profile, parameters, held-out errors, effects, inter-base transform, verification."""
+    """Compare two runs: profile, parameters, held-out errors, effects, inter-base transform, verification.
+
+    More than two are compared as by 'fleet', in the order in which they are given.
+    """
+    if len(folders) == 2:
+        _compare_two(folders[0], folders[1], json_file)
+    else:
+        _compare_many(folders, json_file)
+
+
+def _compare_two(first: Path, second: Path, json_file: str | None) -> None:
     from cellapp.reporting.runs_compared import comparison_sentences, comparison_tables
     from cellapp.run.history_compare import compare_runs
 
@@ -41,4 +54,15 @@ def compare(
         result = compare_runs(a, b)
         job.show(comparison_tables(result))
         job.say(*comparison_sentences(result))
+        job.result(result)
+
+
+def _compare_many(folders: Sequence[Path], json_file: str | None) -> None:
+    from cellapp.reporting.fleet_text import fleet_sentences, fleet_tables
+    from cellapp.verbs.fleet import compare_many
+
+    with Job(json_file) as job:
+        result = compare_many(folders)
+        job.show(fleet_tables(result))
+        job.say(*fleet_sentences(result))
         job.result(result)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cellapp.cli.job import Job, open_run
-from cellapp.cli.options import JsonOption, RunFolder
+from cellapp.cli.options import JsonOption, RunFolder, Strict
 from cellapp.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
@@ -29,6 +29,9 @@ class Part(StrEnum):
     TARGETS = "targets"
     VERIFICATION = "verification"
     PATHS = "paths"
+    ISO9283 = "iso9283"
+    CHECK = "check"
+    CERTIFICATE = "certificate"
     LOG = "log"
     PROFILE = "profile"
     HISTORY = "history"
@@ -42,6 +45,9 @@ _NOTHING = {
     Part.TARGETS: "no compensated targets are",
     Part.VERIFICATION: "no verification is",
     Part.PATHS: "no paths are",
+    Part.ISO9283: "no test by ISO 9283 is",
+    Part.CHECK: "no check is",
+    Part.CERTIFICATE: "no certificate is",
 }
 """Subject and verb where a part is missing."""
 
@@ -62,11 +68,11 @@ def show(
     target: Annotated[
         str | None, typer.Option("--target", metavar="NAME", help="With targets: all about one of them.")
     ] = None,
+    strict: Strict = False,
     json_file: JsonOption = None,
 ) -> None:
     """Print what a run holds; nothing is changed, and only --check and --forecast compute anything."""
-    from cellapp.reporting import run_tables
-    from cellapp.run import overview
+    from cellapp.run.out_of_date import check_nothing_out_of_date
 
     if part is not Part.LOG and (level is not None or last is not None):
         raise InputError("show: --level and --last belong to 'log'")
@@ -77,14 +83,9 @@ def show(
     with Job(json_file) as job, open_run(folder) as run:
         match part:
             case Part.OVERVIEW:
-                state = overview.run_overview(run)
-                job.show(run_tables.overview_tables(state))
-                job.say(*run_tables.overview_sentences(state))
-                job.result(state)
+                _show_overview(job, run)
             case Part.HISTORY:
-                history = overview.run_history(run)
-                job.say(*run_tables.history_lines(history))
-                job.result(history)
+                _show_history(job, run)
             case Part.PLAN if check:
                 _check_plan(job, run)
             case Part.PLAN if forecast:
@@ -96,15 +97,13 @@ def show(
             case Part.TARGETS if target is not None:
                 _show_target(job, run, target)
             case Part.LOG:
-                log = overview.run_log(run, level, last)
-                job.say(*(run_tables.log_lines(log) or ["no log lines to show"]))
-                job.result(log)
+                _show_log(job, run, level, last)
             case Part.PROFILE:
-                text = run_tables.profile_text(run.profile)
-                job.say(text)
-                job.write_json(text)
+                _show_profile(job, run)
             case _:
                 _show_result(job, run, part)
+        if strict:
+            check_nothing_out_of_date(run, "show")
 
 
 def schema(
@@ -127,10 +126,46 @@ def schema(
         job.write_json(text)
 
 
+def _show_overview(job: Job, run: RunFile) -> None:
+    from cellapp.reporting.run_tables import overview_sentences, overview_tables
+    from cellapp.run.overview import run_overview
+
+    state = run_overview(run)
+    job.show(overview_tables(state))
+    job.say(*overview_sentences(state))
+    job.result(state)
+
+
+def _show_history(job: Job, run: RunFile) -> None:
+    from cellapp.reporting.run_tables import history_lines
+    from cellapp.run.overview import run_history
+
+    history = run_history(run)
+    job.say(*history_lines(history))
+    job.result(history)
+
+
+def _show_log(job: Job, run: RunFile, level: str | None, last: int | None) -> None:
+    from cellapp.reporting.run_tables import log_lines
+    from cellapp.run.overview import run_log
+
+    log = run_log(run, level, last)
+    job.say(*(log_lines(log) or ["no log lines to show"]))
+    job.result(log)
+
+
+def _show_profile(job: Job, run: RunFile) -> None:
+    from cellapp.reporting.run_tables import profile_text
+
+    text = profile_text(run.profile)
+    job.say(text)
+    job.write_json(text)
+
+
 def _show_plan(job: Job, run: RunFile) -> None:
-    from cellapp.plan_verbs import stored_plan
     from cellapp.reporting import run_tables
     from cellapp.reporting.plan_design_text import design_sentences, design_tables
+    from cellapp.verbs.plan import stored_plan
 
     stops = stored_plan(run)
     job.show(run_tables.plan_tables(stops))
@@ -208,6 +243,9 @@ def _show_result(job: Job, run: RunFile, part: Part) -> None:
         Part.TARGETS: ("compensate", "cellapp compensate", _show_targets),
         Part.VERIFICATION: ("verify", "cellapp push --verify", _show_verification),
         Part.PATHS: ("path" if results.follow is None else "follow", "cellapp follow", _show_paths),
+        Part.ISO9283: ("iso9283", "cellapp iso9283", _show_iso9283),
+        Part.CHECK: ("check", "cellapp check", _show_check),
+        Part.CERTIFICATE: ("certificate", "cellapp certificate", _show_certificate),
     }[part]
     reason = {str(key): text for key, text in results.out_of_date.items()}.get(name)
     stored = getattr(results, name)
@@ -252,6 +290,30 @@ def _show_location(job: Job, results: RunResults) -> None:
     assert results.locate is not None
     job.show(location_tables(results.locate))
     job.say(*location_sentences(results.locate))
+
+
+def _show_iso9283(job: Job, results: RunResults) -> None:
+    from cellapp.reporting.iso9283_text import iso9283_sentences, iso9283_tables
+
+    assert results.iso9283 is not None
+    job.show(iso9283_tables(results.iso9283))
+    job.say(*iso9283_sentences(results.iso9283))
+
+
+def _show_certificate(job: Job, results: RunResults) -> None:
+    from cellapp.reporting.certificate_text import certificate_sentences, certificate_tables
+
+    assert results.certificate is not None
+    job.show(certificate_tables(results.certificate))
+    job.say(*certificate_sentences(results.certificate))
+
+
+def _show_check(job: Job, results: RunResults) -> None:
+    from cellapp.reporting.check_text import check_sentences, check_tables
+
+    assert results.check is not None
+    job.show(check_tables(results.check))
+    job.say(*check_sentences(results.check))
 
 
 def _show_paths(job: Job, results: RunResults) -> None:

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from cellapp.results import Result
     from cellapp.trials.judge_records import TargetScore
 
+_NAMED = 10
+"""Failures that are named one by one."""
+
 
 def check_markdown(path: Path | None) -> None:
     """Raise ``InputError`` if there is no folder for the file: it is written after hours of work."""
@@ -44,9 +47,15 @@ def state_result(
         raise CellappError(f"--markdown: {markdown} cannot be written ({error.strerror})") from None
 
 
+def check_failed(failed: Sequence[str]) -> None:
+    """Raise ``CheckFailed`` that names the first tasks that failed; the result of the others was stated."""
+    if failed:
+        more = f"; and {len(failed) - _NAMED} more" if len(failed) > _NAMED else ""
+        raise CheckFailed(f"{len(failed)} could not be computed: {'; '.join(failed[:_NAMED])}{more}")
+
+
 def check_bars(failed: Sequence[str], missed: Sequence[TargetScore]) -> None:
     """Raise ``CheckFailed`` if runs could not be judged, or a bar was missed in enough trials to say so."""
-    if failed:
-        raise CheckFailed(f"{len(failed)} runs could not be judged: {'; '.join(failed)}")
+    check_failed(failed)
     if missed:
         raise CheckFailed(f"bars missed: {'; '.join(f'{one.kind}: {one.target}' for one in missed)}")

@@ -7,14 +7,21 @@ from typing import Annotated
 
 import typer
 
+from cellapp.cli.check_trial import check
+from cellapp.cli.cost import cost
 from cellapp.cli.job import Job
-from cellapp.cli.options import JsonOption, ProfilePath
-from cellapp.cli.trial_files import check_bars, check_markdown, state_result
+from cellapp.cli.options import (
+    Jobs,
+    JsonOption,
+    MarkdownFile,
+    ProfilePath,
+    Scheduler,
+    Store,
+    resources_of,
+)
+from cellapp.cli.series_trials import league, signature
+from cellapp.cli.trial_files import check_bars, check_failed, check_markdown, state_result
 from cellapp.errors import CheckFailed
-
-MarkdownFile = Annotated[
-    Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE.")
-]
 
 trials_app = typer.Typer(help="Trials on simulated cells, emulated devices and measured series.", no_args_is_help=True)
 
@@ -24,6 +31,9 @@ def coverage(
     profile: ProfilePath,
     n: Annotated[int, typer.Option("--n", min=2, help="Simulated runs.")] = 200,
     stops: Annotated[int, typer.Option("--stops", min=20, help="Stops each is identified from.")] = 100,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    store: Store = None,
     json_file: JsonOption = None,
 ) -> None:
     """How often the stated 95 % intervals contain the truth, over many simulated arms."""
@@ -31,7 +41,9 @@ def coverage(
     from cellapp.trials.coverage import coverage_trials
 
     with Job(json_file) as job:
-        result = coverage_trials(load_profile(profile), n, stops, job.listen, job.control)
+        result = coverage_trials(
+            load_profile(profile), n, stops, resources_of(jobs, scheduler, store), job.listen, job.control
+        )
         for name, arm in result.arms.items():
             shares = arm.by_parameter.values()
             job.say(
@@ -39,12 +51,16 @@ def coverage(
                 f" ({arm.runs} runs; by parameter {100 * min(shares):.1f} to {100 * max(shares):.1f} %)"
             )
         job.result(result)
+        check_failed(result.failed)
 
 
 @trials_app.command("parameter-sets")
 def parameter_sets(
     profile: ProfilePath,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated arms.")] = 5,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    store: Store = None,
     json_file: JsonOption = None,
 ) -> None:
     """The paper's comparison: redundant, paper's and identifiable set; iterations, mean and maximum error."""
@@ -53,26 +69,35 @@ def parameter_sets(
     from cellapp.trials.tables import parameter_set_tables
 
     with Job(json_file) as job:
-        result = parameter_set_trials(load_profile(profile), range(seeds), job.listen, job.control)
+        result = parameter_set_trials(
+            load_profile(profile), range(seeds), resources_of(jobs, scheduler, store), job.listen, job.control
+        )
         job.show(parameter_set_tables(result))
         job.result(result)
+        check_failed(result.failed)
 
 
 @trials_app.command("paper")
 def paper(
     profile: ProfilePath,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells.")] = 10,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    store: Store = None,
     json_file: JsonOption = None,
 ) -> None:
     """The paper's three methods on many simulated cells, and the two networks at another tracker station."""
     from cellapp.profile import load_profile
-    from cellapp.trials.paper import paper_result, paper_trials
+    from cellapp.trials.paper import paper_trials
     from cellapp.trials.tables import paper_tables
 
     with Job(json_file) as job:
-        result = paper_result(paper_trials(load_profile(profile), range(seeds), job.listen, job.control))
+        result = paper_trials(
+            load_profile(profile), range(seeds), resources_of(jobs, scheduler, store), job.listen, job.control
+        )
         job.show(paper_tables(result))
         job.result(result)
+        check_failed(result.failed)
 
 
 @trials_app.command("links")
@@ -172,7 +197,9 @@ def campaigns(
     n: Annotated[int, typer.Option("--n", min=1, help="Campaigns.")] = 50,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first; the next has the next one.")] = 0,
     stops: Annotated[int, typer.Option("--stops", min=30, help="Stops of each campaign.")] = 400,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    store: Store = None,
     json_file: JsonOption = None,
 ) -> None:
     """The whole engine on simulated devices, disk and person, with seeded faults of all kinds on simulated time."""
@@ -181,7 +208,9 @@ def campaigns(
     from cellapp.trials.tables import campaign_tables
 
     with Job(json_file) as job:
-        result = campaign_trials(load_profile(profile), n, seed, stops, jobs, job.listen, job.control)
+        result = campaign_trials(
+            load_profile(profile), n, seed, stops, resources_of(jobs, scheduler, store), job.listen, job.control
+        )
         job.show(campaign_tables(result))
         job.say(
             f"{result.n - len(result.failed)} of {result.n} campaigns as they should be; {result.missing} planned"
@@ -192,6 +221,7 @@ def campaigns(
             job.say(f"seed {failed.seed}: {'; '.join(failed.failures[:3])}")
             job.say(f"  again: cellapp trials campaigns {profile} --n 1 --seed {failed.seed} --stops {stops}")
         job.result(result)
+        check_failed(result.not_run)
         if result.failed:
             raise CheckFailed(f"trials campaigns: {len(result.failed)} of {result.n} campaigns failed; see above")
 
@@ -248,7 +278,8 @@ def seal(
 @trials_app.command("judge")
 def judge(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the trials.")],
-    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 2,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
     again: Annotated[bool, typer.Option("--again", help="Judge again also what was judged before.")] = False,
     markdown: MarkdownFile = None,
     json_file: JsonOption = None,
@@ -259,7 +290,9 @@ def judge(
 
     with Job(json_file) as job:
         check_markdown(markdown)
-        result = judge_trials(folder, jobs=jobs, again=again, listener=job.listen, cancel=job.control)
+        result = judge_trials(
+            folder, resources=resources_of(jobs, scheduler), again=again, listener=job.listen, cancel=job.control
+        )
         state_result(job, result, judge_tables(result), judge_sentences(result), markdown)
         check_bars(result.failed, result.missed)
 
@@ -275,7 +308,8 @@ def blind_matrix(
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Draws everything; left out, secret ones are drawn.")
     ] = None,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 2,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
     markdown: MarkdownFile = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -289,7 +323,14 @@ def blind_matrix(
         check_markdown(markdown)
         cells = matrix_cells(only)
         result = run_matrix(
-            load_profile(profile), out, n, cells, seed=seed, jobs=jobs, listener=job.listen, cancel=job.control
+            load_profile(profile),
+            out,
+            n,
+            cells,
+            seed=seed,
+            resources=resources_of(jobs, scheduler),
+            listener=job.listen,
+            cancel=job.control,
         )
         state_result(job, result, matrix_tables(result), matrix_sentences(result), markdown)
         check_bars(result.failed, result.missed)
@@ -302,6 +343,9 @@ def plans(
     stops: Annotated[int, typer.Option("--stops", min=10, help="Designed stops that are compared with random.")] = 100,
     whole: Annotated[int, typer.Option("--whole", min=0, help="Stops of whole plans; 0: none.")] = 400,
     bounded: Annotated[int, typer.Option("--bounded", min=0, help="Seeds with the best possible values; slow.")] = 1,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    store: Store = None,
     markdown: MarkdownFile = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -314,10 +358,11 @@ def plans(
     with Job(json_file) as job:
         check_markdown(markdown)
         cell = load_profile(profile)
-        result = plan_trials(cell, range(seeds), stops, bounded, job.listen, job.control)
+        resources = resources_of(jobs, scheduler, store)
+        result = plan_trials(cell, range(seeds), stops, bounded, resources, job.listen, job.control)
         if whole:
-            found = whole_plans(cell, range(seeds), whole, job.listen, job.control)
-            result = result.model_copy(update={"plans": found})
+            found = whole_plans(cell, range(seeds), whole, resources, job.listen, job.control)
+            result = result.model_copy(update={"plans": found.found, "failed": (*result.failed, *found.failed)})
         state_result(job, result, plan_trial_tables(result), plan_trial_sentences(result), markdown)
         if result.complaints():
             raise CheckFailed(f"trials plans: {'; '.join(result.complaints())}")
@@ -330,7 +375,9 @@ def targets(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first; the next has the next one.")] = 0,
     count: Annotated[int, typer.Option("--targets", min=1, help="New targets of each arm.")] = 200,
     pairs: Annotated[int, typer.Option("--pairs", min=0, help="Cooperative targets; 0: none.")] = 200,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    store: Store = None,
     markdown: MarkdownFile = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -342,108 +389,13 @@ def targets(
     with Job(json_file) as job:
         check_markdown(markdown)
         chosen = range(seed, seed + seeds)
-        result = target_trials(load_profile(profile), chosen, count, pairs, jobs, job.listen, job.control)
+        result = target_trials(
+            load_profile(profile), chosen, count, pairs, resources_of(jobs, scheduler, store), job.listen, job.control
+        )
         state_result(job, result, target_trial_tables(result), target_trial_sentences(result), markdown)
         if result.complaints():
             raise CheckFailed(f"trials targets: {'; '.join(result.complaints())}")
 
 
-@trials_app.command("league")
-def league(
-    series: Annotated[str, typer.Option("--series", metavar="LIST", help="Series, separated by commas.")] = "C,D,UR5",
-    rows: Annotated[
-        str, typer.Option("--rows", metavar="LIST", help="Numbers of rows to learn from, separated by commas.")
-    ] = "100,300,all",
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Draws of each.")] = 8,
-    network: Annotated[bool, typer.Option("--network", help="Train the residual networks too; slow.")] = False,
-    curve: Annotated[bool, typer.Option("--curve", help="Also a learning curve of series C.")] = False,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
-    data: Annotated[Path, typer.Option("--data", metavar="DIR", help="Folder of the series.")] = Path("tests/fixtures"),
-    profiles: Annotated[Path, typer.Option("--profiles", metavar="DIR", help="Folder of their profiles.")] = Path(
-        "profiles"
-    ),
-    markdown: MarkdownFile = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Real robots, measured by others: geometry, network and discovery on rows that were held out, against bars."""
-    from cellapp.trials.league.series import parse_rows
-    from cellapp.trials.league.tables import league_sentences, league_tables
-    from cellapp.trials.league.trial import league_trials
-
-    with Job(json_file) as job:
-        check_markdown(markdown)
-        result = league_trials(
-            [name.strip() for name in series.split(",")],
-            parse_rows(rows),
-            seeds,
-            data=data,
-            profiles=profiles,
-            network=network,
-            curve=curve,
-            jobs=jobs,
-            listener=job.listen,
-            cancel=job.control,
-        )
-        state_result(job, result, league_tables(result), league_sentences(result), markdown)
-        if result.complaints():
-            raise CheckFailed(f"trials league: {'; '.join(result.complaints())}")
-
-
-@trials_app.command("signature")
-def signature(
-    profile: Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")] = Path(
-        "profiles/twin.yaml"
-    ),
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells, or draws of rows.")] = 10,
-    first: Annotated[int, typer.Option("--first", min=0, help="The first seed.")] = 0,
-    earlier: Annotated[int, typer.Option("--earlier", min=40, help="Stops of the earlier calibration.")] = 400,
-    few: Annotated[int, typer.Option("--few", min=5, help="Stops with the earlier calibration.")] = 30,
-    many: Annotated[int, typer.Option("--many", min=10, help="Stops without it, to compare with.")] = 150,
-    held_out: Annotated[int, typer.Option("--held-out", min=10, help="Stops to compare on.")] = 120,
-    mix: Annotated[bool, typer.Option("--mix", help="Hide compliance, curves and backlash on the arms.")] = False,
-    real: Annotated[bool, typer.Option("--real", help="Series D of a real UR10 with series C as prior.")] = False,
-    rows: Annotated[
-        str, typer.Option("--rows", metavar="LIST", help="With --real: numbers of rows, separated by commas.")
-    ] = "30,60,100",
-    jobs: Annotated[int, typer.Option("--jobs", min=1, max=64, help="Processes, each of one thread.")] = 1,
-    data: Annotated[Path, typer.Option("--data", metavar="DIR", help="Folder of the series.")] = Path("tests/fixtures"),
-    profiles: Annotated[Path, typer.Option("--profiles", metavar="DIR", help="Folder of their profiles.")] = Path(
-        "profiles"
-    ),
-    markdown: MarkdownFile = None,
-    json_file: JsonOption = None,
-) -> None:
-    """What an arm's earlier calibration is worth when it is calibrated again from few stops, mounted elsewhere."""
-    from cellapp.profile import load_profile
-    from cellapp.trials.league.series import parse_rows
-    from cellapp.trials.signature import real_trials, twin_trials
-    from cellapp.trials.signature_tables import signature_sentences, signature_tables
-
-    with Job(json_file) as job:
-        check_markdown(markdown)
-        if real:
-            result = real_trials(
-                parse_rows(rows),
-                range(first, first + seeds),
-                data=data,
-                profiles=profiles,
-                jobs=jobs,
-                listener=job.listen,
-                cancel=job.control,
-            )
-        else:
-            result = twin_trials(
-                load_profile(profile),
-                range(first, first + seeds),
-                earlier=earlier,
-                few=few,
-                many=many,
-                held_out=held_out,
-                mix=mix,
-                jobs=jobs,
-                listener=job.listen,
-                cancel=job.control,
-            )
-        state_result(job, result, signature_tables(result), signature_sentences(result), markdown)
-        if result.complaints():
-            raise CheckFailed(f"trials signature: {'; '.join(result.complaints())}")
+for command in (check, league, signature, cost):
+    trials_app.command()(command)

@@ -9,11 +9,11 @@ from pydantic import TypeAdapter, ValidationError
 
 from cellapp.collection.cell import Cell
 from cellapp.errors import HardwareError, InputError
+from cellapp.plugins import program_of
+from cellapp.profile.device_plugins import plugins_of_devices
 from cellapp.run import RunFile
+from cellapp.run.arm_identity import CONTROLLERS_RESULT
 from drivers.arms.protocol import Arm, ArmError, stale
-
-CONTROLLERS_RESULT = "controllers"
-"""Name of the stored result: arm -> model, serial, software, dh_checksum."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,8 @@ def check_controllers(run: RunFile, cell: Cell) -> ControllerCheck:
         run.write_result(CONTROLLERS_RESULT, _STORED.dump_json(identities | recorded).decode("utf-8"))
     for note in notes:
         run.log("warning", note)
+    if plugins_of_devices(run.profile):
+        run.log("info", f"devices opened by {program_of(run.profile)}")
     return ControllerCheck(identities, tuple(notes), tuple(changed))
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cellapp.calibration.station_location import twist_columns
+from cellapp.collection.smr_search import APART_M
 from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
 from cellapp.model.relocation import relocated
@@ -17,8 +18,6 @@ from cellapp.safety.gate import CellBodies, clear_stops, refuse_motion, visible
 
 _MOST_CANDIDATES = 300
 """More joint positions of one arm than this are thinned out: many of them are alike."""
-_APART_M = 0.4
-"""Least distance from the SMRs of resting arms: twice as far as an SMR is searched for, so that none is mistaken."""
 _KNOWN_BEFORE = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05]) ** -2.0
 """Information [1/m^2, 1/rad^2] before the first point: it keeps the criterion finite; after three it is negligible."""
 _LEAST_SIGMA_M = 1e-5
@@ -89,7 +88,7 @@ class LocatingStops:
         p_M = model.predict(name, q)
         for other, home in self._homes.items():
             if other != name:
-                seen &= np.linalg.norm(p_M - model.predict(other, home[None]), axis=1) >= _APART_M
+                seen &= np.linalg.norm(p_M - model.predict(other, home[None]), axis=1) >= APART_M
         return seen
 
 

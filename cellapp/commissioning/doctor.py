@@ -15,6 +15,7 @@ import numpy as np
 from cellapp.collection.cell import arm_context, build_plant, tracker_context
 from cellapp.commissioning.obstacle_findings import obstacle_findings
 from cellapp.errors import InputError
+from cellapp.plugins import in_words, installed_plugins
 from cellapp.profile import Profile
 from cellapp.results import DeviceReport, DoctorResult
 from cellapp.results import Finding as ResultFinding
@@ -46,7 +47,7 @@ def examine(profile: Profile) -> list[Finding]:
     with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
         probes = _start_probes(pool, profile)
         placement = _placement(profile)
-        findings = [_python(profile), *_found(profile, probes)]
+        findings = [_python(profile), *installed_findings(), *_found(profile, probes)]
     return findings + placement
 
 
@@ -121,7 +122,7 @@ def _python(profile: Profile) -> Finding:
         return Finding("python", "failed", f"Python {version}; needed is 3.11 or 3.12: ur-rtde has no build for others")
     needed = {package for arm in profile.arms.values() for package in arm.driver.packages}
     texts, failed = [f"Python {version}"], False
-    for package in dict.fromkeys(package for kind in ARMS for package in kind.packages):
+    for package in dict.fromkeys(package for kind in ARMS.values() for package in kind.packages):
         if all(importlib.util.find_spec(module) is not None for module in package.modules):
             texts.append(f"{package.name} is installed")
         elif package in needed:
@@ -130,6 +131,15 @@ def _python(profile: Profile) -> Finding:
         else:
             texts.append(f"{package.name} is not installed, and this profile does not need it")
     return Finding("python", "failed" if failed else "ok", ", ".join(texts))
+
+
+def installed_findings() -> list[Finding]:
+    """What each installed plug-in adds; those that cannot be used keep no job from starting."""
+    installed = installed_plugins()
+    added = in_words(one for one in installed if not one.problem)
+    findings = [Finding(f"plug-in {name}", "ok", f"adds {words}") for name, words in added.items()]
+    refused = dict.fromkeys(one.refusal for one in installed if one.problem)  # a list that cannot be read has no group
+    return [*findings, *(Finding("plug-in", "warning", words) for words in refused)]
 
 
 def _shared_address(profile: Profile, name: str) -> list[Finding]:

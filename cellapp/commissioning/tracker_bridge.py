@@ -99,7 +99,7 @@ def serve_tracker(
 def _check_kind(profile: Profile) -> None:
     settings = profile.tracker.driver
     if not settings.can_be_served:
-        kinds = " or ".join(f"'{kind.model_fields['kind'].default}'" for kind in TRACKERS if kind.can_be_served)
+        kinds = " or ".join(f"'{kind}'" for kind, one in TRACKERS.items() if one.can_be_served)
         raise InputError(
             f"profile {profile.name}: tracker.driver is '{settings.kind}'; to be served it must be one that this"
             f" computer reaches itself: {kinds}"

@@ -168,19 +168,10 @@ class _Driver:
 
     def _run(self, trajectory: Trajectory, path: CartesianPath, *, measure: bool) -> tuple[Array | None, FollowedPath]:
         """Go to the beginning and along the path; return the points (n, 3) measured meanwhile, if any can be."""
-        name, tracker = self.spec.arm, self.cell.tracker
-        self._go(_run_up(trajectory.q))
+        self._go(run_up(trajectory.q))
         self._go(trajectory.q[0])
-        streams = measure and isinstance(tracker, StreamingTracker)
-        if streams and isinstance(tracker, StreamingTracker):
-            tracker.start_track(path.positions(np.zeros(1))[0], _INTERVAL_S, self._beam_lost)
-        began_s = self.cell.clock.now_s()
-        followed = self.mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
-        if not (streams and isinstance(tracker, StreamingTracker)):
-            return None, followed
-        track = tracker.end_track()
-        within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
-        return track.p_M[within], followed
+        start_M = path.positions(np.zeros(1))[0] if measure else None
+        return follow_and_track(self.cell, self.mover, self.reaction, self.spec.arm, trajectory, start_M)
 
     def _at_rest(self, trajectory: Trajectory) -> Array:
         """Points (n, 3) measured at rest at places along the path, each reached from the side of the path's motion."""
@@ -189,7 +180,7 @@ class _Driver:
         rows = np.clip(np.searchsorted(trajectory.s, np.linspace(0.0, length, count)), 1, len(trajectory.s) - 1)
         points = []
         for row in np.unique(rows):
-            self._go(_run_up(trajectory.q[row - 1 :]))
+            self._go(run_up(trajectory.q[row - 1 :]))
             self._go(trajectory.q[row])
             points.append(self.mover.measure(self.spec.arm, trajectory.q[row]).p_M)
         return np.array(points)
@@ -199,11 +190,33 @@ class _Driver:
         self.mover.go_home_unless_clear(self.spec.arm, q)
         self.mover.move({self.spec.arm: q})
 
-    def _beam_lost(self, error: TrackerError) -> None:
-        self.reaction.trigger(StopCause("tracker", str(error)))
+
+def follow_and_track(
+    cell: Cell, mover: Mover, reaction: StopReaction, name: str, trajectory: Trajectory, start_M: Array | None
+) -> tuple[Array | None, FollowedPath]:
+    """Let an arm at the beginning of a path follow it; return the points (n, 3) [m] that were measured meanwhile.
+
+    ``start_M`` (3,) is where its SMR is [m]. None, and no points: nothing is measured, or the tracker's driver cannot
+    measure a moving SMR. A beam that breaks stops all arms. Raises as ``Mover.follow`` and ``StreamingTracker``.
+    """
+    tracker = cell.tracker
+
+    def beam_lost(error: TrackerError) -> None:
+        reaction.trigger(StopCause("tracker", str(error)))
+
+    streaming = tracker if start_M is not None and isinstance(tracker, StreamingTracker) else None
+    if streaming is not None and start_M is not None:
+        streaming.start_track(start_M, _INTERVAL_S, beam_lost)
+    began_s = cell.clock.now_s()
+    followed = mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
+    if streaming is None:
+        return None, followed
+    track = streaming.end_track()
+    within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
+    return track.p_M[within], followed
 
 
-def _run_up(q: Array) -> Array:
+def run_up(q: Array) -> Array:
     """A place (N,) before the first row of ``q`` (m, N) [rad], from which joints come on the side of their motion."""
     moved = np.abs(q - q[0]) > 1e-5
     first = np.argmax(moved, axis=0)

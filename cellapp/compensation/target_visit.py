@@ -105,7 +105,7 @@ class TargetVisit:
         for name, command in found.commands.items():
             if command.approach is not None:
                 sides[name] = np.array(command.approach, dtype=np.float64)
-            elif _last_motion_matters(self.model.arms[name]):
+            elif last_motion_matters(self.model.arms[name]):
                 sides[name] = np.sign(np.asarray(command.q_compensated) - here[name])
         return sides
 
@@ -174,7 +174,7 @@ class TargetVisit:
             found.best = len(found.rounds) - 1
 
 
-def _last_motion_matters(arm: ArmModel) -> bool:
+def last_motion_matters(arm: ArmModel) -> bool:
     """Whether an effect of the model depends on the last motion of the joints."""
     variables = {variable for term in arm.effects for variable in EFFECTS[term.slug].variables}
     return not variables.isdisjoint({DriverVariable.APPROACH, DriverVariable.STEP})

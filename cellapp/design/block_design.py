@@ -19,6 +19,8 @@ with matrices of rank three (Woodbury), O(p) for each. Both are computed afresh,
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -120,6 +122,14 @@ Single = NDArray[np.float32]
 """Gains and losses are compared in single precision: twice as fast, and computed afresh before it matters."""
 
 
+class _Change(NamedTuple):
+    """C became C - G K G^T, and C W C became C W C - G B^T - B G^T, with G and B (p, 3), K (3, 3)."""
+
+    G: Array
+    B: Array
+    K: Array
+
+
 @dataclass(eq=False)
 class _Tracked:
     """Candidates (s, 3, p) with V and U (3, 3, s) while the design changes."""
@@ -132,17 +142,26 @@ class _Tracked:
     def of(cls, rows: Array, C: Array, CWC: Array) -> _Tracked:
         single = rows.astype(np.float32)
         flat, by_column = single.reshape(-1, rows.shape[2]), single.transpose(0, 2, 1)
-        V, U = ((flat @ matrix.astype(np.float32)).reshape(rows.shape) @ by_column for matrix in (C, CWC))
-        return cls(single, np.ascontiguousarray(V.transpose(1, 2, 0)), np.ascontiguousarray(U.transpose(1, 2, 0)))
 
-    def follow(self, G: Array, B: Array, K: Array) -> None:
-        """C became C - G K G^T, and C W C became C W C - G B^T - B G^T."""
-        both = np.concatenate([G, B], axis=1).astype(np.float32)
-        flat = self.rows.reshape(-1, len(both)) @ both
-        xG, xB = np.ascontiguousarray(flat.reshape(-1, 3, 2, 3).transpose(2, 1, 3, 0))
-        half = np.einsum("acm,bcm->abm", xG, xB)
-        self.V -= np.einsum("acm,bcm->abm", np.einsum("adm,dc->acm", xG, K.astype(np.float32)), xG)
-        self.U -= half + half.transpose(1, 0, 2)
+        def products(matrix: Array) -> Single:
+            found = (flat @ matrix.astype(np.float32)).reshape(rows.shape) @ by_column
+            return np.ascontiguousarray(found.transpose(1, 2, 0))
+
+        with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
+            V, U = pool.map(products, (C, CWC))
+        return cls(single, V, U)
+
+    def follow(self, changes: Sequence[_Change]) -> None:
+        """Follow changes one after the other; what takes time, reading the rows, is done once for all of them."""
+        if not changes or not len(self.rows):
+            return
+        all_of = np.concatenate([part for change in changes for part in (change.G, change.B)], axis=1)
+        flat = self.rows.reshape(-1, len(all_of)) @ all_of.astype(np.float32)
+        products = np.ascontiguousarray(flat.reshape(-1, 3, len(changes), 2, 3).transpose(2, 3, 1, 4, 0))
+        for change, (xG, xB) in zip(changes, products, strict=True):
+            half = np.einsum("acm,bcm->abm", xG, xB)
+            self.V -= np.einsum("acm,bcm->abm", np.einsum("adm,dc->acm", xG, change.K.astype(np.float32)), xG)
+            self.U -= half + half.transpose(1, 0, 2)
 
 
 def _trace_of_solution(V: Single, U: Single, sign: float) -> Single:
@@ -169,15 +188,19 @@ class BlockDesign:
     def __init__(self, information: Array, weights: Array) -> None:
         self.covariance = inverse_psd(information)
         self._CWC = self.covariance @ weights @ self.covariance
-        self._tracked = _Tracked.of(np.empty((0, 3, len(information))), self.covariance, self._CWC)
+        none = np.empty((0, 3, len(information)), dtype=np.float32)
+        self._tracked = _Tracked(none, np.empty((3, 3, 0), np.float32), np.empty((3, 3, 0), np.float32))
+        self._unfollowed: list[_Change] = []
+        """Changes since gains or losses were asked for."""
 
     def track(self, rows: Array) -> None:
         """Follow the gains and losses of candidates ``rows`` (s, 3, p) from now on, in place of those before."""
-        self._tracked = _Tracked.of(rows, self.covariance, self._CWC)
+        self._tracked, self._unfollowed = _Tracked.of(rows, self.covariance, self._CWC), []
 
     def gains(self) -> Single:
         """What the criterion tr(C W) would lose by each tracked candidate that is added (s,)."""
-        return _trace_of_solution(self._tracked.V, self._tracked.U, 1.0)
+        tracked = self._followed()
+        return _trace_of_solution(tracked.V, tracked.U, 1.0)
 
     def gains_of(self, rows: Array) -> Single:
         """The same of other candidates ``rows`` (s, 3, p)."""
@@ -186,7 +209,8 @@ class BlockDesign:
 
     def losses(self) -> Single:
         """What it would gain by each tracked candidate that is removed (s,); valid for those in the design."""
-        return _trace_of_solution(self._tracked.V, self._tracked.U, -1.0)
+        tracked = self._followed()
+        return _trace_of_solution(tracked.V, tracked.U, -1.0)
 
     def add(self, row: Array) -> None:
         """Add a candidate ``row`` (3, p)."""
@@ -196,12 +220,18 @@ class BlockDesign:
         """Remove a candidate ``row`` (3, p) of the design."""
         self._change(row, -1.0)
 
+    def _followed(self) -> _Tracked:
+        """The tracked candidates after all changes."""
+        self._tracked.follow(self._unfollowed)
+        self._unfollowed = []
+        return self._tracked
+
     def _change(self, row: Array, sign: float) -> None:
         G, H = self.covariance @ row.T, self._CWC @ row.T
         K = sign * np.asarray(np.linalg.inv(np.eye(3) + sign * (row @ G)), dtype=np.float64)
         GK = G @ K
         B = H @ K - 0.5 * GK @ (row @ H) @ K
-        self._tracked.follow(G, B, K)
+        self._unfollowed.append(_Change(G, B, K))
         half = G @ B.T
         self.covariance -= GK @ G.T
         self._CWC -= half

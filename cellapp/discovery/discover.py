@@ -170,6 +170,14 @@ def discover_arm(
     result = _without_harm(
         _search_and_refit(profile, model, readings, conditions, cancel, report, prior_sigma), held_out
     )
+    return _evaluated(name, model, result, held_out, started)
+
+
+def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut, started: float) -> Discovery:
+    """The discovery that a search found, with its evidence and the errors at held-out readings.
+
+    ``model`` is the calibrated arm; ``started`` is when the search began, by ``time.perf_counter`` [s].
+    """
     searched, found, fitted_model = result.judged, result.found, result.model
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
     floor_mm = held_out.noise_floor_mm()
@@ -180,10 +188,7 @@ def discover_arm(
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
     if result.harmful:
         word = "unknown effect"  # something is there: the search fitted it, though not by what it is
-    # with the descriptions of data-driven terms; where nothing was found the model stays as it was calibrated
-    final = replace(fitted_model, effects=tuple(effect.term for effect in accepted))
-    if not accepted:
-        final = replace(model, posterior=fitted_model.posterior)
+    final = _final_model(model, fitted_model, accepted)
     invisible, not_found = detectability(found, scan if found is searched else remaining_scan(found))
     return Discovery(
         accepted=accepted,
@@ -208,6 +213,13 @@ def discover_arm(
         candidates=probable.effects,
         structure=structure,
     )
+
+
+def _final_model(calibrated: ArmModel, fitted: ArmModel, accepted: Sequence[AcceptedEffect]) -> ArmModel:
+    """The fitted model with the descriptions of data-driven terms; as it was calibrated where nothing was found."""
+    if not accepted:
+        return replace(calibrated, posterior=fitted.posterior)
+    return replace(fitted, effects=tuple(effect.term for effect in accepted))
 
 
 def _noise(data: ArmData) -> Noise:

@@ -43,6 +43,7 @@ def discover_result(found: CellDiscovery) -> DiscoverResult:
     return DiscoverResult(
         arms={name: arm_result(discovery) for name, discovery in found.arms.items()},
         pair={} if found.pair is None else {"effects": pair_result(found.pair)["effects"]},
+        notes=tuple(f"not searched for: {one.refusal}" for one in EFFECTS.plugins if one.problem) or None,
     )
 
 

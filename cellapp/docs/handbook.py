@@ -1,38 +1,53 @@
-"""The handbook's chapters, the sections of single effects, and what these repeat of the effects' declarations."""
+"""The handbook's chapters, the sections of single effects, and the anchors of headings."""
 
 from __future__ import annotations
 
 import re
-import textwrap
 from collections.abc import Mapping
 from importlib import resources
-from pathlib import Path
 
-from cellapp.docs import planning_figures
-from cellapp.docs.effect_figures import FIGURES, figure_svg
-from cellapp.docs.scene import Scene
-from cellapp.effects import EFFECTS, Effect
 from cellapp.errors import InputError
-from cellapp.profile import Profile
 
 CHAPTERS: Mapping[str, str] = {
-    "effects": "the physical effects that discovery knows",
-    "discovery": "how discovery decides, and what its words mean",
-    "planning": "which stops are measured, obstacles, editing a plan",
-    "signature": "an arm calibrated again, with its earlier calibration as prior",
+    "tutorial": "from an empty folder to a signed report, on the simulated twin",
+    "install": "a wheel, extras, completion in the shell, Windows, a container",
+    "commands": "every command, JSON, exit codes",
+    "cell": "connecting the real cell step by step, with its risks; writing a profile",
     "terminal": "the terminal application: a day, its screens and its keys",
+    "planning": "which stops are measured, obstacles, editing a plan",
+    "faults": "stopping, pausing, resuming; each fault and what to do",
+    "frames": "frames and conventions: where each frame sits, signs, D-H rows, order of rotations",
+    "files": "every file that goes in or comes out: columns, units, frames, examples",
+    "discovery": "how discovery decides, and what its words mean",
+    "effects": "the physical effects that discovery knows",
+    "signature": "an arm calibrated again, with its earlier calibration as prior",
     "targets": "targets of calibrated arms: lists, verdicts, uncertainty, measuring them",
-    "exports": "calibrated arms for other programs, and what their files cannot hold",
     "paths": "lines and arcs that the true SMR follows: the file, driving, measuring",
     "programs": "programs of UR controllers, corrected so that the real arm reaches their targets",
+    "exports": "calibrated arms for other programs, and what their files cannot hold",
+    "report": "the page of a run: verdict, sections, what is out of date, paper",
+    "check": "whether a calibration still holds: a few stops, what moved, what changed",
+    "iso9283": "tests by ISO 9283: cube, cycles, formulas, uncertainty, what one SMR cannot show",
+    "certificate": "what a run proves, judged and signed: tolerances, uncertainty, decision rule, keys",
+    "fleet": "many runs: what has changed in each arm, and when it leaves its tolerance",
+    "scale": "trials on all cores or a Dask cluster, results that survive, fleets recalibrated by night",
+    "emulator": "the emulated cell: real protocols, faults at will",
+    "extend": "arms, drivers, effects and exports of your own, as plug-ins",
+    "python": "using cellapp from Python: runs, models, data frames, mistakes",
+    "house": "how the code is laid out, how to add to it, tests",
+    "decisions": "decisions that shaped the house, with what was measured",
+    "figures": "every figure of the project, and how it was measured",
+    "peers": "other libraries on the same problems: time, error, what they have and cellapp lacks",
+    "untried": "what was never tried on real hardware, and what the program does not do",
+    "glossary": "the terms of the field as this program uses them",
 }
 """Name and subject of each chapter, a Markdown file of this package."""
 _SECTION = re.compile(r"^## (\w+)$", re.MULTILINE)
-_DECLARED = re.compile(r"<!-- declared: (\w+) -->\n.*?<!-- end -->\n", re.DOTALL)
-_WIDTH = 120
-"""Columns of the Markdown files."""
+_HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
+_FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 _MARKER = re.compile(r"<!--.*?-->\n")
-_GENERAL_PLACE = {"link_bending": "the link", "unknown": "a part of the cell"}
+_FOR_TESTS = re.compile(r"^([ ]*```\w+) .*$", re.MULTILINE)
+"""What the first line of an example says after its language: how tests run it."""
 
 
 def topics() -> list[str]:
@@ -41,17 +56,17 @@ def topics() -> list[str]:
 
 
 def topic_text(topic: str) -> str:
-    """Markdown of a chapter, or of the section of one effect, without the markers.
+    """Markdown of a chapter, or of the section of one effect, without the markers and the words for tests.
 
     Raises
     ------
     InputError
         If there is no such topic.
     """
-    known = topics()
-    if topic not in known:
-        raise InputError(f"docs: '{topic}' is not a topic; topics are {', '.join(known)}")
-    return _MARKER.sub("", chapter_text(topic) if topic in CHAPTERS else effect_sections()[topic])
+    kept = chapter_text(topic) if topic in CHAPTERS else effect_sections().get(topic)
+    if kept is None:
+        raise InputError(f"docs: '{topic}' is not a topic; topics are {', '.join(topics())}")
+    return _FOR_TESTS.sub(r"\1", _MARKER.sub("", kept))
 
 
 def chapter_text(chapter: str) -> str:
@@ -60,53 +75,23 @@ def chapter_text(chapter: str) -> str:
 
 
 def effect_sections() -> dict[str, str]:
-    """Section of each effect in the chapter on effects, by slug."""
+    """Section of each effect by slug: of the chapter on effects, or what the effect of a plug-in declares."""
+    from cellapp.docs.declarations import declared_part  # here, so that chapters are read without the mathematics
+    from cellapp.effects import EFFECTS
+
     text = chapter_text("effects")
     found = list(_SECTION.finditer(text))
     ends = [*(match.start() for match in found[1:]), len(text)]
-    return {match[1]: text[match.start() : end] for match, end in zip(found, ends, strict=True)}
+    sections = {match[1]: text[match.start() : end] for match, end in zip(found, ends, strict=True)}
+    added = (one for slug, one in EFFECTS.items() if slug not in sections)
+    return sections | {one.slug: f"## {one.slug}\n\n*{one.title}.*\n\n{declared_part(one)}" for one in added}
 
 
-def with_declarations(text: str) -> str:
-    """The text with the parts that repeat an effect's declarations (between markers) renewed from them."""
-    return _DECLARED.sub(lambda match: declared_part(EFFECTS[match[1]]), text)
+def anchors(chapter: str) -> dict[str, str]:
+    """Headings of a chapter by the anchor that a link to each carries: small letters, words joined by hyphens."""
+    return {anchor_of(heading): heading for heading in _HEADING.findall(_FENCED.sub("", chapter_text(chapter)))}
 
 
-def declared_part(effect: Effect) -> str:
-    """Usual size, checks and further stops of an effect as Markdown, with the markers around them."""
-    meaning = effect.meaning.at(_GENERAL_PLACE.get(effect.slug, "the joint"))
-    known = "" if meaning.size_source == "none" else f" ({meaning.size_source})"
-    parts = [
-        _wrapped(f"**Cause.** {meaning.cause}"),
-        _wrapped(f"**Usual size**{known}. {meaning.size}."),
-        "**Check or mend**",
-        "\n".join(_wrapped(f"- {line}") for line in meaning.check),
-        "**What settles it**",
-        "\n".join(_wrapped(f"- {line}") for line in meaning.settle),
-    ]
-    return f"<!-- declared: {effect.slug} -->\n" + "\n\n".join(parts) + "\n<!-- end -->\n"
-
-
-def _wrapped(text: str) -> str:
-    indent = "  " if text.startswith("- ") else ""
-    return textwrap.fill(text, _WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
-
-
-def write_figures(profile: Profile, folder: Path) -> list[Path]:
-    """Draw the figure of every effect for the first arm of a profile, and that of obstacles, as SVG; their paths.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written, or the profile lacks a pose that the figures need.
-    """
-    scene = Scene.of(profile)
-    texts = {slug: figure_svg(slug, scene) for slug in FIGURES}
-    texts[planning_figures.FIGURE] = planning_figures.figure_svg(profile)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for stem, text in texts.items():
-            (folder / f"{stem}.svg").write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"docs: {folder}: {error.strerror or error}; give a folder that can be written") from None
-    return [folder / f"{stem}.svg" for stem in texts]
+def anchor_of(heading: str) -> str:
+    """The anchor of a heading, as Markdown readers make it."""
+    return re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-")

@@ -1,4 +1,4 @@
-"""The library of physical effects. A new effect is one file and one line in ``registry``."""
+"""The library of physical effects. A new effect is one file and one line in ``registry``, or a plug-in."""
 
 from cellapp.effects.column import Channel, EffectColumn, Wave, joint_column, shift_column
 from cellapp.effects.context import EffectContext, MeasurementConditions, TemperatureRecord, varies

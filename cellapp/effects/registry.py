@@ -1,4 +1,7 @@
-"""The list of all effects. Discovery looks for them in this order, the simplest first: ties go to the first."""
+"""The list of all effects. Discovery looks for them in this order, the simplest first: ties go to the first.
+
+A new effect is one file and one line here, or a plug-in; those of plug-ins come after all others.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,10 @@ from cellapp.effects.thermal import JointDrift, ThermalGrowth
 from cellapp.effects.tracker import TrackerAngleError, TrackerDistanceOffset, TrackerScale
 from cellapp.effects.unknown import Unknown
 from cellapp.effects.unsettled_measurement import UnsettledMeasurement
+from drivers.plugins import Registry
+
+_DECLARED = ("slug", "title", "meaning", "variables", "forms")
+"""What every effect declares, besides its columns."""
 
 
 def registered(effects: Iterable[Effect]) -> Mapping[str, Effect]:
@@ -34,6 +41,18 @@ def registered(effects: Iterable[Effect]) -> Mapping[str, Effect]:
         if silent or not effect.title:
             raise ValueError(f"effect {effect.slug}: no words for people{f' for law {silent[0]}' if silent else ''}")
     return found
+
+
+def _effect(name: str, found: object) -> Effect:
+    """The effect of a plug-in. Raises ``ValueError`` if it is none, or its declaration does not hold."""
+    if not (isinstance(found, type) and issubclass(found, Effect)):
+        raise ValueError(f"expected a class made from cellapp.effects.Effect, got {found!r}")
+    lacking = [*sorted(found.__abstractmethods__), *(one for one in _DECLARED if not hasattr(found, one))]
+    if lacking:
+        raise ValueError(f"class {found.__name__} lacks {', '.join(lacking)}")
+    if found.slug != name:
+        raise ValueError(f"class {found.__name__} has the slug '{found.slug}'; the entry point must have the same name")
+    return registered((found(),))[name]
 
 
 _LIBRARY: Mapping[str, Effect] = registered(
@@ -61,4 +80,4 @@ _LIBRARY: Mapping[str, Effect] = registered(
         TargetIncidence(),
     )
 )
-EFFECTS: Mapping[str, Effect] = registered((*_LIBRARY.values(), Unknown(_LIBRARY)))
+EFFECTS: Registry[Effect] = Registry("cellapp.effects", "effect", _LIBRARY, _effect, last={Unknown.slug: Unknown})

@@ -1,6 +1,11 @@
-"""The registry of formats, for calibrated arms, the whole cell, and commands: a new one is a module and one entry."""
+"""The registry of formats, for calibrated arms, the whole cell, and commands.
+
+A new one is a module and one entry here, or a plug-in.
+"""
 
 from __future__ import annotations
+
+from typing import TypeVar
 
 from cellapp.errors import InputError
 from cellapp.exports.cell_urdf import CELL_URDF
@@ -13,28 +18,56 @@ from cellapp.exports.ur_calibration import UR_CALIBRATION
 from cellapp.exports.ur_description import UR_DESCRIPTION
 from cellapp.exports.urdf import URDF
 from cellapp.exports.urscript_commands import URSCRIPT
-
-_FORMATS = (UR_CALIBRATION, UR_DESCRIPTION, URDF, DH, DH_PLAIN, POE, PARAMETERS)
-FORMATS: dict[str, ExportFormat] = {entry.name: entry for entry in _FORMATS}
-"""Formats for one calibrated arm by name, in the order in which they are listed."""
-CELL_FORMATS: dict[str, CellFormat] = {entry.name: entry for entry in (CELL_URDF,)}
-"""Formats for the whole cell."""
-COMMAND_FORMATS: dict[str, CommandFormat] = {entry.name: entry for entry in (COMMAND_TABLE, URSCRIPT)}
-"""Formats for commands at targets."""
+from drivers.plugins import Registry
 
 AnyFormat = ExportFormat | CellFormat | CommandFormat
+F = TypeVar("F", ExportFormat, CellFormat, CommandFormat)
+
+_BUILT_IN: tuple[AnyFormat, ...] = (
+    UR_CALIBRATION,
+    UR_DESCRIPTION,
+    URDF,
+    DH,
+    DH_PLAIN,
+    POE,
+    PARAMETERS,
+    CELL_URDF,
+    COMMAND_TABLE,
+    URSCRIPT,
+)
 
 
-def all_formats() -> dict[str, AnyFormat]:
+def _format(name: str, found: object) -> AnyFormat:
+    """The format of a plug-in. Raises ``ValueError`` if it is none, or has another name."""
+    if not isinstance(found, AnyFormat):
+        raise ValueError(
+            f"expected an ExportFormat, a CellFormat or a CommandFormat of cellapp.exports.export_format, got {found!r}"
+        )
+    if found.name != name:
+        raise ValueError(f"the format is called '{found.name}'; the entry point must have the same name")
+    return found
+
+
+_REGISTRY: Registry[AnyFormat] = Registry(
+    "cellapp.exports", "export", {entry.name: entry for entry in _BUILT_IN}, _format
+)
+
+
+def all_formats() -> Registry[AnyFormat]:
     """Every format by name, in the order in which they are listed."""
-    return {**FORMATS, **CELL_FORMATS, **COMMAND_FORMATS}
+    return _REGISTRY
+
+
+def formats_of(type_: type[F]) -> dict[str, F]:
+    """The formats for one calibrated arm, for the whole cell, or for commands at targets."""
+    return {name: entry for name, entry in _REGISTRY.items() if isinstance(entry, type_)}
 
 
 def format_named(name: str) -> AnyFormat:
     """Return a format. Raises ``InputError``, which lists all formats, if there is none of that name."""
     formats = all_formats()
     if name not in formats:
-        raise InputError(
-            f"export: there is no format '{name}'; --as takes {', '.join(formats)}; 'cellapp docs exports' says more"
-        )
+        takes = ", ".join(formats)
+        missing = f"there is no format '{name}'; --as takes {takes}; 'cellapp docs exports' says more"
+        raise InputError(f"export: {formats.refusal(name) or missing}")
     return formats[name]

@@ -16,12 +16,12 @@ from cellapp.exports.run_commands import export_commands
 from cellapp.exports.words import form_line, lost_sentences
 from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
-from cellapp.plan_verbs import export_plan
 from cellapp.profile.files import write_new
 from cellapp.results import CALIBRATE, DISCOVER, ArmFile, ExportResult
 from cellapp.run import RunFile, write_readings_csv
 from cellapp.run.stages import RunStages, StoredStage, read_stages
 from cellapp.run.stored_model import model_of, stage_in_force
+from cellapp.verbs.plan import export_plan
 
 _GEOMETRY_NOTE = (
     "--geometry is kept for programs that read its JSON; --as writes a file for each program, and loses no geometry"

@@ -6,11 +6,16 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from cellapp.exports.arm_export import POSES
+from cellapp.exports.formats import all_formats
 from cellapp.results import ExportResult, PositionLoss
 
 
 class Form(Protocol):
     """A format of any kind."""
+
+    @property
+    def name(self) -> str:
+        """As ``--as`` takes it."""
 
     @property
     def what(self) -> str:
@@ -22,7 +27,9 @@ _TOGETHER = "all that is not rigid"
 
 def form_line(form: Form) -> str:
     """The first line of every file."""
-    return f"{form.what[0].upper()}{form.what[1:]}, by cellapp."
+    plugin = all_formats().plugin(form.name)
+    writer = "cellapp" if plugin is None else f"{plugin.distribution} {plugin.version}, a plug-in of cellapp"
+    return f"{form.what[0].upper()}{form.what[1:]}, by {writer}."
 
 
 def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | None) -> list[str]:

@@ -13,13 +13,14 @@ permutes the tracker's axes so that its z is the one nearest to the first joint 
 Jacobian: a rotation parameter about axis u through point c moves the SMR at P by u x (P - c) per radian; a translation
 parameter along u moves it by u per metre.
 
-Internal arrays have the shape (3, ..., n), component first and configurations last: every operation runs along the
-configurations, and every component is contiguous.
+Internal arrays have the shape (m, 3, n), vector first and configurations last: every operation runs along the
+configurations, and the components of all m vectors times a matrix are one product.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.kinematics.transforms import Array, rotation_x, rotation_y, transform
+from cellapp.kinematics.workspace import Workspace
 
 BASE_NAMES = ("x0", "y0", "z0", "alpha0", "beta0", "theta0")
 ROW_NAMES = ("theta", "d", "a", "alpha", "beta")
@@ -155,8 +157,15 @@ class JointAngles:
         angles = np.ascontiguousarray(q.T)
         return cls(np.cos(angles), np.sin(angles))
 
+    @cached_property
+    def signed_sines(self) -> Array:
+        """Sines, and sines with the opposite sign, (N, 2, 1, n): what a turn adds to the x axis and to the y axis."""
+        return np.stack([self.sines, -self.sines], axis=1)[:, :, None]
+
     def part(self, first: int, last: int) -> JointAngles:
         """The configurations first to last - 1."""
+        if last - first == self.count:
+            return self
         return JointAngles(self.cosines[:, first:last], self.sines[:, first:last])
 
     @property
@@ -172,7 +181,16 @@ def smr_positions(geometry: Geometry, q: Array) -> Array:
 
 def smr_positions_of(geometry: Geometry, angles: JointAngles) -> Array:
     """SMR positions in the tracker frame, shape (3, n) [m]: component first."""
-    return _smr(geometry, _frames(geometry, angles))
+    return _smr(geometry, _new_frames(geometry, angles))
+
+
+def frame_vectors(geometry: Geometry, q: Array) -> Array:
+    """x, y, z axes and origins [m] of all D-H frames, base first, in the tracker frame: (3, N + 1, 4, n).
+
+    ``q`` (n, N) are joint positions [rad]. Components come first, configurations last.
+    """
+    frames = _new_frames(geometry, JointAngles.of(q))[:-4]
+    return frames.reshape(geometry.joints + 1, 4, 3, len(q)).transpose(2, 0, 1, 3)
 
 
 def frame_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
@@ -180,7 +198,7 @@ def frame_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
 
     ``q`` (n, N) are joint positions [rad].
     """
-    frames = _frames(geometry, JointAngles.of(q))[:, :-4].reshape(3, geometry.joints + 1, 4, len(q))
+    frames = frame_vectors(geometry, q)
     rotations = np.ascontiguousarray(frames[:, :, :3].transpose(1, 3, 0, 2))
     return rotations, np.ascontiguousarray(frames[:, :, 3].transpose(1, 2, 0))
 
@@ -191,7 +209,9 @@ def flange_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
     return rotations[-1], origins[-1]
 
 
-def jacobian(geometry: Geometry, angles: JointAngles, columns: tuple[int, ...]) -> tuple[Array, Array]:
+def jacobian(
+    geometry: Geometry, angles: JointAngles, columns: tuple[int, ...], workspace: Workspace | None = None
+) -> tuple[Array, Array]:
     """SMR positions and their derivatives with respect to some of the parameters.
 
     Parameters
@@ -201,6 +221,8 @@ def jacobian(geometry: Geometry, angles: JointAngles, columns: tuple[int, ...]) 
         n configurations.
     columns : tuple of int, length k
         Indices into ``parameter_names``. Rotations before translations are fastest: no reordering is needed.
+    workspace : Workspace, optional
+        Holds J and what leads to it; the next call with it overwrites J. New arrays without.
 
     Returns
     -------
@@ -210,27 +232,33 @@ def jacobian(geometry: Geometry, angles: JointAngles, columns: tuple[int, ...]) 
         Derivatives [m/rad or m/m].
     """
     sources = _column_sources(columns, geometry.joints)
-    frames = _frames(geometry, angles)
+    r, n = len(columns) - len(sources.along), angles.count
+    work = workspace or Workspace()
+    (J,) = work.arrays("J", (len(columns), 3, n))
+    shapes = (3, r, n), (3, r, n), (r, n), (r, n), *_frame_shapes(geometry, n)
+    axes, lever, first, second, *of_frames = work.arrays("before J", *shapes)
+    frames = _frames(geometry, angles, *of_frames)
     P = _smr(geometry, frames)
-    r = len(sources.axes)
-    J = np.empty((3, len(columns), angles.count))
-    axes, lever = np.take(frames, sources.axes, axis=1), np.take(frames, sources.centers, axis=1)
-    J[:, r:] = np.take(frames, sources.along, axis=1)
+    # every index is valid: "clip" only spares the copy that the check of indices makes
+    components = frames.reshape(-1, n)
+    np.take(components, sources.axes, axis=0, out=axes, mode="clip")
+    np.take(components, sources.centers, axis=0, out=lever, mode="clip")
+    np.take(frames, sources.along, axis=0, out=J[r:], mode="clip")
     for joint in np.flatnonzero(geometry.rows[:, 4]).tolist():
         # a and alpha act before rot_y(beta): undo it to get their axis
         cb, sb = math.cos(geometry.rows[joint, 4]), math.sin(geometry.rows[joint, 4])
-        axis = cb * frames[:, 4 * joint + 4] + sb * frames[:, 4 * joint + 6]
+        axis = cb * frames[4 * joint + 4] + sb * frames[4 * joint + 6]
         a_place, alpha_place = sources.slot[6 + 5 * joint + 2], sources.slot[6 + 5 * joint + 3]
         if a_place >= 0:
-            J[:, r + a_place] = axis
+            J[r + a_place] = axis
         if alpha_place >= 0:
             axes[:, alpha_place] = axis
     np.subtract(P[:, None], lever, out=lever)
-    scratch = np.empty((r, angles.count))
     for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        component = np.multiply(axes[y], lever[z], out=J[x, :r])
-        component -= np.multiply(axes[z], lever[y], out=scratch)
-    return P, J if sources.restore is None else J[:, sources.restore]
+        np.multiply(axes[y], lever[z], out=first)
+        np.multiply(axes[z], lever[y], out=second)
+        np.subtract(first, second, out=J[:r, x])
+    return P, (J if sources.restore is None else J[sources.restore]).swapaxes(0, 1)
 
 
 def base_twists(geometry: Geometry) -> Array:
@@ -260,17 +288,18 @@ def joint_jacobian(geometry: Geometry, angles: JointAngles) -> tuple[Array, Arra
 
 @dataclass(frozen=True)
 class _ColumnSources:
-    """Indices into ``_frames`` of the vectors from which each column of a Jacobian is made.
+    """Where ``_frames`` has the vectors from which the columns of a Jacobian are made.
 
     Attributes
     ----------
     slot : tuple of int
         Position of each parameter of the chain among the rotations, or among the translations, of the Jacobian; -1 for
         parameters that are not among its columns.
-    axes, centers : array, shape (r,)
-        Axis and a point on it, of each rotation.
+    axes, centers : array, shape (3, r)
+        Indices of the components of each rotation's axis, and of a point on it, where all vectors' components are
+        counted through.
     along : array, shape (k - r,)
-        Direction of each translation.
+        Index of each translation's direction.
     restore : array, shape (k,), or None
         Order of the columns, where it is not rotations before translations.
     """
@@ -296,11 +325,16 @@ def _column_sources(columns: tuple[int, ...], joints: int) -> _ColumnSources:
     sources = [_source(c, joints) for c in range(len(names))]
     return _ColumnSources(
         tuple(slot),
-        np.array([sources[c][0] for c in rotations], dtype=np.int64),
-        np.array([sources[c][1] for c in rotations], dtype=np.int64),
+        _components([sources[c][0] for c in rotations]),
+        _components([sources[c][1] for c in rotations]),
         np.array([sources[c][0] for c in translations], dtype=np.int64),
         restore,
     )
+
+
+def _components(vectors: Sequence[int]) -> NDArray[np.int64]:
+    """Indices (3, r) of the components of some vectors, where the components of all vectors are counted through."""
+    return 3 * np.array(vectors, dtype=np.int64) + np.arange(3)[:, None]
 
 
 def _source(column: int, joints: int) -> tuple[int, int]:
@@ -346,39 +380,46 @@ def _smr(geometry: Geometry, frames: Array) -> Array:
     """SMR positions (3, n) [m] from the vectors of ``_frames``."""
     last = 4 * geometry.joints
     tx, ty, tz = geometry.tool.tolist()
-    P: Array = tx * frames[:, last] + frames[:, last + 3]
-    P += ty * frames[:, last + 1]
-    P += tz * frames[:, last + 2]
+    P: Array = tx * frames[last] + frames[last + 3]
+    P += ty * frames[last + 1]
+    P += tz * frames[last + 2]
     return P
 
 
-def _frames(geometry: Geometry, angles: JointAngles) -> Array:
-    """x, y, z axes and origins of all D-H frames, base first, then the fixed vectors of the base: (3, 4 N + 8, n).
+def _frame_shapes(geometry: Geometry, n: int) -> tuple[tuple[int, ...], ...]:
+    """Shapes of the arrays that ``_frames`` needs for n configurations."""
+    return (4 * geometry.joints + 8, 3, n), (4, 3, n), (2, 3, n)
 
+
+def _new_frames(geometry: Geometry, angles: JointAngles) -> Array:
+    """``_frames`` in new arrays."""
+    return _frames(geometry, angles, *map(np.empty, _frame_shapes(geometry, angles.count)))
+
+
+def _frames(geometry: Geometry, angles: JointAngles, vectors: Array, turned: Array, scratch: Array) -> Array:
+    """x, y, z axes and origins of all D-H frames, base first, then the fixed vectors of the base: (4 N + 8, 3, n).
+
+    They are written into ``vectors``; ``turned`` and ``scratch`` are overwritten (``_frame_shapes``).
     All of A_i after rot_z(q_i) is one constant matrix for all configurations, hence one matrix product per joint.
     """
-    n, joints = angles.count, geometry.joints
-    vectors = np.empty((3, 4 * joints + 8, n))
-    base = geometry.base_vectors.T[:, :, None]
-    vectors[:, :4], vectors[:, -4:] = base[:, :4], base[:, 4:]
-    turned, scratch = np.empty((3, 4, n)), np.empty((3, n))
-    turned_x, turned_y = turned[:, 0], turned[:, 1]
-    rows = geometry.row_matrices
-    for i in range(joints):
-        before = vectors[:, 4 * i : 4 * i + 4]
-        c, s = angles.cosines[i], angles.sines[i]
-        np.multiply(before[:, :2], c, out=turned[:, :2])
-        turned_x += np.multiply(before[:, 1], s, out=scratch)
-        turned_y -= np.multiply(before[:, 0], s, out=scratch)
-        turned[:, 2:] = before[:, 2:]
-        np.matmul(rows[i], turned, out=vectors[:, 4 * i + 4 : 4 * i + 8])
+    base = geometry.base_vectors[:, :, None]
+    vectors[:4], vectors[-4:] = base[:4], base[4:]
+    flat, turned_flat, turned_xy = vectors.reshape(len(vectors), -1), turned.reshape(4, -1), turned[:2]
+    rows, signed_sines = geometry.row_matrices, angles.signed_sines
+    for i in range(geometry.joints):
+        before = vectors[4 * i : 4 * i + 4]
+        np.multiply(before[:2], angles.cosines[i], out=turned_xy)
+        turned_xy += np.multiply(before[1::-1], signed_sines[i], out=scratch)
+        turned[2:] = before[2:]
+        np.matmul(rows[i], turned_flat, out=flat[4 * i + 4 : 4 * i + 8])
     return vectors
 
 
 def _row_matrices(geometry: Geometry) -> Array:
     """Matrices (N, 4, 4) that map (x, y, z axis, origin) after rot_z(q_i) to those after A_i."""
-    theta, d, a, alpha, beta = geometry.rows.T
-    ct, st, ca, sa, cb, sb = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+    _, d, a, _, _ = geometry.rows.T
+    angles = geometry.rows.T[[0, 3, 4]]  # theta, alpha, beta
+    (ct, ca, cb), (st, sa, sb) = np.cos(angles), np.sin(angles)
     M = np.zeros((geometry.joints, 4, 4))
     M[:, 0, 0], M[:, 0, 1], M[:, 0, 2] = cb * ct - sb * sa * st, cb * st + sb * sa * ct, -sb * ca
     M[:, 1, 0], M[:, 1, 1], M[:, 1, 2] = -ca * st, ca * ct, sa

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cellapp.effects import (
     EFFECTS,
@@ -31,6 +31,7 @@ from cellapp.kinematics.chain import (
 )
 from cellapp.kinematics.statics import Bodies
 from cellapp.kinematics.transforms import Array
+from cellapp.model.arguments import configurations, of_arm, require_radians
 from cellapp.model.network import ResidualNetwork, network_from_json, network_to_json
 from cellapp.model.posterior import PosteriorDraws, posterior_from_json, posterior_to_json
 
@@ -125,6 +126,7 @@ class ArmModel:
         conditions: MeasurementConditions | None = None,
     ) -> Array:
         """True joint positions (n, N) [rad] where the controller reads ``q`` (n, N) [rad]; see ``context``."""
+        q = configurations(q, self.geometry.joints)
         return q if not self.effects else q + self.effect_displacement(q, approach, payload_kg, conditions).joints
 
     def predict(
@@ -137,8 +139,9 @@ class ArmModel:
         """SMR positions (n, 3) in the tracker frame [m] where the controller reads ``q`` (n, N) [rad].
 
         ``approach`` (n, N) are the signs of each joint's last motion, ``payload_kg`` (n,) the payload; unknown if not
-        given. ``conditions`` replaces both, see ``context``.
+        given. ``conditions`` replaces both, see ``context``. Another shape of ``q`` raises ``InputError``.
         """
+        q = configurations(q, self.geometry.joints)
         if self.effects:
             moved = self.effect_displacement(q, approach, payload_kg, conditions)
             p_M = smr_positions(self.geometry, q + moved.joints) + moved.shift_M
@@ -154,6 +157,7 @@ class ArmModel:
         Root mean square over the three coordinates, of geometry, effects and network together; zero where the model
         holds no draws and no network. It grows outside the trained joint ranges.
         """
+        q = configurations(q, self.geometry.joints)
         variance = np.zeros(len(q))
         if self.posterior is not None:
             moved = self.posterior.displacements(self.geometry, self.effects, self.context(q, conditions=conditions))
@@ -209,13 +213,22 @@ class CellModel:
     def predict(
         self,
         arm: str,
-        q: Array,
+        q: ArrayLike,
         approach: Signs | None = None,
         payload_kg: Array | None = None,
         conditions: MeasurementConditions | None = None,
     ) -> Array:
-        """SMR positions (n, 3) of one arm in the tracker frame [m] at joint positions ``q`` (n, N) [rad]."""
-        return self.arms[arm].predict(np.asarray(q, dtype=np.float64), approach, payload_kg, conditions)
+        """SMR positions (n, 3) of one arm in the tracker frame [m] at joint positions ``q`` (n, N) [rad].
+
+        Raises
+        ------
+        InputError
+            If there is no such arm, or ``q`` has another shape or seems to be in degrees.
+        """
+        model = of_arm(self.arms, arm, "this model")
+        q = configurations(q, model.geometry.joints, arm)
+        require_radians(q, arm)
+        return model.predict(q, approach, payload_kg, conditions)
 
     def to_json(self) -> str:
         """JSON text with floats in their shortest exact form."""

@@ -79,11 +79,24 @@ class PosteriorDraws:
         moved = np.zeros_like(by_geometry)
         joints = np.zeros((len(self.geometry), *context.q.shape))
         for term, drawn in zip(terms, self.terms, strict=True):
-            of_law = EFFECTS[term.slug].columns(context, term.law, frozenset(term.law_names))
-            by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
-            _add(joints, moved, [by_name[name] for name in term.names], drawn)
+            _add(joints, moved, _columns(term, context), drawn)
         moved += np.einsum("snj,cjn->snc", joints, by_joint, optimize=True)
         return np.asarray(by_geometry), moved
+
+    def joint_offsets(self, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
+        """Deviations (T, S, n, N) [rad] of the joint offsets by each of the T terms."""
+        joints = np.zeros((len(terms), len(self.geometry), *context.q.shape))
+        moved = np.zeros((*joints.shape[1:3], 3))  # what terms shift otherwise is not asked for
+        for own, term, drawn in zip(joints, terms, self.terms, strict=True):
+            _add(own, moved, _columns(term, context), drawn)
+        return joints
+
+
+def _columns(term: EffectTerm, context: EffectContext) -> list[EffectColumn]:
+    """The columns of a term in the order of its parameters."""
+    of_law = EFFECTS[term.slug].columns(context, term.law, frozenset(term.law_names))
+    by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
+    return [by_name[name] for name in term.names]
 
 
 def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], drawn: Array) -> None:

@@ -187,7 +187,8 @@ def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterat
     unknown = [slug for slug in listed or () if slug not in EFFECTS or slug == UNKNOWN]
     if unknown:
         known = ", ".join(slug for slug in EFFECTS if slug != UNKNOWN)
-        raise InputError(f"plan.effects: '{unknown[0]}' is no effect of the library; known are: {known}")
+        refusal = f"; {why}" if (why := EFFECTS.refusal(unknown[0])) else ""
+        raise InputError(f"plan.effects: '{unknown[0]}' is no effect of the library; known are: {known}{refusal}")
     for slug in EFFECTS if listed is None else dict.fromkeys(listed):
         if slug == UNKNOWN:
             continue

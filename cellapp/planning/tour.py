@@ -12,7 +12,7 @@ temperature nearly all are refused, so that this is nearly one move after the ot
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -165,6 +165,7 @@ class _Tours:
         """Stop within its block (K, B, m + 2) at each position."""
         self._at = order.reshape(arms, -1)
         self._first = np.arange(blocks)[:, None]
+        self._first_pair = self._first * (m + 1) ** 2
         square = ((0, 0), (0, 0), (0, 1), (0, 1))
         self._time = np.pad(task.time_s, square).reshape(arms, blocks * (m + 1) ** 2)
         self._pairs = list(combinations(range(arms), 2))
@@ -175,7 +176,9 @@ class _Tours:
         self._near = _nearest(task).reshape(arms, blocks * m, -1)
         self._place = np.zeros((arms, blocks, m + 1), dtype=np.intp)
         self._step_s = np.zeros((blocks, m + 2))
-        self._update(np.arange(blocks))
+        self._arm_step_s = np.zeros((arms, blocks, m + 2))
+        """Time to each position from the one before it: of the slowest arm, and of each."""
+        self._update(range(arms), np.arange(blocks))
         self._total = max(int(task.sizes.sum()), 1)
         ordered = [one[self._first * (m + 1) + of_arm] for one, of_arm in zip(self._postures, order, strict=True)]
         self._correlation = [np.einsum("bmp,bmq->pq", ordered[i], ordered[k]) / self._total for i, k in self._pairs]
@@ -199,9 +202,10 @@ class _Tours:
         if made.arm is not None:
             self._update_correlation(made, made.arm, blocks[:, None])
         source = made.source(np.arange(self._m + 2)) + blocks[:, None] * (self._m + 2)
-        for arm in range(len(self._at)) if made.arm is None else (made.arm,):
+        moved = range(len(self._at)) if made.arm is None else (made.arm,)
+        for arm in moved:
             self._order[arm, blocks] = self._at[arm].take(source)
-        self._update(blocks)
+        self._update(moved, blocks)
 
     def _propose(self, rng: np.random.Generator) -> Move:
         """Moves (B, R) that bring two random positions, or a stop and a near neighbour, beside each other."""
@@ -229,22 +233,20 @@ class _Tours:
 
     def _gain(self, move: Move) -> Array:
         """Time that each move saves (B, R) [s]."""
+        steps = np.array(move.steps())  # (steps, 3, B, R)
+        steps += self._first * (self._m + 2)
+        position, before, here = steps[:, 0], steps[:, 1], steps[:, 2]
+        slowest: Array = np.zeros(position.shape)
+        for arm, (at, time, step_s) in enumerate(zip(self._at, self._time, self._arm_step_s, strict=True)):
+            if move.arm is None or move.arm == arm:
+                pairs = at.take(before) * (self._m + 1) + at.take(here) + self._first_pair
+                np.maximum(slowest, time.take(pairs), out=slowest)
+            else:
+                np.maximum(slowest, step_s.ravel().take(position), out=slowest)
         gain: Array = np.zeros(move.low.shape)
-        base, width = self._first * (self._m + 2), self._m + 1
-        pairs = self._first * width**2
-        for position, before, here in move.steps():
-            gain += self._step_s.ravel().take(base + position)
-            slowest: Array | None = None
-            for arm, (at, time) in enumerate(zip(self._at, self._time, strict=True)):
-                moved = move.arm is None or move.arm == arm
-                start, end = (
-                    at.take(base + (before if moved else position - 1)),
-                    at.take(base + (here if moved else position)),
-                )
-                time_s = time.take(pairs + start * width + end)
-                slowest = time_s if slowest is None else np.maximum(slowest, time_s)
-            assert slowest is not None
-            gain -= slowest
+        for given_up, taken_up in zip(self._step_s.ravel().take(position), slowest, strict=True):
+            gain += given_up
+            gain -= taken_up
         if move.arm is not None:
             gain += self._saved_on_pairs(move, move.arm)
         return gain
@@ -254,7 +256,7 @@ class _Tours:
         saved: Array = np.zeros(move.low.shape)
         base, width = self._first * (self._m + 2), self._m + 1
         low, high = ([at.take(base + end) for at in self._at] for end in (move.low, move.high))
-        task, pairs = self._task, self._first * width**2
+        task, pairs = self._task, self._first_pair
         unit = task.correlation_cost / task.correlation_goal**_POWER / self._total
         for number, other, flipped in self._pairs_of(arm):
             cost, correlation = self._pair_cost[number], self._correlation[number]
@@ -295,15 +297,15 @@ class _Tours:
             if arm in pair:
                 yield number, sum(pair) - arm, pair[1] == arm
 
-    def _update(self, blocks: NDArray[np.intp]) -> None:
-        """Compute anew what follows from the order of some blocks."""
+    def _update(self, arms: Iterable[int], blocks: NDArray[np.intp]) -> None:
+        """Compute anew what follows from the order of some arms in some blocks."""
         rows, width = blocks[:, None], self._m + 1
-        slowest: Array | None = None
-        for place, of_arm, time in zip(self._place, self._order[:, blocks], self._time, strict=True):
-            place[rows, of_arm[:, 1:-1]] = np.arange(1, width)
-            time_s = time.take(rows * width**2 + of_arm[:, :-1] * width + of_arm[:, 1:])
-            slowest = time_s if slowest is None else np.maximum(slowest, time_s)
-        self._step_s[blocks, 1:] = slowest
+        for arm in arms:
+            of_arm = self._order[arm, blocks]
+            self._place[arm, rows, of_arm[:, 1:-1]] = np.arange(1, width)
+            pairs = self._first_pair[blocks] + of_arm[:, :-1] * width + of_arm[:, 1:]
+            self._arm_step_s[arm, blocks, 1:] = self._time[arm].take(pairs)
+        self._step_s[blocks] = self._arm_step_s[:, blocks].max(axis=0)
 
 
 def _nearest(task: TourTask) -> Order:

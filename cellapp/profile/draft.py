@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -168,18 +168,17 @@ def with_obstacles_of(draft: ProfileDraft, old: ProfileDraft) -> ProfileDraft:
 
 def arm_kinds() -> tuple[str, ...]:
     """Return the kinds of arm drivers."""
-    return tuple(kind.model_fields["kind"].default for kind in ARMS)
+    return tuple(ARMS)
 
 
 def tracker_kinds() -> tuple[str, ...]:
     """Return the kinds of tracker drivers."""
-    return tuple(kind.model_fields["kind"].default for kind in TRACKERS)
+    return tuple(TRACKERS)
 
 
-def driver_keys(kind: str, kinds: Sequence[type[Any]]) -> frozenset[str]:
+def driver_keys(kind: str, kinds: Mapping[str, type[Any]]) -> frozenset[str]:
     """Return the keys that the settings of a kind of device have; an unknown kind has ``kind`` alone."""
-    known = (settings.model_fields for settings in kinds if settings.model_fields["kind"].default == kind)
-    return frozenset(next(known, {"kind": None}))
+    return frozenset(kinds[kind].model_fields if kind in kinds else {"kind"})
 
 
 def obstacle_keys(shape: str) -> frozenset[str]:
@@ -189,13 +188,9 @@ def obstacle_keys(shape: str) -> frozenset[str]:
 
 def needs_plant(draft: ProfileDraft) -> bool:
     """Whether a device of the draft belongs to the simulated cell."""
-    used = [(arm.kind, ARMS) for arm in draft.arms] + [(draft.tracker.kind, TRACKERS)]
-    return any(
-        settings.needs_plant
-        for kind, kinds in used
-        for settings in kinds
-        if settings.model_fields["kind"].default == kind
-    )
+    arms = [ARMS[arm.kind] for arm in draft.arms if arm.kind in ARMS]
+    tracker = TRACKERS.get(draft.tracker.kind)
+    return any(arm.needs_plant for arm in arms) or (tracker is not None and tracker.needs_plant)
 
 
 # -- from a file ------------------------------------------------------------------------------------------------------

@@ -107,7 +107,7 @@ def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[A
     document = read_document(draft_to_yaml(unplaced), path)
     read_arm_types(document, (path.parent, starters_folder()))
     data = document.data
-    if "pose" not in data["tracker"]:
+    if "pose" not in data.get("tracker", {}):
         raise InputError("tracker.pose: missing; points in the tracker frame give a base only with the tracker's pose")
     name = draft.arms[index].name
     at: KeyPath = ("arms", name)

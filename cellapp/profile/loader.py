@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import re
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ import yaml
 from pydantic import ValidationError
 
 from cellapp.errors import InputError
+from cellapp.profile.arm_types import ARM_TYPES
 from cellapp.profile.messages import Document, KeyPath, Place, PlacedError, described, plain, short, validation_message
 from cellapp.profile.schema import VERSION, Profile
 
@@ -40,7 +42,8 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123
 def load_profile(path: Path) -> Profile:
     """Read and check a profile.
 
-    ``type`` of an arm may be the path of an arm-type file, relative to the profile's file.
+    ``type`` of an arm may be the path of an arm-type file, relative to the profile's file, or the name of one that a
+    plug-in brings; a file beside the profile comes first.
 
     Raises
     ------
@@ -55,6 +58,34 @@ def load_profile(path: Path) -> Profile:
         return Profile.model_validate(document.data)
     except ValidationError as error:
         raise InputError(validation_message(error, document)) from None
+
+
+def with_sections(profile: Profile, path: Path, names: Sequence[str]) -> Profile:
+    """A profile completed by a YAML file that holds some of its sections; keys of the file come before the profile's.
+
+    Raises
+    ------
+    InputError
+        As ``load_profile``, with file and line; also for a section that is not among ``names``.
+    """
+    document = _parse_yaml(_read_text(path), path)
+    for name in document.data:
+        if name not in names:
+            place = document.places[name,]
+            raise PlacedError(place, f"unknown section; expected {' or '.join(repr(one) for one in names)}")
+    stored = json.loads(profile_to_json(profile))
+    document.data = stored | {name: _completed(stored.get(name), part) for name, part in document.data.items()}
+    try:
+        return Profile.model_validate(document.data)
+    except ValidationError as error:
+        raise InputError(validation_message(error, document)) from None
+
+
+def _completed(stored: Any, given: Any) -> Any:
+    """Keys of ``given`` beside and instead of those that are stored, at every level."""
+    if not isinstance(stored, dict) or not isinstance(given, dict):
+        return given
+    return stored | {key: _completed(stored.get(key), value) for key, value in given.items()}
 
 
 def load_text(path: Path) -> Document:
@@ -73,7 +104,7 @@ def read_document(text: str, path: Path) -> Document:
 
 
 def read_arm_types(document: Document, folders: Sequence[Path]) -> None:
-    """Replace the paths of arm types by what those files hold, from the first of ``folders`` that has the file.
+    """Replace the paths of arm types by what those files hold: the first in ``folders``, else that of a plug-in.
 
     Raises
     ------
@@ -125,7 +156,8 @@ def profile_from_json(text: str) -> Profile:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(key) for key in first["loc"])
-        raise InputError(f"stored profile: {where or 'text'}: {plain(first['msg'])}") from None
+        hint = "; if a plug-in has that kind, install it" if first["type"] == "union_tag_invalid" else ""
+        raise InputError(f"stored profile: {where or 'text'}: {plain(first['msg'])}{hint}") from None
 
 
 def _check_version(document: Document) -> None:
@@ -138,13 +170,14 @@ def _check_version(document: Document) -> None:
 
 
 def _read_arm_type(folders: Sequence[Path], name: str, place: Place) -> Document:
-    path = _first_file(folders, name)
+    path = _first_file(folders, name) or ARM_TYPES.get(name)
     if path is not None:
         return _parse_yaml(_read_text(path), path)
     raise PlacedError(
         place,
-        f"file not found: {short(str(folders[0] / name), 200)}; give a path relative to the profile's file, or the keys"
-        " here",
+        ARM_TYPES.refusal(name)
+        or f"file not found: {short(str(folders[0] / name), 200)}; give a path relative to the profile's file, or the"
+        " keys here",
     )
 
 

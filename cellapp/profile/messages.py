@@ -22,6 +22,8 @@ KeyPath = tuple[Key, ...]
 
 _MOST_SHOWN = 5
 """Errors in one refusal; further ones often follow from these, so they are only counted."""
+_LONGEST = 600
+"""Characters of one error; a plug-in that cannot be used needs 500."""
 _MISSING = ": missing; it must be given"
 _EXPECTED = {
     "int_type": "a whole number",
@@ -183,7 +185,7 @@ def _joined(texts: Sequence[str]) -> str:
     if rest:
         expected = [text.removeprefix("expected ").partition(", got ")[0] for text in texts]
         first = f"expected {' or '.join(expected)}, got {texts[0].partition(', got ')[2]}"
-    return short(first, 300)
+    return short(first, _LONGEST)
 
 
 def _located_message(details: ErrorDetails, document: Document) -> tuple[KeyPath, str]:

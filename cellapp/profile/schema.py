@@ -19,6 +19,7 @@ from pydantic import (
     model_validator,
 )
 
+from cellapp.profile.acceptance import Tolerances, Traceability
 from cellapp.profile.collection import Collection
 from cellapp.profile.obstacles import Obstacles
 from cellapp.profile.plan import Plan
@@ -137,7 +138,7 @@ class Payload(Section):
     center_of_mass: ArmPoint = (0.0, 0.0, 0.0)
 
 
-class Arm(Section):
+class Arm(Section, defer_build=True):
     """One arm. ``base`` is its approximate pose in the cell; planning and pointing need it, calibration does not."""
 
     type: ArmType
@@ -173,7 +174,7 @@ class PermissibleError(Section):
     proportional: Annotated[RelativeLength, Field(ge=0.0, le=0.01)] = 0.0
 
 
-class Tracker(Section):
+class Tracker(Section, defer_build=True):
     """The laser tracker, its pose and its field of view. Its z axis points up, unless ``pose`` specifies otherwise."""
 
     driver: Annotated[TrackerSettings, OneOf(TRACKERS)]
@@ -186,7 +187,7 @@ class Tracker(Section):
     averaging: Annotated[Time, Field(gt=0.0, le=60.0)] = 1.0
 
 
-class Sensors(Section):
+class Sensors(Section, defer_build=True):
     """Sensors of the surroundings. Without ``air``, readings get the air temperature that the tracker reports."""
 
     air: Annotated[AirSensorSettings, OneOf(AIR_SENSORS)] | None = None
@@ -284,7 +285,7 @@ class Plant(Section):
         return {key: value for key, value in content.items() if key != "tracker_pose" or value is not None}
 
 
-class Profile(Section):
+class Profile(Section, defer_build=True):
     """A whole cell."""
 
     schema_: Literal["cellapp-profile"] = Field(alias="schema")
@@ -293,7 +294,7 @@ class Profile(Section):
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     arms: Annotated[dict[str, Arm], Field(min_length=1)]
     tracker: Tracker
-    sensors: Sensors = Sensors()
+    sensors: Sensors = Field(default_factory=Sensors)
     obstacles: Obstacles = Field(default_factory=dict)
     plan: Plan = Plan()
     splits: Splits = Splits()
@@ -305,6 +306,17 @@ class Profile(Section):
     plant: Plant | None = None
     targets: str | None = None
     """Path of a target list, relative to the profile; used by ``run``."""
+    tolerances: Tolerances = Tolerances()
+    traceability: Traceability = Traceability()
+
+    @model_serializer(mode="wrap")
+    def _without_empty_sections(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Profiles without these sections keep the JSON text, and so the hash, that earlier results rest on."""
+        content: dict[str, Any] = handler(self)
+        for name, empty in (("tolerances", Tolerances()), ("traceability", Traceability())):
+            if getattr(self, name) == empty:
+                content.pop(name, None)
+        return content
 
     @property
     def moves_hardware(self) -> bool:
@@ -316,6 +328,10 @@ class Profile(Section):
         self._check_plant()
         if self.collection.air.temperature is not None and self.sensors.air is None:
             raise ValueError("collection.air: limits of the air need a weather station; add 'sensors.air'")
+        for section in ("smr", "arms"):
+            for name in getattr(self.traceability, section):
+                if name not in self.arms:
+                    raise ValueError(f"traceability.{section}.{name}: unknown arm; arms are {', '.join(self.arms)}")
         for name, obstacle in self.obstacles.items():
             if obstacle.arm is not None and obstacle.arm not in self.arms:
                 raise ValueError(f"obstacles.{name}.arm: unknown arm; arms are {', '.join(self.arms)}")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from pathlib import Path
 
@@ -15,6 +13,8 @@ from cellapp.profile.loader import load_profile, read_document
 
 TWIN = "twin"
 """The simulated cell that needs nothing but this program."""
+TWIN_SMALL = "twin-small"
+"""The same cell with fewer stops."""
 FOLDER = "profiles"
 """Folder of a person's profiles, below the folder where they work."""
 _SENTENCE_END = re.compile(r"(?<=\.)\s+(?=[A-Z])")
@@ -30,20 +30,17 @@ class Starter:
 
 
 def starters_folder() -> Path:
-    """Folder of the starter profiles: beside the package where its source is used, else where they were installed.
+    """Folder of the starter profiles: ``starters`` in the installed package, ``profiles`` beside it in the source tree.
 
     Raises
     ------
     InputError
         If this installation lacks them.
     """
-    beside = Path(str(files("cellapp"))).parent / "profiles"
-    if (beside / f"{TWIN}.yaml").is_file():
-        return beside
-    with contextlib.suppress(PackageNotFoundError):
-        for file in distribution("cellapp").files or ():
-            if file.match(f"share/cellapp/profiles/{TWIN}.yaml"):
-                return Path(str(file.locate())).resolve().parent
+    package = Path(str(files("cellapp")))
+    for folder in (package / "starters", package.parent / "profiles"):
+        if (folder / f"{TWIN}.yaml").is_file():
+            return folder
     raise InputError("this installation of cellapp lacks its starter profiles; install it again with pip")
 
 
@@ -64,7 +61,9 @@ def write_starter(name: str, folder: Path) -> Path:
 
 
 def copy_starter(name: str, profiles: Path) -> Path:
-    """Copy a starter profile, the arm types and the targets that it names into a folder; return its path.
+    """Copy a starter profile and the arm types that it names into a folder; return its path.
+
+    Where it names targets, all example lists of targets and paths are copied with it.
 
     Raises
     ------
@@ -90,7 +89,9 @@ def copies(names: list[str], folder: Path) -> dict[Path, str]:
 def _named_files(text: str, source: Path) -> list[str]:
     data = read_document(text, source).data
     types = [arm["type"] for arm in data["arms"].values() if isinstance(arm["type"], str)]
-    return [*dict.fromkeys(types), *([data["targets"]] if "targets" in data else [])]
+    folders = ("targets", "paths") if "targets" in data else ()
+    examples = [f"{name}/{file.name}" for name in folders for file in sorted((source.parent / name).iterdir())]
+    return [*dict.fromkeys(types), *examples]
 
 
 def _starter(path: Path) -> Starter:

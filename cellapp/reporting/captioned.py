@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cellapp.reporting.chart_style import LegendEntry
+
 
 @dataclass(frozen=True)
 class CaptionedFigure:
-    """SVG text, caption and legend.
+    """A figure: static picture, caption, message, legend, and its values for the page's script.
 
-    ``legend`` pairs a swatch class of the style sheet (empty: no swatch) with a text; ``note`` is a sentence below;
-    ``css_class`` is ``wide`` for a figure over the whole width.
+    ``note`` is its message: one or two sentences that say what the reader should see. ``data`` (JSON) lets the script
+    draw the figure anew with values under the pointer. ``key`` is its anchor on the page. ``css_class`` is ``wide`` for
+    a figure over the whole width.
     """
 
     svg: str
     caption: str
-    legend: tuple[tuple[str, str], ...]
+    legend: tuple[LegendEntry, ...]
     css_class: str = ""
     note: str = ""
+    data: str = ""
+    key: str = ""

@@ -23,6 +23,8 @@ STAGE_STYLES: Mapping[str, int] = {stage: number for number, stage in enumerate(
 """Style of each stage: the same in all charts."""
 SMALLEST_MM = 1e-6
 """What a logarithmic axis shows for an error of zero [mm]."""
+LEAST = 1e-100
+"""Smaller values, in whatever unit, are drawn as zero: steps between denormal numbers are not exact."""
 _BINS = 40
 """Bins of a histogram over all errors."""
 
@@ -55,6 +57,8 @@ class Series:
         Number of its colour and mark. One arm or stage has one number, whichever chart it is in.
     mark : str
         One character that stands at every point, instead of the mark of the style.
+    hints : tuple of str, length n or 0
+        What the page shows under the pointer beside the coordinates of each point.
     """
 
     name: str
@@ -64,11 +68,14 @@ class Series:
     band: Array | None = None
     style: int = 0
     mark: str = ""
+    hints: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for what, values in (("y", self.y), ("band", self.band)):
             if values is not None and values.shape != self.x.shape:
                 raise ValueError(f"series {self.name}: {what} of shape {values.shape} for x of shape {self.x.shape}")
+        if self.hints and len(self.hints) != len(self.x):
+            raise ValueError(f"series {self.name}: {len(self.hints)} hints for {len(self.x)} points")
 
 
 @dataclass(frozen=True)
@@ -127,11 +134,12 @@ def series(
     band: ArrayLike | None = None,
     style: int = 0,
     mark: str = "",
+    hints: Iterable[str] = (),
 ) -> Series:
     """A series from anything that numpy takes as an array."""
     as_array = np.asarray(x, dtype=np.float64)
     width = None if band is None else np.asarray(band, dtype=np.float64)
-    return Series(name, as_array, np.asarray(y, dtype=np.float64), kind, width, style, mark)
+    return Series(name, as_array, np.asarray(y, dtype=np.float64), kind, width, style, mark, tuple(hints))
 
 
 def bar_chart(title: str, bars: Mapping[str, tuple[float, str]], axis: Axis, message: str) -> Chart:

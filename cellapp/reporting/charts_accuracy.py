@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.kinematics.transforms import Array
-from cellapp.reporting.cell_views import levelling_rotation
 from cellapp.reporting.charts import (
     STAGE_STYLES,
     Axis,
@@ -29,6 +28,7 @@ from cellapp.reporting.charts import (
 )
 from cellapp.reporting.report_data import HeldOutArm
 from cellapp.reporting.tables import cooperative_noise_mm
+from cellapp.reporting.views import levelling_rotation
 from cellapp.reporting.words import METHOD_WORDS, STAGE_WORDS
 from cellapp.results import STAGES, ArmCalibrationResult, CalibrateResult, Method, PairHeldOut
 
@@ -43,6 +43,8 @@ _UNEVEN = 1.3
 spread differ by less."""
 _METHOD_STYLES: Mapping[Method, int] = {"method_1": 1, "method_2": 4, "proposed": 2, "effects": 3}
 """Styles of the methods of the pair: those of the stages that they build on."""
+_CURVE = 30
+"""Points of a curve on a logarithmic axis."""
 _NO_HELD_OUT = "No held-out readings: calibrate first."
 
 
@@ -103,7 +105,7 @@ def _histogram(
     ends = [next(iter(errors)), list(errors)[-1]][: len(errors)]
     medians = [f"{mm(float(np.median(errors[key])))} ({words[key]})" for key in ends]
     message = f"Median error: {', '.join(medians)}." + (f" The noise floor is {mm(floor_mm)}." if floor_mm else "")
-    return Chart(title, x, y, drawn, message, noise_limit(floor_mm, "x"))
+    return Chart(title, x, y, drawn, message, noise_limit(floor_mm, "x"), by_stage=True)
 
 
 def _outline(name: str, edges: Array, counts: NDArray[np.intp], style: int) -> Series:
@@ -112,6 +114,72 @@ def _outline(name: str, edges: Array, counts: NDArray[np.intp], style: int) -> S
     first, last = int(used[0]), int(used[-1]) + 1
     x = [edges[first], *edges[first : last + 1]]
     return series(name, x, [0.0, *counts[first:last], 0.0], "steps", style=style)
+
+
+# -- errors stop by stop ----------------------------------------------------------------------------------------------
+
+
+def stop_error_chart(name: str, held_out: HeldOutArm, floor_mm: float | None) -> Chart:
+    """Position error of each held-out configuration by stage, with the noise floor."""
+    title = f"Arm {name}: position error of each held-out configuration"
+    errors: dict[str, Array] = {stage: held_out.errors_mm[stage] for stage in STAGES if stage in held_out.errors_mm}
+    stops = held_out.readings.configuration
+    return _stop_errors(title, "position error", stops, errors, STAGE_STYLES, STAGE_WORDS, floor_mm)
+
+
+def pair_stop_chart(calibrate: CalibrateResult) -> Chart:
+    """Cooperative error of each held-out stop by method of the pair, with the tracker's noise."""
+    stored = pair_held_out(calibrate)
+    errors = {method: np.array(stops.cooperative_mm) for method, stops in stored.items()}
+    stops = np.array(next(iter(stored.values())).configuration if stored else [])
+    title, floor = "Pair: cooperative error of each held-out stop", cooperative_noise_mm(calibrate)
+    return _stop_errors(title, "cooperative error", stops, errors, _METHOD_STYLES, METHOD_WORDS, floor)
+
+
+def _stop_errors(
+    title: str,
+    label: str,
+    stops: NDArray[np.int64],
+    errors_mm: Mapping[Key, Array],
+    style: Mapping[Key, int],
+    words: Mapping[Key, str],
+    floor_mm: float | None,
+) -> Chart:
+    x, y = Axis("configuration"), Axis(label, "mm", logarithmic=True)
+    if not errors_mm or not len(stops):
+        return Chart(title, x, y, (), _NO_HELD_OUT)
+    drawn = tuple(
+        series(key, stops, drawable_mm(errors), "points", style=style[key]) for key, errors in errors_mm.items()
+    )
+    first, last = next(iter(errors_mm)), list(errors_mm)[-1]
+    before, after = errors_mm[first], errors_mm[last]
+    worst = int(np.argmax(after))
+    message = f"The largest of {len(stops)} errors is {mm(float(after[worst]))} ({words[last]}), at {stops[worst]}"
+    if last != first:
+        message += f"; it was {mm(float(before.max()))} ({words[first]})"
+    return Chart(title, x, y, drawn, f"{message}.", noise_limit(floor_mm), by_stage=True)
+
+
+def certainty_chart(name: str, predicted_mm: Array, errors_mm: Array, noise_mm: float) -> Chart:
+    """Position error (n,) [mm] over the standard deviation of a coordinate (n,) that the model predicts for it.
+
+    The line is the root mean square error that predictions stand for, with ``noise_mm`` of a measured coordinate.
+    """
+    x = Axis("predicted standard deviation", "mm", logarithmic=True)
+    predicted, errors = drawable_mm(predicted_mm), drawable_mm(errors_mm)
+    at = np.geomspace(predicted.min(), predicted.max(), _CURVE)
+    expected = math.sqrt(3.0) * np.hypot(at, noise_mm)
+    drawn = (
+        series("one held-out configuration", predicted, errors, "points", style=STAGE_STYLES["effects"]),
+        series("error to be expected with the noise of measuring (rms)", at, expected, style=5, mark=":"),
+    )
+    ratio = float(np.sqrt(np.mean(errors**2) / np.mean(3.0 * (predicted**2 + noise_mm**2))))
+    message = (
+        f"Errors are {ratio:.2f} times as large as expected (rms); of that, the model alone is predicted to be off by"
+        f" {mm(float(at[0]))} to {mm(float(at[-1]))} in each coordinate."
+    )
+    title = f"Arm {name}: position error against predicted uncertainty"
+    return Chart(title, x, Axis("position error", "mm", logarithmic=True), drawn, message, by_stage=True)
 
 
 # -- residuals over the joints and in space ---------------------------------------------------------------------------
@@ -130,7 +198,7 @@ def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int, stages: Se
         stage, values = list(errors.items())[-1]
         message = f"{STAGE_WORDS[stage].capitalize()}: {along_joint(angle, values)}"
     x, y = Axis(f"joint {joint}", "deg"), Axis("position error", "mm", logarithmic=True)
-    return Chart(f"Arm {name}: error over joint {joint}", x, y, drawn, message)
+    return Chart(f"Arm {name}: error over joint {joint}", x, y, drawn, message, by_stage=True)
 
 
 def along_joint(angle: Array, errors_mm: Array) -> str:

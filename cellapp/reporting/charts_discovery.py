@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from cellapp.kinematics.transforms import Array
-from cellapp.reporting.charts import Axis, Chart, bar_chart, drawable_mm, enumerated, mm, noise_limit, series
+from cellapp.reporting.charts import (
+    Axis,
+    Chart,
+    bar_chart,
+    drawable_mm,
+    enumerated,
+    mm,
+    noise_limit,
+    series,
+)
 from cellapp.reporting.discovery_tables import gap_steps, noise_floor, noise_floor_words
 from cellapp.reporting.discovery_text import gap_sentences, size_sentence
 from cellapp.reporting.words import probability_words
@@ -77,7 +86,7 @@ def picture_chart(name: str, picture: Picture) -> Chart:
     message = " ".join([size_sentence(picture), *gap_sentences(picture)])
     values = np.concatenate([picture.measured, computed])
     shown_range = typical_range(values, np.array(picture.computed)) if len(values) else None
-    return Chart(f"Arm {name}: {picture_title(picture)}", x, y, drawn, message, y_range=shown_range)
+    return Chart(f"Arm {name}: {picture_title(picture)}", x, y, drawn, message, y_range=shown_range, by_stage=True)
 
 
 def is_line(picture: Picture) -> bool:

@@ -113,7 +113,7 @@ def _along_z(points: Array, at: Array) -> Array:
 def obstacle_series(obstacles: Iterable[Outlined], T_C_M: Array | None, view: View) -> Iterator[Series]:
     """The outlines of all obstacles as one series, with gaps; ``T_C_M`` is needed for the view of the tracker."""
     gap = np.full((1, 2), np.nan)
-    lines = [part for one in obstacles for part in (_outline(seen_from(one.p_C, T_C_M, view)), gap)]
+    lines = [part for one in obstacles for part in (outline(seen_from(one.p_C, T_C_M, view)), gap)]
     if lines:
         x, y = np.concatenate(lines).T
         yield series("obstacles", x, y, style=OBSTACLE_STYLE)
@@ -133,7 +133,7 @@ def seen_from(p_C: Array, T_C_M: Array | None, view: View) -> Array:
     return np.asarray(np.degrees(np.column_stack([azimuth, np.arctan2(z, np.hypot(x, y))])))
 
 
-def _outline(points: Array) -> Array:
+def outline(points: Array) -> Array:
     """The convex hull of points (n, 2) as a closed line (k, 2)."""
     from scipy.spatial import ConvexHull
 

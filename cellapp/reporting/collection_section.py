@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from cellapp.collection.practice import LiveModel
 from cellapp.reporting.captioned import CaptionedFigure
-from cellapp.reporting.charts_collection import drift_by_reference
+from cellapp.reporting.chart_figure import chart_figure
+from cellapp.reporting.charts_collection import drift_by_reference, drift_chart
 from cellapp.results import CollectionResult, SessionRecord, SessionRequest
 from cellapp.run import RunFile
 from cellapp.run.collected import missing_readings, missing_share, reference_drifts
@@ -48,13 +49,7 @@ def collection_state(run: RunFile) -> CollectionResult | None:
 
 def drift_figures(state: CollectionResult | None) -> list[CaptionedFigure]:
     """Reference drift over the run with its limit; empty if nothing was measured twice."""
-    from cellapp.reporting import figures
-    from cellapp.reporting.svg import ARM_COLOURS
-
     drift_mm = drift_by_reference(() if state is None else state.references)
     if state is None or all(len(rows) < 2 for rows in drift_mm.values()):
         return []
-    svg = figures.drift_figure("drift", list(drift_mm.values()), state.drift_limit_mm)
-    legend = [(f"arm{number % ARM_COLOURS + 1}", name) for number, name in enumerate(drift_mm)]
-    legend.append(("floor", f"limit, {state.drift_limit_mm:.3f} mm"))
-    return [CaptionedFigure(svg, "Reference measurements: distance from the first one", tuple(legend))]
+    return [chart_figure("drift", drift_chart(state.references, state.drift_limit_mm))]

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from cellapp.kinematics.transforms import Array
 from cellapp.reporting.captioned import CaptionedFigure
-from cellapp.reporting.charts_discovery import is_line, picture_title
+from cellapp.reporting.chart_figure import chart_figure
+from cellapp.reporting.charts_accuracy import certainty_chart
+from cellapp.reporting.charts_discovery import gap_chart, picture_chart
 from cellapp.reporting.discovery_tables import (
     accepted_table,
     candidates_table,
     cycle_table,
-    gap_steps,
     invisible_table,
-    noise_floor,
-    noise_floor_words,
     not_found_table,
     numbered_steps_table,
     parameter_table,
@@ -64,20 +61,25 @@ class ArmSection:
     meanings: tuple[MeaningPart, ...]
     descriptions: tuple[tuple[str, str], ...]
     pictures: tuple[CaptionedFigure, ...]
+    joint_curves: tuple[CaptionedFigure, ...]
     undetected: tuple[Table, ...]
     remainder: tuple[str, ...]
 
 
-def arm_sections(discover: DiscoverResult, predicted: Mapping[str, tuple[Array, Array]]) -> list[ArmSection]:
+def arm_sections(
+    discover: DiscoverResult,
+    predicted: Mapping[str, tuple[Array, Array, float]],
+    joint_curves: Mapping[str, tuple[CaptionedFigure, ...]],
+) -> list[ArmSection]:
     """One section for each arm.
 
-    ``predicted`` has the predicted standard deviation of a coordinate and the position error (n,) [mm] of each
-    held-out configuration, for arms whose model predicts one.
+    ``predicted`` has the predicted standard deviation of a coordinate, the position error (n,) and noise [mm] of each
+    held-out configuration, for arms whose model predicts one; ``joint_curves`` what its effects turn each joint by.
     """
     sections = []
     for number, (name, arm) in enumerate(discover.arms.items(), start=1):
         tables = (accepted_table(name, arm), parameter_table(name, arm), cycle_table(name, arm))
-        certainty = [_certainty_figure(number, name, *predicted[name])] if name in predicted else []
+        certainty = [certainty_chart(name, *predicted[name])] if name in predicted else []
         undetected = (
             invisible_table(name, arm),
             not_found_table(name, arm),
@@ -100,7 +102,11 @@ def arm_sections(discover: DiscoverResult, predicted: Mapping[str, tuple[Array, 
                 ),
                 meanings=_meanings(arm),
                 descriptions=tuple(description_sentences(arm)),
-                pictures=(*_effect_figures(number, name, arm.pictures), *certainty),
+                pictures=(
+                    *_effect_figures(number, name, arm.pictures),
+                    *(chart_figure(f"certainty{number}", chart) for chart in certainty),
+                ),
+                joint_curves=joint_curves[name],
                 undetected=tuple(table for table in undetected if table is not None),
                 remainder=tuple(remainder_sentences(arm)),
             )
@@ -123,50 +129,11 @@ def _meanings(arm: ArmDiscoveryResult) -> tuple[MeaningPart, ...]:
 
 
 def _steps_figure(number: int, name: str, arm: ArmDiscoveryResult) -> CaptionedFigure:
-    from cellapp.reporting import figures
-
-    steps, floor = gap_steps(arm), noise_floor(arm)
-    legend = [("geometry", "held-out rms after each step, as in the table")]
-    if floor is not None:
-        legend.append(("floor", f"{noise_floor_words(arm)}, {floor:.4f} mm"))
-    return CaptionedFigure(
-        figures.steps_figure(f"gap{number}", np.array([gap for _, gap in steps]), floor),
-        f"Arm {name}: error after each step, on configurations that the search did not use",
-        tuple(legend),
-    )
+    return chart_figure(f"gap{number}", gap_chart(name, arm))
 
 
 def _effect_figures(number: int, name: str, pictures: Sequence[Picture]) -> list[CaptionedFigure]:
-    from cellapp.reporting import figures
-
-    drawn = []
-    for place, picture in enumerate(pictures, start=1):
-        legend = [("measured", "measured, without all other parts of the model")]
-        if is_line(picture):
-            legend.append(("computed", "computed"))
-            if picture.curve is not None or picture.band:
-                legend.append(("band", "two standard deviations to either side"))
-        else:
-            legend.append(("effects", "computed"))
-        drawn.append(
-            CaptionedFigure(
-                figures.effect_figure(f"effect{number}-{place}", picture),
-                f"Arm {name}: {picture_title(picture)}",
-                tuple(legend),
-                note=picture_words(picture),
-            )
-        )
-    return drawn
-
-
-def _certainty_figure(number: int, name: str, predicted_mm: Array, errors_mm: Array) -> CaptionedFigure:
-    from cellapp.reporting import figures
-
-    return CaptionedFigure(
-        figures.certainty_figure(f"certainty{number}", predicted_mm, errors_mm),
-        f"Arm {name}: position error against predicted uncertainty",
-        (
-            ("effects", "one held-out configuration"),
-            ("floor", "error as large as predicted (rms of all three coordinates)"),
-        ),
-    )
+    return [
+        replace(chart_figure(f"effect{number}-{place}", picture_chart(name, picture)), note=picture_words(picture))
+        for place, picture in enumerate(pictures, start=1)
+    ]

@@ -64,6 +64,8 @@ def discovery_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
             lines += _hanging("  remainder    ", arm.structure.sentence, width)
         lines += _hanging("  verdict      ", f"{arm.verdict}: {verdict_sentence(name, arm)}", width)
         lines.append("")
+    for note in result.notes or ():
+        lines += _hanging("Note  ", note, width)
     return lines
 
 

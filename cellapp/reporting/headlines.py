@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cellapp.profile import Profile
-from cellapp.reporting.discovery_text import verdict_sentence
+from cellapp.reporting.before_after import best_method
 from cellapp.reporting.report_data import ReportData
 from cellapp.reporting.words import METHOD_WORDS
 from cellapp.results import (
     CALIBRATE,
+    CHECK,
     DISCOVER,
     VERIFY,
     ArmCalibrationResult,
@@ -22,8 +23,6 @@ from cellapp.results import (
 
 _NO_PAIR = "pair: skipped"
 """How the note of a calibration begins that explains why there is no pair."""
-_BEST_METHODS: tuple[Method, ...] = ("effects", "proposed", "method_1", "nominal")
-"""The first of these that was computed makes the headline; method_2 is the counter-example of the paper."""
 STAGE_TITLES: dict[StageName, str] = {
     "calibrate": "Calibration",
     "discover": "Missing effects",
@@ -33,6 +32,9 @@ STAGE_TITLES: dict[StageName, str] = {
     "verify": "Verification at new targets",
     "path": "Planned paths",
     "follow": "Paths that were followed and measured",
+    "iso9283": "Tests by ISO 9283",
+    "check": "Check of the calibration",
+    "certificate": "Certificate",
 }
 
 
@@ -45,19 +47,22 @@ class Headline:
 
 
 def headlines(data: ReportData) -> list[Headline]:
-    """The accuracy of each arm, of the pair, and at verified targets; only results that hold."""
+    """The accuracy of each arm and of the pair at held-out configurations; only results that hold."""
     lines = []
     suffix = " (out of date)" if CALIBRATE in data.out_of_date else ""
     for name, arm in data.calibrate.arms.items():
         found = None if data.discover is None else data.discover.arms.get(name)
         lines.append(Headline(f"Arm {name}{suffix}", _arm_sentence(arm, found)))
-        if found is not None:
-            sentence = f"{found.verdict.capitalize()}: {verdict_sentence(name, found)}."
-            lines.append(Headline(f"Arm {name}, missing effects", sentence))
-    method = next((method for method in _BEST_METHODS if method in data.calibrate.pair), None)
+    method = best_method(data.calibrate)
     if method is not None:
         sentence = _pair_sentence(method, data.calibrate.pair[method], data.calibrate.pair.get("nominal"))
         lines.append(Headline(f"Pair{suffix}", sentence))
+    return lines
+
+
+def verified_headlines(data: ReportData) -> list[Headline]:
+    """The measured errors of each arm at targets, without and with compensation."""
+    lines = []
     for name, verified in ({} if data.verify is None else data.verify.arms).items():
         before, after = verified.nominal_mm.mean, verified.compensated_mm.mean
         change = "fell" if after < before else "did not fall: it changed"
@@ -69,6 +74,15 @@ def headlines(data: ReportData) -> list[Headline]:
             )
         )
     return lines
+
+
+def unusable_arms(data: ReportData) -> list[tuple[str, str]]:
+    """Arms whose calibration must not be used, with the reason."""
+    return [
+        (f"Arm {name}", f"the calibration did not converge ({arm.message}): do not use it")
+        for name, arm in data.calibrate.arms.items()
+        if not arm.converged
+    ]
 
 
 def _arm_sentence(arm: ArmCalibrationResult, found: ArmDiscoveryResult | None) -> str:
@@ -102,8 +116,12 @@ def warnings(data: ReportData) -> list[str]:
 
 
 def out_of_date_lines(data: ReportData) -> list[tuple[str, str]]:
-    """Title and reason of each result that no longer holds."""
-    return [(STAGE_TITLES[name], reason) for name, reason in data.out_of_date.items()]
+    """Title and reason of each result that no longer holds, and what a check found."""
+    lines = [(STAGE_TITLES[name], reason) for name, reason in data.out_of_date.items()]
+    checked = data.results.held_check
+    if checked is not None and checked.found_change:
+        lines += [(STAGE_TITLES[CHECK], complaint) for complaint in checked.complaints()]
+    return lines
 
 
 def missing_results(data: ReportData) -> list[tuple[str, str]]:

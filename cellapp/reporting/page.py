@@ -3,21 +3,36 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
-from datetime import UTC, datetime
+from collections.abc import Mapping, Sequence
+from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from cellapp.acceptance.conditions import measured_conditions
+from cellapp.acceptance.judgements import judge_run
 from cellapp.errors import InputError
-from cellapp.exports.formats import FORMATS
+from cellapp.exports.export_format import ExportFormat
+from cellapp.exports.formats import formats_of
 from cellapp.exports.run_export import lost_by_arm
+from cellapp.reporting.acceptance_words import RULE_WORDS
 from cellapp.reporting.cell_views import cell_views
-from cellapp.reporting.collection_section import collection_state, drift_figures
+from cellapp.reporting.certificate_page import certificate_section
+from cellapp.reporting.collection_section import drift_figures
 from cellapp.reporting.collection_text import collection_tables
 from cellapp.reporting.discovery_section import arm_sections
-from cellapp.reporting.headlines import headlines, missing_results, out_of_date_lines, warnings
+from cellapp.reporting.headlines import (
+    headlines,
+    missing_results,
+    out_of_date_lines,
+    unusable_arms,
+    verified_headlines,
+    warnings,
+)
+from cellapp.reporting.judged import judgement_table
 from cellapp.reporting.location_text import location_sentences, location_tables
-from cellapp.reporting.page_figures import accuracy_figures, pair_figures, residual_vector_figures
+from cellapp.reporting.page_figures import accuracy_figures, joint_curve_figures, pair_figures, residual_figures
+from cellapp.reporting.page_parts import PageParts, page_parts
+from cellapp.reporting.page_sections import page_sections, section_messages
+from cellapp.reporting.page_summary import header_facts, nothing_found, summary
 from cellapp.reporting.page_tables import (
     base_table,
     calibration_facts,
@@ -26,8 +41,8 @@ from cellapp.reporting.page_tables import (
     nominal_and_identified_tables,
     pair_tables,
 )
-from cellapp.reporting.path_table import path_sentences, path_tables, stored_paths
-from cellapp.reporting.plan_section import plan_section
+from cellapp.reporting.path_table import path_sentences, path_tables
+from cellapp.reporting.plotly_script import plotly_base64, plotly_notice
 from cellapp.reporting.provenance import provenance_lines
 from cellapp.reporting.report_data import ReportData, read_report_data
 from cellapp.reporting.tables import (
@@ -36,14 +51,12 @@ from cellapp.reporting.tables import (
     distance_mm,
     transform_tables,
 )
-from cellapp.reporting.targets_section import targets_section
+from cellapp.reporting.templates import template
 from cellapp.reporting.words import METHOD_WORDS
-from cellapp.results import LOCATE, CalibrateResult
+from cellapp.results import CalibrateResult, Judgement
 from cellapp.run import RunFile
+from cellapp.run.out_of_date import data_mark
 from cellapp.run.sqlite_file import REPORT_FILE
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 PAGE_FILE = REPORT_FILE
 _MOST_EVENTS = 100
@@ -76,61 +89,58 @@ def write_page(run: RunFile) -> Path:
 def page_text(run: RunFile, written: datetime) -> str:
     """The page as text. Raises ``InputError`` if the run is not calibrated yet."""
     data = read_report_data(run)
-    return _template().render(
+    parts = page_parts(run, data)
+    judgements = judge_run(data.profile, data.results, measured_conditions(data.readings))
+    return template("page.html").render(
         profile=data.profile,
         written=written.isoformat(timespec="seconds"),
-        **_first_words(data),
+        data_mark=data_mark(run),
+        certificate=certificate_section(data),
+        sections=page_sections(section_messages(data, parts, judgements), data.out_of_date),
+        **_first_screen(data, judgements, written.date()),
         **_accuracy(data),
         **_discovery(data),
-        **_station(data),
-        targets=targets_section(data),
-        **_paths(data),
-        **_collection(run),
-        plan=plan_section(run),
-        cell=cell_views(data.model, data.readings),
+        **_parts(parts),
+        cell=cell_views(data),
         cell_table=base_table(data.model),
         parameter_tables=nominal_and_identified_tables(data.calibrate, data.calibrated),
         merged_tables=merged_tables(data.calibrate),
-        formats=tuple(FORMATS),
+        formats=tuple(formats_of(ExportFormat)),
         lost=lost_by_arm(run),
+        warnings=warnings(data),
+        missing=missing_results(data),
         provenance=provenance_lines(data),
         events=data.events[-_MOST_EVENTS:],
+        plotly=plotly_base64(),
+        plotly_notice=plotly_notice(),
     )
 
 
-def _template() -> Template:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
-
-    environment = Environment(
-        loader=PackageLoader("cellapp", "reporting"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["svg"] = Markup  # made by cellapp, without any text that a user wrote
-    return environment.get_template("page.html")
-
-
-def _first_words(data: ReportData) -> Mapping[str, object]:
+def _first_screen(data: ReportData, judgements: Sequence[Judgement], today: date) -> Mapping[str, object]:
+    outdated = out_of_date_lines(data)
     return {
-        "headlines": headlines(data),
-        "out_of_date": out_of_date_lines(data),
+        "header_facts": header_facts(data),
+        "alarm_title": "Out of date" if outdated else "Do not use",
+        "outdated": bool(outdated),
+        "alarms": [*unusable_arms(data), *outdated],
         "next_step": data.next_step,
-        "warnings": warnings(data),
-        "missing": missing_results(data),
+        "summary": summary(data, judgements, today),
+        "nothing_found": nothing_found(data),
+        "judgement_table": judgement_table(judgements),
+        "decision_rule": RULE_WORDS[data.profile.tolerances.decision],
     }
 
 
 def _accuracy(data: ReportData) -> Mapping[str, object]:
     calibrate = data.calibrate
     return {
+        "headlines": headlines(data),
+        "verified_headlines": verified_headlines(data),
         "accuracy": [*accuracy_figures(data), *pair_figures(calibrate)],
         "accuracy_tables": detailed_tables(calibrate),
         "tracker": _tracker_words(calibrate),
         "methods": [(method, words) for method, words in METHOD_WORDS.items() if method in calibrate.pair],
-        "vectors": residual_vector_figures(data),
+        "vectors": residual_figures(data),
         "fact_table": calibration_facts(calibrate),
         "network_tables": network_tables(calibrate),
         "transform_tables": transform_tables(calibrate),
@@ -143,32 +153,23 @@ def _discovery(data: ReportData) -> Mapping[str, object]:
     predicted = {name: arm.prediction for name, arm in data.held_out.items()}
     shown = {name: prediction for name, prediction in predicted.items() if prediction is not None}
     return {
-        "discoveries": [] if data.discover is None else arm_sections(data.discover, shown),
+        "discoveries": [] if data.discover is None else arm_sections(data.discover, shown, joint_curve_figures(data)),
         "simulations": settings.null_simulations,
         "false_alarm": settings.false_alarm,
     }
 
 
-def _station(data: ReportData) -> Mapping[str, object]:
-    located = data.results.locate
-    shown = located is not None and located.moved and LOCATE not in data.out_of_date
+def _parts(parts: PageParts) -> Mapping[str, object]:
+    located, paths, state = parts.located, parts.paths, parts.collection
     return {
-        "station_tables": location_tables(located) if located is not None and shown else [],
-        "station_sentences": location_sentences(located) if located is not None and shown else [],
-    }
-
-
-def _paths(data: ReportData) -> Mapping[str, object]:
-    stored = stored_paths(data.results)
-    return {
-        "path_tables": [] if stored is None else path_tables(stored),
-        "path_sentences": [] if stored is None else path_sentences(stored),
-    }
-
-
-def _collection(run: RunFile) -> Mapping[str, object]:
-    state = collection_state(run)
-    return {
+        "targets": parts.targets,
+        "plan": parts.plan,
+        "iso9283": parts.iso9283,
+        "check": parts.check,
+        "station_tables": [] if located is None else location_tables(located),
+        "station_sentences": [] if located is None else location_sentences(located),
+        "path_tables": [] if paths is None else path_tables(paths),
+        "path_sentences": [] if paths is None else path_sentences(paths),
         "collection_tables": [] if state is None else collection_tables(state),
         "drift": drift_figures(state),
     }

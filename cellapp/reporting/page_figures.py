@@ -1,53 +1,51 @@
-"""Figures of the page on accuracy: errors by stage, residual vectors, the pair, verified targets.
-
-Functions import the drawing modules themselves: those load matplotlib, which only writing a page needs.
-"""
+"""Figures of the page on accuracy: errors by stage, residual vectors, the pair."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import replace
 
-import numpy as np
-
-from cellapp.kinematics.chain import smr_positions
-from cellapp.kinematics.transforms import apply, invert
 from cellapp.reporting.captioned import CaptionedFigure
-from cellapp.reporting.cell_views import evenly_spread
-from cellapp.reporting.charts_accuracy import pair_held_out
-from cellapp.reporting.report_data import HeldOutArm, ReportData
-from cellapp.reporting.tables import cooperative_noise_mm
-from cellapp.reporting.words import METHOD_WORDS, STAGE_WORDS
-from cellapp.results import CalibrateResult, Method
-
-_MOST_ARROWS = 150
-"""Residuals drawn as arrows of each arm: more overlap."""
-_METHOD_COLOURS: Mapping[Method, str] = {
-    "method_1": "geometry",
-    "method_2": "tracker-network",
-    "proposed": "network",
-    "effects": "effects",
-}
-"""Methods of the pair that are drawn, with their colours in the style sheet."""
+from cellapp.reporting.cell_scene import typical_stops
+from cellapp.reporting.chart_figure import chart_figure
+from cellapp.reporting.chart_style import LegendEntry
+from cellapp.reporting.charts_accuracy import (
+    error_histogram_chart,
+    pair_held_out,
+    pair_histogram_chart,
+    pair_stop_chart,
+    stop_error_chart,
+)
+from cellapp.reporting.charts_drift import residual_drift_chart
+from cellapp.reporting.charts_joints import joint_curve_charts
+from cellapp.reporting.charts_vectors import vector_charts
+from cellapp.reporting.report_data import ReportData
+from cellapp.results import CalibrateResult
 
 
 def accuracy_figures(data: ReportData) -> list[CaptionedFigure]:
     """Position errors by configuration and as a histogram, two figures for each arm."""
-    from cellapp.reporting import figures
-
     drawn = []
     for number, (name, held_out) in enumerate(data.held_out.items(), start=1):
-        errors, floor = held_out.errors_mm, data.calibrate.arms[name].tracker_mm
-        legend = [(stage, STAGE_WORDS[stage]) for stage in errors] + _floor_legend(floor)
-        if "geometry" not in errors:
-            legend.append(("", "models of later stages: not stored by the older version of cellapp that calibrated"))
-        elif "effects" not in errors:
-            legend.append(("", f"no effects: {_why_no_effects(data)}"))
-        svg = figures.error_figure(f"errors{number}", held_out.readings.configuration, errors, floor)
-        caption = f"Arm {name}: position error of each held-out configuration"
-        drawn.append(CaptionedFigure(svg, caption, tuple(legend)))
-        svg = figures.error_histogram(f"residuals{number}", errors, floor)
-        drawn.append(CaptionedFigure(svg, f"Arm {name}: distribution of the position errors", tuple(legend)))
+        floor, absent = data.calibrate.arms[name].tracker_mm, _absent_stages(data, name)
+        for key, chart in (
+            (f"errors{number}", stop_error_chart(name, held_out, floor)),
+            (f"histogram{number}", error_histogram_chart(name, held_out.errors_mm, floor)),
+        ):
+            figure = chart_figure(key, chart)
+            drawn.append(replace(figure, legend=(*figure.legend, *absent)))
     return drawn
+
+
+def _absent_stages(data: ReportData, name: str) -> tuple[LegendEntry, ...]:
+    """Why a stage is not drawn."""
+    errors = data.held_out[name].errors_mm
+    if "geometry" not in errors:
+        words = "models of later stages: not stored by the older version of cellapp that calibrated"
+    elif "effects" not in errors:
+        words = f"no effects: {_why_no_effects(data)}"
+    else:
+        return ()
+    return (LegendEntry(None, words),)
 
 
 def _why_no_effects(data: ReportData) -> str:
@@ -58,65 +56,39 @@ def _why_no_effects(data: ReportData) -> str:
 
 def pair_figures(calibrate: CalibrateResult) -> list[CaptionedFigure]:
     """Cooperative errors by method, by stop and as a histogram; empty if they were not stored for each stop."""
-    from cellapp.reporting import figures
-
-    stored = pair_held_out(calibrate)
-    if not stored:
+    if not pair_held_out(calibrate):
         return []
-    errors = {_METHOD_COLOURS[method]: np.array(stops.cooperative_mm) for method, stops in stored.items()}
-    stops = np.array(next(iter(stored.values())).configuration, dtype=np.int64)
-    floor = cooperative_noise_mm(calibrate)
-    legend = [(_METHOD_COLOURS[method], f"{method}: {METHOD_WORDS[method]}") for method in stored]
-    legend += _floor_legend(floor)
-    label = "cooperative error [mm]"
     return [
-        CaptionedFigure(
-            figures.error_figure("pair-errors", stops, errors, floor, label),
-            "Pair: cooperative error of each held-out stop",
-            tuple(legend),
+        chart_figure("pair-errors", pair_stop_chart(calibrate)),
+        chart_figure("pair-histogram", pair_histogram_chart(calibrate)),
+    ]
+
+
+def residual_figures(data: ReportData) -> list[CaptionedFigure]:
+    """Residuals of the newest model over the run, and those of the identified geometry as vectors in two frames."""
+    return [
+        *(
+            chart_figure(f"run{number}", residual_drift_chart(name, data.readings[name].time_s, residuals))
+            for number, (name, residuals) in enumerate(data.residuals_M.items(), start=1)
         ),
-        CaptionedFigure(
-            figures.error_histogram("pair-residuals", errors, floor, label),
-            "Pair: distribution of the cooperative errors",
-            tuple(legend),
+        *(
+            chart_figure(f"vectors{number}-{place}", chart)
+            for number, (name, held_out) in enumerate(data.held_out.items(), start=1)
+            if "geometry" in held_out.errors_mm
+            for place, chart in enumerate(vector_charts(name, held_out), start=1)
         ),
     ]
 
 
-def residual_vector_figures(data: ReportData) -> list[CaptionedFigure]:
-    """Residuals of the identified geometry as vectors, in the tracker frame and in the base frame of each arm."""
-    return [
-        figure
-        for number, (name, held_out) in enumerate(data.held_out.items(), start=1)
-        if "geometry" in held_out.errors_mm
-        for figure in _vector_figures(number, name, held_out)
-    ]
-
-
-def _vector_figures(number: int, name: str, held_out: HeldOutArm) -> list[CaptionedFigure]:
-    from cellapp.reporting import figures
-
-    readings, geometry = held_out.readings, held_out.calibrated.geometry
-    shown = readings.take(evenly_spread(len(readings), _MOST_ARROWS))
-    residual_M = shown.p_M - smr_positions(geometry, shown.q)
-    T_B_M = invert(geometry.T_M_B())
-    residual_B = residual_M @ T_B_M[:3, :3].T
-    length = figures.scale_length_mm(residual_M)
-    count = f"{len(shown)} of {len(readings)} held-out configurations"
-    legend = (("geometry", "measured minus computed position"), ("", count))
-    return [
-        CaptionedFigure(
-            figures.vector_figure(f"vectors-tracker{number}", shown.p_M, residual_M, length),
-            f"Arm {name}: residuals of the geometry in the tracker frame",
-            legend,
-        ),
-        CaptionedFigure(
-            figures.vector_figure(f"vectors-base{number}", apply(T_B_M, shown.p_M), residual_B, length),
-            f"Arm {name}: residuals of the geometry in its base frame",
-            legend,
-        ),
-    ]
-
-
-def _floor_legend(floor_mm: float | None) -> list[tuple[str, str]]:
-    return [] if floor_mm is None else [("floor", f"noise floor, {floor_mm:.3f} mm")]
+def joint_curve_figures(data: ReportData) -> dict[str, tuple[CaptionedFigure, ...]]:
+    """What the effects of the newest model turn each joint by, for every arm."""
+    stops = typical_stops(data.readings)
+    return {
+        name: tuple(
+            chart_figure(f"joint{number}-{place}", chart)
+            for place, chart in enumerate(
+                joint_curve_charts(name, arm, data.readings[name], data.conditions[name], stops[name]), start=1
+            )
+        )
+        for number, (name, arm) in enumerate(data.model.arms.items(), start=1)
+    }

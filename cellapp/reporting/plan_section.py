@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from cellapp.planning.duration import planned_time
 from cellapp.planning.stored_stops import read_plan_design, read_planned_stops
 from cellapp.reporting.captioned import CaptionedFigure
+from cellapp.reporting.chart_figure import chart_figure
 from cellapp.reporting.plan_design_text import design_sentences, gaps_table, indices_table, quality_table
 from cellapp.reporting.table import Table
 from cellapp.run import RunFile
@@ -32,8 +33,6 @@ class PlanSection:
 
 def plan_section(run: RunFile) -> PlanSection | None:
     """The section of a run with a plan; None for imported readings."""
-    from cellapp.reporting.chart_figure import chart_figure
-
     stops, design = planned_stops(run).stops, read_plan_design(run)
     if not stops:
         return None

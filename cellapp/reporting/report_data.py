@@ -28,6 +28,7 @@ from cellapp.results import (
 )
 from cellapp.run import Readings, RunFile
 from cellapp.run.in_order import read_in_order
+from cellapp.run.overview import arm_states, next_step
 from cellapp.run.rows import Event
 from cellapp.run.stages import RunStages, read_results, read_stages
 
@@ -47,7 +48,7 @@ class ReportData:
     model_in_force : str
         The stored model (JSON) that compensation uses; ``calibration.json`` has the same text.
     next_step : str
-        The command that repeats the first step that is missing or out of date; empty if there is none.
+        The command that makes or repeats the first step that is missing or out of date; empty if there is none.
     """
 
     profile: Profile
@@ -83,10 +84,22 @@ class ReportData:
         return self.discovered or self.calibrated
 
     @cached_property
+    def conditions(self) -> Mapping[str, MeasurementConditions]:
+        """The conditions of the readings of each arm."""
+        return conditions_of_arms(self.model.arms, self.readings)
+
+    @cached_property
+    def residuals_M(self) -> Mapping[str, Array]:
+        """Measured minus computed positions (n, 3) [m] of all readings of each arm, with the newest model."""
+        return {
+            name: readings.p_M - self.model.arms[name].predict(readings.q, conditions=self.conditions[name])
+            for name, readings in self.readings.items()
+        }
+
+    @cached_property
     def held_out(self) -> Mapping[str, HeldOutArm]:
         """The held-out readings of each arm with the predictions of every stage."""
-        conditions = conditions_of_arms(self.model.arms, self.readings)
-        return {name: self._held_out_arm(name, conditions[name]) for name in self.calibrated.arms}
+        return {name: self._held_out_arm(name, self.conditions[name]) for name in self.calibrated.arms}
 
     def _held_out_arm(self, name: str, conditions: MeasurementConditions) -> HeldOutArm:
         rows = self.readings[name].in_split("validate")
@@ -108,8 +121,8 @@ class HeldOutArm:
     discovered: ArmModel | None
 
     @cached_property
-    def errors_mm(self) -> Mapping[str, Array]:
-        """Position errors (n,) [mm] by stage.
+    def computed_M(self) -> Mapping[str, Array]:
+        """Computed SMR positions (n, 3) [m] by stage.
 
         A calibration with an earlier one as prior, or one that an older version stored, has its effects in its only
         model: there is no stage ``geometry`` then.
@@ -123,20 +136,26 @@ class HeldOutArm:
         newest = model if self.discovered is None else self.discovered
         if newest.effects:
             computed["effects"] = self._predict(newest)
-        measured = self.readings.p_M
-        return {stage: position_errors(measured, computed[stage]) * 1e3 for stage in STAGES if stage in computed}
+        return {stage: computed[stage] for stage in STAGES if stage in computed}
 
     @cached_property
-    def prediction(self) -> tuple[Array, Array] | None:
-        """Predicted standard deviation of a coordinate and position error (n,) [mm] with the newest model.
+    def errors_mm(self) -> Mapping[str, Array]:
+        """Position errors (n,) [mm] by stage; the stages are those of ``computed_M``."""
+        measured = self.readings.p_M
+        return {stage: position_errors(measured, computed) * 1e3 for stage, computed in self.computed_M.items()}
 
-        None if that model predicts no uncertainty.
+    @cached_property
+    def prediction(self) -> tuple[Array, Array, float] | None:
+        """Predicted standard deviation of a coordinate and position error (n,) [mm] with the newest model, and noise.
+
+        The noise is that of a measured coordinate [mm]. None if that model predicts no uncertainty.
         """
         model = self.discovered or self.calibrated
         predicted = model.uncertainty(self.readings.q) * 1e3
         if not predicted.any():
             return None
-        return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3
+        noise_mm = 0.0 if model.posterior is None else model.posterior.noise_m * 1e3
+        return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3, noise_mm
 
     def _predict(self, model: ArmModel) -> Array:
         return model.predict(self.readings.q, conditions=self.conditions)
@@ -159,6 +178,7 @@ def read_report_data(run: RunFile) -> ReportData:
     if calibrated is None or stages.in_force is None or stages.in_force.model is None:
         raise InputError(f"{run.path}: the calibrated model is missing; run 'cellapp calibrate' first")
     holds = results.discover is not None and DISCOVER not in results.out_of_date
+    verb, command = next_step(run, stages, arm_states(run))
     return ReportData(
         profile=run.profile,
         results=results,
@@ -169,7 +189,7 @@ def read_report_data(run: RunFile) -> ReportData:
         in_order=read_in_order(run),
         events=tuple(run.events()),
         model_in_force=stages.in_force.model,
-        next_step=stages.next_step(run.folder),
+        next_step="" if verb == "report" else command,
     )
 
 

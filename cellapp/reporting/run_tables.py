@@ -46,10 +46,12 @@ def overview_tables(state: OverviewResult) -> list[Table]:
 
 
 def overview_sentences(state: OverviewResult) -> list[str]:
-    """What was derived from the order of the readings, which model is in force, and the next command."""
-    sentences = order_sentences(state.in_order)
+    """What was derived from the order of the readings, what is out of date, the model in force, the next command."""
+    sentences = [*order_sentences(state.in_order), *(f"OUT OF DATE: {one}" for one in state.complaints)]
     if state.in_force is not None:
         sentences.append(f"model in force: that of '{state.in_force}' (calibration.json)")
+    if state.stale:
+        sentences.append(f"do not use it as it is: {state.stale}")
     sentences.append(f"next: {state.next_step}" if state.next_step else "next: nothing is left to do")
     return sentences
 

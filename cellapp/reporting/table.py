@@ -93,6 +93,13 @@ class Table:
             for row in self.rows
         )
 
+    def shown_and_exact(self) -> tuple[tuple[tuple[str, str], ...], ...]:
+        """All cells as text, each with its number in full precision; that is empty where the text says as much."""
+        return tuple(
+            tuple((text, exact_cell(cell, text)) for cell, text in zip(row, texts, strict=True))
+            for row, texts in zip(self.rows, self.text_rows(), strict=True)
+        )
+
 
 def most_urgent(rows: Sequence[R], urgency: Callable[[R], float], most: int = MOST_ROWS) -> list[R]:
     """The rows with the largest urgency, in their own order."""
@@ -120,6 +127,18 @@ def format_cell(cell: Cell, number_format: str = "") -> str:
         limits = number_format if cell.decimals is None else f".{cell.decimals}f"
         return f"{cell.low:{limits}} to {cell.high:{limits}}"
     return format(cell, number_format)
+
+
+def exact_cell(cell: Cell, text: str) -> str:
+    """The shortest text that gives back the same numbers, in the unit of ``text``; empty if that is ``text`` itself."""
+    if isinstance(cell, Number) and not cell.unit:
+        cell = cell.value
+    if isinstance(cell, Interval):
+        return f"{cell.low!r} to {cell.high!r}"
+    if not isinstance(cell, float) or text.endswith("%"):
+        return ""
+    exact = repr(cell)
+    return "" if exact == text else exact
 
 
 def markdown(tables: Sequence[Table], sentences: Sequence[str]) -> str:

@@ -20,6 +20,7 @@ from cellapp.results import (
     TargetCommand,
     TargetRecord,
 )
+from cellapp.run.stage_text import change_words
 
 R = TypeVar("R", bound=TargetRecord)
 
@@ -140,8 +141,12 @@ def stale_model(results: RunResults) -> str:
     if located is not None and located.verdict != "located":
         return "no motion of the tracker explains the points of the last 'locate'"
     asked = (CALIBRATE, DISCOVER, LOCATE) if located is not None and located.moved else (CALIBRATE, DISCOVER)
-    outdated = [name for name in asked if name in results.out_of_date]
-    return "; ".join(f"'{name}' is out of date ({results.out_of_date[name]})" for name in outdated)
+    reasons = [
+        f"'{name}' is out of date ({results.out_of_date[name]})" for name in asked if name in results.out_of_date
+    ]
+    if (checked := results.held_check) is not None and checked.found_change:
+        reasons.append(change_words(checked.verdict))
+    return "; ".join(reasons)
 
 
 def _state_words(target: Target, state: TargetState) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cellapp.reporting.captioned import CaptionedFigure
+from cellapp.reporting.chart_figure import chart_figure
 from cellapp.reporting.charts_targets import parts_chart, target_charts
 from cellapp.reporting.report_data import ReportData
 from cellapp.reporting.table import Table
@@ -37,8 +38,6 @@ class TargetsSection:
 
 def targets_section(data: ReportData) -> TargetsSection | None:
     """The section of a run with compensated or measured targets that hold; None without them."""
-    from cellapp.reporting.chart_figure import chart_figure
-
     compensate = None if COMPENSATE in data.out_of_date else data.results.compensate
     if compensate is None and data.verify is None:
         return None

@@ -16,9 +16,24 @@ Method = Literal["nominal", "method_1", "method_2", "proposed", "effects"]
 METHODS: tuple[Method, ...] = ("nominal", "method_1", "method_2", "proposed", "effects")
 """Models of the pair; method 1, method 2 and proposed are those of Bai et al., ROBOT 45(3), 2023."""
 
+BEST_METHODS: tuple[Method, ...] = ("effects", "proposed", "method_1", "nominal")
+"""The first of these that was computed is the pair's best; method_2 is the counter-example of the paper."""
+
 Verdict = Literal["explained", "nothing missing", "unknown effect", "ambiguous"]
 
-StageName = Literal["calibrate", "discover", "locate", "compensate", "push", "verify", "path", "follow"]
+StageName = Literal[
+    "calibrate",
+    "discover",
+    "locate",
+    "compensate",
+    "push",
+    "verify",
+    "path",
+    "follow",
+    "iso9283",
+    "check",
+    "certificate",
+]
 CALIBRATE: StageName = "calibrate"
 DISCOVER: StageName = "discover"
 LOCATE: StageName = "locate"
@@ -30,7 +45,23 @@ VERIFY: StageName = "verify"
 PATH: StageName = "path"
 """Paths that were planned, or driven without measuring them; it does not replace a measured one."""
 FOLLOW: StageName = "follow"
-STAGE_NAMES: tuple[StageName, ...] = (CALIBRATE, DISCOVER, LOCATE, COMPENSATE, PUSH, VERIFY, PATH, FOLLOW)
+ISO9283: StageName = "iso9283"
+CHECK: StageName = "check"
+"""A few stops that show whether the calibration still holds; it measures the cell and changes no model."""
+CERTIFICATE: StageName = "certificate"
+STAGE_NAMES: tuple[StageName, ...] = (
+    CALIBRATE,
+    DISCOVER,
+    LOCATE,
+    COMPENSATE,
+    PUSH,
+    VERIFY,
+    PATH,
+    FOLLOW,
+    ISO9283,
+    CHECK,
+    CERTIFICATE,
+)
 """What verbs store in a run, in the order of the work."""
 
 
@@ -81,6 +112,15 @@ class Result(Record):
             raise InputError(
                 f"{where}: {key or 'text'}: {first['msg']}; another version of cellapp wrote it, repeat that step"
             ) from None
+
+
+class ErrorResult(Result):
+    """Why a command failed, where ``--json -`` asks for JSON: its exit code and the sentence that a person gets."""
+
+    schema_: Literal["cellapp-error"] = "cellapp-error"
+    version: Literal[1] = 1
+    exit_code: int
+    message: str
 
 
 class ErrorSummary(Record):

@@ -318,11 +318,15 @@ class Proposal(Record):
 
 
 class DiscoverResult(Result):
-    """``discover``: every arm; ``pair`` are the cooperative errors with the effects that were found."""
+    """``discover``: every arm; ``pair`` are the cooperative errors with the effects that were found.
+
+    ``notes`` says which effects of plug-ins could not be searched for, and why; None if there are none.
+    """
 
     schema_: Literal["cellapp-discover"] = "cellapp-discover"
     version: Literal[1] = 1
     arms: Mapping[str, ArmDiscoveryResult]
     pair: Mapping[Method, PairMethodResult] = {}
     proposal: Proposal | None = None
-    omitted_when_none = frozenset({"proposal"})
+    notes: tuple[str, ...] | None = None
+    omitted_when_none = frozenset({"proposal", "notes"})

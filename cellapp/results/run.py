@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.results.base import Record, Result, StageName
+from cellapp.results.base import CHECK, STAGE_NAMES, Record, Result, StageName
 from cellapp.results.calibration import CalibrateResult
+from cellapp.results.certificate import CertificateResult
+from cellapp.results.check import CheckResult
 from cellapp.results.collection import ArmOrder, CollectResult
 from cellapp.results.discovery import DiscoverResult
+from cellapp.results.iso9283 import Iso9283Result
 from cellapp.results.locate import LocateResult
 from cellapp.results.paths import PathResult
 from cellapp.results.plan_design import PlanDesignResult
@@ -34,8 +37,16 @@ class RunResults(Result):
     verify: VerifyResult | None = None
     path: PathResult | None = None
     follow: PathResult | None = None
+    iso9283: Iso9283Result | None = None
+    check: CheckResult | None = None
+    certificate: CertificateResult | None = None
     out_of_date: Mapping[StageName, str] = {}
-    omitted_when_none = frozenset({"calibrate", "discover", "locate", "compensate", "push", "verify", "path", "follow"})
+    omitted_when_none = frozenset(STAGE_NAMES)
+
+    @property
+    def held_check(self) -> CheckResult | None:
+        """The last check while it holds."""
+        return None if CHECK in self.out_of_date else self.check
 
 
 class WholeRunResult(RunResults):
@@ -48,11 +59,13 @@ class WholeRunResult(RunResults):
 
 
 class ReportResult(RunResults):
-    """``report``: the page and the results that it shows."""
+    """``report``: the page, the results that it shows, and its print where one was asked for."""
 
     schema_: Literal["cellapp-report"] = "cellapp-report"
     version: Literal[1] = 1
     page: str
+    pdf: str | None = None
+    omitted_when_none = RunResults.omitted_when_none | {"pdf"}
 
 
 class DocsResult(Result):
@@ -91,14 +104,17 @@ class StageState(Record):
     out_of_date: str | None = None
 
 
-NextVerb = Literal["collect", "calibrate", "discover", "locate", "push", "report", ""]
-"""The verb that comes next in a run; ``push`` stands for compensated targets that are verified, empty for none."""
+NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "push", "report", ""]
+"""The verb that comes next in a run; ``push`` stands for compensated targets that are verified, ``plan`` for a new run
+of a cell that has changed, empty for none."""
 
 
 class OverviewResult(Result):
     """``show``: the state of a run, and the verb and command that come next (both empty if none).
 
-    ``in_order`` maps arms to what an import derived from their order of measurement.
+    ``in_order`` maps arms to what an import derived from their order of measurement. ``complaints`` says what is out of
+    date: stages, the page, the certificate. ``stale`` says why the model in force should not be used as it is; empty if
+    it may.
     """
 
     schema_: Literal["cellapp-overview"] = "cellapp-overview"
@@ -109,8 +125,10 @@ class OverviewResult(Result):
     in_order: Mapping[str, ArmOrder] = {}
     stages: tuple[StageState, ...]
     in_force: StageName | None
+    stale: str = ""
     next_verb: NextVerb
     next_step: str
+    complaints: tuple[str, ...] = ()
 
 
 class HistoryResult(Result):

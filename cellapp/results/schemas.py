@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from cellapp.results.base import Result
+from cellapp.results.base import ErrorResult, Result
 from cellapp.results.calibration import CalibrateResult
+from cellapp.results.certificate import CertificateCheckResult, CertificateResult, SignKeyResult
+from cellapp.results.check import CheckResult
 from cellapp.results.collection import (
     CollectionResult,
     CollectResult,
@@ -17,11 +19,14 @@ from cellapp.results.collection import (
 from cellapp.results.commissioning import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
 from cellapp.results.discovery import DiscoverResult
 from cellapp.results.exports import ExportResult
+from cellapp.results.fleet import FleetResult
+from cellapp.results.iso9283 import Iso9283Result
 from cellapp.results.locate import LocateResult
 from cellapp.results.paths import PathResult
 from cellapp.results.plan_design import PlanDesignResult, ViewResult
 from cellapp.results.planning import PlanCheckResult, PlanForecastResult
 from cellapp.results.programs import CorrectResult
+from cellapp.results.recalibration import RecalibrateResult
 from cellapp.results.run import (
     DocsResult,
     HistoryResult,
@@ -55,6 +60,13 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     VerifyResult,
     PathResult,
     CorrectResult,
+    Iso9283Result,
+    CheckResult,
+    CertificateResult,
+    CertificateCheckResult,
+    SignKeyResult,
+    FleetResult,
+    RecalibrateResult,
     ReportResult,
     WholeRunResult,
     EmulateResult,
@@ -66,6 +78,7 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     RunsResult,
     RunComparison,
     DocsResult,
+    ErrorResult,
 )
 """Every result of a verb, for the exported JSON schemas."""
 

@@ -5,7 +5,7 @@ from cellapp.run.columns import SPLITS
 from cellapp.run.csv_export import write_readings_csv
 from cellapp.run.csv_import import import_csv, read_readings_csv
 from cellapp.run.file import RunFile
-from cellapp.run.readings import Reading, Readings, stated_uncertainty
+from cellapp.run.readings import Reading, Readings, joined, stated_uncertainty
 from cellapp.run.rows import Event
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "Session",
     "SessionEnd",
     "import_csv",
+    "joined",
     "read_readings_csv",
     "stated_uncertainty",
     "write_readings_csv",

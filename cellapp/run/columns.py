@@ -16,6 +16,8 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.units import first_in_degrees
+
 Shape = Literal["scalar", "joints", "point", "symmetric"]
 Values: TypeAlias = NDArray[Any] | tuple[str | None, ...]
 """One column of n readings: an array of n rows, or n texts."""
@@ -25,8 +27,6 @@ SPLITS = ("identify", "train", "validate")
 _UPPER = np.triu_indices(3)
 _FURTHEST_M = 100.0
 """No laser tracker measures beyond 80 m (Leica AT960); a larger coordinate is not in metres."""
-_WIDEST_RAD = 4.0 * math.pi
-"""Two turns: more than the range of any joint of an industrial arm."""
 _SINGULAR = 1e-14
 """Least eigenvalue of a correlation matrix that counts as positive: some ten times the rounding of its entries."""
 
@@ -152,13 +152,10 @@ def _in_reach(points: NDArray[Any]) -> Fault | None:
 
 
 def _in_radians(q: NDArray[Any]) -> Fault | None:
-    wide = np.abs(q) > _WIDEST_RAD
-    if 2 * np.count_nonzero(wide.any(axis=1)) <= len(q):  # single readings may be wrong without being in degrees
+    place = first_in_degrees(q)
+    if place is None:
         return None
-    row, joint = np.argwhere(wide)[0].tolist()
-    return Fault(
-        row, joint, f"expected radians, got {q[row, joint]:g}, and most rows are beyond two turns; are these degrees?"
-    )
+    return Fault(*place, f"expected radians, got {q[place]:g}, and most rows are beyond two turns; are these degrees?")
 
 
 def _positive(sigma: NDArray[Any]) -> Fault | None:

@@ -18,8 +18,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp import __version__
 from cellapp.errors import InputError
+from cellapp.plugins import program_of
 from cellapp.profile import Profile, profile_from_json, profile_to_json
 from cellapp.run.collection_rows import (
     Outcome,
@@ -43,6 +43,7 @@ from cellapp.run.readings_table import (
     check_splits,
     count_splits,
     insert_readings,
+    mean_temperatures,
     select_readings,
 )
 from cellapp.run.rows import Document, Event, StageRow, insert_document, utc_now
@@ -275,6 +276,11 @@ class RunFile:
             counts = count_splits(connection)
         return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
 
+    def mean_temperatures(self) -> dict[str, dict[str, float]]:
+        """Mean temperatures [degC] of the readings of each arm: of the "air" and of each "joint N", where known."""
+        with self._reading() as connection:
+            return mean_temperatures(connection)
+
     @property
     def created(self) -> str:
         """When the run was made (ISO 8601, UTC); empty if that is not recorded."""
@@ -359,7 +365,7 @@ class RunFile:
         with self._transaction() as connection:
             connection.execute(
                 "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)",
-                (name, utc_now(), f"cellapp {__version__}", basis, text, model),
+                (name, utc_now(), program_of(self.profile), basis, text, model),
             )
 
     def stage_rows(self) -> list[StageRow]:
@@ -457,7 +463,7 @@ def _build(folder: Path, path: Path, profile: Profile, fill: Callable[[RunFile],
                 "schema": "cellapp-run",
                 "version": str(SCHEMA_VERSION),
                 "created": utc_now(),
-                "program": f"cellapp {__version__}",
+                "program": program_of(profile),
                 "profile": profile_to_json(profile),
             }.items(),
         )

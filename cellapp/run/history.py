@@ -23,7 +23,7 @@ from cellapp.run.stages import counted_basis, read_stages
 DEFAULT_FOLDER = Path("logs")
 """Where new runs are made, in the working directory."""
 
-_LEVELS = 3
+LEVELS = 3
 """Folders between a listed folder and a run; trials and campaigns make two."""
 _DONE: tuple[LastSession, ...] = ("complete", "accurate enough")
 
@@ -38,8 +38,8 @@ def list_runs(folder: Path | None = None) -> RunsResult:
     """
     where = DEFAULT_FOLDER if folder is None else folder
     if folder is not None or where.exists():
-        _check_folder(where)
-    runs = [summarise(path) for path in _run_folders(where, _LEVELS)]
+        check_folder(where)
+    runs = [summarise(path) for path in run_folders(where, LEVELS)]
     newest_first = sorted(runs, key=lambda run: (run.began or run.changed, run.run), reverse=True)
     return RunsResult(folder=str(where), runs=tuple(newest_first))
 
@@ -64,10 +64,8 @@ def summarise(folder: Path) -> RunSummary:
     return known.model_copy(update={"problem": problem})
 
 
-# -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _check_folder(folder: Path) -> None:
+def check_folder(folder: Path) -> None:
+    """Raise ``InputError`` if the folder is missing or cannot be read."""
     try:
         os.scandir(folder).close()
     except FileNotFoundError:
@@ -78,8 +76,8 @@ def _check_folder(folder: Path) -> None:
         raise InputError(f"{folder} cannot be read ({error.strerror}); check its permissions") from None
 
 
-def _run_folders(folder: Path, levels: int) -> Iterator[Path]:
-    """Folders of runs; what cannot be read is passed over."""
+def run_folders(folder: Path, levels: int = LEVELS) -> Iterator[Path]:
+    """Folders of runs in ``folder`` and below; links are not followed, what cannot be read is passed over."""
     if os.path.lexists(folder / FILE_NAME):
         yield folder
         return
@@ -95,7 +93,10 @@ def _run_folders(folder: Path, levels: int) -> Iterator[Path]:
     except OSError:
         return
     for name in below:
-        yield from _run_folders(folder / name, levels - 1)
+        yield from run_folders(folder / name, levels - 1)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
 
 
 def _on_disk(folder: Path) -> tuple[str, int]:

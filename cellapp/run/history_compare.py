@@ -12,6 +12,7 @@ from cellapp.errors import InputError
 from cellapp.profile import Profile, profile_to_json
 from cellapp.profile.messages import KeyPath, dotted
 from cellapp.results import (
+    BEST_METHODS,
     METHODS,
     STAGES,
     AcceptedEffect,
@@ -22,18 +23,16 @@ from cellapp.results import (
     ErrorComparison,
     ErrorSummary,
     Estimate,
-    Method,
     PairComparison,
     ProfileDifference,
     RunComparison,
     RunResults,
     ValueComparison,
 )
+from cellapp.run.arm_identity import arm_identities
 from cellapp.run.file import RunFile
 from cellapp.run.stages import read_results
 
-_BEST_METHODS: tuple[Method, ...] = ("effects", "proposed", "method_1", "nominal")
-"""The transform is compared with the first of these that both runs have; method_2 is the paper's counter-example."""
 _MISSING: Mapping[str, str] = {
     "calibrate": "is not calibrated",
     "discover": "was not searched for missing effects",
@@ -53,12 +52,15 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
         raise InputError(f"compare: {a.folder} and {b.folder} are the same run; give two different runs")
     first, second = read_results(a), read_results(b)
     common = [name for name in a.profile.arms if name in b.profile.arms]
-    notes = [*_other_arms(a, b), *_other_types(a, b, common), *_missing(first), *_missing(second)]
+    others = dict(_other_serials(a, b, common))
+    notes = [*_other_arms(a, b), *_other_types(a, b, common), *others.values(), *_missing(first), *_missing(second)]
     return RunComparison(
         a=str(a.folder),
         b=str(b.folder),
         profile=tuple(_profile_differences(a.profile, b.profile)),
-        arms={name: _arm(name, first, second, same_type=_same_type(a, b, name)) for name in common},
+        arms={
+            name: _arm(name, first, second, same_arm=name not in others and _same_type(a, b, name)) for name in common
+        },
         pair=_pair(first.calibrate, second.calibrate),
         notes=tuple(notes),
     )
@@ -86,6 +88,18 @@ def _other_types(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[str]
             yield (
                 f"arm '{name}' is of type {types[0]} in {a.folder} and {types[1]} in {b.folder}; parameters of"
                 " different arms are not compared"
+            )
+
+
+def _other_serials(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Arms of one name whose serial numbers differ, each with its note."""
+    first, second = arm_identities(a), arm_identities(b)
+    for name in common:
+        if first[name].is_other_than(second[name]):
+            yield (
+                name,
+                f"arm '{name}' has the serial number {first[name].serial} in {a.folder} and {second[name].serial} in"
+                f" {b.folder}; parameters of different arms are not compared",
             )
 
 
@@ -135,14 +149,14 @@ def _walk(at: KeyPath, value: object) -> Iterator[tuple[KeyPath, object]]:
 # -- arms -------------------------------------------------------------------------------------------------------------
 
 
-def _arm(name: str, a: RunResults, b: RunResults, *, same_type: bool) -> ArmComparison:
+def _arm(name: str, a: RunResults, b: RunResults, *, same_arm: bool) -> ArmComparison:
     first, second = (None if run.calibrate is None else run.calibrate.arms.get(name) for run in (a, b))
     found = [None if run.discover is None else run.discover.arms.get(name) for run in (a, b)]
     verified = [None if run.verify is None else run.verify.arms.get(name) for run in (a, b)]
     errors = [{} if arm is None else arm.validate_ for arm in (first, second)]
     return ArmComparison(
         parameters=_values(
-            first.identified if first and same_type else {}, second.identified if second and same_type else {}
+            first.identified if first and same_arm else {}, second.identified if second and same_arm else {}
         ),
         heldout_mm={
             stage: _errors(*(own[stage].position_mm if stage in own else None for own in errors))
@@ -238,7 +252,7 @@ def _pair(a: CalibrateResult | None, b: CalibrateResult | None) -> PairCompariso
     first, second = ({} if run is None else run.pair for run in (a, b))
     if not first and not second:
         return None
-    method = next((method for method in _BEST_METHODS if method in first and method in second), None)
+    method = next((method for method in BEST_METHODS if method in first and method in second), None)
     parameters = () if method is None else _values(first[method].identified, second[method].identified)
     return PairComparison(
         method=method,

@@ -19,8 +19,10 @@ from cellapp.results import (
 )
 from cellapp.run.file import RunFile
 from cellapp.run.in_order import read_in_order
+from cellapp.run.next_command import next_command
+from cellapp.run.out_of_date import complaints_of
 from cellapp.run.sqlite_file import REPORT_FILE
-from cellapp.run.stages import RunStages, StoredStage, next_command, read_history, read_stages
+from cellapp.run.stages import RunStages, StoredStage, read_history, read_stages
 
 
 def run_overview(run: RunFile) -> OverviewResult:
@@ -34,8 +36,10 @@ def run_overview(run: RunFile) -> OverviewResult:
         in_order=read_in_order(run),
         stages=tuple(_state(stage, stages) for stage in stages.current.values()),
         in_force=None if stages.in_force is None else stages.in_force.name,
+        stale="" if stages.in_force is None else stages.stale_model(),
         next_verb=verb,
         next_step=command,
+        complaints=tuple(complaints_of(run, stages)),
     )
 
 
@@ -117,14 +121,14 @@ def _rests_on(stage: StoredStage) -> tuple[str, ...]:
     return (
         f"profile {basis.profile[:12]}",
         *(f"{arm.n} readings of {name} {arm.sha256[:12]}" for name, arm in basis.readings.items()),
-        *(f"{name} {digest[:12]}" for name, digest in basis.stages.items()),
+        *(f"{name} {digest[:12] or 'none'}" for name, digest in basis.stages.items()),
         *(() if basis.targets is None else (f"targets {basis.targets[:12]}",)),
     )
 
 
 def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> NextVerb:
     if not any(arm.measured for arm in arms.values()):
-        return "collect"
+        return "collect" if any(arm.planned for arm in arms.values()) else ""  # a run of tests alone has no plan
     sessions = run.sessions()
     ended = sessions[-1].outcome if sessions else None
     if ended == "complete" and _has_new_stops(run):

@@ -187,6 +187,35 @@ def readings_from_columns(values: Mapping[str, Values | None], extras: dict[str,
     return Readings(**attributes, extras=extras)
 
 
+def joined(parts: Sequence[Readings]) -> Readings:
+    """The rows of several readings of one arm, one after the other, without unknown columns of imported files.
+
+    Raises
+    ------
+    ValueError
+        If they have different numbers of joints.
+    """
+    values: dict[str, Values | None] = {}
+    for column in COLUMNS:
+        own = [getattr(part, column.name) for part in parts]
+        if all(value is None for value in own):
+            values[column.name] = None
+        elif column.dtype is str:
+            values[column.name] = tuple(
+                word
+                for part, words in zip(parts, own, strict=True)
+                for word in ((None,) * len(part) if words is None else words)
+            )
+        else:
+            values[column.name] = np.concatenate(
+                [
+                    np.full(column.array_shape(len(part), part.joints), np.nan) if value is None else value
+                    for part, value in zip(parts, own, strict=True)
+                ]
+            )
+    return readings_from_columns(values, {})
+
+
 def stated_uncertainty(readings: Readings) -> _Floats | None:
     """Uncertainty of the points as the readings state it, for all of them or not at all.
 

@@ -33,6 +33,20 @@ def count_splits(connection: sqlite3.Connection) -> dict[str, dict[str | None, i
     return counts
 
 
+def mean_temperatures(connection: sqlite3.Connection) -> dict[str, dict[str, float]]:
+    """Mean temperatures [degC] of the readings of each arm: of the "air", and of "joint 1" and so on, where known."""
+    air = connection.execute("SELECT arm, 'air', AVG(temperature_c) FROM reading GROUP BY arm")
+    joints = connection.execute(
+        "SELECT arm, 'joint ' || (joint.key + 1), AVG(joint.value)"
+        " FROM reading, json_each(reading.joint_temperature_c) AS joint GROUP BY arm, joint.key"
+    )
+    means: dict[str, dict[str, float]] = {}
+    for arm, where, mean in (*air, *joints):
+        if mean is not None:
+            means.setdefault(arm, {})[where] = float(mean)
+    return means
+
+
 def select_readings(connection: sqlite3.Connection, arm: str, joints: int) -> Readings:
     """All readings of one arm, ordered by configuration; columns that an older schema lacks have no values."""
     version = schema_version(connection)

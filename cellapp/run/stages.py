@@ -24,17 +24,23 @@ from cellapp.model.model import MODEL_SCHEMA
 from cellapp.profile import profile_to_json
 from cellapp.results import (
     CALIBRATE,
+    CERTIFICATE,
+    CHECK,
     COMPENSATE,
     DISCOVER,
     FOLLOW,
+    ISO9283,
     LOCATE,
     PATH,
     PUSH,
     STAGE_NAMES,
     VERIFY,
     CalibrateResult,
+    CertificateResult,
+    CheckResult,
     CompensateResult,
     DiscoverResult,
+    Iso9283Result,
     LocateResult,
     NextVerb,
     PathResult,
@@ -44,9 +50,18 @@ from cellapp.results import (
     StageName,
     VerifyResult,
 )
+from cellapp.results.check import CHANGES_OF_ARMS, TRACKER_MOVED
 from cellapp.run.file import RunFile
+from cellapp.run.next_command import next_command
 from cellapp.run.readings import Readings
 from cellapp.run.rows import StageRow
+from cellapp.run.stage_text import (
+    cannot_say,
+    change_words,
+    found_change,
+    json_object,
+    says_moved,
+)
 
 CALIBRATION_FILE = "calibration.json"
 """The exported model in force, for other programs; cellapp itself reads the stored stages."""
@@ -128,7 +143,7 @@ class StoredStage:
         """
         if self.model is None:
             return _sha256(self.text)
-        content = _json_object(self.model)
+        content = json_object(self.model)
         if content is None:
             raise InputError(f"the stored model of '{self.name}' is damaged; run 'cellapp {self.name}' again")
         content.pop("provenance", None)
@@ -162,6 +177,12 @@ class RunStages:
     def stale_arms(self) -> str:
         """Why the arms of the model in force should not be used as they are, wherever the tracker stands now; empty if
         they may."""
+        found = self._found_change()
+        changed = change_words(found) if found in CHANGES_OF_ARMS else ""
+        return "; ".join(filter(None, (self.outdated_arms(), changed)))
+
+    def outdated_arms(self) -> str:
+        """Why the arms of the model in force do not follow from the data of the run; empty if they do."""
         reasons = [
             f"'{name}' is out of date ({self.out_of_date[name]})"
             for name in (CALIBRATE, DISCOVER)
@@ -171,6 +192,12 @@ class RunStages:
 
     def stale_station(self) -> str:
         """Why the tracker does not stand where the model in force says; empty if it does as far as is known."""
+        found = self._found_change()
+        moved = change_words(found) if found == TRACKER_MOVED else ""
+        return "; ".join(filter(None, (self.outdated_station(), moved)))
+
+    def outdated_station(self) -> str:
+        """Why the last location of the tracker does not hold; empty if it does, or none was needed."""
         located = self.current.get(LOCATE)
         if located is not None and located.model is None:
             return "no motion of the tracker explains the points of the last 'locate'"
@@ -178,12 +205,19 @@ class RunStages:
             return f"the tracker was moved, and '{LOCATE}' is out of date ({self.out_of_date[LOCATE]})"
         return ""
 
+    def _found_change(self) -> str:
+        """What the last check found that still holds; empty if nothing."""
+        checked = self.current.get(CHECK)
+        return "" if checked is None or CHECK in self.out_of_date else found_change(checked.text)
+
     def next_verb(self) -> NextVerb:
         """The verb that makes or repeats the first missing or outdated step; empty if there is none."""
         if CALIBRATE not in self.current or CALIBRATE in self.out_of_date:
             return "calibrate"
         if DISCOVER not in self.current or DISCOVER in self.out_of_date:
             return "discover"
+        if self.stale_arms():
+            return "plan"
         if self.stale_station():
             return "locate"
         return "push" if VERIFY not in self.current or VERIFY in self.out_of_date else ""
@@ -193,21 +227,9 @@ class RunStages:
         return next_command(self.next_verb(), folder)
 
 
-def next_command(verb: NextVerb, folder: Path) -> str:
-    """The command of the verb that comes next; empty if there is none."""
-    match verb:
-        case "":
-            return ""
-        case "push":
-            return f"cellapp push {folder} TARGETS --verify"
-        case _:
-            return f"cellapp {verb} {folder}"
-
-
 def tracker_moved(located: StoredStage | None) -> bool:
     """Whether the tracker stands elsewhere than where the readings were taken, by the stage of ``locate``."""
-    content = None if located is None else _json_object(located.text)
-    return content is not None and content.get("moved") is True
+    return located is not None and says_moved(located.text)
 
 
 def append_stage(
@@ -231,14 +253,16 @@ def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = Non
 
     ``basis_now`` computes what a stage that is made now would rest on; ``basis_of`` if not given.
     """
-    newest = {stage.name: stage for stage in read_history(run)}
+    newest = _newest(read_history(run))
     current = {name: newest[name] for name in STAGE_NAMES if name in newest}
     unmoved = _in_force_before_moving(current)
     in_force = _in_force(current, unmoved)
     recorded = any(stage.basis is not None for stage in current.values())
     now = (basis_now or basis_of)(run) if recorded else None
     used = {CALIBRATE: None, DISCOVER: current.get(CALIBRATE), LOCATE: unmoved}
-    reasons = {name: _why_outdated(stage, now, used.get(name, in_force)) for name, stage in current.items()}
+    if CHECK in current and found_change(current[CHECK].text) in CHANGES_OF_ARMS:
+        used[CHECK] = unmoved
+    reasons = {name: _why_outdated(stage, now, used.get(name, in_force), current) for name, stage in current.items()}
     return RunStages(current, {name: reason for name, reason in reasons.items() if reason}, in_force)
 
 
@@ -322,6 +346,9 @@ _RESULTS: Mapping[StageName, type[Result]] = {
     VERIFY: VerifyResult,
     PATH: PathResult,
     FOLLOW: PathResult,
+    ISO9283: Iso9283Result,
+    CHECK: CheckResult,
+    CERTIFICATE: CertificateResult,
 }
 
 
@@ -331,6 +358,11 @@ _DONE: Mapping[StageName, str] = {
     LOCATE: "the tracker was located",
 }
 """What was done by the verbs that make a model."""
+_MEASURED: Mapping[StageName, str] = {
+    VERIFY: "targets were verified",
+    ISO9283: "the cell was tested by ISO 9283",
+}
+"""What was done by the verbs that measure the cell with a model, and that a certificate rests on."""
 
 
 def _stage(run: RunFile, row: StageRow) -> StoredStage:
@@ -364,16 +396,19 @@ def _readable_model(path: Path) -> str | None:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return None
-    content = _json_object(text)
+    content = json_object(text)
     return text if content is not None and content.get("schema") == MODEL_SCHEMA else None
 
 
-def _json_object(text: str) -> dict[str, object] | None:
-    try:
-        content = json.loads(text)
-    except ValueError:
-        return None
-    return content if isinstance(content, dict) else None
+def _newest(history: Sequence[StoredStage]) -> dict[StageName, StoredStage]:
+    """The newest stage of each name; a check that could not say anything does not refute what an earlier one found."""
+    newest: dict[StageName, StoredStage] = {}
+    for stage in history:
+        before = newest.get(CHECK)
+        if stage.name == CHECK and before is not None and cannot_say(stage.text) and found_change(before.text):
+            continue
+        newest[stage.name] = stage
+    return newest
 
 
 def _in_force(current: Mapping[StageName, StoredStage], unmoved: StoredStage | None) -> StoredStage | None:
@@ -395,8 +430,13 @@ def _in_force_before_moving(current: Mapping[StageName, StoredStage]) -> StoredS
     return discover if used is not None and calibrate.has_outcome(CALIBRATE, used) else calibrate
 
 
-def _why_outdated(stage: StoredStage, now: Basis | None, used: StoredStage | None) -> str:
-    """Why a stage no longer holds; empty if it does. ``used`` is the stage whose model it would use now."""
+def _why_outdated(
+    stage: StoredStage, now: Basis | None, used: StoredStage | None, current: Mapping[StageName, StoredStage]
+) -> str:
+    """Why a stage no longer holds; empty if it does. ``used`` is the stage whose model it would use now.
+
+    Of stages that make no model it would use the newest of their name; a digest is empty where there was none.
+    """
     if stage.basis is None or now is None:
         return NOT_RECORDED
     reasons = []
@@ -405,7 +445,11 @@ def _why_outdated(stage: StoredStage, now: Basis | None, used: StoredStage | Non
     reasons += _changed_readings(stage.basis.readings, now.readings)
     reasons += _changed_priors(stage.basis.priors)
     for name, digest in stage.basis.stages.items():
-        if used is not None and not used.has_outcome(name, digest):
+        if name in _MEASURED:
+            newest = current.get(name)
+            if newest is not None and newest.digest != digest:
+                reasons.append(f"{_MEASURED[name]} since")
+        elif used is not None and not used.has_outcome(name, digest):
             verb = _DONE[used.name]
             again = "again since, with another outcome" if used.name == name else "since, and another model is in force"
             reasons.append(f"{verb} {again}")
@@ -447,24 +491,3 @@ def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, Readi
 
 def _sha256(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
-
-
-def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:
-    """Notes on what an earlier discovery and verification are worth after a new calibration; logged too."""
-    notes = []
-    discovered, reason = stages.current.get(DISCOVER), stages.out_of_date.get(DISCOVER)
-    if discovered is not None and reason is None:
-        notes.append(f"the discovery still holds; {CALIBRATION_FILE} keeps the effects that were found")
-    elif discovered is not None:
-        kept = "keeps its effects" if stages.in_force is discovered else "holds the new calibration without effects"
-        notes.append(
-            f"the discovery is out of date ({reason}): {CALIBRATION_FILE} {kept}; run 'cellapp discover {run.folder}'"
-        )
-    if LOCATE in stages.out_of_date:
-        reason = stages.out_of_date[LOCATE]
-        notes.append(f"the tracker's station is out of date ({reason}); run 'cellapp locate {run.folder}'")
-    if VERIFY in stages.out_of_date:
-        notes.append(f"the verification is out of date ({stages.out_of_date[VERIFY]})")
-    for note in notes:
-        run.log("note", note)
-    return notes

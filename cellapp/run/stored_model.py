@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cellapp.errors import InputError
 from cellapp.model.model import CellModel
+from cellapp.results import LOCATE
 from cellapp.run.file import RunFile
 from cellapp.run.stages import CALIBRATION_FILE, RunStages, StoredStage
 
@@ -20,6 +21,23 @@ def model_of(run: RunFile, stage: StoredStage) -> CellModel:
     if stage.model is None:
         raise InputError(f"{run.folder / CALIBRATION_FILE} is missing or damaged; run 'cellapp calibrate' again")
     return CellModel.from_json(stage.model, f"{run.path}: {stage.name}")
+
+
+def arms_stage(run: RunFile, stages: RunStages, verb: str) -> StoredStage:
+    """Return the stage whose model is in the tracker frame of the readings, also where the tracker was located since.
+
+    Raises ``InputError`` if the run is not calibrated yet, or it is not known what the model rests on; ``verb`` is what
+    was to be done with it.
+    """
+    used = stage_in_force(run, stages)
+    if used.name == LOCATE:
+        assert used.basis is not None
+        used = stages.current[next(iter(used.basis.stages))]
+    if used.basis is None:
+        raise InputError(
+            f"{verb}: {run.path}: an older version of cellapp calibrated this run; run 'cellapp calibrate' again"
+        )
+    return used
 
 
 def require_current_model(run: RunFile, stages: RunStages, verb: str) -> None:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cellapp.kinematics.chain import Geometry, frame_poses
+from cellapp.kinematics.chain import Geometry, frame_poses, frame_vectors
 from cellapp.kinematics.transforms import Array
 from cellapp.safety.obstacles import Obstacle
 
@@ -60,6 +60,12 @@ class ArmBodies:
         return len(self.radius) - len(self.covered)
 
     @cached_property
+    def ends(self) -> Array:
+        """Both ends of each capsule's axis in its frame, homogeneous, shape (m, 2, 4) [m]."""
+        both = np.stack([self.start, self.end], axis=1)
+        return np.concatenate([both, np.ones((len(both), 2, 1))], axis=2)
+
+    @cached_property
     def levers(self) -> Array:
         """Upper bound on the distance of any body point from each joint's axis, over all q, shape (N,) [m]."""
         return np.asarray(self.body_levers.max(axis=0, initial=0.0))
@@ -107,7 +113,7 @@ class Placed:
     ----------
     arm : ArmBodies
     start, end : array, shape (n, m, 3)
-        Ends of the capsules' axes [m].
+        Ends of the capsules' axes [m]. In memory configurations are last: sums over components are then fastest.
     smr : array, shape (n, 3)
         SMR centre [m].
     flange : array, shape (n, 3, 3)
@@ -137,19 +143,21 @@ class Placed:
 
     def take(self, rows: np.ndarray | slice) -> Placed:
         """The bodies at some of the configurations."""
-        return Placed(self.arm, self.start[rows], self.end[rows], self.smr[rows], self.flange[rows])
+        start, end = (np.ascontiguousarray(ends.T[..., rows]).T for ends in (self.start, self.end))
+        return Placed(self.arm, start, end, self.smr[rows], self.flange[rows])
 
 
 def place(arm: ArmBodies, q: Array) -> Placed:
     """The bodies at configurations ``q`` (n, N) [rad]."""
-    rotations, origins = frame_poses(arm.geometry, q)
-    R, o = rotations[arm.frames], origins[arm.frames]
+    frames = frame_vectors(arm.geometry, q)
+    ends = arm.ends @ frames[:, arm.frames]
+    flange = frames[:, -1]
     return Placed(
         arm=arm,
-        start=(o + np.einsum("mnab,mb->mna", R, arm.start)).transpose(1, 0, 2),
-        end=(o + np.einsum("mnab,mb->mna", R, arm.end)).transpose(1, 0, 2),
-        smr=origins[-1] + rotations[-1] @ arm.geometry.tool,
-        flange=rotations[-1],
+        start=ends[:, :, 0].transpose(2, 1, 0),
+        end=ends[:, :, 1].transpose(2, 1, 0),
+        smr=np.ascontiguousarray((np.append(arm.geometry.tool, 1.0) @ flange).T),
+        flange=np.ascontiguousarray(flange[:, :3].transpose(2, 0, 1)),
     )
 
 
@@ -172,7 +180,8 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
 
 def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray) -> Array:
     """Distances (n, p) [m] between the surfaces of bodies ``i`` and ``k`` (p,) of one arm; negative where they meet."""
-    gap = segment_distance(placed.start[:, i], placed.end[:, i], placed.start[:, k], placed.end[:, k])
+    start, end = placed.start.T, placed.end.T  # rows of numbers in memory: these are copied fast
+    gap = segment_distance(start[:, i].T, end[:, i].T, start[:, k].T, end[:, k].T)
     return np.asarray(gap - placed.radius[i] - placed.radius[k])
 
 

@@ -167,7 +167,8 @@ def with_margin_for_ways(cell: CellBodies, *, between_arms: bool = False) -> Cel
 def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
     """Whether an arm is clear of floor, ceiling, obstacles and itself, without regard to other arms, (n,) bool."""
     clear = np.minimum(floor_clearance(placed, cell.floor), ceiling_clearance(placed, cell.ceiling)) >= cell.clearance
-    clear &= self_clearance(placed) >= cell.self_clearance
+    rows = np.flatnonzero(clear)
+    clear[rows] = self_clearance(placed.take(rows)) >= cell.self_clearance
     for obstacle, asked in zip(cell.obstacles, cell.obstacle_clearances[placed.arm], strict=True):
         rows, bodies = np.flatnonzero(clear), asked > -np.inf
         if not (len(rows) and bodies.any()):

@@ -35,7 +35,7 @@ def candidates(belief: Belief, columns: Sequence[EffectColumn]) -> list[Candidat
     """
     names, size = parameter_names(belief.nominal.joints), belief.jump_sd
     found = [
-        Candidate(_parameter_words(names[column]), np.array([place], dtype=np.intp), size[[place]])
+        Candidate(parameter_words(names[column]), np.array([place], dtype=np.intp), size[[place]])
         for place, column in enumerate(belief.columns)
     ]
     first = len(belief.columns)
@@ -103,7 +103,7 @@ def _unit(belief: Belief, place: int) -> str:
     return units[place - len(belief.columns)]
 
 
-def _parameter_words(name: str) -> str:
+def parameter_words(name: str) -> str:
     """``theta3`` as ``zero of joint 3``."""
     letters = name.rstrip("0123456789")
     number = name.removeprefix(letters)

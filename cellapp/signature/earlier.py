@@ -19,7 +19,7 @@ from cellapp.profile import Profile
 from cellapp.run import Readings
 from cellapp.signature.belief import Belief, sizes
 from cellapp.signature.linear_model import Measured
-from cellapp.signature.posterior import Prior, posterior
+from cellapp.signature.posterior import Posterior, Prior, posterior
 from cellapp.signature.update import update
 
 
@@ -54,18 +54,29 @@ def believed(
 
     ``before`` is the belief that this calibration had as prior, of the day ``since``.
     """
+    found, measured = calibration_posterior(profile, name, models, readings, before, since)
+    return Belief.of(found, sizes(profile, found.model, measured)), len(measured)
+
+
+def calibration_posterior(
+    profile: Profile,
+    name: str,
+    models: Mapping[str, ArmModel],
+    readings: Mapping[str, Readings],
+    before: Belief | None = None,
+    since: str = "",
+) -> tuple[Posterior, Measured]:
+    """The posterior of one arm of a calibrated cell from all its readings, and these without gross errors."""
     model, conditions = models[name], conditions_of_arms(models, readings)[name]
     good = ~gross_errors(readings[name].p_M - model.predict(readings[name].q, conditions=conditions))
     some, conditions = readings[name].take(good), conditions.take(good)
     model = replace(model, network=None, posterior=None)
     measured = Measured(some, conditions, np.ones(len(some)))
     if before is None:
-        found = posterior(model, some, conditions, _first_prior(model, sizes(profile, model, measured)))
-    else:
-        carried = {_key(term) for term in before.terms}
-        further = tuple(term for term in model.effects if _key(term) not in carried)
-        found = update(profile, name, some, conditions, before, since, further).found
-    return Belief.of(found, sizes(profile, found.model, measured)), len(some)
+        return posterior(model, some, conditions, _first_prior(model, sizes(profile, model, measured))), measured
+    carried = {_key(term) for term in before.terms}
+    further = tuple(term for term in model.effects if _key(term) not in carried)
+    return update(profile, name, some, conditions, before, since, further).found, measured
 
 
 def _key(term: EffectTerm) -> tuple[str, str, tuple[str, ...]]:

@@ -40,7 +40,7 @@ def earlier_arms(run: RunFile, folder: Path) -> dict[str, Earlier]:
     with RunFile.open(folder) as earlier:
         stages = read_stages(earlier)
         stage = stage_in_force(earlier, stages)
-        if stale := stages.stale_arms():
+        if stale := stages.outdated_arms():  # an arm that changed since is what a prior is for
             raise InputError(f"--prior {folder}: {stale}; run '{stages.next_step(folder)}' first")
         if all(_same_readings(run, earlier, name) for name in run.profile.arms):
             raise InputError(f"--prior {folder}: it holds the same readings as {run.folder}; they would count twice")

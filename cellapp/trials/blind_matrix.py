@@ -15,6 +15,7 @@ from cellapp.errors import InputError
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Record, Result
+from cellapp.scale.executor import IN_PROCESS, Resources
 from cellapp.trials.judge import judge_trials
 from cellapp.trials.judge_records import JudgeResult, PosteriorScore, ScoredRun, Spread, TargetScore
 from cellapp.trials.scoring import scores
@@ -99,7 +100,7 @@ def blind_matrix(
     cells: Sequence[MatrixCell],
     *,
     seed: int | None = None,
-    jobs: int = 2,
+    resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> MatrixResult:
@@ -123,7 +124,7 @@ def blind_matrix(
         listener(Progress("matrix", place, len(cells), cell.name))
         here = folder / cell.name
         _seal(profile, here, n, cell.setup, None if seed is None else seed + place, cancel)
-        results[cell.name] = judge_trials(here, jobs=jobs, cancel=cancel)
+        results[cell.name] = judge_trials(here, resources=resources, cancel=cancel)
         _check(profile, here, cell.setup, results[cell.name])
     listener(Progress("matrix", len(cells), len(cells), "done"))
     return _together(results)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -10,12 +10,14 @@ from scipy.stats import t as student
 
 from cellapp.calibration.identification import identify, start_from_nominal
 from cellapp.collection.cell import build_plant
-from cellapp.errors import InputError
 from cellapp.model.nominal import nominal_arm
-from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.results import Result
+from cellapp.progress import CancelToken, Listener, ignore
+from cellapp.results import Record, Result
+from cellapp.scale.executor import IN_PROCESS, Resources
+from cellapp.scale.gather import gather
+from cellapp.scale.task import Batch, TaskKind, as_given
+from cellapp.trials.planned_cell import ArmSeed, PlannedCell, bare_profile, planned_cell
 
 
 class ArmCoverage(Result):
@@ -48,68 +50,77 @@ class CoverageResult(Result):
     schema_: Literal["cellapp-trials-coverage"] = "cellapp-trials-coverage"
     version: Literal[1] = 1
     arms: Mapping[str, ArmCoverage]
+    failed: tuple[str, ...] = ()
+    """Seeds that failed, and why."""
 
 
-def bare_profile(profile: Profile, stops: int, *, plant_seed: int | None = None) -> Profile:
-    """The profile with ``stops`` stops and no hidden effects; ``plant_seed`` draws another true geometry."""
-    if profile.plant is None:
-        raise InputError(f"profile {profile.name}: these trials need a section 'plant' (a simulated cell)")
-    plant = profile.plant.model_copy(
-        update={"effects": {}, "seed": profile.plant.seed if plant_seed is None else plant_seed}
-    )
-    plan = profile.plan.model_copy(update={"stops": stops})
-    return profile.model_copy(update={"plant": plant, "plan": plan})
+class Interval(Record):
+    """One identification: parameter -> whether its 95 % interval holds the truth; root of chi-square per freedom."""
+
+    held: Mapping[str, bool]
+    scatter: float
 
 
 def coverage_trials(
-    profile: Profile, runs: int, stops: int = 100, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> CoverageResult:
-    """Coverage of every arm of the profile."""
-    return CoverageResult(arms={arm: coverage(profile, arm, runs, stops, listener, cancel) for arm in profile.arms})
-
-
-def coverage(
     profile: Profile,
-    arm: str,
     runs: int,
     stops: int = 100,
+    resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-) -> ArmCoverage:
-    """Identify ``runs`` simulated arms from the same ``stops`` and count how often 95 % intervals contain the truth.
+) -> CoverageResult:
+    """Coverage of every arm of the profile. Raises as ``gather`` does."""
+    drawn = [ArmSeed(arm=arm, seed=seed) for arm in profile.arms for seed in range(runs)]
+    batch = Batch(INTERVALS, planned_cell(profile, stops), drawn, [f"arm {one.arm}, seed {one.seed}" for one in drawn])
+    gathered = gather(batch, "coverage", resources, listener, cancel)
+    by_arm: dict[str, list[Interval]] = {arm: [] for arm in profile.arms}
+    for one, found in zip(drawn, gathered.results, strict=True):
+        by_arm[one.arm] += () if found is None else (found,)
+    arms = {arm: _coverage(found) for arm, found in by_arm.items() if found}
+    return CoverageResult(arms=arms, failed=gathered.failed)
+
+
+def coverage(profile: Profile, arm: str, runs: int, stops: int = 100) -> ArmCoverage:
+    """Identify ``runs`` simulated arms from the same ``stops`` and count how often 95 % intervals contain the truth."""
+    planned = planned_cell(profile, stops)
+    return _coverage([interval(planned, ArmSeed(arm=arm, seed=seed)) for seed in range(runs)])
+
+
+def interval(planned: PlannedCell, drawn: ArmSeed) -> Interval:
+    """Identify one simulated arm.
 
     The truth of the identified parameters is their estimate from noise-free positions of the same plant, with the same
     parameters merged into them: these have no true value of their own.
     """
-    cancel = cancel or CancelToken()
+    profile, arm, q = planned.profile, drawn.arm, planned.stops(drawn.arm)
     nominal = nominal_arm(profile.arms[arm])
-    q = plan_stops(bare_profile(profile, stops))[arm]
+    plant = build_plant(bare_profile(profile, len(q), plant_seed=drawn.seed))
+    exact = plant.smr_positions(arm, q)
+    noisy, covariance = plant.measure_positions(exact, np.random.default_rng([profile.seed, 0xC0, drawn.seed]))
+    start = start_from_nominal(nominal, q, noisy, tool_unknown=False)
+    estimate = identify(start, q, noisy, sigma=covariance, tolerance=1e-10)
+    exactly = identify(start, q, exact, parameter_set="full", tolerance=1e-12)
+    if np.abs(exactly.residuals).max() > 1e-8:
+        raise ValueError(f"the model does not fit noise-free positions: {exactly.message}")
+    truth = estimate.parameter_set.merged_values(exactly.geometry, start)
+    limit = student.ppf(0.975, estimate.degrees_of_freedom)
+    held = np.abs(estimate.values - truth) <= limit * estimate.standard_errors
+    return Interval(held=dict(zip(estimate.names, held.tolist(), strict=True)), scatter=float(estimate.scale))
+
+
+INTERVALS = TaskKind("cellapp.trials.coverage:INTERVALS", PlannedCell, ArmSeed, Interval, as_given, interval)
+
+
+def _coverage(found: Sequence[Interval]) -> ArmCoverage:
     inside: dict[str, list[bool]] = {}
-    scatter = []
-    for k in range(runs):
-        cancel.check()
-        if k % 10 == 0:
-            listener(Progress("coverage", k, runs))
-        plant = build_plant(bare_profile(profile, stops, plant_seed=k))
-        exact = plant.smr_positions(arm, q)
-        noisy, covariance = plant.measure_positions(exact, np.random.default_rng([profile.seed, 0xC0, k]))
-        start = start_from_nominal(nominal, q, noisy, tool_unknown=False)
-        estimate = identify(start, q, noisy, sigma=covariance, tolerance=1e-10)
-        exactly = identify(start, q, exact, parameter_set="full", tolerance=1e-12)
-        if np.abs(exactly.residuals).max() > 1e-8:
-            raise ValueError(f"the model does not fit noise-free positions: {exactly.message}")
-        truth = estimate.parameter_set.merged_values(exactly.geometry, start)
-        limit = student.ppf(0.975, estimate.degrees_of_freedom)
-        held = np.abs(estimate.values - truth) <= limit * estimate.standard_errors
-        for name, one in zip(estimate.names, held.tolist(), strict=True):
-            inside.setdefault(name, []).append(one)
-        scatter.append(estimate.scale)
-    every = [one for held_by_name in inside.values() for one in held_by_name]
-    listener(Progress("coverage", runs, runs, "done"))
+    for one in found:
+        for name, held in one.held.items():
+            inside.setdefault(name, []).append(held)
+    every = [held for some in inside.values() for held in some]
     return ArmCoverage(
-        runs=runs,
+        runs=len(found),
         intervals=len(every),
         share=float(np.mean(every)),
-        by_parameter={name: float(np.mean(held_by_name)) for name, held_by_name in inside.items()},
-        scatter=float(np.mean(scatter)),
+        by_parameter={name: float(np.mean(some)) for name, some in inside.items()},
+        scatter=float(np.mean([one.scatter for one in found])),
     )

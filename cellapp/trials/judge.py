@@ -6,17 +6,10 @@ What was found is stored in each run's file, so that judging continues where it 
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
-import os
-import signal
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
-from itertools import islice
-from multiprocessing import resource_tracker
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -27,13 +20,16 @@ from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.result import arm_result
 from cellapp.discovery.terms import UNKNOWN
-from cellapp.errors import CellappError, CheckFailed, InputError
+from cellapp.errors import CheckFailed, InputError
 from cellapp.model import CellModel
 from cellapp.pipeline import calibrate_run
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import CALIBRATE, ArmDiscoveryResult, BeforeAfter, Record
 from cellapp.run import RunFile
 from cellapp.run.stages import read_stages
+from cellapp.scale.executor import IN_PROCESS, Resources
+from cellapp.scale.gather import gather
+from cellapp.scale.task import Batch, TaskKind, as_given
 from cellapp.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
 from cellapp.trials.run_score import score_run
 from cellapp.trials.scoring import scores
@@ -41,9 +37,6 @@ from cellapp.trials.sealed import GroundTruth, check_seal, digest_of, open_truth
 
 TRIAL_RESULT = "sealed-trial"
 """Name of the document in which a run keeps what was found in it."""
-_POLL_S = 0.2
-"""How often a cancel request is looked at."""
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _SEARCHING = ("calibration", "design", "discovery", "effects", "kinematics", "model")
 
 
@@ -67,15 +60,16 @@ class StoredTrial(Record):
 def judge_trials(
     folder: Path,
     *,
-    jobs: int = 2,
+    resources: Resources = IN_PROCESS,
     again: bool = False,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> JudgeResult:
     """Calibrate and search all runs of a folder that were not yet, then open the truth and compare.
 
-    ``jobs`` processes work, each with one thread; ``again`` also repeats what was judged before. A run that fails is
-    reported and does not stop the others.
+    What was found is kept in the runs themselves, so that ``resources`` needs no store; workers of a cluster must see
+    the folder under the same path. ``again`` also repeats what was judged before. A run that fails is reported and does
+    not stop the others.
 
     Raises
     ------
@@ -93,7 +87,7 @@ def judge_trials(
         raise InputError(f"{folder} holds no runs; give a folder that 'cellapp trials seal' made")
     source = source_digest()
     pending = runs if again else [run for run in runs if _stored(run) is None]
-    failures = _judge_all(pending, source, jobs, len(runs), listener, cancel)
+    failures, jobs = _judge_all(pending, source, resources, len(runs), listener, cancel)
     opened = open_truth(folder)
     scored, sources, failed = _compare(folder, opened.trials, failures)
     return JudgeResult(
@@ -106,6 +100,32 @@ def judge_trials(
         failed=failed,
         **dict(scores(scored)),
     )
+
+
+class Source(Record):
+    """State of the program that judges; see ``source_digest``."""
+
+    source: str
+
+
+class JudgedFolder(Record):
+    """The folder of one run, under a path that every worker sees."""
+
+    folder: str
+
+
+class Judged(Record):
+    """That a run was judged; it keeps itself what was found."""
+
+    run: str
+
+
+def _judge(source: Source, one: JudgedFolder) -> Judged:
+    judge_run(Path(one.folder), source.source)
+    return Judged(run=Path(one.folder).name)
+
+
+RUNS = TaskKind("cellapp.trials.judge:RUNS", Source, JudgedFolder, Judged, as_given, _judge)
 
 
 def judge_run(folder: Path, source: str) -> None:
@@ -163,88 +183,21 @@ def _stored(folder: Path) -> StoredTrial | None:
 
 
 def _judge_all(
-    runs: Sequence[Path], source: str, jobs: int, total: int, listener: Listener, cancel: CancelToken
-) -> dict[str, str]:
-    """Judge runs in processes of their own. Returns run -> what went wrong, for those that failed."""
-    failures: dict[str, str] = {}
-    done = total - len(runs)
-    listener(Progress("judge", done, total, f"{done} judged before" if done else ""))
+    runs: Sequence[Path], source: str, resources: Resources, total: int, listener: Listener, cancel: CancelToken
+) -> tuple[dict[str, str], int]:
+    """Judge runs. Returns run -> what went wrong, for those that failed, and how many were judged at the same time."""
+    before = total - len(runs)
+    listener(Progress("judge", before, total, f"{before} judged before" if before else ""))
     if not runs:
-        return failures
-    waiting = iter(runs)
-    under_way: dict[Future[None], Path] = {}
-    # not forked: BLAS reads the number of its threads when it is loaded
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, context, initializer=_ignore_ctrl_c)
-    with _environment(_ONE_THREAD), pool, _children_terminated_on_error():
-        with _ctrl_c_blocked():  # the first task starts all processes
-            for run in islice(waiting, jobs):
-                under_way[pool.submit(judge_run, run, source)] = run
-        while under_way:
-            ended, _ = wait(under_way, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-            for future in ended:
-                run, done = under_way.pop(future), done + 1
-                error = future.exception()
-                if isinstance(error, BrokenProcessPool):
-                    cancel.check()
-                    raise CellappError(
-                        f"{run}: the process that judged it was ended from outside, perhaps for lack of memory;"
-                        " what was judged is kept: judge again with fewer --jobs"
-                    )
-                if error is not None:
-                    text = str(error) if isinstance(error, CellappError) else f"{type(error).__name__}: {error}"
-                    failures[run.name] = text
-                listener(Progress("judge", done, total, run.name))
-                if not cancel.cancelled:
-                    for further in islice(waiting, 1):
-                        under_way[pool.submit(judge_run, further, source)] = further
-    cancel.check()
-    return failures
+        return {}, 1
+    tasks = [JudgedFolder(folder=str(run.absolute())) for run in runs]
+    batch = Batch(RUNS, Source(source=source), tasks, [run.name for run in runs])
 
+    def of_all(event: Progress) -> None:
+        listener(replace(event, done=before + event.done, total=total))
 
-@contextmanager
-def _ctrl_c_blocked() -> Iterator[None]:
-    """Block Ctrl-C, which reaches the whole process group, for processes started inside; it is delivered afterwards."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows: see the pool's initializer
-        yield
-        return
-    resource_tracker.ensure_running()  # which would lift the mask when it starts
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _ignore_ctrl_c() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextmanager
-def _children_terminated_on_error() -> Iterator[None]:
-    """Terminate the processes started inside if the block ends with an exception; a run's file survives that."""
-    before = set(multiprocessing.active_children())
-    try:
-        yield
-    except BaseException:  # also a second Ctrl-C
-        for child in set(multiprocessing.active_children()) - before:
-            child.terminate()
-        raise
-
-
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables for processes that are started inside."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    gathered = gather(batch, "judge", replace(resources, store=None), of_all, cancel, all_may_fail=True)
+    return dict(gathered.failures), gathered.workers
 
 
 def _compare(

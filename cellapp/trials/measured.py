@@ -13,6 +13,7 @@ from cellapp.kinematics.transforms import Array
 from cellapp.profile import Profile
 from cellapp.run import Readings
 from cellapp.safety.cell_bodies import home_positions
+from drivers.plant import Plant
 
 
 def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dict[str, Readings]:
@@ -20,8 +21,18 @@ def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dic
 
     Joints approach each stop from the one before, the first stop from home.
     """
-    plant = build_plant(profile)
-    homes = home_positions(profile)
+    readings = measured_by(build_plant(profile), home_positions(profile), plan, seed)
+    splits, _ = profile_splits(profile, readings)
+    return {name: replace(arm, split=splits[name]) for name, arm in readings.items()}
+
+
+def measured_by(
+    plant: Plant, homes: Mapping[str, Array], plan: Mapping[str, Array], seed: int, *, noise: bool = True
+) -> dict[str, Readings]:
+    """Readings of all arms of a simulated cell at ``plan``, without splits; see ``measured_plan``.
+
+    Without ``noise`` the points are exact.
+    """
     readings = {}
     for place, (name, q) in enumerate(plan.items()):
         approach = np.sign(np.diff(np.vstack([homes[name], q]), axis=0)).astype(np.int8)
@@ -33,8 +44,7 @@ def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dic
             time_s=np.full(len(q), np.nan),
             q=q,
             approach=approach,
-            p_M=points,
+            p_M=points if noise else exact,
             covariance_M=covariance,
         )
-    splits, _ = profile_splits(profile, readings)
-    return {name: replace(arm, split=splits[name]) for name, arm in readings.items()}
+    return readings

@@ -20,9 +20,12 @@ from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import Array, apply, register
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Pose, Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.results import Method, Record, Result
 from cellapp.run import Readings
+from cellapp.scale.executor import IN_PROCESS, Resources
+from cellapp.scale.gather import gather
+from cellapp.scale.task import Batch, Seed, SimulatedCell, TaskKind, profile_of
 from cellapp.trials.measured import measured_plan
 
 PAPER_COOPERATIVE_MM = {"method_1": 0.2319, "method_2": 0.4669, "proposed": 0.1676}
@@ -65,27 +68,28 @@ class BesidePaper(Record):
 
 
 class PaperResult(Result):
-    """``trials paper``: cooperative errors by method, the gain of the proposed method, and every seed."""
+    """``trials paper``: cooperative errors by method, the gain of the proposed method, every seed, and what failed."""
 
     schema_: Literal["cellapp-trials-paper"] = "cellapp-trials-paper"
     version: Literal[1] = 1
     cooperative_mm: Mapping[str, BesidePaper]
     gain: BesidePaper
     trials: tuple[PaperTrial, ...]
+    failed: tuple[str, ...] = ()
 
 
 def paper_trials(
-    profile: Profile, seeds: Sequence[int], listener: Listener = ignore, cancel: CancelToken | None = None
-) -> list[PaperTrial]:
-    """Run the comparison for every seed."""
-    cancel = cancel or CancelToken()
-    trials = []
-    for done, seed in enumerate(seeds):
-        cancel.check()
-        listener(Progress("paper", done, len(seeds), f"seed {seed}"))
-        trials.append(paper_trial(profile, seed, cancel))
-    listener(Progress("paper", len(seeds), len(seeds), "done"))
-    return trials
+    profile: Profile,
+    seeds: Sequence[int],
+    resources: Resources = IN_PROCESS,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> PaperResult:
+    """Run the comparison for every seed. Raises as ``gather`` does, and ``InputError`` as ``paper_trial`` does."""
+    drawn = [Seed(seed=seed) for seed in seeds]
+    batch = Batch(CELLS, SimulatedCell(profile=profile), drawn, [f"seed {seed}" for seed in seeds])
+    gathered = gather(batch, "paper", resources, listener, cancel)
+    return paper_result(gathered.found, gathered.failed)
 
 
 def paper_trial(profile: Profile, seed: int, cancel: CancelToken | None = None) -> PaperTrial:
@@ -149,7 +153,7 @@ def _at_other_station(arm: ArmCalibration, readings: Readings) -> dict[str, floa
     return errors
 
 
-def paper_result(trials: Sequence[PaperTrial]) -> PaperResult:
+def paper_result(trials: Sequence[PaperTrial], failed: tuple[str, ...] = ()) -> PaperResult:
     """Median and worst over the seeds beside the paper's figures."""
     gains = [trial.gain for trial in trials]
     errors = {method: [trial.cooperative_mm[method] for trial in trials] for method in _METHODS}
@@ -162,4 +166,12 @@ def paper_result(trials: Sequence[PaperTrial]) -> PaperResult:
         },
         gain=BesidePaper(median=float(np.median(gains)), worst=min(gains), paper=PAPER_GAIN),
         trials=tuple(trials),
+        failed=failed,
     )
+
+
+def _trial(profile: Profile, drawn: Seed) -> PaperTrial:
+    return paper_trial(profile, drawn.seed)
+
+
+CELLS = TaskKind("cellapp.trials.paper:CELLS", SimulatedCell, Seed, PaperTrial, profile_of, _trial)

@@ -7,9 +7,7 @@ at |dg| < 1e-5 or after 1000 iterations; on the redundant model its steps along 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -21,15 +19,19 @@ from cellapp.collection.cell import build_plant
 from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.kinematics.transforms import Array
 from cellapp.model.nominal import nominal_arm
-from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.results import Record, Result
-from cellapp.trials.coverage import bare_profile
+from cellapp.scale.executor import IN_PROCESS, Resources
+from cellapp.scale.gather import gather
+from cellapp.scale.task import Batch, TaskKind, as_given
+from cellapp.trials.planned_cell import ArmSeed, PlannedCell, bare_profile, planned_cell
 
 PAPER_TOLERANCE = 1e-5
 PAPER_ITERATIONS = 1000
 """The paper's stopping rule."""
+IDENTIFY_STOPS, VALIDATE_STOPS = 100, 100
+"""Stops of each arm that are learned from, and that the errors are judged on."""
 
 
 class ParameterSetTrial(Record):
@@ -51,6 +53,8 @@ class ParameterSetsResult(Result):
     schema_: Literal["cellapp-trials-parameter-sets"] = "cellapp-trials-parameter-sets"
     version: Literal[1] = 1
     arms: Mapping[str, tuple[ParameterSetTrial, ...]]
+    failed: tuple[str, ...] = ()
+    """Seeds that failed, and why."""
 
 
 def plain_gauss_newton(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> tuple[Geometry, int, bool]:
@@ -74,76 +78,100 @@ def plain_gauss_newton(start: Geometry, q: Array, p_M: Array, chosen: ParameterS
     return geometry, PAPER_ITERATIONS, False
 
 
-def parameter_set_trials(
-    profile: Profile, seeds: Sequence[int], listener: Listener = ignore, cancel: CancelToken | None = None
-) -> ParameterSetsResult:
-    """Compare parameter sets for every arm of the profile."""
-    return ParameterSetsResult(
-        arms={
-            arm: tuple(compare_parameter_sets(profile, arm, seeds, listener=listener, cancel=cancel))
-            for arm in profile.arms
-        }
-    )
-
-
-def compare_parameter_sets(
-    profile: Profile,
-    arm: str,
-    seeds: Sequence[int],
-    identify_stops: int = 100,
-    validate_stops: int = 100,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-) -> list[ParameterSetTrial]:
-    """Both solvers on the full, the paper's and the automatic set, over simulated arms of several seeds."""
-    cancel = cancel or CancelToken()
-    nominal = nominal_arm(profile.arms[arm])
-    stops = identify_stops + validate_stops
-    q = plan_stops(bare_profile(profile, stops))[arm]
-    learn, held_out = q[:identify_stops], q[identify_stops:]
-    solutions: dict[tuple[str, str], list[_Solution]] = {}
-    for done, seed in enumerate(seeds):
-        cancel.check()
-        listener(Progress("parameter sets", done, len(seeds), f"seed {seed}"))
-        plant = build_plant(bare_profile(profile, stops, plant_seed=seed))
-        noisy, _ = plant.measure_positions(plant.smr_positions(arm, q), np.random.default_rng([profile.seed, seed]))
-        start = start_from_nominal(nominal, learn, noisy[:identify_stops], tool_unknown=False)
-        sets = [full_set(start), auto_set(start, learn)]
-        if nominal.joints == 6:
-            sets.insert(1, paper_set(start))
-        for chosen in sets:
-            for found in _both_solvers(start, learn, noisy[:identify_stops], chosen):
-                error = summarise(position_errors(noisy[identify_stops:], smr_positions(found.geometry, held_out)))
-                found = replace(found, mean_mm=error.mean, max_mm=error.max)
-                solutions.setdefault((chosen.name, found.solver), []).append(found)
-    listener(Progress("parameter sets", len(seeds), len(seeds), "done"))
-    return [_medians(name, solver, found) for (name, solver), found in solutions.items()]
-
-
-@dataclass(frozen=True)
-class _Solution:
+class Solution(Record):
     """One identification, and its held-out errors [mm]."""
 
+    parameter_set: str
     solver: str
     parameters: int
-    geometry: Geometry
     iterations: int
     converged: bool
-    mean_mm: float = math.nan
-    max_mm: float = math.nan
+    mean_mm: float
+    max_mm: float
 
 
-def _both_solvers(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> tuple[_Solution, _Solution]:
-    geometry, iterations, converged = plain_gauss_newton(start, q, p_M, chosen)
-    ours = identify(start, q, p_M, parameter_set=chosen, tolerance=PAPER_TOLERANCE, max_iterations=PAPER_ITERATIONS)
-    size = len(chosen.columns)
-    return (
-        _Solution("plain", size, geometry, iterations, converged),
-        _Solution("cellapp", size, ours.geometry, ours.iterations, ours.converged),
+class Solutions(Record):
+    """Both solvers on all parameter sets, for one seed."""
+
+    solutions: tuple[Solution, ...]
+
+
+def parameter_set_trials(
+    profile: Profile,
+    seeds: Sequence[int],
+    resources: Resources = IN_PROCESS,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> ParameterSetsResult:
+    """Compare parameter sets for every arm of the profile. Raises as ``gather`` does."""
+    planned = planned_cell(profile, IDENTIFY_STOPS + VALIDATE_STOPS)
+    drawn = [ArmSeed(arm=arm, seed=seed) for arm in profile.arms for seed in seeds]
+    batch = Batch(SETS, planned, drawn, [f"arm {one.arm}, seed {one.seed}" for one in drawn])
+    gathered = gather(batch, "parameter sets", resources, listener, cancel)
+    by_arm: dict[str, list[Solution]] = {arm: [] for arm in profile.arms}
+    for one, found in zip(drawn, gathered.results, strict=True):
+        by_arm[one.arm] += () if found is None else found.solutions
+    return ParameterSetsResult(
+        arms={arm: tuple(_summaries(found)) for arm, found in by_arm.items()}, failed=gathered.failed
     )
 
 
-def _medians(name: str, solver: str, found: Sequence[_Solution]) -> ParameterSetTrial:
+def compare_parameter_sets(profile: Profile, arm: str, seeds: Sequence[int]) -> list[ParameterSetTrial]:
+    """Both solvers on the full, the paper's and the automatic set, over simulated arms of several seeds."""
+    planned = planned_cell(profile, IDENTIFY_STOPS + VALIDATE_STOPS)
+    found = [compared_sets(planned, ArmSeed(arm=arm, seed=seed)) for seed in seeds]
+    return _summaries([one for some in found for one in some.solutions])
+
+
+def compared_sets(planned: PlannedCell, drawn: ArmSeed) -> Solutions:
+    """Both solvers on all parameter sets, for one arm and seed."""
+    arm, profile, stops = drawn.arm, planned.profile, IDENTIFY_STOPS + VALIDATE_STOPS
+    nominal, q = nominal_arm(profile.arms[arm]), planned.stops(arm)
+    plant = build_plant(bare_profile(profile, stops, plant_seed=drawn.seed))
+    noisy, _ = plant.measure_positions(plant.smr_positions(arm, q), np.random.default_rng([profile.seed, drawn.seed]))
+    learn, held_out = q[:IDENTIFY_STOPS], q[IDENTIFY_STOPS:]
+    start = start_from_nominal(nominal, learn, noisy[:IDENTIFY_STOPS], tool_unknown=False)
+    sets = [full_set(start), auto_set(start, learn)]
+    if nominal.joints == 6:
+        sets.insert(1, paper_set(start))
+    found = []
+    for chosen in sets:
+        for solver, geometry, iterations, converged in _both_solvers(start, learn, noisy[:IDENTIFY_STOPS], chosen):
+            error = summarise(position_errors(noisy[IDENTIFY_STOPS:], smr_positions(geometry, held_out)))
+            found.append(
+                Solution(
+                    parameter_set=chosen.name,
+                    solver=solver,
+                    parameters=len(chosen.columns),
+                    iterations=iterations,
+                    converged=converged,
+                    mean_mm=error.mean,
+                    max_mm=error.max,
+                )
+            )
+    return Solutions(solutions=tuple(found))
+
+
+SETS = TaskKind("cellapp.trials.parameter_sets:SETS", PlannedCell, ArmSeed, Solutions, as_given, compared_sets)
+
+
+def _both_solvers(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> list[tuple[str, Geometry, int, bool]]:
+    """Name of each solver, its geometry, iterations, and whether it converged."""
+    ours = identify(start, q, p_M, parameter_set=chosen, tolerance=PAPER_TOLERANCE, max_iterations=PAPER_ITERATIONS)
+    return [
+        ("plain", *plain_gauss_newton(start, q, p_M, chosen)),
+        ("cellapp", ours.geometry, ours.iterations, ours.converged),
+    ]
+
+
+def _summaries(found: Sequence[Solution]) -> list[ParameterSetTrial]:
+    groups: dict[tuple[str, str], list[Solution]] = {}
+    for one in found:
+        groups.setdefault((one.parameter_set, one.solver), []).append(one)
+    return [_medians(name, solver, some) for (name, solver), some in groups.items()]
+
+
+def _medians(name: str, solver: str, found: Sequence[Solution]) -> ParameterSetTrial:
     return ParameterSetTrial(
         parameter_set=name,
         solver=solver,

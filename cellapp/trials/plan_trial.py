@@ -16,9 +16,12 @@ from cellapp.planning.candidates import CandidatePool, draw_pool
 from cellapp.planning.plan_quality import ERROR_NAMES, ErrorName, Errors, Judge, arm_design, equal_to_random
 from cellapp.planning.selection import select_stops
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.results import Record, Result
 from cellapp.safety.cell_bodies import cell_bodies
+from cellapp.scale.executor import IN_PROCESS, Resources
+from cellapp.scale.gather import gather
+from cellapp.scale.task import Batch, SimulatedCell, TaskKind, profile_of
 from cellapp.trials.whole_plans import WholePlan
 
 BARS: Mapping[ErrorName, float] = {"parameters": 2.0, "mean": 1.5, "worst": 3.0}
@@ -60,14 +63,31 @@ class PlanTrialsResult(Result):
     profile: str
     trials: tuple[PlanTrial, ...]
     plans: tuple[WholePlan, ...] = ()
+    failed: tuple[str, ...] = ()
+    """Seeds that failed, and why."""
 
     def complaints(self) -> list[str]:
-        """What whole plans must never have."""
-        return [f"seed {one.seed}: {one.collisions} motions collide" for one in self.plans if one.collisions]
+        """What failed, and what whole plans must never have."""
+        colliding = [f"seed {one.seed}: {one.collisions} motions collide" for one in self.plans if one.collisions]
+        return [*self.failed, *colliding]
 
     def worth(self, arm: str, error: ErrorName) -> float:
         """Random stops that one designed stop of an arm is worth: median over seeds."""
         return float(np.median([one.equal[error] / one.stops for one in self.trials if one.arm == arm]))
+
+
+class BoundedSeed(Record):
+    """A seed, the number of its stops, and whether the best that any choice could reach is computed too."""
+
+    seed: int
+    stops: int
+    with_bound: bool
+
+
+class ArmTrials(Record):
+    """The trials of all arms with one seed."""
+
+    trials: tuple[PlanTrial, ...]
 
 
 def plan_trials(
@@ -75,17 +95,16 @@ def plan_trials(
     seeds: Sequence[int],
     stops: int = 100,
     bounded: int = 1,
+    resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> PlanTrialsResult:
     """Trials of all ``seeds``; those of the first ``bounded`` ones with their bounds, which take longer."""
-    cancel = cancel or CancelToken()
-    trials = list[PlanTrial]()
-    for number, seed in enumerate(seeds):
-        listener(Progress("plans", number, len(seeds), f"seed {seed}"))
-        trials += plan_trial(profile, seed, stops, with_bound=number < bounded, cancel=cancel)
-    listener(Progress("plans", len(seeds), len(seeds), "done"))
-    return PlanTrialsResult(profile=profile.name, trials=tuple(trials))
+    drawn = [BoundedSeed(seed=seed, stops=stops, with_bound=number < bounded) for number, seed in enumerate(seeds)]
+    batch = Batch(DESIGNS, SimulatedCell(profile=profile), drawn, [f"seed {seed}" for seed in seeds])
+    gathered = gather(batch, "plans", resources, listener, cancel)
+    trials = tuple(trial for one in gathered.found for trial in one.trials)
+    return PlanTrialsResult(profile=profile.name, trials=trials, failed=gathered.failed)
 
 
 def plan_trial(
@@ -120,6 +139,12 @@ def plan_trial(
             seconds=seconds,
         )
 
+
+def _trials(profile: Profile, drawn: BoundedSeed) -> ArmTrials:
+    return ArmTrials(trials=tuple(plan_trial(profile, drawn.seed, drawn.stops, with_bound=drawn.with_bound)))
+
+
+DESIGNS = TaskKind("cellapp.trials.plan_trial:DESIGNS", SimulatedCell, BoundedSeed, ArmTrials, profile_of, _trials)
 
 _SEED = 0x9A8
 """Beside the trial's seed."""

@@ -6,6 +6,8 @@ from cellapp.results import Result
 from cellapp.trials.blind_matrix import MatrixResult
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.campaigns.trial import CampaignsResult
+from cellapp.trials.check_records import CheckTrialResult
+from cellapp.trials.cost import CostResult
 from cellapp.trials.coverage import CoverageResult
 from cellapp.trials.judge_records import JudgeResult
 from cellapp.trials.league.trial import LeagueResult
@@ -31,4 +33,6 @@ TRIAL_RESULTS: tuple[type[Result], ...] = (
     MatrixResult,
     PlanTrialsResult,
     SignatureResult,
+    CheckTrialResult,
+    CostResult,
 )

@@ -21,16 +21,25 @@ from cellapp.errors import InputError
 from cellapp.model import ArmModel
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.results import Record, Result
 from cellapp.run import Readings
+from cellapp.scale.executor import IN_PROCESS, Resources
+from cellapp.scale.gather import gather
+from cellapp.scale.task import Batch, Seed, TaskKind, as_given
 from cellapp.signature.calibrate import prior_result, stated_model, updated_arm
 from cellapp.signature.discovery import SearchWithPriors
 from cellapp.signature.earlier import Earlier, believed
-from cellapp.trials.league.draws import DrawTask
-from cellapp.trials.league.series import Entrant, Rows, load_entrant
+from cellapp.trials.league.series import (
+    Entrant,
+    Rows,
+    SeriesTexts,
+    draw_rows,
+    load_entrant,
+    parse_entrants,
+    series_texts,
+)
 from cellapp.trials.measured import measured_plan
-from cellapp.trials.processes import in_processes
 
 _REMOUNT_SEED = 0x2E30
 """Beside the seed of a cell: the draw of its new mounts is then independent of all other draws."""
@@ -99,32 +108,48 @@ class SignatureResult(Result):
     lines: tuple[SignatureLine, ...]
     bars: tuple[SignatureBar, ...]
     draws: tuple[SignatureDraw, ...]
+    failed: tuple[str, ...] = ()
+    """Cells or draws that failed, and why."""
 
     def complaints(self) -> list[str]:
-        """Bars that are missed, in words."""
-        return [f"{bar.what}: {bar.reached:.4g}, at most {bar.most:.4g}" for bar in self.bars if not bar.met]
+        """What failed and bars that are missed, in words."""
+        return [
+            *self.failed,
+            *(f"{bar.what}: {bar.reached:.4g}, at most {bar.most:.4g}" for bar in self.bars if not bar.met),
+        ]
 
 
-@dataclass(frozen=True)
-class TwinTask:
-    """A simulated cell: stops of the first calibration, of the second with and without it, and held-out stops."""
+class TwinPlan(Record):
+    """What all simulated cells share: stops of the first calibration, of the second with and without it, and held-out
+    stops; ``mix`` hides other effects than the profile's."""
 
     profile: Profile
-    seed: int
     earlier: int
     few: int
     many: int
     held_out: int
+    mix: bool
 
 
-@dataclass(frozen=True, eq=False)
-class RealTask:
-    """A draw of rows of a series of an arm whose earlier calibration is known."""
+class RealSeries(Record):
+    """Series of one arm: names of the earlier and of the later one, and both as text."""
 
-    entrant: Entrant
-    earlier: Earlier
+    earlier: str
+    later: str
+    texts: SeriesTexts
+
+
+class RealTask(Record):
+    """How many rows of the later series are drawn by which seed."""
+
     rows: Rows
     seed: int
+
+
+class Draws(Record):
+    """The draws of one simulated cell."""
+
+    draws: tuple[SignatureDraw, ...]
 
 
 def twin_trials(
@@ -136,7 +161,7 @@ def twin_trials(
     many: int = 150,
     held_out: int = 120,
     mix: bool = False,
-    jobs: int = 1,
+    resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> SignatureResult:
@@ -151,13 +176,10 @@ def twin_trials(
     """
     if profile.plant is None:
         raise InputError(f"profile {profile.name}: the trial needs a simulated cell, a section 'plant'")
-    cells = [with_mix(profile, seed) if mix else profile for seed in seeds]
-    tasks = [TwinTask(cell, seed, earlier, few, many, held_out) for cell, seed in zip(cells, seeds, strict=True)]
-    draws: list[SignatureDraw] = []
-    listener(Progress("signature", 0, len(tasks)))
-    for done, found in enumerate(in_processes(twin_draws, tasks, jobs, cancel or CancelToken()), start=1):
-        draws += found
-        listener(Progress("signature", done, len(tasks), f"seed {found[0].seed}"))
+    plan = TwinPlan(profile=profile, earlier=earlier, few=few, many=many, held_out=held_out, mix=mix)
+    batch = Batch(TWINS, plan, [Seed(seed=seed) for seed in seeds], [f"seed {seed}" for seed in seeds])
+    gathered = gather(batch, "signature", resources, listener, cancel)
+    draws = [draw for one in gathered.found for draw in one.draws]
     draws.sort(key=lambda draw: (draw.stops, draw.seed, draw.arm))
     few_draws = [draw for draw in draws if draw.stops == few]
     many_mm = float(np.mean([draw.alone_mm for draw in draws if draw.stops == many]))
@@ -165,7 +187,11 @@ def twin_trials(
     what = f"{few} stops with [mm], {many} without: {many_mm:.4f}"
     bar = SignatureBar(what=what, most=many_mm, reached=reached, met=reached <= many_mm)
     return SignatureResult(
-        earlier_stops={cells[0].name: earlier}, lines=lines_of(draws), bars=(bar,), draws=tuple(draws)
+        earlier_stops={draws[0].cell: earlier},
+        lines=lines_of(draws),
+        bars=(bar,),
+        draws=tuple(draws),
+        failed=gathered.failed,
     )
 
 
@@ -185,27 +211,31 @@ def with_mix(profile: Profile, seed: int) -> Profile:
     return profile.model_copy(update={"name": f"{profile.name}, mix", "plant": plant})
 
 
-def twin_draws(task: TwinTask) -> list[SignatureDraw]:
+def twin_draws(plan: TwinPlan, drawn: Seed) -> Draws:
     """Both arms of one simulated cell, from few and from many stops."""
-    assert task.profile.plant is not None
-    plant = task.profile.plant.model_copy(update={"seed": task.seed})
-    first = task.profile.model_copy(update={"seed": task.seed, "plant": plant})
-    known = _measured(first, task.earlier, task.seed)
-    models = _alone(first, known)
-    again = remounted(first, task.seed)
-    count = task.many + task.held_out
-    measured = _measured(again, count, task.seed + _PLAN_SEED)
+    seed = drawn.seed
+    cell = with_mix(plan.profile, seed) if plan.mix else plan.profile
+    assert cell.plant is not None
+    first = cell.model_copy(update={"seed": seed, "plant": cell.plant.model_copy(update={"seed": seed})})
+    known = measured_stops(first, plan.earlier, seed)
+    models = calibrated_alone(first, known)
+    again = remounted(first, seed)
+    count = plan.many + plan.held_out
+    measured = measured_stops(again, count, seed + _PLAN_SEED)
     draws = []
     for name in known:
         belief, readings = believed(first, name, models, known)
         since = Earlier(belief, Path("earlier"), "discover", "", "then", readings, None, (), ())
-        for stops in (task.few, task.many):
-            some = {arm: _first_learn(its, stops, task.many) for arm, its in measured.items()}
+        for stops in (plan.few, plan.many):
+            some = {arm: _first_learn(its, stops, plan.many) for arm, its in measured.items()}
             geometry = {arm: calibrate_arm(again, arm, its)[0].model for arm, its in some.items()}
             conditions = conditions_of_arms(geometry, some)[name]
-            earlier = since if stops == task.few else None
-            draws.append(_draw(first.name, task.seed, again, name, some[name], conditions, geometry[name], earlier))
-    return draws
+            earlier = since if stops == plan.few else None
+            draws.append(_draw(first.name, seed, again, name, some[name], conditions, geometry[name], earlier))
+    return Draws(draws=tuple(draws))
+
+
+TWINS = TaskKind("cellapp.trials.signature:TWINS", TwinPlan, Seed, Draws, as_given, twin_draws)
 
 
 def remounted(profile: Profile, seed: int) -> Profile:
@@ -232,7 +262,7 @@ def real_trials(
     later: str = "D",
     data: Path,
     profiles: Path,
-    jobs: int = 1,
+    resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> SignatureResult:
@@ -243,18 +273,12 @@ def real_trials(
     InputError
         If a series, or the asked number of rows, is not there.
     """
-    before, after = load_entrant(earlier, data, profiles), load_entrant(later, data, profiles)
-    listener(Progress("signature", 0, 1 + len(rows) * len(seeds), f"series {earlier}"))
-    whole = replace(before.readings, split=("identify",) * (len(before.readings) - 1) + ("validate",))
-    models = _alone(before.profile, {before.arm: whole})
-    belief, count = believed(before.profile, before.arm, models, {before.arm: whole})
-    known = Earlier(belief, Path(earlier), "discover", "", f"series {earlier}", count, None, (), ())
-    tasks = [RealTask(after, known, size, seed) for size in rows for seed in seeds]
-    draws = []
-    for draw in in_processes(real_draw, tasks, jobs, cancel or CancelToken()):
-        draws.append(draw)
-        listener(Progress("signature", 1 + len(draws), 1 + len(tasks), f"{draw.stops} rows, seed {draw.seed}"))
-    draws.sort(key=lambda draw: (draw.stops, draw.seed))
+    series = RealSeries(earlier=earlier, later=later, texts=series_texts([earlier, later], data, profiles))
+    tasks = [RealTask(rows=size, seed=seed) for size in rows for seed in seeds]
+    names = [f"{task.rows} rows, seed {task.seed}" for task in tasks]
+    gathered = gather(Batch(REAL, series, tasks, names), "signature", resources, listener, cancel)
+    draws = sorted(gathered.found, key=lambda draw: (draw.stops, draw.seed))
+    count = len(load_entrant(earlier, data, profiles).readings)
     lines = lines_of(draws)
     bars = [
         SignatureBar(
@@ -265,20 +289,44 @@ def real_trials(
         )
         for line in lines
     ]
-    return SignatureResult(earlier_stops={earlier: count}, lines=lines, bars=tuple(bars), draws=tuple(draws))
+    return SignatureResult(
+        earlier_stops={earlier: count}, lines=lines, bars=tuple(bars), draws=tuple(draws), failed=gathered.failed
+    )
 
 
-def real_draw(task: RealTask) -> SignatureDraw:
+@dataclass(frozen=True, eq=False)
+class RealArm:
+    """The later series of an arm, and its calibration from the earlier one."""
+
+    entrant: Entrant
+    earlier: Earlier
+
+
+def calibrated_earlier(series: RealSeries) -> RealArm:
+    """Calibrate and search the whole earlier series."""
+    entrants = parse_entrants(series.texts)
+    before = entrants[series.earlier]
+    whole = replace(before.readings, split=("identify",) * (len(before.readings) - 1) + ("validate",))
+    models = calibrated_alone(before.profile, {before.arm: whole})
+    belief, count = believed(before.profile, before.arm, models, {before.arm: whole})
+    known = Earlier(belief, Path(series.earlier), "discover", "", f"series {series.earlier}", count, None, (), ())
+    return RealArm(entrants[series.later], known)
+
+
+def real_draw(arm: RealArm, task: RealTask) -> SignatureDraw:
     """One draw of rows with and without the earlier series."""
-    entrant = task.entrant
-    rows = DrawTask(entrant, task.rows, task.seed).drawn()
+    entrant = arm.entrant
+    rows = draw_rows(entrant, task.rows, task.seed)
     words = np.full(len(entrant.readings), None, dtype=object)
     words[rows.learned], words[rows.judged] = "identify", "validate"
     readings = replace(entrant.readings, split=tuple(words.tolist()))
     profile = entrant.profile.model_copy(update={"seed": task.seed})
     conditions = measurement_conditions(readings)
     model = calibrate_arm(profile, entrant.arm, readings)[0].model
-    return _draw(entrant.name, task.seed, profile, entrant.arm, readings, conditions, model, task.earlier)
+    return _draw(entrant.name, task.seed, profile, entrant.arm, readings, conditions, model, arm.earlier)
+
+
+REAL = TaskKind("cellapp.trials.signature:REAL", RealSeries, RealTask, SignatureDraw, calibrated_earlier, real_draw)
 
 
 def lines_of(draws: Sequence[SignatureDraw]) -> tuple[SignatureLine, ...]:
@@ -309,7 +357,7 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _measured(profile: Profile, stops: int, seed: int) -> dict[str, Readings]:
+def measured_stops(profile: Profile, stops: int, seed: int) -> dict[str, Readings]:
     """Readings of all arms at a plan of its own; all but the last are to learn from."""
     planned = profile.model_copy(
         update={
@@ -329,7 +377,7 @@ def _first_learn(readings: Readings, stops: int, learnable: int) -> Readings:
     return replace(readings, split=tuple(words))
 
 
-def _alone(profile: Profile, readings: Mapping[str, Readings]) -> dict[str, ArmModel]:
+def calibrated_alone(profile: Profile, readings: Mapping[str, Readings]) -> dict[str, ArmModel]:
     """Calibration and discovery of all arms."""
     models = {name: calibrate_arm(profile, name, its)[0].model for name, its in readings.items()}
     conditions = conditions_of_arms(models, readings)

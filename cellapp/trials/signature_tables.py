@@ -1,4 +1,4 @@
-"""Tables of the trial of earlier calibrations for terminal and README."""
+"""Tables of the trial of earlier calibrations for terminal and handbook."""
 
 from __future__ import annotations
 

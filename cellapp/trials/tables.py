@@ -1,4 +1,4 @@
-"""Tables of the trials for terminal and README."""
+"""Tables of the trials for terminal and handbook."""
 
 from __future__ import annotations
 

@@ -111,10 +111,12 @@ class TargetTrialsResult(Result):
     version: Literal[1] = 1
     profile: str
     trials: tuple[TargetTrial, ...]
+    failed: tuple[str, ...] = ()
+    """Cells that failed, and why."""
 
     def complaints(self) -> list[str]:
-        """Bars that the means over all cells miss."""
-        found = []
+        """What failed, and bars that the means over all cells miss."""
+        found = list(self.failed)
         for state in self.states():
             for name, arms in self.by_arm(state).items():
                 found += [f"{state}, arm {name}: {text}" for text in _arm_complaints(arms)]

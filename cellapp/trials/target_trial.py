@@ -28,20 +28,21 @@ from cellapp.compensation.targets import Target
 from cellapp.effects import MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array, rotation_z, transform, zyx_angles
-from cellapp.locate_verb import locate_run
 from cellapp.model import ArmModel, CellModel
 from cellapp.model.nominal import pose_matrix
 from cellapp.pipeline import calibrate_run, discover_run, new_planned_run
 from cellapp.planning.duration import planned_time
 from cellapp.planning.stored_stops import read_planned_stops
 from cellapp.profile import Pose, Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.results import CALIBRATE, DiscoverResult, LocateVerdict, MeasuredTarget, VerifyResult
+from cellapp.progress import CancelToken, Listener, ignore
+from cellapp.results import CALIBRATE, DiscoverResult, LocateVerdict, MeasuredTarget, Record, VerifyResult
 from cellapp.run import RunFile
 from cellapp.run.stages import read_stages
 from cellapp.run.stored_model import model_of, stage_in_force
+from cellapp.scale.executor import IN_PROCESS, Resources
+from cellapp.scale.gather import gather
+from cellapp.scale.task import Batch, Seed, TaskKind, as_given
 from cellapp.trials.blind import with_hidden
-from cellapp.trials.processes import in_processes
 from cellapp.trials.target_draws import draw_hidden, draw_pairs, draw_targets
 from cellapp.trials.target_records import (
     CALIBRATED,
@@ -54,6 +55,7 @@ from cellapp.trials.target_records import (
     TargetTrialsResult,
     mean_of,
 )
+from cellapp.verbs.locate import locate_run
 from drivers.plant import Plant
 
 _FLOOR_SEED = 0xF100
@@ -72,12 +74,10 @@ _NORMAL_95 = 1.959964
 """Half-width of a 95 % interval of a normal variable [standard deviations]."""
 
 
-@dataclass(frozen=True)
-class TrialTask:
-    """One cell to be tried: ``targets`` single targets an arm, ``pairs`` cooperative ones."""
+class TargetsPlan(Record):
+    """What all cells share: ``targets`` single targets an arm, ``pairs`` cooperative ones."""
 
     profile: Profile
-    seed: int
     targets: int
     pairs: int
 
@@ -87,7 +87,7 @@ def target_trials(
     seeds: Sequence[int],
     targets: int,
     pairs: int,
-    jobs: int = 1,
+    resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> TargetTrialsResult:
@@ -103,28 +103,25 @@ def target_trials(
         raise InputError(f"profile {profile.name}: these trials need a section 'plant' and two arms")
     if not (profile.tracker.driver.needs_plant and all(arm.driver.needs_plant for arm in profile.arms.values())):
         raise InputError(f"profile {profile.name}: these trials need drivers of kind 'simulated' for all devices")
-    tasks = [TrialTask(profile, seed, targets, pairs) for seed in seeds]
-    trials = []
-    listener(Progress("targets", 0, len(tasks), profile.name))
-    for trial in in_processes(target_trial, tasks, jobs, cancel or CancelToken()):
-        trials.append(trial)
-        listener(Progress("targets", len(trials), len(tasks), f"seed {trial.seed}"))
-    return TargetTrialsResult(profile=profile.name, trials=tuple(sorted(trials, key=lambda trial: trial.seed)))
+    plan = TargetsPlan(profile=profile, targets=targets, pairs=pairs)
+    batch = Batch(CELLS, plan, [Seed(seed=seed) for seed in seeds], [f"seed {seed}" for seed in seeds])
+    gathered = gather(batch, "targets", resources, listener, cancel)
+    return TargetTrialsResult(profile=profile.name, trials=gathered.found, failed=gathered.failed)
 
 
-def target_trial(task: TrialTask) -> TargetTrial:
+def target_trial(task: TargetsPlan, drawn: Seed) -> TargetTrial:
     """Calibrate one cell with hidden effects and measure new targets in it."""
-    began = time.perf_counter()
-    profile = with_hidden(task.profile, {}, task.seed)
+    began, seed = time.perf_counter(), drawn.seed
+    profile = with_hidden(task.profile, {}, seed)
     with TemporaryDirectory() as folder, new_planned_run(profile, Path(folder) / "run") as run:
         duration_s = planned_time(profile, read_planned_stops(run)).total_s
-        hidden, laws = draw_hidden(task.profile, task.seed, duration_s)
-        plant = build_plant(with_hidden(task.profile, hidden, task.seed))
+        hidden, laws = draw_hidden(task.profile, seed, duration_s)
+        plant = build_plant(with_hidden(task.profile, hidden, seed))
         collect_run(run, opened=partial(open_cell, plant=plant))
         calibrate_run(run)
         found = discover_run(run)
         ranges = {name: ConditionRanges.of(run.readings(name)) for name in profile.arms}
-        bench = _Bench(profile, plant, plant.clock_s, *_models(run), ranges, task.seed)
+        bench = _Bench(profile, plant, plant.clock_s, *_models(run), ranges, seed)
         pushing = time.perf_counter()
         states = {CALIBRATED: _state(bench, task)}
         push_seconds = time.perf_counter() - pushing
@@ -133,13 +130,16 @@ def target_trial(task: TrialTask) -> TargetTrial:
             located = replace(bench, known_s=plant.clock_s, model=_models(run)[0], moved=True)
             states[RELOCATED] = _state(located, task)
     return TargetTrial(
-        seed=task.seed,
+        seed=seed,
         effects={name: _effects(tuple(hidden[name]), laws[name], found, name) for name in profile.arms},
         states=states,
         location=location,
         seconds=time.perf_counter() - began,
         push_seconds=push_seconds,
     )
+
+
+CELLS = TaskKind("cellapp.trials.target_trial:CELLS", TargetsPlan, Seed, TargetTrial, as_given, target_trial)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -192,7 +192,7 @@ def _locate(run: RunFile, bench: _Bench) -> LocateVerdict:
     return locate_run(run, tracker_pose=rough, open_with=partial(open_cell, plant=bench.plant)).verdict
 
 
-def _state(bench: _Bench, task: TrialTask) -> StateFigures:
+def _state(bench: _Bench, task: TargetsPlan) -> StateFigures:
     """Draw new targets, compensate and measure them."""
     seed = bench.seed + (_OTHER_TARGETS if bench.moved else 0)
     singles = draw_targets(bench.profile, bench.model, task.targets, seed)

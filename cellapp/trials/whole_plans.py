@@ -14,9 +14,12 @@ from cellapp.planning.factor_correlations import correlations
 from cellapp.planning.method import make_stops
 from cellapp.planning.planned_stops import Configuration, PlannedStops
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.results import FactorCorrelation, Record
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.scale.executor import IN_PROCESS, Resources
+from cellapp.scale.gather import Gathered, gather
+from cellapp.scale.task import Batch, SimulatedCell, TaskKind, profile_of
 from cellapp.trials.collision_check import CollisionCheck
 
 _SEED = 0x9A9
@@ -53,37 +56,47 @@ class WholePlan(Record):
         return 1.0 - self.travel_s / max(self.random_order_s, 1e-12)
 
 
+class PlanSeed(Record):
+    """A seed, and the stops of its plan."""
+
+    seed: int
+    stops: int
+
+
 def whole_plans(
-    profile: Profile, seeds: Sequence[int], stops: int, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> tuple[WholePlan, ...]:
+    profile: Profile,
+    seeds: Sequence[int],
+    stops: int,
+    resources: Resources = IN_PROCESS,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> Gathered[WholePlan]:
     """Plan ``stops`` stops with each seed.
 
     Raises
     ------
     InputError
-        If the package of the independent check is missing, or not enough stops can be reached.
+        If the package of the independent check is missing, or not enough stops can be reached with any seed.
     Cancelled
     """
-    cancel = cancel or CancelToken()
-    found = []
-    for number, seed in enumerate(seeds):
-        listener(Progress("plans", number, len(seeds), f"{profile.name}, seed {seed}"))
-        found.append(_whole_plan(profile, seed, stops, cancel))
-    listener(Progress("plans", len(seeds), len(seeds), "done"))
-    return tuple(found)
+    drawn = [PlanSeed(seed=seed, stops=stops) for seed in seeds]
+    batch = Batch(PLANS, SimulatedCell(profile=profile), drawn, [f"whole plan, seed {seed}" for seed in seeds])
+    return gather(batch, "whole plans", resources, listener, cancel)
 
 
-def _whole_plan(profile: Profile, seed: int, stops: int, cancel: CancelToken) -> WholePlan:
+def _whole_plan(profile: Profile, drawn: PlanSeed) -> WholePlan:
+    seed, stops = drawn.seed, drawn.stops
+
     def asked(method: str) -> Profile:
         plan = profile.plan.model_copy(update={"stops": stops, "reserve": 0, "method": method})
         return profile.model_copy(update={"seed": seed, "plan": plan})
 
     check = CollisionCheck(profile)
     began = time.perf_counter()
-    planned, design = make_stops(asked("designed"), cancel=cancel)
+    planned, design = make_stops(asked("designed"))
     seconds = time.perf_counter() - began
     assert design is not None, "a designed plan has a result"
-    random, _ = make_stops(asked("random"), cancel=cancel)
+    random, _ = make_stops(asked("random"))
     homes = home_positions(profile)
     motions = planned_motions(planned, homes)
     arms = design.arms.values()
@@ -101,6 +114,9 @@ def _whole_plan(profile: Profile, seed: int, stops: int, cancel: CancelToken) ->
         motions=len(motions),
         collisions=sum(1 for _ in check.collisions(motions, np.random.default_rng([seed, _SEED]), timings=_TIMINGS)),
     )
+
+
+PLANS = TaskKind("cellapp.trials.whole_plans:PLANS", SimulatedCell, PlanSeed, WholePlan, profile_of, _whole_plan)
 
 
 def planned_motions(stops: PlannedStops, homes: Configuration) -> list[tuple[dict[str, Array], dict[str, Array]]]:

@@ -65,7 +65,7 @@ _LATER = (
     "cellapp.pipeline",
     "cellapp.reporting.charts_plan",
     "cellapp.planning.view",
-    "cellapp.docs.handbook",
+    "cellapp.docs.sections",
 )
 _MOST_TAKEN = 300
 """Events that are taken in at a time: each takes some microseconds."""
@@ -99,7 +99,7 @@ class CellApp(App[None]):
         *(Binding(entry.key, f"show('{entry.step}')", entry.title, show=False) for entry in SCREENS),
         Binding("n", "next_step", "Next", tooltip="show the step that comes next"),
         Binding("question_mark", "explain", "Help", key_display="?", tooltip="explain this screen"),
-        Binding("h", "handbook", "Handbook", show=False),
+        Binding("h,f1", "handbook", "Handbook", show=False),
         Binding("ctrl+o", "jump", "Jump", show=False),
         Binding("q", "quit", "Quit"),
         Binding("ctrl+q", "quit", show=False, priority=True),

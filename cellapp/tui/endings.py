@@ -71,12 +71,30 @@ def _done(job: Job, result: Result | None) -> Ending:
 
 def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
     """What did not hold, and what is said of the verification or of a plan if all did."""
-    from cellapp.results import CollectResult, LocateResult, PathResult, PlanResult, VerifyResult, WholeRunResult
+    from cellapp.results import (
+        CertificateCheckResult,
+        CertificateResult,
+        CheckResult,
+        CollectResult,
+        Iso9283Result,
+        LocateResult,
+        PathResult,
+        PlanResult,
+        VerifyResult,
+        WholeRunResult,
+    )
 
     if isinstance(result, PlanResult):
         return [], "".join(f"; {note}" for note in result.notes)
-    if isinstance(result, PathResult):
+    if isinstance(result, PathResult | Iso9283Result):
         return result.complaints(), ""
+    if isinstance(result, CheckResult):
+        return result.complaints(), "; the calibration holds"
+    if isinstance(result, CertificateResult):
+        doubts = "; it does not confirm conformity" if result.complaints() else ""
+        return [], f"; certificate {result.number} was written{doubts}"
+    if isinstance(result, CertificateCheckResult):
+        return result.complaints(), f"; signature {result.signature}"
     collected = result if isinstance(result, CollectResult) else None
     verified = result if verifies and isinstance(result, VerifyResult) else None
     is_day = isinstance(result, WholeRunResult)

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 from cellapp.tui import work
 from cellapp.tui.dialogs.follow_path import FollowPath, FollowRequest
 from cellapp.tui.dialogs.question import Answer, Choice, Reading
-from cellapp.tui.workspace import NO_PROFILE, NO_RUN, Workspace, new_folder
+from cellapp.tui.workspace import NO_PROFILE, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.results import RunSummary
     from cellapp.tui.app import CellApp
 
 BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
+USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
+"""Answers where the model is out of date; the first one has the focus."""
 _SPEEDS = ((1, "1"), (10, "2"), (100, "3"))
 """Speeds of a replay and their keys."""
 
@@ -45,15 +47,11 @@ def offer_whole_day(app: CellApp) -> None:
 def offer_paths(app: CellApp) -> None:
     """Plan paths of lines and arcs for the run that is open; drive and measure them where a person asks for that."""
     from cellapp.reporting.target_list import stale_model
-    from cellapp.tui.screens.targets_state import NOT_CALIBRATED
 
-    folder, profile, results = app.workspace.folder, app.workspace.profile, app.workspace.results
-    if folder is None or profile is None:
-        app.say(NO_RUN, "warning")
+    calibrated, profile = app.day_screen.calibrated_run(), app.workspace.profile
+    if calibrated is None or profile is None:
         return
-    if results is None or results.calibrate is None:
-        app.say(NOT_CALIBRATED, "warning")
-        return
+    folder, results, _ = calibrated
 
     def begin(request: FollowRequest | None) -> None:
         if request is not None:

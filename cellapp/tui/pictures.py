@@ -1,4 +1,4 @@
-"""Pictures of the terminal application: every screen of the day, drawn without a terminal."""
+"""Pictures of the terminal application: its first question and every screen of the day, drawn without a terminal."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import asyncio
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,8 @@ REPLAY_SPEED = 100.0
 _WAIT_S = 300.0
 _LOOK_S = 0.05
 """How often it is looked whether a replay is far enough."""
+FIRST_RUN = "first-run"
+"""What the application asks in a folder without profiles; drawn beside the screens."""
 _FONT = re.compile(r"@font-face \{.*?\}\s*", re.DOTALL)
 _PLOTS_S = 1.0
 """The screen Collect draws its plots one after the other, so that keys are answered between them."""
@@ -40,6 +42,8 @@ def screen_file(step: str) -> str:
 
 def write_screens(profile: Path, run: Path | None, folder: Path, size: tuple[int, int] = SIZE) -> list[Path]:
     """Draw every screen as an SVG file, with a run or without one; their paths. Nothing is changed in the run.
+
+    The first picture is that of the first start, in a folder without profiles.
 
     Parameters
     ----------
@@ -81,7 +85,7 @@ async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> d
     from cellapp.tui.app import CellApp
     from cellapp.tui.screens import SCREENS
 
-    pictures = {}
+    pictures = {screen_file(FIRST_RUN): await _first_run(size)}
     with _runs_of(run) as runs:
         app = CellApp(profile.parent, runs)
         async with app.run_test(size=size) as pilot:
@@ -101,7 +105,18 @@ async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> d
                 svg = app.export_screenshot(title=f"cellapp: {entry.title}")
                 pictures[screen_file(entry.step)] = _without_fonts(svg)
                 await _end_job(app, pilot)
-    return {screen_file(entry.step): pictures[screen_file(entry.step)] for entry in SCREENS}
+    return {screen_file(step): pictures[screen_file(step)] for step in (FIRST_RUN, *(entry.step for entry in SCREENS))}
+
+
+async def _first_run(size: tuple[int, int]) -> str:
+    """SVG text of what the application asks in an empty folder."""
+    from cellapp.tui.app import CellApp
+
+    with tempfile.TemporaryDirectory() as name, chdir(name):  # the question names the folder as people see it
+        app = CellApp(Path("profiles"), Path("logs"))
+        async with app.run_test(size=size) as pilot:
+            await settle(pilot)
+            return _without_fonts(app.export_screenshot(title="cellapp"))
 
 
 async def _replay_half(app: CellApp, pilot: Pilot[None], run: Path) -> None:

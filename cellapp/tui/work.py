@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cellapp.compensation.targets import Target
     from cellapp.profile import Profile
     from cellapp.reporting.report_data import ReportData
-    from cellapp.results import Result, RunSummary
+    from cellapp.results import FleetResult, Result, RunComparison, RunSummary
     from cellapp.run import RunFile
     from cellapp.tui.dialogs.correct_program import CorrectRequest
     from cellapp.tui.dialogs.export_arms import ExportRequest
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from cellapp.tui.dialogs.locate_tracker import LocateRequest
 
 
+PDF_FILE = "report.pdf"
+"""As the command names it."""
 VERIFY = "verify"
 """Name of a push that measures: only its result says whether a verification held."""
 
@@ -105,8 +107,8 @@ def check_plan_file(profile: Path, path: Path) -> Job:
     """Check a plan that was edited by hand; nothing is stored."""
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.plan_verbs import check_plan_file
         from cellapp.profile import load_profile
+        from cellapp.verbs.plan import check_plan_file
 
         return check_plan_file(load_profile(profile), path, listener, control)
 
@@ -117,8 +119,8 @@ def plan_with_file(profile: Path, path: Path, folder: Path, *, around: bool) -> 
     """Make a run with the plan of a file, as it is written or with other stops designed ``around`` its own."""
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.plan_verbs import plan_around_file, plan_from_file
         from cellapp.profile import load_profile
+        from cellapp.verbs.plan import plan_around_file, plan_from_file
 
         make = plan_around_file if around else plan_from_file
         return make(load_profile(profile), path, folder, listener, control)
@@ -130,33 +132,33 @@ def freeze_stops(folder: Path, stops: Sequence[int]) -> Job:
     """Let later designs of a run's plan leave these stops, and no others."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.plan_verbs import freeze_stops
+        from cellapp.verbs.plan import freeze_stops
 
         return freeze_stops(run, stops)
 
-    return _on_run("freeze", folder, work)
+    return on_run("freeze", folder, work)
 
 
 def extend_plan(folder: Path, count: int) -> Job:
     """Append stops to the plan of a run."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.plan_verbs import extend_plan
+        from cellapp.verbs.plan import extend_plan
 
         return extend_plan(run, count, listener, control)
 
-    return _on_run("plan", folder, work)
+    return on_run("plan", folder, work)
 
 
 def replan(folder: Path) -> Job:
     """Design the stops of a run that are not measured again."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.plan_verbs import replan
+        from cellapp.verbs.plan import replan
 
         return replan(run, listener, control)
 
-    return _on_run("plan", folder, work)
+    return on_run("plan", folder, work)
 
 
 def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
@@ -167,7 +169,7 @@ def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
 
         return collect_stops(run, listener, control, resume=resume, accept_drift=accept_drift, ask=ask)
 
-    return _on_run("collect", folder, work, moves=True)
+    return on_run("collect", folder, work, moves=True)
 
 
 def calibrate(folder: Path, prior: Path | None = None) -> Job:
@@ -178,7 +180,7 @@ def calibrate(folder: Path, prior: Path | None = None) -> Job:
 
         return calibrate_run(run, listener, control, prior=prior)
 
-    return _on_run("calibrate", folder, work)
+    return on_run("calibrate", folder, work)
 
 
 def discover(folder: Path, propose: int | None = None) -> Job:
@@ -191,7 +193,7 @@ def discover(folder: Path, propose: int | None = None) -> Job:
             return discover_run(run, listener, control)
         return propose_run(run, propose, listener, control)
 
-    return _on_run("discover" if propose is None else "propose", folder, work)
+    return on_run("discover" if propose is None else "propose", folder, work)
 
 
 def compensate(folder: Path, targets: Sequence[Target]) -> Job:
@@ -202,7 +204,7 @@ def compensate(folder: Path, targets: Sequence[Target]) -> Job:
 
         return compensate_run(run, targets)
 
-    return _on_run("compensate", folder, work)
+    return on_run("compensate", folder, work)
 
 
 def push(
@@ -225,14 +227,14 @@ def push(
             run, targets, listener, control, verify=verify, iterate=iterate, out_of_date=out_of_date, ask=ask
         )
 
-    return _on_run(VERIFY if verify else "push", folder, work, moves=True)
+    return on_run(VERIFY if verify else "push", folder, work, moves=True)
 
 
 def locate(folder: Path, request: LocateRequest) -> Job:
     """Measure where the tracker stands after it was moved."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.locate_verb import locate_run, typed_pose
+        from cellapp.verbs.locate import locate_run, typed_pose
 
         rough, simulated = (
             None if text is None else typed_pose(text, "locate")
@@ -240,7 +242,7 @@ def locate(folder: Path, request: LocateRequest) -> Job:
         )
         return locate_run(run, request.points, listener, control, tracker_pose=rough, simulated_pose=simulated, ask=ask)
 
-    return _on_run("locate", folder, work, moves=True)
+    return on_run("locate", folder, work, moves=True)
 
 
 def follow(folder: Path, request: FollowRequest) -> Job:
@@ -248,7 +250,7 @@ def follow(folder: Path, request: FollowRequest) -> Job:
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.compensation.path_file import load_paths
-        from cellapp.path_verbs import follow_run
+        from cellapp.verbs.paths import follow_run
 
         return follow_run(
             run,
@@ -262,18 +264,18 @@ def follow(folder: Path, request: FollowRequest) -> Job:
             ask=ask,
         )
 
-    return _on_run("follow", folder, work, moves=request.driving != "plan")
+    return on_run("follow", folder, work, moves=request.driving != "plan")
 
 
-def report(folder: Path) -> Job:
-    """Write the page of the run."""
+def report(folder: Path, *, pdf: bool = False) -> Job:
+    """Write the page of the run; with ``pdf`` print it to a file, too."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.pipeline import report_run
 
-        return report_run(run)
+        return report_run(run, folder / PDF_FILE if pdf else None)
 
-    return _on_run("report", folder, work)
+    return on_run("report", folder, work)
 
 
 def export_arms(folder: Path, request: ExportRequest) -> Job:
@@ -343,7 +345,7 @@ def _of_run(name: str, folder: Path, work: Callable[[RunFile, Listener, JobContr
     return Job(name, opened, folder)
 
 
-def _on_run(
+def on_run(
     name: str, folder: Path, work: Callable[[RunFile, Listener, JobControl, Ask], Result], *, moves: bool = False
 ) -> Job:
     """A job that opens a run to add to it."""
@@ -373,6 +375,22 @@ def report_data(folder: Path | None) -> ReportData | None:
     for arm in data.held_out.values():
         _ = arm.errors_mm  # computed here, not while drawing
     return data
+
+
+def compare(folders: Sequence[Path], *, fleet: bool = False) -> RunComparison | FleetResult:
+    """Two runs compared in every value; more, or a ``fleet``, by the history of each arm. For a thread of its own."""
+    from cellapp.run import RunFile
+    from cellapp.run.history_compare import compare_runs
+    from cellapp.verbs.fleet import compare_many
+    from cellapp.verbs.fleet import fleet as fleet_of
+
+    if fleet:
+        return fleet_of(folders)
+    if len(folders) != 2:
+        return compare_many(folders)
+    first, second = folders
+    with RunFile.open(first) as a, RunFile.open(second) as b:
+        return compare_runs(a, b)
 
 
 def interrupted_run(logs: Path) -> RunSummary | None:

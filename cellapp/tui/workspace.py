@@ -14,11 +14,12 @@ if TYPE_CHECKING:
     from cellapp.profile import Profile
     from cellapp.results import CellKind, CollectionResult, OverviewResult, PlanDesignResult, RunResults, StopsResult
 
-Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "runs"]
-STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "runs")
+Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs"]
+STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs")
 StepState = Literal["open", "next", "done", "out of date"]
 
 _STEP_OF_VERB: Mapping[str, Step] = {
+    "plan": "plan",
     "collect": "collect",
     "calibrate": "calibrate",
     "discover": "discover",
@@ -27,6 +28,10 @@ _STEP_OF_VERB: Mapping[str, Step] = {
     "push": "targets",
     "verify": "targets",
     "path": "targets",
+    "iso9283": "accept",
+    "check": "accept",
+    "certificate": "accept",
+    "report": "accept",
 }
 
 
@@ -98,13 +103,16 @@ class Workspace:
             for stage in self.overview.stages:
                 if (step := _STEP_OF_VERB.get(stage.name)) is not None:  # a later version may have others
                     states[step] = "out of date" if stage.out_of_date else "done"
+            if self.overview.complaints:  # that screen names them all: stages, page, certificate
+                states["accept"] = "out of date"
         if states[self.next_step] in ("open", "done"):
             states[self.next_step] = "next"
         return states
 
 
 NO_PROFILE = "No profile is open: choose one on the screen Cell (key 1)."
-NO_RUN = "No run is open: plan one (key 2), or open one on the screen Runs (key 7)."
+NO_RUN = "No run is open: plan one (key 2), or open one on the screen Runs (key 8)."
+NOT_CALIBRATED = "This run is not calibrated yet: collect (key 3), then calibrate (key 4)."
 """What screens say where there is nothing to work on."""
 
 

@@ -11,7 +11,7 @@ import math
 import re
 import struct
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
@@ -230,14 +230,7 @@ def probe_ur(
         try:
             conversation = _ask_dashboard(dashboard, deadline)
         except LinkLost as error:
-            soon = min(deadline, time.monotonic() + 0.2)
-            others = [str(link.port) for link in (primary, script, rtde) if not link.refusal(soon)]
-            if not others:
-                raise
-            raise LinkLost(
-                f"{error}. Other UR ports accept a connection there ({', '.join(others)}): see whether the dashboard"
-                " server is switched on (Settings > Security > Services)"
-            ) from error
+            raise _with_open_ports(error, (primary, script, rtde), deadline) from error.__cause__
         sample, sample_note = _state(rtde, time.monotonic() + 0.5 * remaining_s(deadline))
         primary_state = _read_primary(primary, deadline)
         ports = {link.port: not link.refusal(deadline) for link in (primary, script, rtde)}
@@ -263,6 +256,18 @@ def probe_ur(
         tcp=primary_state.tcp,
         sample=sample,
         sample_note=sample_note,
+    )
+
+
+def _with_open_ports(error: LinkLost, others: Sequence[Connection], deadline: float) -> LinkLost:
+    """The loss of the dashboard; it names other ports that accept a connection, as then only the server is off."""
+    soon = min(deadline, time.monotonic() + 0.2)
+    accepting = [str(link.port) for link in others if not link.refusal(soon)]
+    if not accepting:
+        return error
+    return LinkLost(
+        f"{error}. Other UR ports accept a connection there ({', '.join(accepting)}): see whether the dashboard"
+        " server is switched on (Settings > Security > Services)"
     )
 
 

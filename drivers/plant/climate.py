@@ -38,17 +38,3 @@ def joint_rise(rise: Array, speed: Array, duration_s: float, holding_k: float = 
     end = holding_k + JOINT_RISE_K * speed
     after: Array = end + (rise - end) * np.exp(-duration_s / JOINT_TIME_CONSTANT_S)
     return after
-
-
-def rises_during(q: Array, time_s: Array, holding_k: float = 0.0) -> Array:
-    """Return the rises (n, N) [K] of joints, cold at time 0, that are at ``q`` (n, N) [rad] at times (n,) [s].
-
-    Each rotates at constant speed between two times.
-    """
-    rise, found = np.zeros(q.shape[1]), np.empty_like(q)
-    travels = np.abs(np.diff(q, axis=0, prepend=q[:1]))
-    for k, (wait, distance) in enumerate(zip(np.diff(time_s, prepend=0.0), travels, strict=True)):
-        speed = distance / wait if wait > 0.0 else np.zeros_like(distance)
-        rise = joint_rise(rise, speed, wait, holding_k)
-        found[k] = rise
-    return found

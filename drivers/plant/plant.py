@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from drivers.plant import effects as hidden
 from drivers.plant.clearance import Clearance
-from drivers.plant.climate import Air, joint_rise, rises_during
+from drivers.plant.climate import Air, joint_rise
 from drivers.plant.config import ArmConfig, Array, PlantConfig, broadcast
 from drivers.plant.effect import Situation
 from drivers.plant.executed import Executed, executed_clearance
@@ -111,6 +111,11 @@ class Plant:
     def true_mechanism(self, name: str) -> Mechanism:
         """True mechanism of an arm, undeflected."""
         return self._arm(name).mechanism
+
+    def change_mechanism(self, name: str, change: Callable[[Mechanism], Mechanism]) -> None:
+        """Change the true mechanism of an arm; see ``drivers.plant.changes``."""
+        arm = self._arm(name)
+        arm.mechanism, arm.resting = change(arm.mechanism), None
 
     def true_T_M_B(self, name: str) -> Array:
         """True base pose of an arm in the tracker frame, (4, 4)."""
@@ -252,14 +257,6 @@ class Plant:
         posture, _ = self._equilibrium(arm, situation, memories, NO_DEFLECTION, None)
         return self._apparent_smr(arm, situation, posture)[0]
 
-    def joint_temperatures_during(self, name: str, q: Array, time_s: Array) -> Array:
-        """Return joint temperatures (n, N) [degC] of an arm, cold at time 0, that is at ``q`` (n, N) at times (n,).
-
-        Each joint rotates at constant speed from stop to stop; times must not decrease.
-        """
-        q, time_s = np.asarray(q, dtype=np.float64), np.asarray(time_s, dtype=np.float64)
-        return self._air.temperature_c(time_s)[:, None] + rises_during(q, time_s, self.config.holding_k)
-
     # -- time and motion ---------------------------------------------------------------------------------------------
 
     @property
@@ -316,8 +313,7 @@ class Plant:
         """Set the arm's load: ``mass`` [kg] with its centre at ``center`` (3,) [m] in the flange frame."""
         arm = self._arm(name)
         arm.resting = None
-        load = np.array(center, dtype=np.float64)
-        arm.mechanism = replace(arm.mechanism, payload_mass=float(mass), payload_center=load)
+        arm.mechanism = replace(arm.mechanism, payload_mass=float(mass), payload_center=np.array(center, dtype=float))
 
     def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
         """Start a joint motion to ``q`` (N,) now; the arm must be at rest."""
@@ -359,11 +355,8 @@ class Plant:
         """Update the arm's state and memories after a motion to ``q``."""
         if self._executed is not None and arm.motion is not None:
             self._executed[arm.config.name].append(Executed(arm.motion, time_s))
-        step = q - arm.q
-        arm.memories = [
-            effect.memory_after_motion(memory, q[None])
-            for effect, memory in zip(arm.effects, arm.memories, strict=True)
-        ]
+        step, effects = q - arm.q, zip(arm.effects, arm.memories, strict=True)
+        arm.memories = [effect.memory_after_motion(memory, q[None]) for effect, memory in effects]
         arm.approach = np.where(step == 0.0, arm.approach, np.sign(step))
         arm.last_step = step
         arm.q = q

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from cellapp.planning.candidates import draw_pool
-from cellapp.planning.turning import turned_to_tracker
 from cellapp.planning.view import view_workspace
 from cellapp.profile import load_profile
 from cellapp.safety.bodies import place
@@ -34,12 +33,6 @@ def test_plain_rejection_of_100_000_configurations(benchmark):
         return q[clear_alone(CELL, place(CELL.arms["left"], q))]
 
     assert len(benchmark.pedantic(draw, rounds=3)) > 500
-
-
-@pytest.mark.benchmark(group="candidates of one arm")
-def test_turning_20_000_candidates_to_the_tracker(benchmark):
-    q = draw_pool(CELL, PROFILE, "left", 20_000, np.random.default_rng(1)).q
-    benchmark.pedantic(turned_to_tracker, args=(CELL, "left", q), rounds=3)
 
 
 @pytest.mark.benchmark(group="view of both arms")

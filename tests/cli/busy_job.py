@@ -13,7 +13,8 @@ import time
 
 import numpy as np
 
-from cellapp.cli.job import Job, run_program
+from cellapp.cli.job import Job
+from cellapp.cli.program import run_program
 from cellapp.control import Request
 
 

@@ -14,8 +14,6 @@ from cellapp.run import RunFile
 from tests.cli.test_cli import exit_code
 from tests.twin import PROFILES, small_twin, write_profile
 
-pytestmark = pytest.mark.fast
-
 
 def called(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
     with pytest.MonkeyPatch.context() as patch:
@@ -44,6 +42,7 @@ def test_a_plan_is_checked_and_foreseen_in_batch(tmp_path: Path, capsys: pytest.
     assert (tmp_path / "run" / "run.sqlite").read_bytes() == before
 
 
+@pytest.mark.fast
 def test_a_plan_that_is_refused_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     down = np.array([[0.0, 0.6, 0.0, -1.5, 0.0, 0.0]])  # bent down into the floor
     with RunFile.create(tmp_path / "run", small_twin(1), lambda run: run.write_plan({"left": down, "right": down})):
@@ -56,6 +55,7 @@ def test_a_plan_that_is_refused_ends_with_1(tmp_path: Path, capsys: pytest.Captu
     assert read_json(out)["refused"]
 
 
+@pytest.mark.fast
 def test_bad_use_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     RunFile.create(tmp_path / "imported", small_twin()).close()
     for arguments, words in (
@@ -103,6 +103,7 @@ def test_a_plan_is_edited_in_batch(tmp_path: Path, capsys: pytest.CaptureFixture
     assert (code, "arm right: 6 stops planned" in said) == (0, True)
 
 
+@pytest.mark.fast
 def test_an_edited_plan_with_offences_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, profile = tmp_path / "plan.csv", PROFILES / "twin.yaml"
     columns = "configuration,arm,point,q1,q2,q3,q4,q5,q6"

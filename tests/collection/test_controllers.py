@@ -13,11 +13,12 @@ import pytest
 
 from cellapp.collection.cell import Cell, arm_context, open_cell
 from cellapp.collection.collect import collect_run
-from cellapp.collection.controllers import CONTROLLERS_RESULT, ControllerIdentity, check_controllers
+from cellapp.collection.controllers import ControllerIdentity, check_controllers
 from cellapp.errors import HardwareError, InputError
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile, load_profile
 from cellapp.run import RunFile
+from cellapp.run.arm_identity import CONTROLLERS_RESULT
 from drivers.arms.protocol import ArmIdentity, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from drivers.arms.ur import UrArm

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from cellapp.collection import locate as locating
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.locating_stops import LocatingStops
+from cellapp.collection.smr_search import FoundPoint, covariances, lattice, share_of_chance
 from cellapp.compensation.targets import load_targets
 from cellapp.control import JobControl, Stopped
 from cellapp.effects import MeasurementConditions
 from cellapp.errors import HardwareError, InputError
-from cellapp.locate_verb import locate_run, typed_pose
 from cellapp.model import CellModel
 from cellapp.pipeline import calibrate_run, collect_stops, compensate_run, discover_run, push_run, report_run
 from cellapp.profile import Pose, Profile
@@ -31,11 +31,10 @@ from cellapp.run import RunFile
 from cellapp.run.overview import run_overview
 from cellapp.run.stages import CALIBRATION_FILE, read_results, read_stages
 from cellapp.run.stored_model import model_of
+from cellapp.verbs.locate import locate_run, typed_pose
 from drivers.trackers.protocol import Point
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import PROFILES, plant_of, small_twin
-
-pytestmark = pytest.mark.fast
 
 TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 SOME = (*TARGETS[:6], *TARGETS[20:26])
@@ -325,18 +324,18 @@ def test_every_place_within_reach_is_near_one_that_is_pointed_at(
     direction: tuple[float, float, float], distance_m: float
 ) -> None:
     place = np.array(direction) / np.linalg.norm(direction) * distance_m
-    lattice = np.array(locating._lattice(0.16))
-    assert np.linalg.norm(lattice - place, axis=1).min() <= 0.05
-    assert np.all(np.diff(np.linalg.norm(lattice, axis=1)) >= -1e-12)
+    places = np.array(lattice(0.16))
+    assert np.linalg.norm(places - place, axis=1).min() <= 0.05
+    assert np.all(np.diff(np.linalg.norm(places, axis=1)) >= -1e-12)
 
 
-def found_points(rng: np.random.Generator, sigma_m: float, stated_m: float, count: int) -> list[locating.FoundPoint]:
+def found_points(rng: np.random.Generator, sigma_m: float, stated_m: float, count: int) -> list[FoundPoint]:
     """Points of five repeats that scatter by ``sigma_m`` [m] and state ``stated_m`` [m]."""
     found = []
     for _ in range(count):
         repeats_M = rng.normal(0.0, sigma_m, (5, 3))
         point = Point(repeats_M.mean(axis=0), stated_m**2 * np.eye(3), 0.0, 1.0, None)
-        found.append(locating.FoundPoint("left", np.zeros(6), point, repeats_M, MeasurementConditions(), 0.0))
+        found.append(FoundPoint("left", np.zeros(6), point, repeats_M, MeasurementConditions(), 0.0))
     return found
 
 
@@ -344,5 +343,5 @@ def found_points(rng: np.random.Generator, sigma_m: float, stated_m: float, coun
 def test_only_what_scatters_from_one_repeat_to_the_next_falls_by_averaging(share: float, left: float) -> None:
     """``left`` of the variance stays after five repeats, ``share`` of the standard deviation scatters."""
     found = found_points(np.random.default_rng(0), 20e-6 * share, 20e-6, 100)
-    variance = locating._covariances(found, locating._share_of_chance(found))[:, 0, 0]
+    variance = covariances(found, share_of_chance(found))[:, 0, 0]
     np.testing.assert_allclose(variance / 20e-6**2, left, rtol=0.1)

@@ -10,6 +10,7 @@ import pytest
 
 from cellapp.commissioning.answers import write_answers
 from cellapp.commissioning.survey import surveyed_base
+from cellapp.docs.handbook import chapter_text
 from cellapp.errors import InputError
 from cellapp.kinematics.chain import smr_positions
 from cellapp.kinematics.transforms import apply, invert
@@ -114,9 +115,9 @@ def test_points_by_joints_and_by_coordinates_agree() -> None:
     assert poses[0].rpy == pytest.approx(TRUE_BASE.rpy, abs=1e-9)
 
 
-def test_the_readme_s_answers_make_a_profile(tmp_path: Path) -> None:
-    readme = (PROFILES.parent / "README.md").read_text("utf-8")
-    (block,) = [part for part in re.findall(r"^```yaml\n(.*?)^```", readme, re.M | re.S) if "points:" in part]
+def test_the_handbook_s_answers_make_a_profile(tmp_path: Path) -> None:
+    blocks = re.findall(r"^```yaml\n(.*?)^```", chapter_text("cell"), re.M | re.S)
+    (block,) = [part for part in blocks if "points:" in part]
     result = write_answers(written(tmp_path, block), tmp_path)
     assert result.path.name == "my-cell.yaml"
     assert result.notes[0].endswith("; good")

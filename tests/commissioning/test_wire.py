@@ -23,11 +23,14 @@ import pytest
 from cellapp.collection.collect import collect_run
 from cellapp.commissioning.emulate import EmulatedTracker, emulate, emulated_arms
 from cellapp.model import CellModel
-from cellapp.pipeline import calibrate_run, new_planned_run, push_run
+from cellapp.pipeline import calibrate_run, push_run
+from cellapp.planning.method import make_stops
+from cellapp.planning.planned_stops import PlannedStops
+from cellapp.planning.stored_stops import write_planned_stops
 from cellapp.profile import Profile, profile_from_json, profile_to_json
 from cellapp.progress import CancelToken
 from cellapp.results import CalibrateResult, VerifyResult
-from cellapp.run import Readings
+from cellapp.run import Readings, RunFile
 from cellapp.run.stages import CALIBRATION_FILE
 from drivers.arms.ur_settings import UrSettings
 from drivers.trackers.bridge_settings import BridgeSettings
@@ -90,9 +93,11 @@ def emulated(profile: Profile) -> Iterator[int]:
     assert process.exitcode == 0
 
 
-def collected(profile: Profile, folder: Path) -> tuple[dict[str, Readings], CalibrateResult, VerifyResult]:
+def collected(
+    profile: Profile, folder: Path, plan: PlannedStops
+) -> tuple[dict[str, Readings], CalibrateResult, VerifyResult]:
     """What was read, its calibration, and a cooperative target at the last stop that is measured and corrected."""
-    with new_planned_run(profile, folder) as run:
+    with RunFile.create(folder, profile, lambda run: write_planned_stops(run, plan)) as run:
         collect_run(run)
         readings, calibrated = {name: run.readings(name) for name in run.arms()}, calibrate_run(run)
         targets = pair_targets(run, CellModel.load(folder / CALIBRATION_FILE), [STOPS - 1])
@@ -102,7 +107,8 @@ def collected(profile: Profile, folder: Path) -> tuple[dict[str, Readings], Cali
 def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_twin(tmp_path: Path) -> None:
     twin = small_twin(STOPS)
     twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
-    direct, its, verified = collected(twin, tmp_path / "direct")
+    plan, _ = make_stops(twin)
+    direct, its, verified = collected(twin, tmp_path / "direct", plan)
     served = twin.model_copy(
         update={"tracker": twin.tracker.model_copy(update={"driver": BridgeSettings(url="socket://127.0.0.1:50960")})}
     )
@@ -114,7 +120,7 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
         bridge = BridgeSettings(url=f"socket://127.0.0.1:{port}")
         tracker = twin.tracker.model_copy(update={"driver": bridge})
         wired, ours, over_wire = collected(
-            twin.model_copy(update={"arms": arms, "tracker": tracker}), tmp_path / "wired"
+            twin.model_copy(update={"arms": arms, "tracker": tracker}), tmp_path / "wired", plan
         )
     assert list(wired) == list(direct) == ["left", "right"]
     for name in direct:

@@ -1,14 +1,19 @@
-"""One simulated run with its effects found, for all tests of this folder."""
+"""One simulated run with its effects found, and a witness of the cells that are opened, for this folder."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from cellapp.collection.cell import Cell, open_cell
+from cellapp.compensation import following, push
 from cellapp.model import CellModel
+from cellapp.profile import Profile
 from cellapp.run import RunFile
 from cellapp.run.stages import CALIBRATION_FILE
 
@@ -24,3 +29,19 @@ def run(finished_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 @pytest.fixture(scope="session")
 def model(run: RunFile) -> CellModel:
     return CellModel.load(run.folder / CALIBRATION_FILE)
+
+
+@pytest.fixture
+def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The cells that pushing and following open, each with a witness of its clearances."""
+    opened: list[Any] = []
+
+    @contextmanager
+    def watched(profile: Profile) -> Iterator[Cell]:
+        with open_cell(profile, watch_clearance=True) as cell:
+            opened.append(cell)
+            yield cell
+
+    for module in (push, following):
+        monkeypatch.setattr(module, "open_cell", watched)
+    return opened

@@ -28,8 +28,6 @@ from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import refuse_stop, visible
 from tests.twin import PROFILES, small_twin, with_arms
 
-pytestmark = pytest.mark.fast
-
 TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 
 

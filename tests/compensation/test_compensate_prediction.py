@@ -20,8 +20,6 @@ from cellapp.model import ArmModel, CellModel
 from cellapp.model.posterior import PosteriorDraws
 from cellapp.run import RunFile
 
-pytestmark = pytest.mark.fast
-
 NORMAL = np.random.default_rng(2).standard_normal((400_000, 3))
 HOME = np.array([0.0, -1.2, 0.8, -1.4, 0.9, 0.0])
 NOTHING = MeasurementConditions()

@@ -13,8 +13,6 @@ from cellapp.model import CellModel
 from cellapp.run import RunFile
 from tests.twin import PROFILES, small_twin
 
-pytestmark = pytest.mark.fast
-
 EXAMPLES = ("twin-table.csv", "twin-fixture.yaml")
 
 

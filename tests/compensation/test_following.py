@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.collection.cell import Cell, open_cell
 from cellapp.compensation import following
 from cellapp.compensation.path_file import PathSpec
 from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
-from cellapp.path_verbs import follow_run
 from cellapp.progress import Cancelled, Progress
 from cellapp.reporting.path_table import path_sentences, path_tables
 from cellapp.results import PathResult
 from cellapp.run import RunFile
 from cellapp.run.stages import read_results
 from cellapp.safety.cell_bodies import home_positions
+from cellapp.verbs.paths import follow_run
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import plant_of
-
-pytestmark = pytest.mark.fast
 
 
 def spec(**changes: Any) -> PathSpec:
@@ -42,21 +38,6 @@ def spec(**changes: Any) -> PathSpec:
 
 
 OUT_OF_REACH = spec(name="far", poses=[spec().poses[0], {"position": [0.2, 3.0, 0.45]}])
-
-
-@pytest.fixture
-def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The cells that are opened, each with a witness of its clearances."""
-    opened: list[Any] = []
-
-    @contextmanager
-    def watched(profile: Any) -> Iterator[Cell]:
-        with open_cell(profile, watch_clearance=True) as cell:
-            opened.append(cell)
-            yield cell
-
-    monkeypatch.setattr(following, "open_cell", watched)
-    return opened
 
 
 def test_planning_moves_nothing_and_is_stored(run: RunFile, cells: list[Any], tmp_path: Path) -> None:

@@ -31,8 +31,6 @@ from cellapp.safety.cell_bodies import home_positions
 from drivers.plant import Clearance
 from tests.twin import PROFILES, plant_of, small_twin
 
-pytestmark = pytest.mark.fast
-
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:6], *ALL[20:26], *ALL[6:8])
 FAR = Target(name="far", arm="left", position=(9.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0))
@@ -41,21 +39,6 @@ FAR = Target(name="far", arm="left", position=(9.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.
 @pytest.fixture(scope="module")
 def commands(run: RunFile, model: CellModel) -> tuple[Command, ...]:
     return compensate(run.profile, model, TARGETS)
-
-
-@pytest.fixture
-def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The cells that are opened, each with a witness of its clearances."""
-    opened: list[Any] = []
-
-    @contextmanager
-    def watched(profile: Any) -> Iterator[Cell]:
-        with open_cell(profile, watch_clearance=True) as cell:
-            opened.append(cell)
-            yield cell
-
-    monkeypatch.setattr(pushing, "open_cell", watched)
-    return opened
 
 
 def clearance_of(cell: Cell) -> Clearance:

@@ -17,8 +17,6 @@ from tests.compensation.pairs import pair_targets
 from tests.planning.planned_cells import one_arm, seven_joints, three_arms
 from tests.twin import PROFILES, small_twin
 
-pytestmark = pytest.mark.fast
-
 TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 
 

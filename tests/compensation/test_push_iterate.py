@@ -35,8 +35,6 @@ from cellapp.run.stored_model import model_of
 from tests.compensation.pairs import pair_targets
 from tests.twin import PROFILES, small_twin
 
-pytestmark = pytest.mark.fast
-
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:5], *ALL[20:25])
 

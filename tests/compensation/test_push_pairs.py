@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.motion import Mover
-from cellapp.compensation import push as pushing
 from cellapp.compensation.command import Command
 from cellapp.compensation.compensate import compensate
 from cellapp.compensation.push import push
@@ -25,28 +21,12 @@ from cellapp.safety.cell_bodies import home_positions
 from tests.compensation.pairs import pair_targets
 from tests.twin import plant_of
 
-pytestmark = pytest.mark.fast
-
 STOPS = [0, 5, 11, 17]
 
 
 @pytest.fixture(scope="module")
 def pairs(run: RunFile, model: CellModel) -> list[Command]:
     return list(compensate(run.profile, model, pair_targets(run, model, STOPS, tolerance=2e-3)))
-
-
-@pytest.fixture
-def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    opened: list[Any] = []
-
-    @contextmanager
-    def watched(profile: Any) -> Iterator[Cell]:
-        with open_cell(profile, watch_clearance=True) as cell:
-            opened.append(cell)
-            yield cell
-
-    monkeypatch.setattr(pushing, "open_cell", watched)
-    return opened
 
 
 def test_both_arms_are_measured_at_each_cooperative_target(

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.controllers import recorded_controllers
-from cellapp.compensation import push as pushing
 from cellapp.compensation.cell_checks import require_same_arms
 from cellapp.compensation.command import Command
 from cellapp.compensation.compensate import compensate
@@ -32,8 +28,6 @@ from drivers.arms.protocol import ArmIdentity
 from drivers.arms.simulated import SimulatedArm
 from tests.twin import PROFILES, plant_of, small_twin
 
-pytestmark = pytest.mark.fast
-
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:4], *ALL[20:22])
 
@@ -41,20 +35,6 @@ TARGETS = (*ALL[:4], *ALL[20:22])
 @pytest.fixture(scope="module")
 def commands(run: RunFile, model: CellModel) -> tuple[Command, ...]:
     return compensate(run.profile, model, TARGETS)
-
-
-@pytest.fixture
-def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    opened: list[Any] = []
-
-    @contextmanager
-    def kept(profile: Any) -> Iterator[Cell]:
-        with open_cell(profile) as cell:
-            opened.append(cell)
-            yield cell
-
-    monkeypatch.setattr(pushing, "open_cell", kept)
-    return opened
 
 
 def nothing_moved(cells: list[Any], run: RunFile) -> bool:

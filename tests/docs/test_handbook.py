@@ -1,9 +1,8 @@
-"""The handbook: a section and a figure for every effect, links that resolve, figures that are drawn again alike."""
+"""The handbook: a section and a figure for every effect, figures that are drawn again alike, the command."""
 
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,24 +12,23 @@ from typer.testing import CliRunner
 
 import cellapp.docs
 from cellapp.cli.app import app
-from cellapp.docs import planning_figures
+from cellapp.docs import frame_figures, planning_figures
 from cellapp.docs.chart import Chart, Series, chart_svg
+from cellapp.docs.declarations import with_declarations
 from cellapp.docs.effect_figures import FIGURES, figure_svg
+from cellapp.docs.figure_files import write_figures
 from cellapp.docs.handbook import (
     CHAPTERS,
     chapter_text,
     effect_sections,
     topic_text,
     topics,
-    with_declarations,
-    write_figures,
 )
 from cellapp.docs.scene import Scene, joint_offset, smr_shift
 from cellapp.effects import EFFECTS
 from cellapp.errors import InputError
 from cellapp.profile import load_profile
 from cellapp.profile.obstacles import SHAPES
-from tests.twin import write_profile
 
 pytestmark = pytest.mark.fast
 
@@ -38,7 +36,8 @@ ROOT = Path(__file__).parents[2]
 TWIN = ROOT / "profiles" / "twin.yaml"
 DOCS = Path(cellapp.docs.__file__).parent
 MOST_BYTES = 15_000
-LINK = re.compile(r"!?\[[^\]]+\]\(([^)]+)\)")
+DRAWN = {*EFFECTS, planning_figures.FIGURE, *frame_figures.FIGURES}
+"""Stems of the figures that one command draws."""
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +49,7 @@ def test_every_effect_has_a_section_and_a_figure() -> None:
     assert set(effect_sections()) == set(EFFECTS)
     assert set(FIGURES) == set(EFFECTS)
     drawn = {path.stem for path in (DOCS / "figures").iterdir()}
-    assert {stem for stem in drawn if not stem.startswith("screen-")} == {*EFFECTS, planning_figures.FIGURE}
+    assert {stem for stem in drawn if not stem.startswith(("screen-", "page-"))} == DRAWN
 
 
 @pytest.mark.parametrize("slug", EFFECTS)
@@ -59,23 +58,22 @@ def test_a_section_says_what_it_is_what_imitates_it_and_what_to_do(slug: str) ->
     assert f"(figures/{slug}.svg)" in section
     for part in ("```\n", "**Visible share.**", "**Usual size**", "**Check or mend**", "**What settles it**"):
         assert section.count(part) >= 1, part
+    assert all(form.words in " ".join(section.split()) for form in EFFECTS[slug].forms)
     for rival in EFFECTS[slug].look_alikes:
         assert f"[{rival}](#{rival})" in section
 
 
 def test_what_the_handbook_repeats_of_declarations_is_up_to_date() -> None:
     text = chapter_text("effects")
-    assert with_declarations(text) == text, "renew the parts between markers with handbook.with_declarations"
+    assert with_declarations(text) == text, "renew them: python -m cellapp.docs"
     assert text.count("<!-- declared: ") == len(EFFECTS)
     assert "<!--" not in topic_text("effects") + topic_text("backlash"), "people need not see the markers"
 
 
-@pytest.mark.parametrize("chapter", CHAPTERS)
-def test_links_resolve(chapter: str) -> None:
-    for target in LINK.findall(topic_text(chapter)):
-        file, _, anchor = target.partition("#")
-        assert not file or (DOCS / file).is_file(), target
-        assert not anchor or anchor in effect_sections(), target
+def test_people_need_not_see_how_tests_run_an_example() -> None:
+    assert "\n```sh dev\n" in chapter_text("report")
+    assert "```sh dev" not in topic_text("report")
+    assert chapter_text("report").count("\n```sh") == topic_text("report").count("\n```sh\n")
 
 
 @pytest.mark.parametrize("slug", FIGURES)
@@ -111,24 +109,6 @@ def test_the_figure_of_obstacles_is_drawn_from_the_example_of_its_chapter() -> N
         planning_figures.figure_svg(other)
 
 
-def test_the_commands_of_the_chapter_on_planning_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = write_profile(tmp_path / "profiles").read_text("utf-8").replace("stops: 30", "stops: 8\n  method: random")
-    (tmp_path / "cell.yaml").write_text(text.replace("type: arms/", "type: profiles/arms/"), "utf-8")
-    monkeypatch.chdir(tmp_path)
-    commands = re.findall(r"^cellapp .*$", topic_text("planning"), re.MULTILINE)
-    assert len(commands) > 8
-    quick = [
-        line for line in commands if "--view" not in line and "trials" not in line
-    ]  # these have tests of their own
-    for number, command in enumerate(quick):
-        if "few.csv" in command:
-            rows = Path("plan.csv").read_text("utf-8").splitlines(keepends=True)
-            Path("few.csv").write_text("".join([rows[0], *(row for row in rows if row[:2] in ("0,", "1,"))]), "utf-8")
-        words = command.replace("PROFILE", "cell.yaml").replace("NEW", f"new{number}").replace("add 50", "add 2")
-        ended = CliRunner().invoke(app, words.split()[1:])
-        assert ended.exit_code == 0, f"{command}: {ended.output} {ended.exception}"
-
-
 def test_a_chart_places_its_values_and_escapes_its_words() -> None:
     chart = Chart("a < b", "x [m]", "y", (Series("one & two", np.array([0.0, 10.0]), np.array([0.0, 5.0])),))
     text = chart_svg(chart)
@@ -151,6 +131,7 @@ def test_a_parameter_that_a_law_does_not_have_is_refused(scene: Scene) -> None:
 def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None:
     runner = CliRunner()
     assert runner.invoke(app, ["docs", "discovery"]).output.startswith("# How discovery decides")
+    assert runner.invoke(app, ["docs", "figures"]).output.startswith("# Every figure"), "it draws only with --out"
     section = runner.invoke(app, ["docs", "backlash"]).output
     assert section.startswith("## backlash\n")
     assert "## friction_windup" not in section
@@ -163,15 +144,15 @@ def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None
 def test_the_command_draws_the_figures(tmp_path: Path) -> None:
     ended = CliRunner().invoke(app, ["docs", "figures", "--profile", str(TWIN), "--out", str(tmp_path / "new")])
     assert ended.exit_code == 0
-    assert {path.stem for path in (tmp_path / "new").iterdir()} == {*EFFECTS, planning_figures.FIGURE}
+    assert {path.stem for path in (tmp_path / "new").iterdir()} == DRAWN
 
 
 def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"'sorcery' is not a topic; topics are {', '.join(CHAPTERS)}, joint"):
         topic_text("sorcery")
     for arguments, words in (
-        (["docs", "figures"], "needs --out DIR"),
-        (["docs", "backlash", "--out", str(tmp_path)], "--out belongs to 'figures' and 'screens'"),
+        (["docs", "screens"], "needs --out DIR"),
+        (["docs", "backlash", "--out", str(tmp_path)], "--out belongs to 'figures', 'screens' and 'pages'"),
     ):
         assert words in str(CliRunner().invoke(app, arguments).exception)
     (tmp_path / "file").write_text("", encoding="utf-8")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import json
-import re
 import shlex
 import shutil
 from pathlib import Path
@@ -13,14 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.cli.app import app
-from cellapp.docs.handbook import chapter_text
 from cellapp.run import RunFile
+from tests.docs.chapters import blocks
 
-COMMANDS = [
-    line
-    for block in re.findall(r"^```sh\n(.*?)^```", chapter_text("programs"), re.M | re.S)
-    for line in block.splitlines()
-]
+COMMANDS = "".join(blocks("programs", "sh")).splitlines()
 
 
 def test_the_commands_do_what_the_page_says(

@@ -22,12 +22,13 @@ def test_the_command_draws_every_screen(finished_run: Path, tmp_path: Path) -> N
         app, ["docs", "screens", "--profile", str(TWIN), "--run", str(finished_run), "--out", str(out), "--json", "-"]
     )
     assert ended.exit_code == 0
-    paths = [out / f"screen-{entry.step}.svg" for entry in SCREENS]
+    paths = [out / f"screen-{step}.svg" for step in ("first-run", *(entry.step for entry in SCREENS))]
     assert json.loads(ended.stdout)["files"] == [str(path) for path in paths]
     texts = {path.stem: path.read_text("utf-8").replace("&#160;", " ") for path in paths}
     assert not any("@font-face" in text or len(text) > 150_000 for text in texts.values())
+    assert "Try the simulated twin" in texts["screen-first-run"]
     assert "REPLAY x100, nothing moves, PAUSED" in texts["screen-collect"]
     assert "No readings yet" not in texts["screen-collect"], "each plot has its turn, however fast stops come"
     assert "held-out errors [mm]" in texts["screen-calibrate"]
-    with pytest.raises(InputError, match="--run belongs to 'screens'"):
+    with pytest.raises(InputError, match="--run belongs to 'screens' and 'pages'"):
         CliRunner().invoke(app, ["docs", "figures", "--run", "x"], catch_exceptions=False)

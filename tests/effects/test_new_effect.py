@@ -1,11 +1,11 @@
-"""A new effect is one file and one line: discovery names it, tunes its constant, and reports it in its words."""
+"""The effect of a plug-in: discovery names it, tunes its constant, and reports it in its words."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from cellapp.discovery.discover import discover_arm
 from cellapp.discovery.outcome import Discovery
 from cellapp.discovery.result import arm_result
 from cellapp.discovery.sentences import remaining_structure
-from cellapp.effects import EFFECTS, EffectTerm, registered, term_from_json, term_to_json
+from cellapp.effects import EFFECTS, EffectTerm, term_from_json, term_to_json
 from cellapp.effects.contradiction import form_without_bounds
 from cellapp.effects.data_driven import Quantity, Variable
 from cellapp.effects.modulation import Modulation
@@ -27,7 +27,7 @@ from cellapp.reporting.discovery_tables import accepted_table
 from cellapp.results import Contradiction, DiscoverResult, Noise
 from cellapp.run import Readings
 from tests.arms import STATION
-from tests.effects.toy_effect import FORM, GRID, SOFTENING, ToySag
+from tests.plugins.installed import add_example, installed
 
 pytestmark = pytest.mark.fast
 
@@ -36,20 +36,21 @@ UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
 N = 240
 HELD_OUT = 60
 SIGMA_M = 10e-6
-TRUE_SOFTENING = 2.6
-TRUE_SAG = np.array([3e-4, 4e-4, 0.0, 0.0, 0.0, 0.0])
+HOSE = "hose_pull"
+TRUE_SLACK = 1.25
+TRUE_PULL = np.array([3e-4, 4e-4, 0.0, 0.0, 0.0, 0.0])
 
 
 @pytest.fixture
-def registry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The registry with one line more."""
-    extended = registered((*EFFECTS.values(), ToySag()))
-    monkeypatch.setitem(cast(dict[str, Any], EFFECTS), ToySag.slug, extended[ToySag.slug])
+def plugin(tmp_path: Path) -> Iterator[None]:
+    """The example is installed."""
+    with installed(add_example(tmp_path)):
+        yield
 
 
 @pytest.fixture
-def discovery(registry: None) -> Discovery:
-    """What discovery finds in readings of an arm that sags like the toy."""
+def discovery(plugin: None) -> Discovery:
+    """What discovery finds in readings of an arm with a hose that pulls."""
     profile = load_profile(TWIN)
     few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
     profile = profile.model_copy(update={"discovery": few})
@@ -57,15 +58,15 @@ def discovery(registry: None) -> Discovery:
     geometry = nominal_arm(arm).with_T_M_B(STATION)
     model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(arm), up_M=UP)
     rng = np.random.default_rng(5)
-    q, payload_kg = rng.uniform(-2.5, 2.5, (N, 6)), rng.choice([0.5, 2.0, 5.0], N)
-    sag = TRUE_SAG * np.tanh(payload_kg[:, None] * np.cos(3.0 * q) / TRUE_SOFTENING)
+    q = rng.uniform(-2.5, 2.5, (N, 6))
+    pull = -TRUE_PULL * np.sign(q) * np.maximum(np.abs(q) - TRUE_SLACK, 0.0)
     readings = Readings(
         configuration=np.arange(N, dtype=np.int64),
         time_s=np.full(N, np.nan),
         q=q,
         approach=np.zeros((N, 6), dtype=np.int8),
-        p_M=smr_positions(geometry, q + sag) + rng.normal(0.0, SIGMA_M, (N, 3)),
-        payload_kg=payload_kg,
+        p_M=smr_positions(geometry, q + pull) + rng.normal(0.0, SIGMA_M, (N, 3)),
+        payload_kg=np.full(N, 2.0),
         sigma_m=np.full(N, SIGMA_M),
         split=("identify",) * (N - HELD_OUT) + ("validate",) * HELD_OUT,
     )
@@ -74,23 +75,24 @@ def discovery(registry: None) -> Discovery:
 
 def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discovery: Discovery) -> None:
     (accepted,) = discovery.accepted
-    assert (accepted.term.slug, accepted.joints) == (ToySag.slug, (1, 2))
+    assert (accepted.term.slug, accepted.joints) == (HOSE, (1, 2))
     assert discovery.verdict == "explained"
-    softening = accepted.term.law.constants[SOFTENING.name]
-    nearest = min(GRID, key=lambda size: abs(np.log(size / TRUE_SOFTENING)))
-    assert abs(np.log(softening / TRUE_SOFTENING)) < 0.2 < abs(np.log(nearest / TRUE_SOFTENING)), "tuned off the grid"
-    sags = dict(zip(accepted.term.names, accepted.term.values.tolist(), strict=True))
-    assert sags["sag1"] == pytest.approx(TRUE_SAG[0], rel=0.1)
-    assert sags["sag2"] == pytest.approx(TRUE_SAG[1], rel=0.1)
+    effect = EFFECTS[HOSE]
+    slack = accepted.term.law.constants["slack"]
+    nearest = min((0.6, 1.0, 1.6), key=lambda one: abs(one - TRUE_SLACK))
+    assert abs(slack - TRUE_SLACK) < 0.02 < abs(nearest - TRUE_SLACK), "tuned off the grid"
+    pulls = dict(zip(accepted.term.names, accepted.term.values.tolist(), strict=True))
+    assert pulls["pull1"] == pytest.approx(TRUE_PULL[0], rel=0.05)
+    assert pulls["pull2"] == pytest.approx(TRUE_PULL[1], rel=0.05)
     result = arm_result(discovery)
     assert result.accepted[0].meaning is not None
-    assert result.accepted[0].meaning.cause == "The toy at each of joints 1 and 2 sags."
+    assert result.accepted[0].meaning.cause.startswith("The hose package at each of joints 1 and 2 is too short")
     table = accepted_table("left", result)
     assert table is not None
     titles = [column.title for column in table.columns]
     (row,) = (dict(zip(titles, row, strict=True)) for row in table.rows)
-    assert row["effect"] == ToySag.title
-    assert row["law"] == f"{FORM.words}, softening from {softening:.3g} kg on"
+    assert row["effect"] == effect.title
+    assert row["law"] == f"{effect.forms[0].words}, taut beyond {math.degrees(slack):.3g} deg"
 
 
 def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discovery) -> None:
@@ -117,7 +119,7 @@ def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discov
         discovery,
         accepted=(replace(accepted, term=free, posterior=0.97), wrong),
         noise_mm=Noise(rms=0.017, source="estimated"),
-        candidates={ToySag.slug: 0.97, "backlash": 0.01},
+        candidates={HOSE: 0.97, "backlash": 0.01},
         structure=structure,
     )
     written = DiscoverResult(arms={"left": arm_result(found)}).to_json()
@@ -125,7 +127,7 @@ def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discov
     assert (arm.accepted[0].posterior, arm.accepted[0].law_misfit) == (0.97, 0.12)
     assert tuple(arm.accepted[0].parameters) == accepted.term.law_names, "not those of the free part"
     assert arm.accepted[0].meaning is not None
-    assert arm.accepted[0].meaning.check == ("Check the toy.",)
+    assert arm.accepted[0].meaning.check == EFFECTS[HOSE].meaning.at("each of joints 1 and 2").check
     assert (arm.noise_mm, arm.candidates) == (found.noise_mm, found.candidates)
     assert arm.structure == structure
     assert arm.contradictions == (Contradiction(effect="backlash", joints=(2,), size_um=31.4, sentence=sentence),)
@@ -137,16 +139,22 @@ def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discov
     assert arm_result(uncertain).accepted[0].posterior is None, "what was not computed is not claimed"
 
 
-def test_a_new_effect_survives_json(registry: None) -> None:
-    term = EffectTerm(
-        ToySag.slug, ("sag2",), np.array([3e-4]), np.array([1e-6]), ("rad",), FORM.law({SOFTENING.name: 2.0})
-    )
+def a_term() -> EffectTerm:
+    """A pull of joint 2."""
+    law = EFFECTS[HOSE].law("taut", {"slack": 1.0})
+    return EffectTerm(HOSE, ("pull2",), np.array([3e-4]), np.array([1e-6]), ("rad/rad",), law)
+
+
+def test_an_effect_of_a_plugin_survives_json(plugin: None) -> None:
+    term = a_term()
     again = term_from_json(term_to_json(term), EFFECTS)
     assert again.law == term.law
     np.testing.assert_array_equal(again.values, term.values)
 
 
-def test_a_term_of_an_effect_that_was_removed_is_refused() -> None:
-    term = EffectTerm(ToySag.slug, (), np.zeros(0), np.zeros(0), (), FORM.law({SOFTENING.name: 2.0}))
-    with pytest.raises(ValueError, match="this version does not know the effect 'toy_sag'"):
-        term_from_json(term_to_json(term), EFFECTS)
+def test_a_term_of_a_plugin_that_was_removed_is_refused(tmp_path: Path) -> None:
+    with installed(add_example(tmp_path)):
+        content = term_to_json(a_term())
+    assert HOSE not in EFFECTS
+    with pytest.raises(ValueError, match="does not know the effect 'hose_pull'; if a plug-in has it, install that"):
+        term_from_json(content, EFFECTS)

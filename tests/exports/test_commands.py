@@ -19,7 +19,8 @@ from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.errors import InputError
 from cellapp.exports.arm_commands import ArmCommands, ExportedCommand, exported_commands, final_commands
-from cellapp.exports.formats import COMMAND_FORMATS
+from cellapp.exports.export_format import CommandFormat
+from cellapp.exports.formats import formats_of
 from cellapp.exports.run_commands import export_commands
 from cellapp.exports.run_export import export_as_run
 from cellapp.exports.urscript_commands import urscript
@@ -34,6 +35,8 @@ from cellapp.run.stages import CALIBRATION_FILE, read_stages
 from cellapp.run.stored_model import model_of
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from tests.twin import PROFILES
+
+COMMAND_FORMATS = formats_of(CommandFormat)
 
 Array = NDArray[np.float64]
 BAR_M = 1e-6

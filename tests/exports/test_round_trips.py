@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from cellapp.effects import MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.exports.arm_export import ArmExport, conversion_mm, lost_parts, workspace
-from cellapp.exports.formats import CELL_FORMATS, FORMATS
+from cellapp.exports.export_format import CellFormat, ExportFormat
+from cellapp.exports.formats import formats_of
 from cellapp.exports.ur_description import kinematics_hash, murmur
 from cellapp.kinematics.chain import Geometry, flange_poses, smr_positions
 from cellapp.kinematics.plain_dh import plain_geometry
@@ -29,6 +30,9 @@ from tests.arms import OFF_AXIS, STATION, UR10, at_station, dh, true_geometry
 from tests.exports import readers
 
 pytestmark = pytest.mark.fast
+
+CELL_FORMATS = formats_of(CellFormat)
+FORMATS = formats_of(ExportFormat)
 
 Array = NDArray[np.float64]
 PROFILES = Path(__file__).parents[2] / "profiles"

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cellapp.errors import InputError
-from cellapp.exports.arm_export import POSES, ArmExport
+from cellapp.exports.arm_export import POSES
 from cellapp.exports.export_format import ExportFormat
-from cellapp.exports.formats import FORMATS
+from cellapp.exports.formats import formats_of
 from cellapp.exports.out_files import files_of_arms
 from cellapp.exports.run_export import calibrated_arms, export_as_run, sentences
 from cellapp.exports.words import export_lines
@@ -23,6 +24,9 @@ from cellapp.results import ExportResult
 from cellapp.run import RunFile
 from cellapp.run.stages import CALIBRATION_FILE, read_stages
 from tests.exports import readers
+from tests.plugins.installed import add_example, run_commands
+
+FORMATS = formats_of(ExportFormat)
 
 
 def test_each_arm_has_its_file_and_says_what_is_not_in_it(finished_run: Path, tmp_path: Path) -> None:
@@ -105,18 +109,32 @@ def test_an_outdated_model_is_said(finished_copy: Path, tmp_path: Path) -> None:
     assert result.notes[0] in export_lines(result)
 
 
-def test_a_new_format_is_a_function_and_an_entry(
-    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def reach(export: ArmExport, comment: Sequence[str]) -> str:
-        return f"{comment[1]}\n{np.abs(export.geometry.rows[:, 1:3]).sum()}\n"
-
-    monkeypatch.setitem(FORMATS, "reach", ExportFormat("reach", "sum of the lengths [m]", ".txt", reach))
+def test_the_format_of_a_plugin(finished_run: Path, tmp_path: Path) -> None:
+    ended = run_commands(
+        [add_example(tmp_path / "plugin")],
+        f"export {finished_run} --as serial-link --arm right --out {tmp_path / 'arm.m'}",
+        f"export {finished_run} --as serial-links --out {tmp_path / 'other.m'}",
+    )
+    assert ended.codes == [0, 2], ended.err
+    assert "urscript, serial-link; 'cellapp docs exports' says more" in ended.err, "after those that are built in"
     with RunFile.open(finished_run) as run:
-        export_as_run(run, "reach", tmp_path / "reach.txt", "right")
-    first, second = (tmp_path / "reach.txt").read_text("utf-8").splitlines()
-    assert first.startswith("Arm 'right' (UR5), run 'run', model of 'discover' written ")
-    assert float(second) == pytest.approx(1.18, abs=0.1)
+        export = calibrated_arms(run, read_stages(run))["right"]
+    text = (tmp_path / "arm.m").read_text("utf-8")
+    assert text.startswith(
+        "% SerialLink of the Robotics Toolbox (MATLAB), by cellapp-example 1.0, a plug-in of cellapp."
+    )
+    rows = re.findall(r"'d', (\S+), 'a', (\S+), 'alpha', (\S+), 'offset', (\S+)\)", text)
+    (base,) = re.findall(r"SE3\(\[(.*)\]\)", text)
+    (tool,) = re.findall(r"SE3\(([^\[]*)\)", text)
+    p_M = np.array([0.0, 0.0, 0.0, 1.0])
+    p_M[:3] = [float(one) for one in tool.split(", ")]
+    for (d, a, alpha, offset), angle in reversed([*zip(np.array(rows, float), export.q[0], strict=True)]):
+        rotation = Rotation.from_euler("ZX", [angle + offset, alpha]).as_matrix()
+        turned = np.array([a * np.cos(angle + offset), a * np.sin(angle + offset), d])
+        p_M[:3] = rotation @ p_M[:3] + turned
+    T_M_B = np.array([[float(one) for one in row.split()] for row in base.split("; ")])
+    found = (T_M_B @ p_M)[:3]
+    np.testing.assert_allclose(found, smr_positions(export.geometry, export.q[:1])[0], atol=1e-6)
 
 
 @pytest.mark.parametrize("form", FORMATS)

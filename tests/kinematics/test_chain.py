@@ -18,6 +18,7 @@ from cellapp.kinematics.chain import (
     smr_positions,
 )
 from cellapp.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
+from cellapp.kinematics.workspace import Workspace
 from tests.arms import OFF_AXIS, SEVEN, STATION, UR5, UR10, at_station, plant_of
 
 pytestmark = pytest.mark.fast
@@ -80,6 +81,26 @@ def test_jacobian_is_the_derivative_of_the_positions(seed, joints):
         ahead, behind = geometry.with_vector(vector + step), geometry.with_vector(vector - step)
         difference = (smr_positions(ahead, q) - smr_positions(behind, q)).T / (2.0 * h)
         np.testing.assert_allclose(J[:, place], difference, atol=2e-9 * max(1.0, np.abs(P).max()))
+
+
+def test_a_workspace_is_used_again_and_changes_no_result():
+    rng, workspace = np.random.default_rng(0), Workspace()
+    columns = (9, 14, 19, 7, 8)  # rotations before translations, as all sets have them
+    for n in (5, 3, 5):  # as with a last chunk that is smaller
+        geometry, angles = random_arm(rng, 6), JointAngles.of(rng.uniform(-6, 6, (n, 6)))
+        _, J = jacobian(geometry, angles, columns, workspace)
+        np.testing.assert_array_equal(J, jacobian(geometry, angles, columns)[1])
+        _, again = jacobian(geometry, angles, columns, workspace)
+        assert np.shares_memory(J, again)
+
+
+def test_a_workspace_keeps_purposes_apart():
+    workspace = Workspace()
+    (one,), (other,) = workspace.arrays("one", (2, 3)), workspace.arrays("other", (2, 3))
+    assert not np.shares_memory(one, other)
+    first, second = workspace.arrays("both", (2, 3), (4,))
+    assert (first.shape, second.shape) == ((2, 3), (4,))
+    assert workspace.arrays("one", (2, 3))[0] is one
 
 
 @given(seeds)

@@ -18,7 +18,6 @@ from cellapp.kinematics.transforms import transform
 from cellapp.planning.candidates import CandidatePool, draw_pool, random_configurations
 from cellapp.planning.exclusions import exclusions
 from cellapp.planning.joint_draws import draw_joints, joint_ranges
-from cellapp.planning.turning import turned_to_tracker, turning_joint
 from cellapp.profile import Profile, load_profile
 from cellapp.profile.obstacles import BoxObstacle, Placement
 from cellapp.progress import Cancelled, CancelToken
@@ -187,54 +186,6 @@ def test_what_is_seen_of_combined_joints_is_what_placing_them_gives(seed: int, w
     np.testing.assert_allclose(draws.sight.smr_M[:, chosen], expected.smr_M, atol=1e-12)
     np.testing.assert_allclose(draws.sight.distance[chosen], expected.distance, atol=1e-12)
     np.testing.assert_allclose(draws.sight.cosine[chosen], expected.cosine, atol=1e-9)
-
-
-# -- turning to the tracker -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("which", "joint"), [("UR10", 4), ("SMR across the flange axis", 5), ("four joints", 2)])
-def test_the_joint_that_turns_the_smr(which: str, joint: int) -> None:
-    cell, name = CELLS[which]
-    assert turning_joint(cell.arms[name], pool_of(cell, name).q) == joint
-
-
-@pytest.mark.parametrize("which", CELLS)
-def test_turned_configurations_face_the_tracker_better_and_can_be_measured(which: str) -> None:
-    cell, name = CELLS[which]
-    assert cell.field is not None
-    arm, pool = cell.arms[name], pool_of(cell, name)
-    joint = turning_joint(arm, pool.q)
-    turned = turned_to_tracker(cell, name, pool.q, above=0.1)
-    incidence = sight_of(cell.field.T_C_M, place(arm, turned)).incidence
-    moved = np.any(turned != pool.q, axis=1)
-    assert not moved[pool.incidence <= 0.1].any()
-    assert np.all(incidence[moved] < pool.incidence[moved])
-    assert np.all(np.delete(turned, joint, axis=1) == np.delete(pool.q, joint, axis=1))
-    assert np.all((turned >= arm.limits[:, 0]) & (turned <= arm.limits[:, 1]))
-    assert visible(cell, name, turned).all()
-    assert clear_alone(cell, place(arm, turned)).all()
-
-
-def test_the_best_angle_is_found() -> None:
-    """Against a scan of the last joint in steps of a tenth of a degree, with bodies that hinder nothing."""
-    cell, name = turned_smr((1.0, 0.0, 0.0)), "left"
-    assert cell.field is not None
-    pool = pool_of(cell, name, count=40)
-    turned = turned_to_tracker(cell, name, pool.q)
-    found = sight_of(cell.field.T_C_M, place(cell.arms[name], turned)).incidence
-    scan = np.repeat(pool.q[:, None], 3600, axis=1)
-    scan[:, :, 5] += np.linspace(-math.pi, math.pi, 3600)
-    best = sight_of(cell.field.T_C_M, place(cell.arms[name], scan.reshape(-1, 6))).incidence.reshape(40, -1).min(axis=1)
-    assert np.median(found - best) < math.radians(0.05)
-    assert np.mean(found < best + math.radians(0.05)) > 0.8, "the others would turn the SMR behind the arm"
-
-
-def test_turning_needs_a_tracker() -> None:
-    cell = dataclasses.replace(CELLS["UR10"][0], field=None)
-    with pytest.raises(ValueError, match="no tracker"):
-        turned_to_tracker(cell, "left", np.zeros((1, 6)))
-    with pytest.raises(InputError, match=r"no tracker .* give tracker\.pose"):
-        pool_of(cell, "left")
 
 
 # -- cells in which nothing can be measured ---------------------------------------------------------------------------

@@ -26,8 +26,6 @@ from drivers.plant.motion import travel
 from tests.planning.hand_made import drivable_stops
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 STOPS = 24
 
 

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from cellapp.cli.app import app
 from cellapp.errors import InputError
 from cellapp.pipeline import new_planned_run
-from cellapp.plan_verbs import freeze_stops, replan, stop_numbers
 from cellapp.planning.stored_stops import read_planned_stops
 from cellapp.run import RunFile
+from cellapp.verbs.plan import freeze_stops, replan, stop_numbers
 from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast

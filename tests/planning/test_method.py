@@ -14,8 +14,6 @@ from cellapp.profile import Profile
 from tests.planning.hand_made import same_stops
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 
 def quick(stops: int, **plan: Any) -> Profile:
     """The twin with few candidates and one effect to design for."""

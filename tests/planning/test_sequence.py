@@ -21,8 +21,6 @@ from tests.planning.hand_made import same_stops
 from tests.planning.planned_cells import one_arm, planned_twin, refusals, seven_joints, three_arms
 from tests.twin import with_arms
 
-pytestmark = pytest.mark.fast
-
 SPARE = 1.2
 """Drawn stops for each that is planned: some lie nearer to the floor than motions may come."""
 

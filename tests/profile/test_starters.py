@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-from importlib.metadata import Distribution
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -26,32 +24,35 @@ def test_the_twin_is_first_and_each_has_a_sentence() -> None:
     assert {starter.name for starter in starters if not starter.has_device} == {"ur10-real", "ur10-real-d", "ur5-real"}
 
 
-class Installed(Distribution):
-    """What pip recorded of an installation: starter profiles, and another package's file of the same name."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def read_text(self, filename: str) -> str | None:
-        names = ("other/twin.yaml", "../share/cellapp/profiles/twin.yaml")
-        return "\n".join(f"{name},," for name in names) if filename == "RECORD" else None
-
-    def locate_file(self, path: str | os.PathLike[str]) -> Path:
-        return self.folder / path
+def test_the_small_twin_is_the_twin_with_fewer_stops() -> None:
+    twin, small = (load_profile(starters_folder() / f"{name}.yaml") for name in ("twin", "twin-small"))
+    assert small.plan.stops < twin.plan.stops
+    assert twin == small.model_copy(update={"name": twin.name, "plan": twin.plan, "splits": twin.splits})
+    assert twin.plan == small.plan.model_copy(update={"stops": twin.plan.stops})
 
 
 def test_an_installed_package_brings_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """There is no folder ``profiles`` beside an installed package; pip put its files elsewhere and recorded where."""
-    monkeypatch.setattr("cellapp.profile.starters.files", lambda package: tmp_path / "site" / package)
-    monkeypatch.setattr("cellapp.profile.starters.distribution", lambda package: Installed(tmp_path / "site"))
-    assert starters_folder() == tmp_path / "share" / "cellapp" / "profiles"
+    """A folder ``profiles`` beside an installed package is another package's."""
+    for folder in ("cellapp/starters", "profiles"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "twin.yaml").touch()
+    monkeypatch.setattr("cellapp.profile.starters.files", lambda package: tmp_path / package)
+    assert starters_folder() == tmp_path / "cellapp" / "starters"
 
 
 def test_an_installation_without_them_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.profile.starters.files", lambda package: tmp_path / package)
-    monkeypatch.setattr("cellapp.profile.starters.distribution", lambda package: SimpleNamespace(files=None))
     with pytest.raises(InputError, match="lacks its starter profiles; install it again"):
         starters_folder()
+
+
+def test_a_cell_with_targets_gets_all_example_lists(tmp_path: Path) -> None:
+    write_starter("twin", tmp_path)
+    for folder in ("targets", "paths"):
+        brought = {path.name for path in (starters_folder() / folder).iterdir()}
+        assert {path.name for path in (tmp_path / "profiles" / folder).iterdir()} == brought
+    write_starter("ur10-real", tmp_path / "other")
+    assert not (tmp_path / "other" / "profiles" / "targets").exists()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -12,6 +12,7 @@ from cellapp.collection.collect import collect_run
 from cellapp.pipeline import calibrate_run, discover_run, new_planned_run, push_run
 from cellapp.reporting.page import page_text
 from cellapp.run import RunFile
+from tests.made_once import made_once
 from tests.reporting.parsed_page import NOON, Page
 from tests.reporting.runs import EVENT, LEFT, NAME, RIGHT, fill, targets_of, twin_of, without_devices
 
@@ -19,14 +20,16 @@ from tests.reporting.runs import EVENT, LEFT, NAME, RIGHT, fill, targets_of, twi
 @pytest.fixture(scope="session")
 def whole_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of the simulated cell with every result and with hostile names."""
-    folder = tmp_path_factory.mktemp("whole") / "run"
-    with new_planned_run(twin_of(LEFT, RIGHT, NAME), folder) as run:
-        run.log("warning", EVENT)
-        collect_run(run)
-        calibrate_run(run)
-        discover_run(run)
-        push_run(run, targets_of(LEFT, RIGHT), verify=True)
-    return folder
+
+    def make(folder: Path) -> None:
+        with new_planned_run(twin_of(LEFT, RIGHT, NAME), folder) as run:
+            run.log("warning", EVENT)
+            collect_run(run)
+            calibrate_run(run)
+            discover_run(run)
+            push_run(run, targets_of(LEFT, RIGHT), verify=True)
+
+    return made_once(tmp_path_factory, "reported-run", make)
 
 
 @pytest.fixture(scope="session")

@@ -40,7 +40,8 @@ class Page(HTMLParser):
             self.faults.append(f"/{tag} at {self.getpos()}")
 
     def handle_data(self, data: str) -> None:
-        self.texts.append(data.strip())
+        if not self._open or self._open[-1] not in ("style", "script"):
+            self.texts.append(data.strip())
 
     @property
     def text(self) -> str:

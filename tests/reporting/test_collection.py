@@ -26,7 +26,7 @@ HOSTILE = "<script>alert(1)</script>"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A collected run in which one reading is missing, a person paused, and references drifted."""
     folder = tmp_path_factory.mktemp("collected") / "run"
-    plan_new_run(small_twin(20), folder)
+    plan_new_run(small_twin(20, plan={"method": "random"}), folder)
     with RunFile.open(folder, write=True) as run:
         run.add_stop(3, {}, [Outcome(3, "left", "not measured", HOSTILE), Outcome(3, "right", "left out", "forbidden")])
         collect_stops(run, resume=True)
@@ -57,7 +57,11 @@ def test_sessions_requests_missing_readings_drift_and_errors_are_tables(run: Run
     assert "limit 0.100 mm" in drift.title
     assert {row[0] for row in errors.text_rows()} == {"left", "right"}
     (figure,) = drift_figures(state)
-    assert figure.legend == (("arm1", "nest A"), ("floor", "limit, 0.100 mm"))
+    assert [(entry.look and entry.look.colour, entry.text) for entry in figure.legend] == [
+        ("arm1", "nest A"),
+        ("ink", "limit"),
+    ]
+    assert "the limit is 0.100 mm" in figure.note
 
 
 def test_a_run_without_sessions_shows_nothing(single: RunFile) -> None:

@@ -9,11 +9,11 @@ import pytest
 
 from cellapp.errors import InputError
 from cellapp.pipeline import new_planned_run
-from cellapp.plan_verbs import plan_result, stored_plan
 from cellapp.planning.stored_stops import PLAN_DESIGN_RESULT, read_plan_design, read_planned_stops, write_planned_stops
 from cellapp.reporting.plan_design_text import design_sentences, design_tables, plan_lines, plan_result_tables
 from cellapp.results import PlanResult, StopsResult
 from cellapp.run import RunFile
+from cellapp.verbs.plan import plan_result, stored_plan
 from tests.reporting.plan_cases import TIME, plan_design
 from tests.twin import small_twin
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from cellapp.collection.controllers import CONTROLLERS_RESULT
 from cellapp.errors import InputError
 from cellapp.pipeline import calibrate_run, discover_run
 from cellapp.profile import Profile, load_profile
 from cellapp.reporting.tables import calibration_tables, tracker_sentences
 from cellapp.results import CalibrateResult
 from cellapp.run import RunFile, import_csv
+from cellapp.run.arm_identity import CONTROLLERS_RESULT
 from cellapp.run.stages import read_results, read_stages
 from cellapp.run.stored_model import model_of, stage_in_force
 

@@ -297,7 +297,6 @@ def test_cells_are_chosen_by_name() -> None:
         matrix_cells("nothing")
 
 
-@pytest.mark.usefixtures("judged_here")
 def test_a_matrix_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cells = matrix_cells("stops-60.none") + matrix_cells("stops-60.one")
     cancel = CancelToken()
@@ -307,11 +306,9 @@ def test_a_matrix_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pyte
             cancel.cancel()
 
     with pytest.raises(Cancelled):
-        blind_matrix.blind_matrix(
-            twin(), tmp_path, 1, cells, seed=SEED, jobs=1, listener=stop_before_the_second, cancel=cancel
-        )
+        blind_matrix.blind_matrix(twin(), tmp_path, 1, cells, seed=SEED, listener=stop_before_the_second, cancel=cancel)
     first = (tmp_path / "stops-60.none" / "run-0001" / "run.sqlite").read_bytes()
-    result = blind_matrix.blind_matrix(twin(), tmp_path, 1, cells, seed=SEED, jobs=1)
+    result = blind_matrix.blind_matrix(twin(), tmp_path, 1, cells, seed=SEED)
     assert (tmp_path / "stops-60.none" / "run-0001" / "run.sqlite").read_bytes() == first
     assert [(cell.name, cell.runs) for cell in result.cells] == [("stops-60.none", 1), ("stops-60.one", 1)]
     out, table = tmp_path / "out.json", tmp_path / "table.md"

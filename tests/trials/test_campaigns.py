@@ -21,6 +21,7 @@ from cellapp.collection.supervision import Supervisor
 from cellapp.errors import CellappError, InputError
 from cellapp.profile import load_profile
 from cellapp.run import Reading, RunFile
+from cellapp.scale.executor import Resources
 from cellapp.trials.campaigns.campaign import Bench, Campaign, campaign_profile, make_bench, run_campaign
 from cellapp.trials.campaigns.faults import KINDS, draw_faults
 from cellapp.trials.campaigns.trial import campaign_trials
@@ -66,7 +67,7 @@ def test_the_same_seed_is_the_same_campaign(bench: Bench) -> None:
 
 def test_processes_do_not_change_the_result() -> None:
     profile = load_profile(PROFILES / "twin.yaml")
-    alone, shared = (campaign_trials(profile, 3, 3, STOPS, jobs) for jobs in (1, 2))
+    alone, shared = (campaign_trials(profile, 3, 3, STOPS, Resources(jobs=jobs)) for jobs in (1, 2))
     times = {"seconds_mean": 0.0, "seconds_worst": 0.0}
     assert alone.model_copy(update=times) == shared.model_copy(update=times)
 

@@ -11,13 +11,20 @@ import pytest
 from cellapp.calibration.calibrate import calibrate_arm
 from cellapp.discovery.discover import discover_arm
 from cellapp.errors import InputError
-from cellapp.progress import Cancelled, CancelToken
 from cellapp.reporting.table import markdown
+from cellapp.scale.task import as_json
 from cellapp.trials.league.draws import DrawTask, LeagueDraw, run_draw
-from cellapp.trials.league.series import Entrant, draw_rows, load_entrant, parse_rows
+from cellapp.trials.league.series import (
+    Entrant,
+    SeriesTexts,
+    draw_rows,
+    load_entrant,
+    parse_entrants,
+    parse_rows,
+    series_texts,
+)
 from cellapp.trials.league.tables import league_sentences, league_tables
 from cellapp.trials.league.trial import CURVE_ROWS, LeagueResult, league_trials, results_of
-from cellapp.trials.processes import in_processes
 
 ROOT = Path(__file__).parents[2]
 DATA, PROFILES = ROOT / "tests" / "fixtures", ROOT / "profiles"
@@ -35,7 +42,7 @@ def series_c() -> Entrant:
 
 @pytest.fixture(scope="module")
 def draw(ur5: Entrant) -> LeagueDraw:
-    return run_draw(DrawTask(ur5, 100, seed=0))
+    return run_draw(ur5, DrawTask(series="UR5", rows=100, seed=0))
 
 
 @pytest.mark.fast
@@ -140,11 +147,11 @@ def test_bars_are_held_against_means_over_draws(draw: LeagueDraw) -> None:
 
 
 def test_the_league_in_tables_and_json(draw: LeagueDraw, monkeypatch: pytest.MonkeyPatch) -> None:
-    def as_drawn(task: DrawTask) -> LeagueDraw:
+    def as_drawn(entrant: Entrant, task: DrawTask) -> LeagueDraw:
         return draw.model_copy(update={"seed": task.seed})
 
-    monkeypatch.setattr("cellapp.trials.league.trial.run_draw", as_drawn)
-    result = league_trials(["UR5"], [100], 2, jobs=1, data=DATA, profiles=PROFILES)
+    monkeypatch.setattr("cellapp.trials.league.draws.run_draw", as_drawn)
+    result = league_trials(["UR5"], [100], 2, data=DATA, profiles=PROFILES)
     assert LeagueResult.from_json(result.to_json(), "league") == result
     assert [(one.rows, one.seed) for one in result.draws] == [(100, 0), (100, 1)]
     assert [line.held_out for line in result.lines] == [920, 900, 20]
@@ -175,13 +182,11 @@ def test_stated_intervals_hold_new_readings_where_the_model_is_right(ur5: Entran
 
 
 @pytest.mark.fast
-def test_processes_do_every_task_once_and_a_cancelled_job_begins_none() -> None:
-    tasks = range(-5, 0)
-    for jobs in (1, 2):
-        assert sorted(in_processes(abs, tasks, jobs, CancelToken())) == [1, 2, 3, 4, 5]
-        cancel = CancelToken()
-        outcomes = in_processes(abs, tasks, jobs, cancel)
-        next(outcomes)
-        cancel.cancel()
-        with pytest.raises(Cancelled):
-            assert len(list(outcomes)) < 4
+def test_a_series_as_text_is_the_series(ur5: Entrant) -> None:
+    """A worker that does not see the files computes from the same numbers."""
+    texts = SeriesTexts.model_validate_json(as_json(series_texts(["UR5"], DATA, PROFILES)))
+    (sent,) = parse_entrants(texts).values()
+    assert sent.profile == ur5.profile
+    for name in ("q", "p_M", "approach", "step"):
+        np.testing.assert_array_equal(getattr(sent.readings, name), getattr(ur5.readings, name))
+    assert sent.readings.split == ur5.readings.split

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.fast
 
 def test_whole_plans_are_counted_checked_and_shown() -> None:
     profile = small_twin(20)
-    plans = whole_plans(profile, [3], 20)
+    plans = whole_plans(profile, [3], 20).found
     result = plan_trials(profile, [3], 20, 0).model_copy(update={"plans": plans})
     assert plans[0].reached == 20
     assert plans[0].motions >= 41, "approach and last motion of each stop, and the way home"

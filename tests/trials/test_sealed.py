@@ -84,9 +84,9 @@ def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[st
             cancel.cancel()
 
     with pytest.raises(Cancelled):
-        judge_trials(folder, jobs=1, listener=stop_after_the_first, cancel=cancel)
+        judge_trials(folder, listener=stop_after_the_first, cancel=cancel)
     first = stored(folder)
-    return folder, first, judge_trials(folder, jobs=1)
+    return folder, first, judge_trials(folder)
 
 
 @pytest.fixture
@@ -397,7 +397,6 @@ def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Pat
     assert {target.target for target in result.targets} >= {"visible: exactly its name", "one arm within 5 s"}
 
 
-@pytest.mark.usefixtures("judged_here")
 def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
     judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path
 ) -> None:
@@ -409,7 +408,7 @@ def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
             connection.execute("UPDATE reading SET split = 'identify'")
         connection.commit()
         connection.close()
-    result = judge_trials(folder, jobs=1)
+    result = judge_trials(folder)
     assert len(result.failed) == 1
     assert result.failed[0].startswith("run-0001: arm 'left': 60 readings leave 60 to identify and 0 to validate")
     assert [trial.run for trial in result.trials] == ["run-0002", "run-0003"]

@@ -87,7 +87,7 @@ def wire_profile(folder: Path) -> Path:
 
 def open_newest_run(terminal: Terminal) -> None:
     """Open the first run of the screen Runs."""
-    terminal.send("7")
+    terminal.send("8")
     terminal.until(lambda text: "began (UTC)" in text, "the runs")
     terminal.quiet(1.0)
     terminal.send("\r")
@@ -155,7 +155,7 @@ async def fields_s(profiles: Path, run_folder: Path) -> list[float]:
 
 
 def main() -> None:
-    """Print what the README states."""
+    """Print what the handbook states, chapter "figures"."""
     for measure in (measure_start, measure_collection, measure_discovery):
         with tempfile.TemporaryDirectory() as name:
             shutil.copytree(ROOT / "profiles", Path(name) / "profiles")

@@ -32,6 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for path in (made / "profiles").glob("*.yaml"):
         if path != profile:
             path.unlink()
+    profile.write_text(profile.read_text("utf-8").replace("  stops: 30", "  stops: 30\n  method: random"), "utf-8")
     new_planned_run(load_profile(profile), made / DAY).close()
     return made
 
@@ -67,7 +68,7 @@ async def test_a_broken_run_among_others_is_named_and_the_others_can_be_opened(a
         (Path("logs") / name / "run.sqlite").write_text(text)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
-        await pilot.press("7")
+        await pilot.press("8")
         await says(pilot, app, "broken", "empty", "day", "0/30")
         app.open_run(Path("logs") / "broken", app.workspace.profile_path)
         await until(pilot, lambda: "is not a run file" in app.message, "the sentence")

@@ -109,7 +109,7 @@ async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(
     app = CellApp(Path("profiles"))
     async with app.run_test(size=(120, 40)) as pilot:
         await says(pilot, app, "EMULATED")
-        await pilot.press("7")
+        await pilot.press("8")
         await says(pilot, app, "day", f"0/{STOPS}")
         await pilot.press("enter")
         await says(pilot, app, "logs/day is open; next: Collect (key n)")
@@ -152,7 +152,7 @@ async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(
 def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(day: Path, cell: StormCell) -> None:
     with cellapp(day) as terminal:
         shows(terminal, "EMULATED")
-        terminal.send("7")
+        terminal.send("8")
         shows(terminal, f"0/{STOPS}")
         terminal.send("\r")
         shows(terminal, "next: Collect")

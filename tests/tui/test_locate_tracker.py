@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from textual.widgets import Input
 
-from cellapp.locate_verb import POINTS as BY_COMMAND
 from cellapp.run import RunFile
 from cellapp.run.stages import read_results
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.locate_tracker import POINTS, LocateTracker
 from cellapp.tui.dialogs.question import Reading
+from cellapp.verbs.locate import POINTS as BY_COMMAND
 from tests.tui.pilot import PROFILES, SMALL, ended, log_text, opened, shown_text, until
 
 

@@ -16,6 +16,7 @@ from cellapp.run import RunFile, history
 from cellapp.tui import browser
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.comparison import Comparison
+from cellapp.tui.dialogs.fleet_history import FleetHistory
 from cellapp.tui.dialogs.question import Choice
 from cellapp.tui.jobs import Job
 from tests.run.small_runs import collected_run, set_began
@@ -52,7 +53,7 @@ async def show_runs(pilot: Pilot[None], app: CellApp, count: int = 4) -> None:
     await opened(pilot, app)
     if isinstance(app.screen, Choice):  # the offer to resume
         await pilot.press("escape")
-    await pilot.press("7")
+    await pilot.press("8")
     await until(pilot, lambda: app.day_screen.STEP == "runs" and len(names(app)) == count, "the list")
     await until(pilot, lambda: app.screen is app.day_screen, "the end of any offer")
 
@@ -140,10 +141,10 @@ async def test_two_marked_runs_are_compared_over_the_screen(logs: Path, monkeypa
     async with app.run_test(size=SMALL) as pilot:
         await show_runs(pilot, app)
         await pilot.press("c")
-        for name in ("broken", "first", "second", "third"):
+        for name in ("broken", "second", "third"):
             await go_to(pilot, app, name)
             await pilot.press("space")
-        await until(pilot, lambda: shown_text(app).count("●") == 2, "the marks of the last two")
+        await until(pilot, lambda: shown_text(app).count("●") == 2, "the marks")
         await pilot.press("c")
         await until(pilot, lambda: isinstance(app.screen, Comparison), "the comparison")
         await until(pilot, lambda: f"a: {LOGS / 'second'}" in shown_text(app), "its sentences")
@@ -156,6 +157,27 @@ async def test_two_marked_runs_are_compared_over_the_screen(logs: Path, monkeypa
         await until(pilot, lambda: "is not a run file" in app.message, "the sentence")
         await pilot.press("space")
         await until(pilot, lambda: shown_text(app).count("●") == 1, "one mark is gone")
+
+
+async def test_three_marked_runs_and_the_list_are_shown_as_a_fleet(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app)
+        for name in ("first", "second", "third"):
+            await go_to(pilot, app, name)
+            await pilot.press("space")
+        await until(pilot, lambda: shown_text(app).count("●") == 3, "the marks")
+        assert "3 runs are marked" in app.message
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history of the marked runs")
+        await until(pilot, lambda: "not compared" in shown_text(app), "a word about runs without a calibration")
+        await pilot.press("t")
+        await until(pilot, lambda: "too few runs at different times" in shown_text(app), "the trends")
+        await pilot.press("o", "enter")
+        await until(pilot, (LOGS / "fleet.html").is_file, "the page")
+        await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history again")
+        await pilot.press("escape", "slash", *"second", "enter", "f")
+        await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history of the listed run")
 
 
 async def test_the_key_of_a_paused_job_remains_its_own(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -279,7 +301,7 @@ async def test_the_screen_answers_while_the_folder_is_read(logs: Path, monkeypat
     app = app_without_offer(monkeypatch)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
-        await pilot.press("7")
+        await pilot.press("8")
         await until(pilot, lambda: app.day_screen.STEP == "runs", "the screen")
         assert "reading the folder" in about(app)
         await pilot.press("slash", *"first")

@@ -8,7 +8,6 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
-from cellapp import push_verb
 from cellapp.compensation.target_text import targets_text
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.run import RunFile
@@ -24,6 +23,7 @@ from cellapp.tui.screens import targets_jobs
 from cellapp.tui.screens.targets import TargetsScreen
 from cellapp.tui.screens.targets_state import TargetEdits, new_name
 from cellapp.tui.widgets.form_fields import FieldRow
+from cellapp.verbs import push as push_verb
 from tests.run.small_runs import collected_run
 from tests.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, until
 from tests.twin import small_twin

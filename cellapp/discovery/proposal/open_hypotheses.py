@@ -46,7 +46,7 @@ def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: 
         taken = {term.slug for term in fit.terms}
         for number, term in enumerate(fit.terms):
             for slug in EFFECTS[term.slug].look_alikes:
-                if slug not in taken:
+                if slug not in taken and slug in EFFECTS:  # a plug-in may name effects of one that is not installed
                     found += _hypotheses_against(data, fit, number, slug, least, joined)
     return found or _faint_effects(data, fit, discovery, joined)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from cellapp.discovery.arm_data import ArmData, whitening
 from cellapp.discovery.joint_fit import JointFit
@@ -36,7 +36,7 @@ def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
         return None
     total = float(np.sum(np.einsum("acn,nc->an", whitening(data.stated), fit.identification.residuals) ** 2))
     freedom = max(3.0 * len(data) - fit.projector.effective_parameters, 1.0)
-    return Scatter(math.sqrt(total / freedom), float(chi2.sf(total, freedom)))
+    return Scatter(math.sqrt(total / freedom), float(chdtrc(freedom, total)))
 
 
 def floor_reached(state: SearchState) -> bool:

@@ -29,7 +29,7 @@ from cellapp.trials.campaigns.faults import Fault, draw_faults
 from cellapp.trials.campaigns.monitor import Failure
 from cellapp.trials.campaigns.oracle import ArmEstimate, judge
 from cellapp.trials.campaigns.world import Endless, SimulatedControl, World
-from cellapp.trials.coverage import bare_profile
+from cellapp.trials.planned_cell import bare_profile
 from drivers.sensors.simulated_settings import SimulatedAirSensorSettings
 
 Plan = Mapping[str, NDArray[np.float64]]

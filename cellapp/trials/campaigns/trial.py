@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from functools import partial
-from itertools import chain
 from typing import Literal
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from cellapp.profile import Profile
-from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.results import Record, Result
+from cellapp.scale.executor import IN_PROCESS, Resources
+from cellapp.scale.gather import gather
+from cellapp.scale.task import Batch, Seed, TaskKind
 from cellapp.trials.campaigns.campaign import Bench, Campaign, make_bench, run_campaign
 from cellapp.trials.campaigns.faults import KINDS
 from cellapp.trials.campaigns.monitor import KINDS_OF_FAILURE
-from cellapp.trials.processes import in_processes
 
 STOPS = 400
-_AT_ONCE = 10
-"""Campaigns of one task: some seconds, so that a cancelled job ends soon."""
 
 
 class FailedCampaign(Record):
@@ -51,6 +48,8 @@ class CampaignsResult(Result):
         Processor time of one campaign, in one thread [s].
     simulated_h : float
         Simulated time of all campaigns [h].
+    not_run : tuple of str
+        Campaigns that could not be run to their end, and why.
     """
 
     schema_: Literal["cellapp-trials-campaigns"] = "cellapp-trials-campaigns"
@@ -69,6 +68,20 @@ class CampaignsResult(Result):
     seconds_mean: float
     seconds_worst: float
     simulated_h: float
+    not_run: tuple[str, ...] = ()
+
+
+class CampaignPlan(Record):
+    """What all campaigns share: the cell, and the number of its stops."""
+
+    profile: Profile
+    stops: int
+
+
+class OneCampaign(Record):
+    """What became of one campaign."""
+
+    campaign: Campaign
 
 
 def campaign_trials(
@@ -76,11 +89,11 @@ def campaign_trials(
     n: int,
     seed: int,
     stops: int = STOPS,
-    jobs: int = 1,
+    resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> CampaignsResult:
-    """Run ``n`` campaigns of ``stops`` stops in ``jobs`` processes; the result depends on their seeds only.
+    """Run ``n`` campaigns of ``stops`` stops; the result depends on their seeds only.
 
     Raises
     ------
@@ -90,24 +103,23 @@ def campaign_trials(
         If already the campaign without faults fails.
     Cancelled
     """
-    cancel = cancel or CancelToken()
-    listener(Progress("campaigns", 0, n, "planning"))
-    with threadpool_limits(1):
-        bench = make_bench(profile, stops, cancel)
-        seeds = range(seed, seed + n)
-        campaigns = []
-        at_once = 1 if jobs == 1 else _AT_ONCE
-        tasks = (seeds[k : k + at_once] for k in range(0, n, at_once))
-        for campaign in chain.from_iterable(in_processes(partial(run_campaigns, bench), tasks, jobs, cancel)):
-            campaigns.append(campaign)
-            note = f"{sum(bool(one.failures) for one in campaigns)} failed"
-            listener(Progress("campaigns", len(campaigns), n, note))
-    return _summary(sorted(campaigns, key=lambda campaign: campaign.seed), seed, stops)
+    seeds = range(seed, seed + n)
+    plan = CampaignPlan(profile=profile, stops=stops)
+    batch = Batch(CAMPAIGNS, plan, [Seed(seed=one) for one in seeds], [f"seed {one}" for one in seeds])
+    gathered = gather(batch, "campaigns", resources, listener, cancel)
+    result = _summary([one.campaign for one in gathered.found], seed, stops)
+    return result.model_copy(update={"not_run": gathered.failed})
 
 
-def run_campaigns(bench: Bench, seeds: Sequence[int]) -> list[Campaign]:
-    """Run the campaigns of some seeds."""
-    return [run_campaign(bench, seed)[0] for seed in seeds]
+def _bench(plan: CampaignPlan) -> Bench:
+    return make_bench(plan.profile, plan.stops)
+
+
+def _campaign(bench: Bench, drawn: Seed) -> OneCampaign:
+    return OneCampaign(campaign=run_campaign(bench, drawn.seed)[0])
+
+
+CAMPAIGNS = TaskKind("cellapp.trials.campaigns.trial:CAMPAIGNS", CampaignPlan, Seed, OneCampaign, _bench, _campaign)
 
 
 def _summary(campaigns: Sequence[Campaign], seed: int, stops: int) -> CampaignsResult:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.discovery.discover import discover_arm
 from cellapp.kinematics.transforms import Array
 from cellapp.results import Record
-from cellapp.trials.league.series import DrawnRows, Entrant, Group, Rows, draw_rows
+from cellapp.scale.task import TaskKind
+from cellapp.trials.league.series import Entrant, Group, Rows, SeriesTexts, draw_rows, parse_entrants
 
 _TWO_SIDED_95 = 1.959964
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
@@ -65,24 +66,19 @@ class LeagueDraw(Record):
     seconds: float
 
 
-@dataclass(frozen=True, eq=False)
-class DrawTask:
-    """What to draw; ``learnable`` as in ``draw_rows``, ``network`` trains the residual network too."""
+class DrawTask(Record):
+    """What to draw of a series; ``learnable`` as in ``draw_rows``, ``network`` trains the residual network too."""
 
-    entrant: Entrant
+    series: str
     rows: Rows
     seed: int
     network: bool = False
     learnable: int | None = None
 
-    def drawn(self) -> DrawnRows:
-        """The rows. Raises ``InputError`` if the series has too few."""
-        return draw_rows(self.entrant, self.rows, self.seed, self.learnable)
 
-
-def run_draw(task: DrawTask) -> LeagueDraw:
-    """Learn from the drawn rows, and judge on the held-out ones. Raises ``InputError`` as ``drawn`` does."""
-    entrant, rows = task.entrant, task.drawn()
+def run_draw(entrant: Entrant, task: DrawTask) -> LeagueDraw:
+    """Learn from the drawn rows, and judge on the held-out ones. Raises ``InputError`` if there are too few rows."""
+    rows = draw_rows(entrant, task.rows, task.seed, task.learnable)
     profile = entrant.profile.model_copy(update={"seed": task.seed})
     words = np.full(len(entrant.readings), None, dtype=object)
     words[rows.learned], words[rows.judged] = "identify", "validate"
@@ -124,3 +120,10 @@ def _score(left: Mapping[str, Array], sd: Array) -> HeldOutScore:
         discovery_mm=means["discovery"],
         within_95=float(np.mean(np.abs(left["discovery"]) <= _TWO_SIDED_95 * sd[:, np.newaxis])),
     )
+
+
+def _draw(entrants: Mapping[str, Entrant], task: DrawTask) -> LeagueDraw:
+    return run_draw(entrants[task.series], task)
+
+
+DRAWS = TaskKind("cellapp.trials.league.draws:DRAWS", SeriesTexts, DrawTask, LeagueDraw, parse_entrants, _draw)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from cellapp.errors import InputError
 from cellapp.profile import Profile, load_profile
+from cellapp.results import Record
 from cellapp.run import Readings, read_readings_csv
 
 Group = Literal["all", "others", "published"]
@@ -86,6 +88,19 @@ class DrawnRows:
         return next(iter(self.held_out.values()))
 
 
+class SeriesText(Record):
+    """A measured series as text, for workers that do not see its files: its profile, and its readings as CSV."""
+
+    profile: Profile
+    csv: str
+
+
+class SeriesTexts(Record):
+    """Measured series by name."""
+
+    series: Mapping[str, SeriesText]
+
+
 def load_entrant(name: str, data: Path, profiles: Path) -> Entrant:
     """Read a series and its profile.
 
@@ -94,6 +109,32 @@ def load_entrant(name: str, data: Path, profiles: Path) -> Entrant:
     InputError
         If there is no such series, its files are not there, or they are not as expected.
     """
+    profile, csv = _files(name, data, profiles)
+    return _entrant(name, profile, csv)
+
+
+def series_texts(names: Sequence[str], data: Path, profiles: Path) -> SeriesTexts:
+    """The texts of some series. Raises ``InputError`` as ``load_entrant`` does."""
+    texts = {}
+    for name in dict.fromkeys(names):
+        profile, csv = _files(name, data, profiles)
+        texts[name] = SeriesText(profile=profile, csv=csv.read_text(encoding="utf-8"))
+    return SeriesTexts(series=texts)
+
+
+def parse_entrants(texts: SeriesTexts) -> dict[str, Entrant]:
+    """The series with their readings. Raises ``InputError`` if a text is not as expected."""
+    entrants = {}
+    with TemporaryDirectory() as folder:
+        for name, its in texts.series.items():
+            csv = Path(folder) / f"{name}.csv"
+            csv.write_text(its.csv, encoding="utf-8", newline="")
+            entrants[name] = _entrant(name, its.profile, csv)
+    return entrants
+
+
+def _files(name: str, data: Path, profiles: Path) -> tuple[Profile, Path]:
+    """Profile of a series, and the file of its readings."""
     if name not in SERIES:
         raise InputError(f"--series: '{name}' is not a series of the league; series are {', '.join(SERIES)}")
     csv = data / SERIES[name].folder / "readings.csv"
@@ -102,7 +143,10 @@ def load_entrant(name: str, data: Path, profiles: Path) -> Entrant:
             f"{csv}: file not found; the measured series stand in tests/fixtures of the project's sources: run this"
             " there, or say with --data where they are"
         )
-    profile = load_profile(profiles / f"{SERIES[name].folder}.yaml")
+    return load_profile(profiles / f"{SERIES[name].folder}.yaml"), csv
+
+
+def _entrant(name: str, profile: Profile, csv: Path) -> Entrant:
     readings, _ = read_readings_csv(
         csv, {arm: len(one.type.joints) for arm, one in profile.arms.items()}, in_order=True
     )

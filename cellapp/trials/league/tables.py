@@ -1,4 +1,4 @@
-"""Tables of the league for terminal and README."""
+"""Tables of the league for terminal and handbook."""
 
 from __future__ import annotations
 

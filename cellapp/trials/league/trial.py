@@ -12,11 +12,13 @@ import numpy as np
 
 from cellapp import __version__
 from cellapp.errors import InputError
-from cellapp.progress import CancelToken, Listener, Progress, ignore
+from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.results import Record, Result
-from cellapp.trials.league.draws import DrawTask, HeldOutScore, LeagueDraw, run_draw
-from cellapp.trials.league.series import SERIES, Entrant, Group, Rows, load_entrant
-from cellapp.trials.processes import in_processes
+from cellapp.scale.executor import IN_PROCESS, Resources
+from cellapp.scale.gather import gather
+from cellapp.scale.task import Batch
+from cellapp.trials.league.draws import DRAWS, DrawTask, HeldOutScore, LeagueDraw
+from cellapp.trials.league.series import SERIES, Entrant, Group, Rows, draw_rows, parse_entrants, series_texts
 
 CURVE_SERIES = "C"
 """The longest series."""
@@ -85,7 +87,8 @@ class LeagueBar(Record):
 class LeagueResult(Result):
     """``trials league``: a line for each series, size and group of held-out rows, the bars, and every draw.
 
-    ``curve`` and ``curve_draws`` are those of the learning curve, empty where it was not asked for.
+    ``curve`` and ``curve_draws`` are those of the learning curve, empty where it was not asked for; ``failed`` names
+    the draws that failed, and why.
     """
 
     schema_: Literal["cellapp-trials-league"] = "cellapp-trials-league"
@@ -99,13 +102,17 @@ class LeagueResult(Result):
     draws: tuple[LeagueDraw, ...]
     curve: tuple[LeagueLine, ...] = ()
     curve_draws: tuple[LeagueDraw, ...] = ()
+    failed: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
-        """Bars that are missed, in words."""
+        """Draws that failed and bars that are missed, in words."""
         return [
-            f"series {bar.series}, {bar.rows} rows: {bar.what} is {bar.reached:.3f}, {bar_words(bar)}"
-            for bar in self.bars
-            if not bar.met
+            *self.failed,
+            *(
+                f"series {bar.series}, {bar.rows} rows: {bar.what} is {bar.reached:.3f}, {bar_words(bar)}"
+                for bar in self.bars
+                if not bar.met
+            ),
         ]
 
 
@@ -123,7 +130,7 @@ def league_trials(
     profiles: Path,
     network: bool = False,
     curve: bool = False,
-    jobs: int = 1,
+    resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> LeagueResult:
@@ -137,8 +144,8 @@ def league_trials(
         Train the residual networks of ``calibrate`` too; slow.
     curve : bool
         Also learn from 100 to 2200 rows of series C, held out the same rows each time.
-    jobs : int
-        Processes, each of one thread.
+    resources : Resources
+        Where the draws are computed.
 
     Raises
     ------
@@ -149,26 +156,30 @@ def league_trials(
     """
     if not (series and rows and seeds > 0):
         raise InputError("trials league: ask for at least one series, one number of rows and one seed")
-    cancel = cancel or CancelToken()
-    wanted = dict.fromkeys([*series, CURVE_SERIES] if curve else series)
-    entrants = {name: load_entrant(name, data, profiles) for name in wanted}
+    texts = series_texts([*series, CURVE_SERIES] if curve else series, data, profiles)
     tasks = [
-        DrawTask(entrants[name], size, seed, network)
+        DrawTask(series=name, rows=size, seed=seed, network=network)
         for name in dict.fromkeys(series)
         for size in dict.fromkeys(rows)
         for seed in range(seeds)
     ]
-    curve_tasks = _curve_tasks(entrants[CURVE_SERIES], seeds) if curve else []
-    for task in (*tasks, *curve_tasks):
-        task.drawn()  # too few rows are said before hours of work
-    total = len(tasks) + len(curve_tasks)
-    draws = _run(tasks, 0, total, jobs, listener, cancel)
-    curve_draws = _run(curve_tasks, len(tasks), total, jobs, listener, cancel)
-    return results_of(draws, curve_draws, seeds=seeds, jobs=jobs)
+    curve_tasks = _curve_tasks(seeds) if curve else []
+    every = [*tasks, *curve_tasks]
+    _check_rows(parse_entrants(texts), every)
+    names = [f"series {task.series}, {task.rows} rows, seed {task.seed}" for task in every]
+    gathered = gather(Batch(DRAWS, texts, every, names), "league", resources, listener, cancel)
+    draws = [draw for draw in gathered.results[: len(tasks)] if draw is not None]
+    curve_draws = [draw for draw in gathered.results[len(tasks) :] if draw is not None]
+    return results_of(draws, curve_draws, seeds=seeds, jobs=gathered.workers, failed=gathered.failed)
 
 
 def results_of(
-    draws: Sequence[LeagueDraw], curve_draws: Sequence[LeagueDraw], *, seeds: int, jobs: int
+    draws: Sequence[LeagueDraw],
+    curve_draws: Sequence[LeagueDraw],
+    *,
+    seeds: int,
+    jobs: int,
+    failed: tuple[str, ...] = (),
 ) -> LeagueResult:
     """Lines and bars of draws that were made over ``seeds`` seeds by ``jobs`` processes."""
     lines = _lines(draws)
@@ -182,25 +193,22 @@ def results_of(
         draws=tuple(draws),
         curve=_lines(curve_draws),
         curve_draws=tuple(curve_draws),
+        failed=failed,
     )
 
 
-def _curve_tasks(entrant: Entrant, seeds: int) -> list[DrawTask]:
-    return [DrawTask(entrant, size, seed, learnable=CURVE_ROWS[-1]) for size in CURVE_ROWS for seed in range(seeds)]
+def _check_rows(entrants: Mapping[str, Entrant], tasks: Sequence[DrawTask]) -> None:
+    """Too few rows are said before hours of work."""
+    for task in tasks:
+        draw_rows(entrants[task.series], task.rows, task.seed, task.learnable)
 
 
-def _run(
-    tasks: Sequence[DrawTask], before: int, total: int, jobs: int, listener: Listener, cancel: CancelToken
-) -> list[LeagueDraw]:
-    """The draws in the order of their tasks; ``before`` of ``total`` were made already."""
-    listener(Progress("league", before, total))
-    draws = []
-    for draw in in_processes(run_draw, tasks, jobs, cancel):
-        draws.append(draw)
-        note = f"series {draw.series}, {draw.learned} rows, seed {draw.seed}"
-        listener(Progress("league", before + len(draws), total, note))
-    place = {(task.entrant.name, task.rows, task.seed): number for number, task in enumerate(tasks)}
-    return sorted(draws, key=lambda draw: place[draw.series, draw.rows, draw.seed])
+def _curve_tasks(seeds: int) -> list[DrawTask]:
+    return [
+        DrawTask(series=CURVE_SERIES, rows=size, seed=seed, learnable=CURVE_ROWS[-1])
+        for size in CURVE_ROWS
+        for seed in range(seeds)
+    ]
 
 
 def _lines(draws: Sequence[LeagueDraw]) -> tuple[LeagueLine, ...]:

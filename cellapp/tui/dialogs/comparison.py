@@ -1,4 +1,4 @@
-"""Where two runs differ, over the screen Runs."""
+"""Where runs differ, over the screen Runs."""
 
 from __future__ import annotations
 

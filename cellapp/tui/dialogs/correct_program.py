@@ -8,11 +8,11 @@ from pathlib import Path
 
 from textual.app import ComposeResult
 from textual.containers import Horizontal
-from textual.suggester import SuggestFromList
 from textual.widgets import Button, Checkbox, Input, Static
 
 from cellapp.tui.dialogs.file_picker import PathField
 from cellapp.tui.dialogs.write_question import WriteQuestion
+from cellapp.tui.widgets.labelled import Labelled, text_field
 
 
 @dataclass(frozen=True)
@@ -36,12 +36,6 @@ class CorrectProgram(WriteQuestion[CorrectRequest]):
     arms : sequence of str
     """
 
-    DEFAULT_CSS = """
-    CorrectProgram .field { height: 1; }
-    CorrectProgram .field Static { width: 20; }
-    CorrectProgram .field Input { width: 1fr; }
-    """
-
     def __init__(self, program: Path, arms: Sequence[str]) -> None:
         super().__init__()
         self._program, self._arms = program, tuple(arms)
@@ -49,17 +43,10 @@ class CorrectProgram(WriteQuestion[CorrectRequest]):
     def body(self) -> ComposeResult:
         yield Static(f"Correct {self._program.name}", classes="title", markup=False)
         proposed = self._program.with_stem(f"{self._program.stem}-corrected")
-        with Horizontal(classes="field"):
-            yield Static("corrected copy", markup=False)
-            yield PathField(str(proposed), lambda path: path.suffix == self._program.suffix)
+        yield Labelled("corrected copy", PathField(str(proposed), lambda path: path.suffix == self._program.suffix))
         only = self._arms[0] if len(self._arms) == 1 else ""
-        with Horizontal(classes="field"):
-            yield Static("arm", markup=False)
-            suggester = SuggestFromList(self._arms)
-            yield Input(only, id="arm", compact=True, suggester=suggester, placeholder=" or ".join(self._arms))
-        with Horizontal(classes="field"):
-            yield Static("TCP (m, rad)", markup=False)
-            yield Input(id="tcp", compact=True, placeholder="x,y,z,rx,ry,rz; empty: the program's set_tcp")
+        yield text_field("arm", "arm", only, " or ".join(self._arms), choices=self._arms)
+        yield text_field("TCP (m, rad)", "tcp", hint="x,y,z,rx,ry,rz; empty: the program's set_tcp")
         yield Checkbox("write although some targets cannot be corrected", id="partly", compact=True)
         yield Checkbox("correct outside the joint ranges of the readings too", id="extrapolate", compact=True)
         yield Static(f"Enter writes, {self.closing_key} closes. Nothing moves.", classes="text", markup=False)

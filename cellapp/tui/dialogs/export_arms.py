@@ -9,13 +9,13 @@ from pathlib import Path
 from textual import on
 from textual.app import ComposeResult
 from textual.containers import Horizontal
-from textual.suggester import SuggestFromList
 from textual.widgets import Button, Input, OptionList, Static
 from textual.widgets.option_list import Option
 
 from cellapp.exports.formats import all_formats
 from cellapp.tui.dialogs.file_picker import PathField
 from cellapp.tui.dialogs.write_question import WriteQuestion
+from cellapp.tui.widgets.labelled import Labelled, text_field
 
 _STAGES = ("calibrate", "discover", "compensate", "verify")
 
@@ -42,9 +42,6 @@ class ExportArms(WriteQuestion[ExportRequest]):
 
     DEFAULT_CSS = """
     ExportArms #formats { height: auto; }
-    ExportArms .field { height: 1; }
-    ExportArms .field Static { width: 20; }
-    ExportArms .field Input { width: 1fr; }
     """
 
     def __init__(self, folder: Path, arms: Sequence[str]) -> None:
@@ -56,17 +53,9 @@ class ExportArms(WriteQuestion[ExportRequest]):
         yield Static("Calibrated arms and commands for other programs", classes="title", markup=False)
         options = [Option(f"{entry.name:15} {entry.what}", id=entry.name) for entry in all_formats().values()]
         yield OptionList(*options, id="formats", markup=False, compact=True)
-        with Horizontal(classes="field"):
-            yield Static("file", markup=False)
-            yield PathField("", lambda path: True)
-        with Horizontal(classes="field"):
-            yield Static("arm (empty: all)", markup=False)
-            yield Input(id="arm", compact=True, suggester=SuggestFromList(self._arms))
-        with Horizontal(classes="field"):
-            yield Static("of stage", markup=False)
-            yield Input(
-                id="stage", compact=True, placeholder="empty: in force, or last", suggester=SuggestFromList(_STAGES)
-            )
+        yield Labelled("file", PathField("", lambda path: True))
+        yield text_field("arm (empty: all)", "arm", choices=self._arms)
+        yield text_field("of stage", "stage", hint="empty: in force, or last", choices=_STAGES)
         yield Static(
             f"Enter goes on and writes, {self.closing_key} closes. Several arms get a file each.",
             classes="text",

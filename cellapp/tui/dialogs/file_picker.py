@@ -66,10 +66,12 @@ class PathField(Input):
         The path to begin with.
     wanted : callable
         Whether a file may be chosen.
+    hint : str
+        What it shows while it is empty.
     """
 
-    def __init__(self, text: str, wanted: Callable[[Path], bool]) -> None:
-        super().__init__(text, suggester=PathSuggester(wanted), id="path", compact=True)
+    def __init__(self, text: str, wanted: Callable[[Path], bool], *, id: str = "path", hint: str = "") -> None:
+        super().__init__(text, placeholder=hint, suggester=PathSuggester(wanted), id=id, compact=True)
         self._wanted = wanted
 
     def complete(self) -> None:

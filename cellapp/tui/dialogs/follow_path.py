@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 from textual.app import ComposeResult
 from textual.containers import Horizontal
-from textual.suggester import SuggestFromList
 from textual.widgets import Button, Checkbox, Input, Static
 
 from cellapp.tui.dialogs.file_picker import PathField
 from cellapp.tui.dialogs.write_question import WriteQuestion
+from cellapp.tui.widgets.labelled import Labelled, text_field
 
 if TYPE_CHECKING:
-    from cellapp.path_verbs import Driving
+    from cellapp.verbs.paths import Driving
 
 _YAML = (".yaml", ".yml")
 
@@ -47,27 +47,15 @@ class FollowPath(WriteQuestion[FollowRequest]):
         Why the model is out of date; empty if it is not.
     """
 
-    DEFAULT_CSS = """
-    FollowPath .field { height: 1; }
-    FollowPath .field Static { width: 20; }
-    FollowPath .field Input { width: 1fr; }
-    """
-
     def __init__(self, proposed: str, arms: Sequence[str], arms_words: str, stale: str) -> None:
         super().__init__()
         self._proposed, self._arms, self._words, self._stale = proposed, tuple(arms), arms_words, stale
 
     def body(self) -> ComposeResult:
         yield Static("Follow paths", classes="title", markup=False)
-        with Horizontal(classes="field"):
-            yield Static("path file", markup=False)
-            yield PathField(self._proposed, lambda path: path.suffix in _YAML)
-        with Horizontal(classes="field"):
-            yield Static("only arm", markup=False)
-            yield Input(id="arm", compact=True, suggester=SuggestFromList(self._arms), placeholder="empty: all of them")
-        with Horizontal(classes="field"):
-            yield Static("joint positions", markup=False)
-            yield Input(id="csv", compact=True, placeholder="CSV file to write; may be empty")
+        yield Labelled("path file", PathField(self._proposed, lambda path: path.suffix in _YAML))
+        yield text_field("only arm", "arm", hint="empty: all of them", choices=self._arms)
+        yield text_field("joint positions", "csv", hint="CSV file to write; may be empty")
         yield Checkbox(f"drive: {self._words}", id="drive", compact=True)
         yield Checkbox("drive and measure: how far the SMR is from the path", id="verify", compact=True)
         yield Checkbox("rehearse: drive once before, correct by how the joints lag", id="rehearse", compact=True)

@@ -10,9 +10,10 @@ from textual.containers import Horizontal
 from textual.widgets import Button, Input, Static
 
 from cellapp.tui.dialogs.question import Question
+from cellapp.tui.widgets.labelled import text_field
 
 POINTS = 4
-"""As ``cellapp.locate_verb`` has it, which loads more than a dialog needs."""
+"""As ``cellapp.verbs.locate`` has it, which loads more than a dialog needs."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,6 @@ class LocateTracker(Question[LocateRequest]):
         Why the model should not be used as it is; empty if it holds.
     """
 
-    DEFAULT_CSS = """
-    LocateTracker .field { height: 1; }
-    LocateTracker .field Static { width: 20; }
-    LocateTracker .field Input { width: 1fr; }
-    """
-
     def __init__(self, arms: str, *, simulated: bool, stale: str) -> None:
         super().__init__()
         self._arms, self._simulated, self._stale = arms, simulated, stale
@@ -53,19 +48,14 @@ class LocateTracker(Question[LocateRequest]):
         if self._stale:
             text += f"\nThe model is not up to date: {self._stale}."
         yield Static(text, classes="text", markup=False)
-        yield from self._field("points", "points", str(POINTS), "of all arms together")
-        yield from self._field("tracker-pose", "tracker about at", "", "x,y,z,r,p,y in m, deg; empty: as before")
+        yield text_field("points", "points", str(POINTS), "of all arms together")
+        yield text_field("tracker about at", "tracker-pose", hint="x,y,z,r,p,y in m, deg; empty: as before")
         if self._simulated:
-            yield from self._field("simulated-pose", "put it first to", "", "x,y,z,r,p,y in m, deg; may be empty")
+            yield text_field("put it first to", "simulated-pose", hint="x,y,z,r,p,y in m, deg; may be empty")
         yield Static(f"Enter begins, {self.closing_key} closes.", id="why", classes="text", markup=False)
         with Horizontal(classes="answers"):
             yield Button("Begin", id="begin", variant="success", compact=True)
             yield Button("Not now", id="no", compact=True)
-
-    def _field(self, name: str, label: str, text: str, hint: str) -> ComposeResult:
-        with Horizontal(classes="field"):
-            yield Static(label, markup=False)
-            yield Input(text, id=name, compact=True, placeholder=hint)
 
     def on_mount(self) -> None:
         """Begin with the number of points."""

@@ -1,4 +1,4 @@
-"""The base of all dialogs, and the two simplest: a choice, and a text to read."""
+"""The base of all dialogs, that of dialogs with a row of answers, and the two simplest: a choice, a text to read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.screen import ModalScreen
-from textual.widgets import Button, Static
+from textual.widgets import Button, Input, Static
 from textual.widgets.button import ButtonVariant
 
 from cellapp.tui.widgets.stop import StopCorner
@@ -53,8 +53,10 @@ class Answer:
     variant: ButtonVariant = "default"
 
 
-class Choice(Question[str]):
-    """Ask for one of a few answers; the first has the focus, so Enter gives it. Returns its value.
+class AnswerQuestion(Question[A]):
+    """A question with a row of answers below its text. The first answer has the focus, so Enter gives it.
+
+    A subclass yields what a person fills in in ``fields``, and closes the dialog in ``action_answer``.
 
     Parameters
     ----------
@@ -63,6 +65,7 @@ class Choice(Question[str]):
     answers : sequence of Answer
     """
 
+    AUTO_FOCUS = ".answers Button"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("left,up", "app.focus_previous", show=False),
         Binding("right,down", "app.focus_next", show=False),
@@ -75,26 +78,53 @@ class Choice(Question[str]):
     def body(self) -> ComposeResult:
         yield Static(self._title, classes="title", markup=False)
         yield Static(self._text, classes="text", markup=False)
+        yield from self.fields()
+        why = Static("", id="why", classes="danger", markup=False)
+        why.display = False
+        yield why
         with Horizontal(classes="answers"):
             for answer in self._answers:
                 label = f"{answer.label} ({answer.key})"
                 yield Button(label, id=answer.value, variant=answer.variant, compact=True)
 
+    def fields(self) -> ComposeResult:
+        """The widgets between text and answers."""
+        return iter(())
+
     def on_mount(self) -> None:
-        """Let each answer be given by its key."""
+        """Let each answer be given by its key; a field that has the focus takes letters itself."""
         for answer in self._answers:
             self._bindings.bind(answer.key, f"answer('{answer.value}')", answer.label)
+
+    def action_answer(self, value: str) -> None:
+        """Take an answer by its value."""
+        raise NotImplementedError
+
+    def explain(self, sentence: str) -> None:
+        """Say above the answers what is wrong with the fields."""
+        why = self.query_one("#why", Static)
+        why.update(sentence)
+        why.display = True
+
+    @on(Button.Pressed)
+    def press(self, event: Button.Pressed) -> None:
+        """Take the answer of the button."""
+        event.stop()
+        self.action_answer(event.button.id or "")
+
+    @on(Input.Submitted)
+    def leave_field(self, event: Input.Submitted) -> None:
+        """Enter in a field goes to the answers: nothing begins by it."""
+        event.stop()
         self.query(Button).first().focus()
+
+
+class Choice(AnswerQuestion[str]):
+    """Ask for one of a few answers. Returns its value."""
 
     def action_answer(self, value: str) -> None:
         """Close with an answer."""
         self.dismiss(value)
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Close with the answer of the button."""
-        event.stop()
-        self.dismiss(event.button.id)
 
 
 class Reading(Question[None]):

@@ -67,7 +67,7 @@ def scale_of(axis: Axis, values: Array, dots: int, *, zero: bool = False) -> Sca
     low, high = float(shown.min()), float(shown.max())
     if axis.logarithmic:
         room = max((high / low) ** _ROOM, 1.1)
-        return Scale(axis, low / room, high * room, dots)
+        return Scale(axis, max(low / room, 1.0 / _LARGEST), min(high * room, _LARGEST), dots)
     if zero or 0.0 <= low < _NEAR_ZERO * high:
         low, high = min(low, 0.0), max(high, 0.0)
     largest = max(abs(low), abs(high))

@@ -36,6 +36,7 @@ SCREENS: tuple[ScreenEntry, ...] = (
     ScreenEntry("calibrate", "4", "Calibrate", "CalibrateScreen", "identify, errors by stage"),
     ScreenEntry("discover", "5", "Discover", "DiscoverScreen", "name the missing effect"),
     ScreenEntry("targets", "6", "Targets", "TargetsScreen", "compensate, push, verify"),
-    ScreenEntry("runs", "7", "Runs", "RunsScreen", "history, compare, replay"),
+    ScreenEntry("accept", "7", "Accept", "AcceptScreen", "verdict, check, ISO 9283, certificate, report"),
+    ScreenEntry("runs", "8", "Runs", "RunsScreen", "history, compare, fleet, replay"),
 )
 assert tuple(entry.step for entry in SCREENS) == STEPS

@@ -14,10 +14,10 @@ from textual.widgets import Static
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.widgets.header import DayHeader, StepLine
 from cellapp.tui.widgets.key_line import KeyLine
-from cellapp.tui.workspace import NO_RUN, Step, Workspace
+from cellapp.tui.workspace import NO_RUN, NOT_CALIBRATED, Step, Workspace
 
 if TYPE_CHECKING:
-    from cellapp.results import Result
+    from cellapp.results import CalibrateResult, Result, RunResults
     from cellapp.tui.app import CellApp
     from cellapp.tui.jobs import Job
     from cellapp.tui.messages import Severity
@@ -81,6 +81,16 @@ class DayScreen(Screen[None]):
         if self.workspace.folder is None:
             self.say(NO_RUN, "warning")
         return self.workspace.folder
+
+    def calibrated_run(self) -> tuple[Path, RunResults, CalibrateResult] | None:
+        """The run that is open with what it holds, if it is calibrated; else a sentence says what to do."""
+        folder, results = self.open_folder(), self.workspace.results
+        if folder is None:
+            return None
+        if results is None or results.calibrate is None:
+            self.say(NOT_CALIBRATED, "warning")
+            return None
+        return folder, results, results.calibrate
 
     def say(self, text: str, severity: Severity = "information") -> None:
         """Show a sentence in the message line of every screen."""

@@ -29,6 +29,7 @@ from cellapp.tui.widgets.cell_findings import (
 )
 from cellapp.tui.widgets.cell_map import CellMap
 from cellapp.tui.widgets.tabs import explain_tabs, show_next_tab
+from cellapp.tui.widgets.text_table import TextTable
 from cellapp.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ class CellScreen(DayScreen):
                 yield Static("", id="cell-verdict", markup=False)
                 with TabbedContent(id="cell-tabs", initial="tab-profile"):
                     with TabPane("Profile", id="tab-profile"):
-                        yield _tipped(DataTable[Text](id="cell-words", cursor_type="row"), "What the profile says")
+                        yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
                     with TabPane("Devices", id="tab-devices"):
                         yield _tipped(DevicesTable(id="devices"), "What each device said last; r asks again")
                     with TabPane("Doctor", id="tab-doctor"):

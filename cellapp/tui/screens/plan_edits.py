@@ -14,7 +14,7 @@ from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.widgets.plan_tables import StopsTable
 from cellapp.tui.workspace import NO_PROFILE, new_folder
 
-NO_PLANNED_RUN = "No run is open: plan one with g, or open one on the screen Runs (7)."
+NO_PLANNED_RUN = "No run is open: plan one with g, or open one on the screen Runs (8)."
 _PLAN_FILE = "plan.csv"
 """What a plan as a table is called unless a person says otherwise."""
 _FURTHER, _MOST_FURTHER = 50, 100_000

@@ -20,6 +20,7 @@ from textual.widget import Widget
 from textual.widgets import Footer, Input, Static, TabbedContent, TabPane
 
 from cellapp.errors import InputError
+from cellapp.profile.arm_types import ARM_TYPES
 from cellapp.profile.draft import (
     ArmDraft,
     ObstacleDraft,
@@ -164,7 +165,7 @@ class ProfileForm(Question[Path]):
             yield from self._rows(f"obstacles.{index}", obstacle, OBSTACLE_FIELDS)
 
     def _rows(self, prefix: str, section: object, forms: tuple[FormField, ...]) -> Iterator[FieldRow]:
-        types = tuple(f"arms/{path.name}" for path in arm_type_files())
+        types = (*(f"arms/{path.name}" for path in arm_type_files()), *ARM_TYPES)
         choices = {
             "kind": tracker_kinds() if prefix == "tracker" else arm_kinds(),
             "type": types,

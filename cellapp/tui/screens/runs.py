@@ -1,4 +1,4 @@
-"""The screen Runs: every run in the folder of runs; open, compare, report, resume, replay.
+"""The screen Runs: every run in the folder of runs; open, compare, fleet, report, resume, replay.
 
 Runs are read and compared in threads; packages for that are loaded there, too.
 """
@@ -6,7 +6,7 @@ Runs are read and compared in threads; packages for that are loaded there, too.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -20,14 +20,16 @@ from textual.widgets import DataTable, Input, Static
 from textual.worker import get_current_worker
 
 from cellapp.errors import CellappError
+from cellapp.reporting.charts import enumerated
 from cellapp.reporting.run_columns import contains, run_cells, run_columns
 from cellapp.reporting.runs import run_lines, runs_sentences
-from cellapp.results import ReportResult, Result, RunsResult
+from cellapp.results import FleetResult, ReportResult, Result, RunsResult
 from cellapp.tui import work as jobs_of_verbs
 from cellapp.tui.browser import open_page
 from cellapp.tui.endings import REPORT_FILE
 from cellapp.tui.offers import offer_replay, offer_to_resume
 from cellapp.tui.screens.base import DayScreen
+from cellapp.tui.widgets.text_table import TextTable
 from cellapp.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
@@ -36,7 +38,8 @@ if TYPE_CHECKING:
 _MARK, _OPEN = "●", "▸"
 _MARKS = "marks"
 """Key of the column that shows which runs are open and marked; the others have their place as key."""
-_MOST_MARKED = 2
+_PAIR = 2
+"""Two runs are compared in every value; of more, the history of each arm is shown."""
 _BEGAN = 1
 """Column by which the list is sorted at first."""
 HELP = """\
@@ -45,7 +48,10 @@ HELP = """\
 Every run in the folder of runs, newest first. Nothing here changes a run.
 
 - **Enter** opens the run under the cursor (▸); **n** then goes to the step that comes next.
-- **Space** marks a run (●), **c** compares two marked ones: profile, parameters, errors, effects, verification.
+- **Space** marks a run (●), **c** compares the marked ones: two in profile, parameters, errors, effects, verification;
+  more of them by the history of each arm.
+- **f** shows the fleet: the history of each arm over all runs of the list, changes with their evidence, trends. The
+  filter chooses the runs.
 - **o** opens the report in a browser; it is written first where there is none.
 - **e** goes on with a run that was interrupted while collecting. It asks, and nothing moves yet.
 - **y** plays the run back through the screen Collect. Nothing moves.
@@ -64,9 +70,9 @@ class RunsListed(Message):
 
 
 class RunsCompared(Message):
-    """Two runs were compared, or the sentence why not."""
+    """Two runs or more were compared, or the sentence why not."""
 
-    def __init__(self, found: RunComparison | str) -> None:
+    def __init__(self, found: RunComparison | FleetResult | str) -> None:
         super().__init__()
         self.found = found
 
@@ -87,7 +93,8 @@ class RunsScreen(DayScreen):
     AUTO_FOCUS = "#runs"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("space", "mark", "Mark", tooltip="mark a run to compare it"),
-        Binding("c", "compare", "Compare", tooltip="compare the two marked runs"),
+        Binding("c", "compare", "Compare", tooltip="compare the marked runs"),
+        Binding("f", "fleet", "Fleet", tooltip="the history of each arm over the runs of the list"),
         Binding("o", "report", "Report", tooltip="open the report in a browser"),
         Binding("e", "resume_run", "Resume run", tooltip="go on with a run that was interrupted"),
         Binding("y", "replay", "Replay", tooltip="play the run back; nothing moves"),
@@ -112,7 +119,7 @@ class RunsScreen(DayScreen):
 
     def body(self) -> ComposeResult:
         yield Input(placeholder="/ to filter: name, cell, effect, ...", id="filter", compact=True)
-        yield DataTable(id="runs", cursor_type="row", zebra_stripes=True)
+        yield TextTable(id="runs", cursor_type="row", zebra_stripes=True)
         with VerticalScroll(id="about-run", can_focus=False):
             yield Static("reading the folder of runs ...", id="about", markup=False)
 
@@ -251,9 +258,9 @@ class RunsScreen(DayScreen):
     # -- what can be done with a run -----------------------------------------------------------------------------------
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Compare two marked runs only, and not while a job waits to be resumed, which has the same key."""
+        """Compare marked runs only, and not while a job waits to be resumed, which has the same key."""
         if action == "compare":
-            return not self.cell_app.jobs.possible("resume") and len(self._marked) == _MOST_MARKED
+            return not self.cell_app.jobs.possible("resume") and len(self._marked) >= _PAIR
         return True
 
     @on(DataTable.RowSelected)
@@ -262,48 +269,58 @@ class RunsScreen(DayScreen):
         self._with_run(lambda run: self.cell_app.open_run(Path(run.run), self.workspace.profile_path))
 
     def action_mark(self) -> None:
-        """Mark the run under the cursor, or take its mark away; of three marks the oldest goes."""
+        """Mark the run under the cursor, or take its mark away."""
 
         def mark(run: RunSummary) -> None:
             if run.run in self._marked:
                 self._marked.remove(run.run)
             else:
-                self._marked = [*self._marked, run.run][-_MOST_MARKED:]
+                self._marked.append(run.run)
             self._draw()
             self.refresh_bindings()
-            if len(self._marked) == _MOST_MARKED:
-                self.say("Two runs are marked; c compares them.")
+            if len(self._marked) >= _PAIR:
+                self.say(f"{len(self._marked)} runs are marked; c compares them.")
 
         self._with_run(mark)
 
     def action_compare(self) -> None:
-        """Compare the two marked runs."""
-        first, second = self._marked
-        self.say(f"Comparing {first} with {second} ...")
-        self._compare(Path(first), Path(second))
+        """Compare the marked runs."""
+        self.say(f"Comparing {enumerated(self._marked)} ...")
+        self._compare([Path(name) for name in self._marked])
+
+    def action_fleet(self) -> None:
+        """Show the history of each arm over the runs of the list."""
+        listed = [Path(name) for name, run in self._shown.items() if not run.problem]
+        if not listed:
+            self.say("The list has no run that can be read.", "warning")
+            return
+        self.say(f"Reading {len(listed)} runs ...")
+        self._compare(listed, fleet=True)
 
     @work(thread=True, exclusive=True, group="comparison of runs")
-    def _compare(self, first: Path, second: Path) -> None:
-        from cellapp.run import RunFile
-        from cellapp.run.history_compare import compare_runs
-
+    def _compare(self, folders: Sequence[Path], *, fleet: bool = False) -> None:
         try:
-            with RunFile.open(first) as a, RunFile.open(second) as b:
-                self.post_message(RunsCompared(compare_runs(a, b)))
+            found = RunsCompared(jobs_of_verbs.compare(folders, fleet=fleet))
         except CellappError as error:
-            self.post_message(RunsCompared(str(error)))
-        except (ValueError, TypeError) as error:  # values that no version of this program stores
-            self.post_message(RunsCompared(f"{first} or {second} holds values that cannot be read ({error})"))
+            found = RunsCompared(str(error))
+        except (OSError, ValueError, TypeError) as error:  # values that no version of this program stores
+            found = RunsCompared(f"{enumerated(map(str, folders))}: one holds values that cannot be read ({error})")
+        if not get_current_worker().is_cancelled:  # else other runs are being compared
+            self.post_message(found)
 
     @on(RunsCompared)
     def show_comparison(self, event: RunsCompared) -> None:
-        """Show where the runs differ, unless another screen or dialog is shown meanwhile."""
+        """Show what was found, unless another screen or dialog is shown meanwhile."""
         if isinstance(event.found, str):
             self.say(event.found, "error")
         elif self.app.screen is self:
             from cellapp.tui.dialogs.comparison import Comparison
+            from cellapp.tui.dialogs.fleet_history import FleetHistory
 
-            self.app.push_screen(Comparison(event.found))
+            found = event.found
+            self.app.push_screen(
+                FleetHistory(found, self.cell_app.logs) if isinstance(found, FleetResult) else Comparison(found)
+            )
 
     def action_report(self) -> None:
         """Open the report; write it first where there is none."""

@@ -46,6 +46,7 @@ from cellapp.tui.screens.targets_state import TargetEdits, listed_path, new_name
 from cellapp.tui.widgets.charts_view import ChartsView
 from cellapp.tui.widgets.tables import TablesView
 from cellapp.tui.widgets.tabs import show_next_tab
+from cellapp.tui.widgets.text_table import TextTable
 from cellapp.tui.workspace import NO_PROFILE, Step, Workspace
 
 _NO_TARGET = "No target: i opens a list, + adds a target."
@@ -65,7 +66,7 @@ class ListRead(Message):
         self.path, self.targets, self.problem = path, targets, problem
 
 
-class TargetGrid(DataTable[Text]):
+class TargetGrid(TextTable):
     """The list, one row for each target."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("enter", "select_cursor", "Edit", tooltip="edit the target")]

@@ -12,13 +12,11 @@ from cellapp.tui import work
 from cellapp.tui.dialogs.correct_program import CorrectProgram, CorrectRequest
 from cellapp.tui.dialogs.file_picker import FilePicker
 from cellapp.tui.dialogs.locate_tracker import LocateRequest, LocateTracker
-from cellapp.tui.dialogs.question import Answer, Choice
+from cellapp.tui.dialogs.question import Choice
 from cellapp.tui.dialogs.verify_targets import VerifyTargets
-from cellapp.tui.offers import BEGIN, arms_words
+from cellapp.tui.offers import BEGIN, USE_STALE, arms_words
 from cellapp.tui.screens.base import DayScreen
-from cellapp.tui.screens.targets_state import NOT_CALIBRATED, why_not
-
-_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
+from cellapp.tui.screens.targets_state import why_not
 
 
 def begin_compensate(screen: DayScreen, targets: Sequence[Target]) -> None:
@@ -39,7 +37,7 @@ def ask_push(screen: DayScreen, targets: Sequence[Target]) -> None:
             screen.start(work.push(folder, targets, verify=False, out_of_date=bool(stale)))
 
     text = _push_words(screen, targets, "", stale)
-    screen.app.push_screen(Choice("Push?", text, _STALE if stale else BEGIN), begin)
+    screen.app.push_screen(Choice("Push?", text, USE_STALE if stale else BEGIN), begin)
 
 
 def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
@@ -55,17 +53,14 @@ def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
 
     measured = " with the nominal and the compensated command, measured by the tracker"
     text = _push_words(screen, targets, measured, stale)
-    screen.app.push_screen(VerifyTargets(text, _STALE if stale else BEGIN), begin)
+    screen.app.push_screen(VerifyTargets(text, USE_STALE if stale else BEGIN), begin)
 
 
 def ask_locate(screen: DayScreen) -> None:
     """Ask how, then measure where the tracker stands after it was moved."""
-    folder, results = screen.open_folder(), screen.workspace.results
-    if folder is None:
+    if (calibrated := screen.calibrated_run()) is None:
         return
-    if results is None or results.calibrate is None:
-        screen.say(NOT_CALIBRATED, "warning")
-        return
+    folder, results, _ = calibrated
 
     def begin(request: LocateRequest | None) -> None:
         if request is not None:
@@ -78,13 +73,10 @@ def ask_locate(screen: DayScreen) -> None:
 
 def ask_correct(screen: DayScreen) -> None:
     """Ask for a program and where its corrected copy is written."""
-    folder, results = screen.open_folder(), screen.workspace.results
-    if folder is None:
+    if (calibrated := screen.calibrated_run()) is None:
         return
-    if results is None or results.calibrate is None:
-        screen.say(NOT_CALIBRATED, "warning")
-        return
-    arms = tuple(results.calibrate.arms)
+    folder, _, calibration = calibrated
+    arms = tuple(calibration.arms)
 
     def write(request: CorrectRequest | None) -> None:
         if request is not None:

@@ -10,9 +10,8 @@ from typing import Self
 
 from cellapp.compensation.targets import Target, list_problems
 from cellapp.profile import Profile
-from cellapp.tui.workspace import NO_PROFILE, NO_RUN, Workspace
+from cellapp.tui.workspace import NO_PROFILE, NO_RUN, NOT_CALIBRATED, Workspace
 
-NOT_CALIBRATED = "This run is not calibrated yet: collect (key 3), then calibrate (key 4)."
 EMPTY = "No targets: i opens a list (YAML), + adds a target."
 
 

@@ -8,7 +8,8 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 from rich.text import Text
-from textual.widgets import DataTable
+
+from cellapp.tui.widgets.text_table import TextTable
 
 if TYPE_CHECKING:
     from cellapp.profile import Profile
@@ -19,7 +20,7 @@ _MARKS = {"failed": "✗ failed", "warning": "! warning", "ok": "✓ ok"}
 _STYLES = {"failed": "bold red", "warning": "yellow", "ok": "green"}
 
 
-class FindingsTable(DataTable[Text]):
+class FindingsTable(TextTable):
     """The doctor's checks, failed ones first. The text of the row under the cursor is in ``selected_text``."""
 
     def on_mount(self) -> None:
@@ -76,7 +77,7 @@ def device_state(name: str, findings: Sequence[Finding], asked: datetime) -> Dev
     return DeviceState(name, worst.status, serial, state, temperatures, asked)
 
 
-class DevicesTable(DataTable[Text]):
+class DevicesTable(TextTable):
     """The devices of the profile with what they said last, and when."""
 
     def on_mount(self) -> None:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from rich.text import Text
 from textual.coordinate import Coordinate
-from textual.widgets import DataTable
+
+from cellapp.tui.widgets.text_table import TextTable
 
 if TYPE_CHECKING:
     from cellapp.planning.planned_stops import PlannedStops
@@ -19,7 +20,7 @@ _BAR_CELLS = 24
 """Width of the bar of a joint's range: 15 degrees a cell over one turn."""
 
 
-class _RowTable(DataTable[Text]):
+class _RowTable(TextTable):
     """A table of which the row under the cursor has a sentence."""
 
     COLUMNS: ClassVar[tuple[str, ...]]

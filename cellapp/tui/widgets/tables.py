@@ -10,11 +10,12 @@ from rich.text import Text
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical, VerticalScroll
 from textual.widget import Widget
-from textual.widgets import DataTable, Static
+from textual.widgets import Static
 
 from cellapp.reporting.table import Table, markdown
 from cellapp.reporting.terminal import rich_table
 from cellapp.tui.dialogs.save_as import SaveAs
+from cellapp.tui.widgets.text_table import TextTable
 
 
 class TablesView(VerticalScroll):
@@ -89,7 +90,7 @@ class WrappedTables(TablesView):
 
 def draw_table(table: Table) -> Vertical:
     """A table with its title. Cells are plain text: Textual would read a unit in brackets as markup."""
-    grid: DataTable[Text] = DataTable(cursor_type="none", zebra_stripes=True)
+    grid = TextTable(cursor_type="none", zebra_stripes=True)
     grid.can_focus = False  # the pane scrolls all tables together
     sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in table.columns]
     for heading, side in zip(table.headings, sides, strict=True):

@@ -25,8 +25,8 @@ the condition ``server.cell.passed``, which uses the same lock. Only the control
 A stop acts after a latency and brakes along the path with a limited deceleration; ``braking.py`` has the figures and
 their sources, the command ``stops`` the times of each.
 
-Not emulated: URScript is not interpreted (a program other than ur_rtde's control script ends at once); servo,
-speed, force, path and Cartesian motions end the program, as a script error would; all currents and forces are zero; the
+Not emulated: URScript is not interpreted (a program other than ur_rtde's control script ends at once); speed,
+force, path and Cartesian motions end the program, as a script error would; all currents and forces are zero; the
 script port sends nothing.
 """
 

@@ -1,1 +1,1 @@
-"""Kinds of devices that only tests know: one module each, and one line of a registry (see ``cellapp_with_toys``)."""
+"""Kinds of devices that only tests know, as those of a plug-in (see ``tests.plugins.installed.add_toys``)."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.plant import GeometryErrors
-from drivers.plant.climate import JOINT_RISE_K, JOINT_TIME_CONSTANT_S
+from drivers.plant.climate import JOINT_RISE_K, JOINT_TIME_CONSTANT_S, joint_rise
 from drivers.plant.lines import carry, rigid
 
 pytestmark = pytest.mark.fast
@@ -110,23 +110,16 @@ def test_mass_errors_have_the_configured_size(make_arm, make_plant):
     assert (huge > 0.0).all()
 
 
-def test_temperatures_of_a_run_are_those_of_turning_evenly(make_plant):
-    plant = make_plant()
-    time_s = np.array([600.0, 1200.0, 1800.0])
-    q = np.zeros((3, 6))
-    q[1:, 2] = 60.0  # joint 3 turns at 0.1 rad/s between the first two stops
-    rise = plant.joint_temperatures_during("left", q, time_s) - plant._air.temperature_c(time_s)[:, None]
+def test_a_joint_warms_up_while_it_turns_and_cools_down_at_rest():
     keep = np.exp(-600.0 / JOINT_TIME_CONSTANT_S)
-    warm = 0.1 * JOINT_RISE_K * (1.0 - keep)
-    assert rise[:, 2] == pytest.approx([0.0, warm, warm * keep])
-    assert np.abs(np.delete(rise, 2, axis=1)).max() < 1e-12
+    warm = joint_rise(np.zeros(1), np.array([0.1]), 600.0)
+    assert warm == pytest.approx(0.1 * JOINT_RISE_K * (1.0 - keep))
+    assert joint_rise(warm, np.zeros(1), 600.0) == pytest.approx(warm * keep)
 
 
 def test_joints_that_are_switched_on_become_warm_without_moving(make_plant):
     held = make_plant(holding_k=8.0)
-    found = held.joint_temperatures_during("left", np.zeros((1, 6)), np.array([JOINT_TIME_CONSTANT_S]))
     held.advance(JOINT_TIME_CONSTANT_S)
-    assert held.joint_temperatures_c("left") == pytest.approx(found[0])
     assert held.joint_temperatures_c("left") - held.air_temperature_c == pytest.approx(8.0 * (1.0 - np.exp(-1.0)))
 
 

@@ -1,0 +1,1 @@
+"""Measured errors against tolerances: decision rules, judgements of a run, uncertainty budgets. No I/O."""

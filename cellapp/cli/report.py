@@ -1,0 +1,40 @@
+"""``report``: write the page of a run, print it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cellapp.cli.job import Job, open_run
+from cellapp.cli.options import JsonOption, RunFolder, Strict
+from cellapp.errors import InputError
+
+
+def report(
+    folder: RunFolder,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Print the page to report.pdf, too, through an installed Chromium.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="With --pdf: the PDF, instead of report.pdf in DIR.")
+    ] = None,
+    strict: Strict = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Write report.html, one self-contained page, into the run's folder."""
+    from cellapp.pipeline import report_run
+    from cellapp.reporting.tables import all_tables, out_of_date_sentences
+    from cellapp.run.out_of_date import check_nothing_out_of_date
+
+    if out is not None and not pdf:
+        raise InputError("report: --out is the file of --pdf; add --pdf")
+    with Job(json_file) as job, open_run(folder) as opened:
+        result = report_run(opened, (out or folder / "report.pdf") if pdf else None)
+        job.show(all_tables(result))
+        printed = [] if result.pdf is None else [f"printed: {result.pdf}"]
+        job.say(*out_of_date_sentences(result), f"written: {result.page}", *printed)
+        job.result(result)
+        if strict:
+            check_nothing_out_of_date(opened, "report")

@@ -1,0 +1,32 @@
+"""All figures of the handbook that are drawn from the models, as files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cellapp.docs import frame_figures, planning_figures
+from cellapp.docs.effect_figures import FIGURES, figure_svg
+from cellapp.docs.scene import Scene
+from cellapp.errors import InputError
+from cellapp.profile import Profile
+
+
+def write_figures(profile: Profile, folder: Path) -> list[Path]:
+    """Draw the figures of effects for the first arm of a profile, of its obstacles and frames, as SVG; their paths.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written, or the profile lacks a pose that the figures need.
+    """
+    scene = Scene.of(profile)
+    texts = {slug: figure_svg(slug, scene) for slug in FIGURES}
+    texts[planning_figures.FIGURE] = planning_figures.figure_svg(profile)
+    texts |= {stem: frame_figures.figure_svg(stem, profile) for stem in frame_figures.FIGURES}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for stem, text in texts.items():
+            (folder / f"{stem}.svg").write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise InputError(f"docs: {folder}: {error.strerror or error}; give a folder that can be written") from None
+    return [folder / f"{stem}.svg" for stem in texts]

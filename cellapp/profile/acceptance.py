@@ -1,0 +1,90 @@
+"""The profile's sections ``tolerances`` and ``traceability``: what a cell is accepted by, who measured it with what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import date
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from drivers.quantities import Length
+from drivers.settings import Section
+
+Tolerance = Annotated[Length, Field(gt=0.0, le=0.1)]
+
+DecisionRule = Literal["guarded", "simple"]
+"""``guarded``: ISO 14253-1; an error conforms if it is inside the tolerance by its expanded uncertainty, and does not
+conform if it is outside by it. ``simple``: the error alone is compared (ISO/IEC Guide 98-4, simple acceptance)."""
+
+
+class Tolerances(Section):
+    """Largest permissible errors of a cell; what is left out is not judged.
+
+    ``position`` is the distance of an arm's SMR from where it was commanded, at any target; ``distance`` the error of
+    the distance between two positions of one arm; ``cooperative`` the error of the distance between the SMRs of two
+    arms. The others are the characteristics of ISO 9283.
+    """
+
+    position: Tolerance | None = None
+    distance: Tolerance | None = None
+    cooperative: Tolerance | None = None
+    pose_accuracy: Tolerance | None = None
+    pose_repeatability: Tolerance | None = None
+    multidirectional: Tolerance | None = None
+    distance_accuracy: Tolerance | None = None
+    distance_repeatability: Tolerance | None = None
+    drift: Tolerance | None = None
+    path_accuracy: Tolerance | None = None
+    path_repeatability: Tolerance | None = None
+    decision: DecisionRule = "guarded"
+
+    @property
+    def any_given(self) -> bool:
+        """Whether anything is judged."""
+        return any(getattr(self, name) is not None for name in type(self).model_fields if name != "decision")
+
+
+class Instrument(Section):
+    """A measuring instrument or standard as its calibration certificate describes it."""
+
+    model: str = ""
+    serial: str = ""
+    calibrated: date | None = None
+    due: date | None = None
+    certificate: str = ""
+    """Number of its calibration certificate, and the laboratory."""
+
+    @model_validator(mode="after")
+    def _dates_in_order(self) -> Self:
+        if self.calibrated is not None and self.due is not None and self.due <= self.calibrated:
+            raise ValueError(f"due: {self.due} is not after 'calibrated' ({self.calibrated})")
+        return self
+
+
+class TraceableArm(Section):
+    """What identifies an arm that its controller does not tell: serial number of the arm itself, name in the plant."""
+
+    serial: str = ""
+    asset: str = ""
+
+
+class Traceability(Section):
+    """Who measured with what, for certificates. What is left out is reported as not given, never assumed.
+
+    ``smr_centering`` is the standard uncertainty of the SMR's optical centre in its sphere and nest,
+    ``air_temperature_uncertainty`` that of the air temperature along the beam.
+    """
+
+    organisation: str = ""
+    location: str = ""
+    operator: str = ""
+    tracker: Instrument = Instrument()
+    smr: Mapping[str, Instrument] = {}
+    """By arm."""
+    instruments: Mapping[str, Instrument] = {}
+    """Further ones by name, as a thermometer or a reference bar."""
+    arms: Mapping[str, TraceableArm] = {}
+    smr_centering: Annotated[Length, Field(gt=0.0, le=1e-3)] | None = None
+    air_temperature_uncertainty: Annotated[float, Field(strict=True, gt=0.0, le=20.0)] | None = None
+    """Kelvin."""

@@ -1,0 +1,40 @@
+"""Changes of a true mechanism: what a collision, a repair or a slipping encoder does to an arm between two days."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drivers.plant.config import Array
+from drivers.plant.lines import carry, inverse, rigid
+from drivers.plant.mechanism import Mechanism
+
+
+def zero_shifted(mechanism: Mechanism, joint: int, angle: float) -> Mechanism:
+    """The mechanism whose ``joint`` (from 0) is truly ``angle`` [rad] further than before at the same reading."""
+    zeros = mechanism.zeros.copy()
+    zeros[joint] += angle
+    return replace(mechanism, zeros=zeros)
+
+
+def lengthened(mechanism: Mechanism, joint: int, length: float) -> Mechanism:
+    """Everything that ``joint`` (from 0) moves, shifted along its axis by ``length`` [m]."""
+    return _beyond(mechanism, joint, rigid(np.concatenate([length * mechanism.directions[joint], np.zeros(3)])))
+
+
+def link_moved(mechanism: Mechanism, joint: int, twist: Array) -> Mechanism:
+    """Everything beyond the link of ``joint`` (from 0), moved by a twist (6,) [m, rad] in the link's D-H frame."""
+    frame = mechanism.frames[joint + 1]
+    return _beyond(mechanism, joint, frame @ rigid(twist) @ inverse(frame))
+
+
+def _beyond(mechanism: Mechanism, joint: int, motion: Array) -> Mechanism:
+    """The mechanism with a motion (4, 4) in B, at the zero position, of all that comes after ``joint``."""
+    points, directions = mechanism.points.copy(), mechanism.directions.copy()
+    centers, frames = mechanism.centers.copy(), mechanism.frames.copy()
+    points[joint + 1 :] = carry(motion, points[joint + 1 :])
+    directions[joint + 1 :] = directions[joint + 1 :] @ motion[:3, :3].T
+    centers[joint:] = carry(motion, centers[joint:])
+    frames[joint + 1 :] = motion @ frames[joint + 1 :]
+    return replace(mechanism, points=points, directions=directions, centers=centers, frames=frames)

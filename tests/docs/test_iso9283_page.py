@@ -1,0 +1,50 @@
+"""The commands in the chapter on ISO 9283 are understood as they stand there."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+from typer.testing import CliRunner
+
+from cellapp.cli.app import app
+from cellapp.collection.iso9283 import IsoTask
+from cellapp.errors import HardwareError
+from cellapp.results import ISO_TESTS
+from cellapp.verbs import iso9283 as verb
+from tests.docs.chapters import blocks
+from tests.twin import PROFILES
+
+pytestmark = pytest.mark.fast
+
+COMMANDS = "".join(blocks("iso9283", "sh")).splitlines()
+
+
+def test_the_commands_ask_for_what_the_page_says(
+    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks: list[IsoTask] = []
+
+    def drive(task: IsoTask, *_: object, **__: object) -> NoReturn:
+        tasks.append(task)
+        raise HardwareError("this cell stays where it is")
+
+    monkeypatch.setattr(verb, "drive_tests", drive)
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(PROFILES, "profiles")
+    shutil.copytree(finished_run, "logs/my-run")
+    for command in COMMANDS:
+        ended = CliRunner().invoke(app, shlex.split(command)[1:])
+        assert "stays where it is" in str(ended.exception), command
+    asked = [(task.tests, task.cycles, task.arms, task.commands) for task in tasks]
+    both = ("left", "right")
+    assert asked == [
+        (ISO_TESTS, 30, both, ("nominal", "calibrated")),
+        (("pose",), 5, ("right",), ("calibrated",)),
+        (("drift",), 30, both, ("nominal",)),
+    ]
+    assert tasks[-1].drift_s == 480.0 * 60.0
+    assert tasks[-1].model is None
