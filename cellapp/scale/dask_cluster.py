@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import queue
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -38,7 +39,11 @@ _COUNT_EVERY_S = 2.0
 _NO_WORKER_S = 60.0
 """How long the job waits when no worker is left: a nanny starts a killed one again within seconds."""
 _RESULT_S = 120.0
-"""How long the text of a finished task may take: Dask computes it again if its worker was killed just then."""
+"""How long the text of a finished task may take on its way here."""
+_LOOK_AGAIN_S = 0.5
+"""After which a result is asked for again whose worker was killed before it was fetched."""
+_COMPUTED_AGAIN = ("lost", "pending")
+"""States of a task that had ended, whose worker was killed while it kept the result."""
 _AHEAD = 2
 """Tasks that each worker has at hand: it then never waits for the next one, and the scheduler never holds many."""
 
@@ -129,12 +134,22 @@ class DaskCluster:
                     under_way[future.key] = future, task
                     future.add_done_callback(self._ended.put)
                 ended = self._next_ended()
-                if ended is not None and ended.key in under_way:
-                    future, task = under_way.pop(ended.key)
-                    yield task, _answer(future)
+                if ended is None or ended.key not in under_way:
+                    continue
+                if ended.status in _COMPUTED_AGAIN:
+                    self._look_again(ended)
+                    continue
+                future, task = under_way.pop(ended.key)
+                yield task, _answer(future)
         finally:
             if under_way and self.client.status == "running":
                 self.client.cancel([future for future, _ in under_way.values()])
+
+    def _look_again(self, future: Future) -> None:
+        """Put a task back among those that ended, a little later: Dask does not report it a second time."""
+        timer = threading.Timer(_LOOK_AGAIN_S, self._ended.put, [future])
+        timer.daemon = True
+        timer.start()
 
     def _next_ended(self) -> Future | None:
         """A task that ended, None after a while.

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
+import queue
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from distributed import Future
 
 from cellapp.errors import InputError
 from cellapp.profile import load_profile
+from cellapp.progress import CancelToken
 from cellapp.scale import dask_cluster
 from cellapp.scale.executor import Resources
 from cellapp.scale.gather import gather
-from cellapp.scale.program import this_program
+from cellapp.scale.program import program_text, this_program
 from cellapp.trials.coverage import coverage_trials
 from tests.scale.client import client_here, has_kept, last_words, started_client
 from tests.scale.dask_processes import scheduler, workers
@@ -59,6 +64,28 @@ def test_the_task_of_a_killed_worker_is_repeated(address: str, tmp_path: Path) -
             gathered = client.result(LONGEST_S)
             assert not gathered.failures
             assert [one.square for one in gathered.found] == [0.0, 1.0, 4.0, 9.0, 64.0]
+
+
+def test_a_result_whose_worker_is_killed_before_it_is_fetched_is_computed_again(address: str, tmp_path: Path) -> None:
+    class KillsFirst(queue.SimpleQueue[Future]):
+        """The first task that ends loses its worker before anybody looks at it."""
+
+        def get(self, block: bool = True, timeout: float | None = None) -> Future:
+            ended = super().get(block, timeout)
+            if begun(tmp_path) == {1: 1}:
+                os.kill(int((tmp_path / "begun-1").read_text(encoding="ascii")), signal.SIGKILL)
+                deadline = time.monotonic() + LONGEST_S
+                while ended.status == "finished" and time.monotonic() < deadline:
+                    time.sleep(0.01)  # Dask has no event for it
+                assert ended.status == "lost"
+            return ended
+
+    program, batch = program_text(), squares(Shared(folder=str(tmp_path)), Number(value=1))
+    with dask_cluster.dask_cluster(address) as cluster:
+        cluster = dataclasses.replace(cluster, _ended=KillsFirst())
+        ((_, answer),) = cluster.answers(batch.shared, program, batch.tasks(program), CancelToken())
+    assert answer.failure == ""
+    assert begun(tmp_path) == {1: 2}
 
 
 def test_a_killed_client_continues(address: str, tmp_path: Path) -> None:
