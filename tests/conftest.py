@@ -10,7 +10,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import shutil
 from collections import Counter
-from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,6 @@ from hypothesis import HealthCheck, settings
 from cellapp.collection.collect import collect_run
 from cellapp.compensation.targets import load_targets
 from cellapp.pipeline import calibrate_run, discover_run, new_planned_run, push_run
-from tests.alone import turn
 from tests.made_once import made_once
 from tests.twin import PROFILES, finished_twin
 
@@ -51,13 +49,6 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     the tests. A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
     """
     return 2 if config.args_source == pytest.Config.ArgsSource.TESTPATHS else 0
-
-
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Run a test in its turn; waiting for it is no part of its time."""
-    with turn(item.nodeid):
-        return (yield)
 
 
 # an example that takes long, on a busy computer, is no fault
