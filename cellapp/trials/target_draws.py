@@ -24,9 +24,6 @@ _HIDDEN_SEED, _TARGET_SEED = 0x71DE, 0x7A26
 _OTHER_LAWS = 0.5
 """Share of the drawn effects whose law has another shape than the library's."""
 
-Hidden = Mapping[str, Mapping[str, Mapping[str, Any]]]
-"""Arm -> effect -> parameters."""
-
 
 def draw_hidden(profile: Profile, seed: int, duration_s: float) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
     """Effects of every arm: the profile's own, and a case of the mixture that sealed trials hide; words on the laws.
