@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cellapp.cli.job import Job
+from cellapp.cli.job import Job, require_none
 from cellapp.cli.options import (
     Jobs,
     JsonOption,
@@ -19,7 +19,6 @@ from cellapp.cli.options import (
     resources_of,
 )
 from cellapp.cli.trial_files import check_markdown, state_result
-from cellapp.errors import CheckFailed
 
 
 def check(
@@ -80,5 +79,4 @@ def check(
                 cancel=job.control,
             )
         state_result(job, result, check_trial_tables(result), check_trial_sentences(result), markdown)
-        if result.complaints():
-            raise CheckFailed(f"trials check: {'; '.join(result.complaints())}")
+        require_none(result.complaints(), "trials check")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cellapp.cli.job import Job
+from cellapp.cli.job import Job, require_none
 from cellapp.cli.options import (
     Jobs,
     JsonOption,
@@ -19,7 +19,6 @@ from cellapp.cli.options import (
     resources_of,
 )
 from cellapp.cli.trial_files import check_markdown, state_result
-from cellapp.errors import CheckFailed
 
 
 def league(
@@ -58,8 +57,7 @@ def league(
             cancel=job.control,
         )
         state_result(job, result, league_tables(result), league_sentences(result), markdown)
-        if result.complaints():
-            raise CheckFailed(f"trials league: {'; '.join(result.complaints())}")
+        require_none(result.complaints(), "trials league")
 
 
 def signature(
@@ -117,5 +115,4 @@ def signature(
                 cancel=job.control,
             )
         state_result(job, result, signature_tables(result), signature_sentences(result), markdown)
-        if result.complaints():
-            raise CheckFailed(f"trials signature: {'; '.join(result.complaints())}")
+        require_none(result.complaints(), "trials signature")
