@@ -18,7 +18,7 @@ from cellapp.control import JobControl
 from cellapp.effects import EFFECTS, EffectTerm
 from cellapp.effects.law import DriverVariable
 from cellapp.errors import InputError
-from cellapp.kinematics.transforms import Array, invert, rotation_vectors, zyx_angles
+from cellapp.kinematics.transforms import Array, invert, rotation_vectors, rows_of, xyz_of, zyx_angles
 from cellapp.model import CellModel
 from cellapp.model.nominal import pose_matrix
 from cellapp.model.relocation import relocated
@@ -216,10 +216,10 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
     return LocateResult(
         verdict=_verdict(found),
         moved=moved,
-        T_new_old=_rows(fit.T_new_old),
+        T_new_old=rows_of(fit.T_new_old),
         shift_mm=float(np.linalg.norm(old_station)) * 1e3,
         turn_deg=float(np.degrees(np.linalg.norm(rotation_vectors(fit.T_new_old[None, :3, :3])[0]))),
-        covariance=_rows(fit.covariance),
+        covariance=rows_of(fit.covariance),
         uncertainty_mm=_added_mm(found),
         rms_mm=fit.rms_m * 1e3,
         chi_squared=fit.chi_squared,
@@ -232,8 +232,8 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
             LocatedPoint(
                 arm=one.arm,
                 q=tuple(one.q.tolist()),
-                measured_M=_point(one.point.p_M),
-                residual_mm=_point(next(rows[one.arm]) * 1e3),
+                measured_M=xyz_of(one.point.p_M),
+                residual_mm=xyz_of(next(rows[one.arm]) * 1e3),
                 found_off_mm=one.found_off_m * 1e3,
             )
             for one in found.found
@@ -332,13 +332,4 @@ def _added_mm(found: LocatedStation) -> float:
 
 def _pose(T: Array) -> StationPose:
     yaw, pitch, roll = zyx_angles(T[:3, :3])
-    return StationPose(position=_point(T[:3, 3]), rpy=(roll, pitch, yaw))
-
-
-def _point(values: Array) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
-
-
-def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in matrix.tolist())
+    return StationPose(position=xyz_of(T[:3, 3]), rpy=(roll, pitch, yaw))
