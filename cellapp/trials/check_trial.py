@@ -17,7 +17,7 @@ import numpy as np
 from cellapp.check import CheckBelief, check_belief, choose_stops
 from cellapp.check.conclusion import judgement
 from cellapp.check.linear import Moments, StopRows, stop_rows
-from cellapp.check.model import LENGTH_M, TRACKER, TURN_RAD
+from cellapp.check.model import FALSE_ALARM, LENGTH_M, TRACKER, TURN_RAD
 from cellapp.check.naming import Cause, Design, with_station
 from cellapp.check.sequential import design_of, ended
 from cellapp.check.statistics import LastTest
@@ -43,7 +43,6 @@ from cellapp.trials.drawn_cell import calibrated_alone, drawn_cell, measured_sto
 from cellapp.trials.measured import measured_by
 from drivers.plant import Plant
 
-FALSE_ALARM = 0.01
 _RIGID_M = (1e-4, 1e-3, 1e-2)
 """Motions of tracker, bases and SMRs [m, rad]."""
 _CHANGE_SEED = 0xC4A6
@@ -117,7 +116,7 @@ def checked_cell(plan: CheckPlan, drawn: Seed) -> CheckedCell:
     homes = home_positions(profile)
     chosen = choose_stops(belief, {name: its.q for name, its in known.items()}, plan.planned, start=homes)
     q = {name: its.q[chosen.order] for name, its in known.items()}
-    trial = _Trial(profile, design_of(belief, FALSE_ALARM), q, homes, seed)
+    trial = _Trial(profile, design_of(belief), q, homes, seed)
     weakest = chosen.weakest
     return CheckedCell(
         seed=seed,

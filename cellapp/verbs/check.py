@@ -11,6 +11,7 @@ import numpy as np
 
 from cellapp.calibration.station_location import displacement_m, predicted_points
 from cellapp.check import CheckBelief, Conclusion, SequentialTest, check_belief, choose_stops
+from cellapp.check.model import FALSE_ALARM, MISS
 from cellapp.check.statistics import SPENT_EARLY
 from cellapp.collection.cell import Cell
 from cellapp.collection.check import CheckTask, DrivenCheck, MeasuredStop, drive_check
@@ -47,8 +48,6 @@ from cellapp.verbs.locate import excess_of_readings, profile_at_station
 STOPS = 20
 FEWEST_STOPS = 4
 """Fewer stops of one arm do not tell a motion of its base from one of its joints."""
-FALSE_ALARM, MISS = 0.01, 0.05
-"""Chances of finding a change where there is none, and of missing a visible one."""
 
 
 def check_run(
@@ -84,7 +83,7 @@ def check_run(
     chosen = _stops(run.profile, checked, stops)
     profile = _with_plant(profile_at_station(run, checked.stages), simulated_plant)
     task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
-    test = SequentialTest(checked.belief, len(chosen), false_alarm=FALSE_ALARM, miss=MISS)
+    test = SequentialTest(checked.belief, len(chosen))
     notes: list[str] = []
     if checked.stale:
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
