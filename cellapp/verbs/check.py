@@ -43,7 +43,7 @@ from cellapp.run import Readings, RunFile
 from cellapp.run.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.run.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.safety.cell_bodies import home_positions
-from cellapp.verbs.locate import excess_of_readings, profile_at_station
+from cellapp.verbs.station import excess_of_readings, profile_at_station
 
 STOPS = 20
 FEWEST_STOPS = 4
