@@ -72,9 +72,9 @@ from cellapp.run.stored_model import model_of, require_current_model, stage_in_f
 from cellapp.signature.calibrate import with_prior
 from cellapp.signature.discovery import SearchWithPriors
 from cellapp.signature.source import basis_of_priors, earlier_arms, earlier_of_calibration, recorded_priors
-from cellapp.verbs.locate import profile_at_station, refuse_second_station
 from cellapp.verbs.plan import plan_result
 from cellapp.verbs.push import PushJob, check_rounds, push_commands
+from cellapp.verbs.station import profile_at_station, refuse_second_station
 
 R = TypeVar("R", bound=RunResults)
 

@@ -34,8 +34,6 @@ AIR_PER_KELVIN = 1e-6
 20 degC, 1013 hPa (Ciddor, Applied Optics 35 (1996) 1566)."""
 ALUMINIUM = 23e-6
 """Thermal expansion [1/K] of the links of most arms; magnesium and steel are at 26e-6 and 12e-6."""
-_MEAN_LENGTH = 2.0 * math.sqrt(2.0 / math.pi)
-"""Mean length of a normal vector in three dimensions, in standard deviations of a coordinate."""
 
 TRACKER, CENTERING, AIR = "tracker", "SMR centering", "air temperature"
 REPEATABILITY, MODEL, STATION, GROWTH = "arm repeatability", "calibrated model", "station", "thermal growth of the arm"
@@ -147,7 +145,7 @@ def _repeatability(results: RunResults, arm: str) -> UncertaintyContribution:
     repeats = None if calibrated is None else calibrated.repeatability_mm
     if calibrated is None or repeats is None:
         return _line(REPEATABILITY, None, "A", "not given: no stop was repeated and no discovery holds")
-    scatter = repeats.mean / _MEAN_LENGTH
+    scatter = repeats.coordinate
     tracker = (calibrated.tracker_mm or 0.0) / math.sqrt(3.0)
     basis = (
         f"{repeats.n} repeated stops scatter by {scatter:.4f} mm a coordinate; what exceeds the tracker's"

@@ -24,6 +24,8 @@ LENGTH_M = 5e-5
 """Change of a length that the check has to detect [m]."""
 TURN_RAD = 5e-5
 """Change of an angle that the check has to detect [rad]."""
+FALSE_ALARM, MISS = 0.01, 0.05
+"""Chances of finding a change where there is none, and of missing a visible one."""
 VISIBLE = 1.0
 """Least motion of the SMR by a visible change, in standard deviations of a measured coordinate."""
 TRACKER = "tracker"

@@ -11,7 +11,7 @@ from cellapp.calibration.station_location import FEWEST_POINTS
 from cellapp.check.alternatives import alternatives_of, directions_of
 from cellapp.check.conclusion import concluded
 from cellapp.check.linear import Moments, StopRows, stop_rows
-from cellapp.check.model import CheckBelief, Conclusion, Standing
+from cellapp.check.model import FALSE_ALARM, MISS, CheckBelief, Conclusion, Standing
 from cellapp.check.naming import Design, explain, with_station
 from cellapp.check.statistics import LastTest, looks
 from cellapp.check.visible import calibration_motions, visibility
@@ -30,7 +30,9 @@ class SequentialTest:
     change valid at most ``miss``.
     """
 
-    def __init__(self, belief: CheckBelief, planned: int, *, false_alarm: float = 0.01, miss: float = 0.05) -> None:
+    def __init__(
+        self, belief: CheckBelief, planned: int, *, false_alarm: float = FALSE_ALARM, miss: float = MISS
+    ) -> None:
         """``planned`` is the number of stops after which it ends in any case."""
         self._design = design_of(belief, false_alarm, miss)
         self._planned = planned
@@ -81,7 +83,7 @@ class SequentialTest:
         return concluded(self._design, self._stops, self._standing)
 
 
-def design_of(belief: CheckBelief, false_alarm: float = 0.01, miss: float = 0.05) -> Design:
+def design_of(belief: CheckBelief, false_alarm: float = FALSE_ALARM, miss: float = MISS) -> Design:
     """What a check of a cell tests."""
     directions = tuple(directions_of(belief))
     motions = calibration_motions(belief, directions)

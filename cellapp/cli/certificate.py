@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cellapp.cli.job import Job, open_run
+from cellapp.cli.job import Job, open_run, require_none
 from cellapp.cli.options import JsonOption, RunFolder
-from cellapp.errors import CheckFailed, InputError
+from cellapp.errors import InputError
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -51,8 +51,8 @@ def certificate(
         job.show(certificate_tables(result))
         job.say(*certificate_sentences(result), f"written: {out or folder}")
         job.result(result)
-        if strict and result.complaints():
-            raise CheckFailed(f"certificate: {'; '.join(result.complaints())}")
+        if strict:
+            require_none(result.complaints(), "certificate")
 
 
 def sign_key(
@@ -89,8 +89,7 @@ def check_certificate(
         result = check(file, public, opened)
         job.say(*check_sentences(result))
         job.result(result)
-        if result.problems:
-            raise CheckFailed(f"check-certificate: {file} does not hold: {'; '.join(result.problems)}")
+        require_none(result.problems, f"check-certificate: {file} does not hold")
 
 
 def _private_key(path: Path) -> Ed25519PrivateKey:

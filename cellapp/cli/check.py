@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from cellapp.cli.job import Job, open_run
+from cellapp.cli.job import Job, open_run, require_none
 from cellapp.cli.motion import asking
 from cellapp.cli.options import AllowMotion, JsonOption, RunFolder
-from cellapp.errors import CheckFailed
 
 
 def check(
@@ -48,5 +47,4 @@ def check(
         job.show(check_tables(result))
         job.say(*check_sentences(result))
         job.result(result)
-        if complaints := result.complaints(strict=strict):
-            raise CheckFailed(f"check: {'; '.join(complaints)}")
+        require_none(result.complaints(strict=strict), "check")

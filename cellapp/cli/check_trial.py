@@ -7,31 +7,33 @@ from typing import Annotated
 
 import typer
 
-from cellapp.cli.job import Job
+from cellapp.cli.job import Job, require_none
 from cellapp.cli.options import (
+    DEFAULT_CELL,
+    DrawnCells,
+    FirstSeed,
     Jobs,
     JsonOption,
     MarkdownFile,
+    Mix,
     Scheduler,
     SeriesFolder,
     SeriesProfiles,
+    SimulatedCell,
     Store,
     resources_of,
 )
 from cellapp.cli.trial_files import check_markdown, state_result
-from cellapp.errors import CheckFailed
 
 
 def check(
-    profile: Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")] = Path(
-        "profiles/twin.yaml"
-    ),
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells, or draws of rows.")] = 10,
-    first: Annotated[int, typer.Option("--first", min=0, help="The first seed.")] = 0,
+    profile: SimulatedCell = DEFAULT_CELL,
+    seeds: DrawnCells = 10,
+    first: FirstSeed = 0,
     earlier: Annotated[int, typer.Option("--earlier", min=40, help="Stops of the calibration.")] = 400,
     stops: Annotated[int, typer.Option("--stops", min=6, help="Stops of a check at most.")] = 20,
     unchanged: Annotated[int, typer.Option("--unchanged", min=0, help="Checks of each cell as it was.")] = 50,
-    mix: Annotated[bool, typer.Option("--mix", help="Hide compliance, curves and backlash on the arms.")] = False,
+    mix: Mix = False,
     anew: Annotated[bool, typer.Option("--anew", help="The tracker was set up anew before each check.")] = False,
     real: Annotated[
         str, typer.Option("--real", metavar="LIST", help="Check series of real robots instead, as C,D,UR5.")
@@ -48,37 +50,25 @@ def check(
     from cellapp.profile import load_profile
     from cellapp.trials.check_real import real_check_trials
     from cellapp.trials.check_tables import check_trial_sentences, check_trial_tables
-    from cellapp.trials.check_trial import check_trials
+    from cellapp.trials.check_trial import CheckPlan, check_trials
 
     with Job(json_file) as job:
         check_markdown(markdown)
-        chosen = range(first, first + seeds)
+        chosen, resources = range(first, first + seeds), resources_of(jobs, scheduler, store)
         if real:
             result = real_check_trials(
-                [name.strip() for name in real.split(",")],
-                chosen,
-                rows=earlier,
-                planned=stops,
-                checks=unchanged,
-                data=data,
-                profiles=profiles,
-                resources=resources_of(jobs, scheduler, store),
-                listener=job.listen,
-                cancel=job.control,
-            )
+                [name.strip() for name in real.split(",")], chosen, rows=earlier, planned=stops, checks=unchanged,
+                data=data, profiles=profiles, resources=resources, listener=job.listen, cancel=job.control,
+            )  # fmt: skip
         else:
-            result = check_trials(
-                load_profile(profile),
-                chosen,
+            plan = CheckPlan(
+                profile=load_profile(profile),
                 earlier=earlier,
                 planned=stops,
                 unchanged=unchanged,
                 mix=mix,
                 station_free=anew,
-                resources=resources_of(jobs, scheduler, store),
-                listener=job.listen,
-                cancel=job.control,
             )
+            result = check_trials(plan, chosen, resources, job.listen, job.control)
         state_result(job, result, check_trial_tables(result), check_trial_sentences(result), markdown)
-        if result.complaints():
-            raise CheckFailed(f"trials check: {'; '.join(result.complaints())}")
+        require_none(result.complaints(), "trials check")

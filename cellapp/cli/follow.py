@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from cellapp.cli.job import Job, open_run
+from cellapp.cli.job import Job, open_run, require_none
 from cellapp.cli.motion import asking
 from cellapp.cli.options import AllowMotion, JsonOption, OutOfDate, RunFolder
-from cellapp.errors import CheckFailed
 
 
 def follow(
@@ -53,5 +52,4 @@ def follow(
         job.show(path_tables(result))
         job.say(*path_sentences(result))
         job.result(result)
-        if complaints := result.complaints():
-            raise CheckFailed(f"follow: {'; '.join(complaints)}")
+        require_none(result.complaints(), "follow")

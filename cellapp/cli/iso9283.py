@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperGroup
 
-from cellapp.cli.job import Job
+from cellapp.cli.job import Job, require_none
 from cellapp.cli.motion import asking
 from cellapp.cli.options import AllowMotion, JsonOption, OutOfDate, ProfilePath
-from cellapp.errors import CheckFailed
 
 if TYPE_CHECKING:
     from cellapp.results import IsoTest
@@ -106,8 +105,7 @@ def _command(tests: Sequence[IsoTest]) -> Callable[..., None]:
                 job.show(iso9283_tables(result))
                 job.say(*iso9283_sentences(result), f"stored in {run.folder}")
             job.result(result)
-            if complaints := result.complaints():
-                raise CheckFailed(f"iso9283: {'; '.join(complaints)}")
+            require_none(result.complaints(), "iso9283")
 
     return command
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from cellapp.cli.job import Job, open_run
 from cellapp.errors import CheckFailed
+
+if TYPE_CHECKING:
+    from cellapp.results import PlanCheckResult
 
 
 @dataclass(frozen=True)
@@ -101,20 +105,25 @@ def run_plan(job: Job, choice: PlanChoice) -> None:
     job.result(result)
 
 
-def _check_file(job: Job, choice: PlanChoice) -> None:
-    from cellapp.profile import load_profile
+def state_check(job: Job, result: PlanCheckResult) -> None:
+    """Say what the safety gate refuses in a plan. Raises ``CheckFailed`` if it is anything."""
     from cellapp.reporting.plan_text import check_sentences
-    from cellapp.verbs.plan import check_plan_file
 
-    assert choice.profile is not None
-    assert choice.check is not None
-    result = check_plan_file(load_profile(choice.profile), choice.check, job.listen, job.control)
     verdict, *offences = check_sentences(result)
     job.say(*offences)
     job.result(result)
     if not result.is_safe:
         raise CheckFailed(f"plan: {verdict}")
     job.say(verdict)
+
+
+def _check_file(job: Job, choice: PlanChoice) -> None:
+    from cellapp.profile import load_profile
+    from cellapp.verbs.plan import check_plan_file
+
+    assert choice.profile is not None
+    assert choice.check is not None
+    state_check(job, check_plan_file(load_profile(choice.profile), choice.check, job.listen, job.control))
 
 
 def _show_view(job: Job, choice: PlanChoice) -> None:

@@ -7,19 +7,23 @@ from typing import Annotated
 
 import typer
 
-from cellapp.cli.job import Job
+from cellapp.cli.job import Job, require_none
 from cellapp.cli.options import (
+    DEFAULT_CELL,
+    DrawnCells,
+    FirstSeed,
     Jobs,
     JsonOption,
     MarkdownFile,
+    Mix,
     Scheduler,
     SeriesFolder,
     SeriesProfiles,
+    SimulatedCell,
     Store,
     resources_of,
 )
 from cellapp.cli.trial_files import check_markdown, state_result
-from cellapp.errors import CheckFailed
 
 
 def league(
@@ -58,21 +62,18 @@ def league(
             cancel=job.control,
         )
         state_result(job, result, league_tables(result), league_sentences(result), markdown)
-        if result.complaints():
-            raise CheckFailed(f"trials league: {'; '.join(result.complaints())}")
+        require_none(result.complaints(), "trials league")
 
 
 def signature(
-    profile: Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")] = Path(
-        "profiles/twin.yaml"
-    ),
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells, or draws of rows.")] = 10,
-    first: Annotated[int, typer.Option("--first", min=0, help="The first seed.")] = 0,
+    profile: SimulatedCell = DEFAULT_CELL,
+    seeds: DrawnCells = 10,
+    first: FirstSeed = 0,
     earlier: Annotated[int, typer.Option("--earlier", min=40, help="Stops of the earlier calibration.")] = 400,
     few: Annotated[int, typer.Option("--few", min=5, help="Stops with the earlier calibration.")] = 30,
     many: Annotated[int, typer.Option("--many", min=10, help="Stops without it, to compare with.")] = 150,
     held_out: Annotated[int, typer.Option("--held-out", min=10, help="Stops to compare on.")] = 120,
-    mix: Annotated[bool, typer.Option("--mix", help="Hide compliance, curves and backlash on the arms.")] = False,
+    mix: Mix = False,
     real: Annotated[bool, typer.Option("--real", help="Series D of a real UR10 with series C as prior.")] = False,
     rows: Annotated[
         str, typer.Option("--rows", metavar="LIST", help="With --real: numbers of rows, separated by commas.")
@@ -88,34 +89,26 @@ def signature(
     """What an arm's earlier calibration is worth when it is calibrated again from few stops, mounted elsewhere."""
     from cellapp.profile import load_profile
     from cellapp.trials.league.series import parse_rows
-    from cellapp.trials.signature import real_trials, twin_trials
+    from cellapp.trials.signature import TwinPlan, real_trials, twin_trials
     from cellapp.trials.signature_tables import signature_sentences, signature_tables
 
     with Job(json_file) as job:
         check_markdown(markdown)
+        chosen, resources = range(first, first + seeds), resources_of(jobs, scheduler, store)
         if real:
             result = real_trials(
                 parse_rows(rows),
-                range(first, first + seeds),
+                chosen,
                 data=data,
                 profiles=profiles,
-                resources=resources_of(jobs, scheduler, store),
+                resources=resources,
                 listener=job.listen,
                 cancel=job.control,
             )
         else:
-            result = twin_trials(
-                load_profile(profile),
-                range(first, first + seeds),
-                earlier=earlier,
-                few=few,
-                many=many,
-                held_out=held_out,
-                mix=mix,
-                resources=resources_of(jobs, scheduler, store),
-                listener=job.listen,
-                cancel=job.control,
+            plan = TwinPlan(
+                profile=load_profile(profile), earlier=earlier, few=few, many=many, held_out=held_out, mix=mix
             )
+            result = twin_trials(plan, chosen, resources, job.listen, job.control)
         state_result(job, result, signature_tables(result), signature_sentences(result), markdown)
-        if result.complaints():
-            raise CheckFailed(f"trials signature: {'; '.join(result.complaints())}")
+        require_none(result.complaints(), "trials signature")

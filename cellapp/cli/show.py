@@ -9,7 +9,8 @@ import typer
 
 from cellapp.cli.job import Job, open_run
 from cellapp.cli.options import JsonOption, RunFolder, Strict
-from cellapp.errors import CheckFailed, InputError
+from cellapp.cli.plan import state_check
+from cellapp.errors import InputError
 
 if TYPE_CHECKING:
     from cellapp.results import RunResults
@@ -74,12 +75,7 @@ def show(
     """Print what a run holds; nothing is changed, and only --check and --forecast compute anything."""
     from cellapp.run.out_of_date import check_nothing_out_of_date
 
-    if part is not Part.LOG and (level is not None or last is not None):
-        raise InputError("show: --level and --last belong to 'log'")
-    if (check or forecast) and (part is not Part.PLAN or (check and forecast)):
-        raise InputError("show: --check and --forecast belong to 'plan'; give one of them")
-    if target is not None and part is not Part.TARGETS:
-        raise InputError("show: --target belongs to 'targets'")
+    _check_options(part, level is not None or last is not None, check, forecast, target is not None)
     with Job(json_file) as job, open_run(folder) as run:
         match part:
             case Part.OVERVIEW:
@@ -104,6 +100,16 @@ def show(
                 _show_result(job, run, part)
         if strict:
             check_nothing_out_of_date(run, "show")
+
+
+def _check_options(part: Part, of_log: bool, check: bool, forecast: bool, of_target: bool) -> None:
+    """Raise ``InputError`` for an option that belongs to another part than the one that was asked for."""
+    if part is not Part.LOG and of_log:
+        raise InputError("show: --level and --last belong to 'log'")
+    if (check or forecast) and (part is not Part.PLAN or (check and forecast)):
+        raise InputError("show: --check and --forecast belong to 'plan'; give one of them")
+    if part is not Part.TARGETS and of_target:
+        raise InputError("show: --target belongs to 'targets'")
 
 
 def schema(
@@ -179,15 +185,8 @@ def _show_plan(job: Job, run: RunFile) -> None:
 
 def _check_plan(job: Job, run: RunFile) -> None:
     from cellapp.planning.check import check_plan_run
-    from cellapp.reporting.plan_text import check_sentences
 
-    result = check_plan_run(run, job.listen, job.control)
-    verdict, *refusals = check_sentences(result)
-    job.say(*refusals)
-    job.result(result)
-    if not result.is_safe:
-        raise CheckFailed(f"plan: {verdict}")
-    job.say(verdict)
+    state_check(job, check_plan_run(run, job.listen, job.control))
 
 
 def _forecast_plan(job: Job, run: RunFile) -> None:

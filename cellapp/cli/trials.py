@@ -9,7 +9,7 @@ import typer
 
 from cellapp.cli.check_trial import check
 from cellapp.cli.cost import cost
-from cellapp.cli.job import Job
+from cellapp.cli.job import Job, require_none
 from cellapp.cli.options import (
     Jobs,
     JsonOption,
@@ -364,8 +364,7 @@ def plans(
             found = whole_plans(cell, range(seeds), whole, resources, job.listen, job.control)
             result = result.model_copy(update={"plans": found.found, "failed": (*result.failed, *found.failed)})
         state_result(job, result, plan_trial_tables(result), plan_trial_sentences(result), markdown)
-        if result.complaints():
-            raise CheckFailed(f"trials plans: {'; '.join(result.complaints())}")
+        require_none(result.complaints(), "trials plans")
 
 
 @trials_app.command("targets")
@@ -393,8 +392,7 @@ def targets(
             load_profile(profile), chosen, count, pairs, resources_of(jobs, scheduler, store), job.listen, job.control
         )
         state_result(job, result, target_trial_tables(result), target_trial_sentences(result), markdown)
-        if result.complaints():
-            raise CheckFailed(f"trials targets: {'; '.join(result.complaints())}")
+        require_none(result.complaints(), "trials targets")
 
 
 for command in (check, league, signature, cost):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from cellapp.compensation.targets import target_record
 from cellapp.compensation.tolerance import measured_verdict
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.statics import base_moment
-from cellapp.kinematics.transforms import Array
+from cellapp.kinematics.transforms import Array, xyz_of
 from cellapp.model import CellModel
 from cellapp.results import ArmVerification, MeasuredPair, MeasuredTarget
 from drivers.arms.protocol import ArmState
@@ -203,7 +203,7 @@ def _point(p_M: Array | None) -> tuple[float, float, float] | None:
     """A point for JSON; None for a prediction that is not finite."""
     if p_M is None or not np.isfinite(p_M).all():
         return None
-    return cast(tuple[float, float, float], tuple(p_M.tolist()))
+    return xyz_of(p_M)
 
 
 def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, point: Point) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 
 from cellapp.exports.joint_origins import joint_origins
 from cellapp.kinematics.chain import Geometry, smr_positions
-from cellapp.kinematics.transforms import Array, zyx_angles
+from cellapp.kinematics.transforms import Array, xyz_of, zyx_angles
 from cellapp.model.model import CellModel
 from cellapp.results import Record, Result
 
@@ -79,7 +79,7 @@ def geometry_export(model: CellModel) -> GeometryExport:
             name: ArmGeometry(
                 urdf=urdf_joints(arm.geometry),
                 ur_deltas=ur_deltas(arm.nominal, arm.geometry),
-                smr_in_flange_m=_triple(arm.geometry.tool),
+                smr_in_flange_m=xyz_of(arm.geometry.tool),
                 not_exported=(
                     *(term.slug for term in arm.effects),
                     *(["residual network"] if arm.network is not None else []),
@@ -104,12 +104,7 @@ def urdf_joints(geometry: Geometry) -> tuple[UrdfJoint, ...]:
 
 def _origin(name: str, kind: Literal["revolute", "fixed"], T: Array) -> UrdfJoint:
     yaw, pitch, roll = zyx_angles(T[:3, :3])
-    return UrdfJoint(name=name, type=kind, xyz_m=_triple(T[:3, 3]), rpy_rad=(roll, pitch, yaw))
-
-
-def _triple(vector: Array) -> tuple[float, float, float]:
-    x, y, z = vector.tolist()
-    return x, y, z
+    return UrdfJoint(name=name, type=kind, xyz_m=xyz_of(T[:3, 3]), rpy_rad=(roll, pitch, yaw))
 
 
 def ur_deltas(nominal: Geometry, identified: Geometry) -> UrDeltas:

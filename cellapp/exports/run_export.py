@@ -14,7 +14,7 @@ from cellapp.exports.geometry import geometry_export
 from cellapp.exports.out_files import check_out, files_of_arms
 from cellapp.exports.run_commands import export_commands
 from cellapp.exports.words import form_line, lost_sentences
-from cellapp.kinematics.transforms import Array
+from cellapp.kinematics.transforms import Array, xyz_of
 from cellapp.model import CellModel
 from cellapp.profile.files import write_new
 from cellapp.results import CALIBRATE, DISCOVER, ArmFile, ExportResult
@@ -177,10 +177,9 @@ def _arm_sentences(export: ArmExport) -> list[str]:
 
 
 def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFile:
-    x, y, z = smr.tolist()
     return ArmFile(
         file=str(file),
-        smr_m=(x, y, z),
+        smr_m=xyz_of(smr),
         conversion_mm=off_mm,
         lost=export.lost,
         lost_together=export.lost_together,

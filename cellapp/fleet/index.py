@@ -8,7 +8,6 @@ it. Where it is damaged it is made again; where it cannot be written or is in us
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import sqlite3
 from collections.abc import Sequence
@@ -22,6 +21,7 @@ from cellapp.fleet.reading import read_record
 from cellapp.fleet.record import RunRecord
 from cellapp.run.history import run_folders
 from cellapp.run.sqlite_file import FILE_NAME, connect
+from cellapp.run.stages import sha256_of
 
 INDEX_FILE = ".cellapp-index.sqlite"
 _VERSION = f"1, cellapp {__version__}"
@@ -120,7 +120,7 @@ def _load(folder: Path) -> dict[str, tuple[Stamp, RunRecord]]:
     found = {}
     for key, size, mtime_ns, log_size, log_mtime_ns, stage, digest, text in rows:
         with contextlib.suppress(ValidationError, AttributeError, TypeError):
-            if _sha256(text) == digest:
+            if sha256_of(text) == digest:
                 stamp = Stamp(size, mtime_ns, log_size, log_mtime_ns, stage)
                 found[str(key)] = (stamp, RunRecord.model_validate_json(text))
     return found
@@ -164,14 +164,10 @@ def _write(path: Path, folder: Path, rows: Sequence[tuple[Path, Stamp, RunRecord
                     stamp.log_size,
                     stamp.log_mtime_ns,
                     stamp.stage,
-                    _sha256(text := record.model_dump_json()),
+                    sha256_of(text := record.model_dump_json()),
                     text,
                 )
                 for run, stamp, record in rows
             ),
         )
         connection.execute("COMMIT")
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -10,7 +10,7 @@ import numpy as np
 
 from cellapp.iso9283.cube import CYCLE, PLANES, plane_name, pose_positions
 from cellapp.iso9283.reach import CubeSearch, FoundCube
-from cellapp.kinematics.transforms import Array, zyx_angles
+from cellapp.kinematics.transforms import Array, xyz_of, zyx_angles
 from cellapp.results import IsoCube, IsoPose
 from cellapp.safety.gate import refuse_motion
 
@@ -62,11 +62,11 @@ class ChosenCube:
             rpy = (roll, pitch, yaw)
         return IsoCube(
             edge_mm=self.edge * 1e3,
-            centre_B=_point(self.centre_B),
+            centre_B=xyz_of(self.centre_B),
             plane=self.plane,
             rpy=rpy,
             poses=tuple(
-                IsoPose(name=name, position_B=_point(self.position_B[name]), q=tuple(self.q[name].tolist()))
+                IsoPose(name=name, position_B=xyz_of(self.position_B[name]), q=tuple(self.q[name].tolist()))
                 for name in poses
             ),
             limited_by=self.limited_by,
@@ -150,8 +150,3 @@ def _ways(search: CubeSearch, q: dict[str, Array]) -> Iterator[tuple[dict[str, A
 def approach_sequence() -> list[str]:
     """All positions of one multi-directional cycle in turn: each visit after the beginning of its approach."""
     return [name for pose, direction in directional_sequence() for name in (approach_name(pose, direction), pose)]
-
-
-def _point(values: Array) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z

@@ -27,7 +27,7 @@ from cellapp.iso9283.uncertainty import (
     path_values,
     repeatability_value,
 )
-from cellapp.kinematics.transforms import Array
+from cellapp.kinematics.transforms import Array, xyz_of
 from cellapp.results import (
     DirectionalCharacteristics,
     DistanceCharacteristics,
@@ -282,5 +282,4 @@ def _group(cycles: Cycles, visits: Sequence[Measured], began_s: float, base_M: A
 
 
 def _mm(vector: Array) -> tuple[float, float, float]:
-    x, y, z = (vector * 1e3).tolist()
-    return x, y, z
+    return xyz_of(vector * 1e3)

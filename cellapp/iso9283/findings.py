@@ -20,7 +20,7 @@ from cellapp.iso9283.evaluate import (
     pose_characteristics,
 )
 from cellapp.iso9283.programme import ArmProgramme, Place
-from cellapp.kinematics.transforms import Array
+from cellapp.kinematics.transforms import Array, xyz_of
 from cellapp.model import CellModel
 from cellapp.profile import Profile
 from cellapp.results import (
@@ -137,12 +137,11 @@ def _base(found: IsoFindings, name: str) -> BaseAlignment | None:
         return None
     frames = [frame for (arm, _), one in found.programmes.items() if arm == name for frame in one.frame.values()]
     variance = float(np.mean([np.trace(frame) / 3.0 for frame in frames])) if frames else 0.0
-    x, y, z = (alignment.arm.geometry.tool * 1e3).tolist()
     return BaseAlignment(
         n=alignment.n,
         rms_mm=alignment.rms_m * 1e3,
         uncertainty_mm=float(np.sqrt(variance)) * 1e3,
-        smr_offset_mm=(x, y, z),
+        smr_offset_mm=xyz_of(alignment.arm.geometry.tool * 1e3),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from cellapp.compensation.path_file import PathPose, PathSpec
 from cellapp.iso9283.chosen_cube import ChosenCube
 from cellapp.iso9283.cube import circle_positions
-from cellapp.kinematics.transforms import Array, zyx_angles
+from cellapp.kinematics.transforms import Array, xyz_of, zyx_angles
 from cellapp.paths.cartesian import CartesianPath
 
 PATH_SPEED = 0.25
@@ -32,11 +32,11 @@ def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec
     rpy = (roll, pitch, yaw)
     at = cube.position_B
     circle = circle_positions({pose: at[pose] for pose in at if " " not in pose}, cube.edge)
-    line = (PathPose(position=_point(at["P2"]), rpy=rpy), PathPose(position=_point(at["P4"])))
+    line = (PathPose(position=xyz_of(at["P2"]), rpy=rpy), PathPose(position=xyz_of(at["P4"])))
     arcs = (
-        PathPose(position=_point(circle[0]), rpy=rpy),
-        PathPose(position=_point(circle[2]), via=_point(circle[1])),
-        PathPose(position=_point(circle[4]), via=_point(circle[3])),
+        PathPose(position=xyz_of(circle[0]), rpy=rpy),
+        PathPose(position=xyz_of(circle[2]), via=xyz_of(circle[1])),
+        PathPose(position=xyz_of(circle[4]), via=xyz_of(circle[3])),
     )
     return [
         PathSpec(name=words, arm=name, tolerance=_TOLERANCE_M, speed=PATH_SPEED * speed_share, poses=poses)
@@ -50,8 +50,3 @@ def places_along(path: CartesianPath) -> tuple[Array, Array]:
     half = 1e-4 * path.length
     chord = path.positions(s + half) - path.positions(s - half)
     return path.positions(s), chord / np.linalg.norm(chord, axis=1, keepdims=True)
-
-
-def _point(values: Array) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z

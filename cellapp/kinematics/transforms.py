@@ -50,6 +50,17 @@ def zyx_angles(rotation: Array) -> tuple[float, float, float]:
     return z, y, math.atan2(-minus_sin_x, cos_x)
 
 
+def xyz_of(vector: Array) -> tuple[float, float, float]:
+    """x, y, z of a vector (3,), as plain numbers."""
+    x, y, z = vector.tolist()
+    return x, y, z
+
+
+def rows_of(matrix: Array) -> tuple[tuple[float, ...], ...]:
+    """The rows of a matrix, as plain numbers."""
+    return tuple(tuple(row) for row in matrix.tolist())
+
+
 def rotation_from_vector(vector: ArrayLike) -> Array:
     """Rotation (3, 3) about the direction of ``vector`` (3,) by its length [rad]."""
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())

@@ -23,7 +23,6 @@ _UNKNOWN = {
     DriverVariable.OTHER_ARM: "without the other arm's load",
     DriverVariable.DWELL: "after a long rest",
 }
-_MOUNT = ("theta", "alpha")
 
 
 def assumptions(

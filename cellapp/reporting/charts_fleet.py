@@ -12,13 +12,11 @@ from cellapp.fleet.trend import CONFIDENCE, Line
 from cellapp.fleet.trends import MONTH_DAYS, days_since_1970
 from cellapp.reporting.charts import Axis, Chart, Limit, Series, series
 from cellapp.reporting.fleet_text import trend_words
-from cellapp.reporting.words import display_unit
+from cellapp.reporting.words import TWO_SIDED, display_unit
 from cellapp.results import ArmHistory, DatedValue, Figure, PairHistory, ParameterHistory, Trend
 
 MOST_PARAMETERS = 6
 """Parameters of an arm that have a chart: those that changed or drift, then those nearest to it."""
-_TWO_SIDED = 1.959964
-"""Half width of a 95 % interval in standard uncertainties: quantile 0.975 of the normal distribution."""
 _LINE_POINTS = 60
 _FARTHEST = 3.0
 """Spans of the values that a trend is drawn beyond them, at most."""
@@ -156,7 +154,7 @@ def _parameter_chart(one: ParameterHistory) -> Chart:
     start = _start([one.first.time, *(change.time for change in one.changes)])
     days = [days_since_1970(time) - start for time in (one.first.time, *(change.time for change in one.changes))]
     differences = [0.0, *(change.difference * factor for change in one.changes)]
-    bands = [0.0, *(_TWO_SIDED * change.standard_uncertainty * factor for change in one.changes)]
+    bands = [0.0, *(TWO_SIDED * change.standard_uncertainty * factor for change in one.changes)]
     last = one.changes[-1]
     moved = "" if one.moved_mm is None else f"; it moves the SMR by {one.moved_mm:.3f} mm (rms)"
     verdict = "is proven" if last.proven else "is not proven"

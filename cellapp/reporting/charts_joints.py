@@ -11,6 +11,7 @@ from cellapp.effects import EFFECTS, EffectContext, EffectTerm, MeasurementCondi
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.reporting.charts import Axis, Chart, Limit, Series, enumerated, series
+from cellapp.reporting.words import TWO_SIDED
 from cellapp.run import Readings
 
 _POINTS = 121
@@ -19,8 +20,6 @@ _BEYOND = 0.15
 """How far a curve goes on beyond the measured angles, as a share of their range: there its band widens."""
 _LEAST_BEYOND = np.radians(5.0)
 """The same where a joint hardly moved [rad]."""
-_TWO_SIDED = 1.959964
-"""Half width of a 95 % band in standard deviations."""
 _LEAST_URAD = 0.05
 """Contributions that stay below this are none: a tenth of an encoder's step."""
 _SUM_STYLE, _DOWN_STYLE = 0, 1
@@ -45,7 +44,7 @@ class _Sweep:
         """Half width (n,) [urad] of the 95 % band of the sum of some terms; None without a posterior."""
         if self.draws is None:
             return None
-        return np.asarray(_TWO_SIDED * _URAD * np.sqrt(np.mean(self.draws[rows].sum(axis=0) ** 2, axis=0)))
+        return np.asarray(TWO_SIDED * _URAD * np.sqrt(np.mean(self.draws[rows].sum(axis=0) ** 2, axis=0)))
 
 
 def joint_curve_charts(

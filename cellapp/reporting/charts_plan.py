@@ -24,12 +24,10 @@ from cellapp.safety.cell_bodies import cell_bodies
 
 MOST_CORRELATION = 0.1
 """Largest correlation of a factor that can be chosen which a plan is meant to have."""
-NO_DESIGN = "This plan was not designed: it was drawn at random, proposed, imported, or planned by an older version."
 _MOST_BARS = 10
 """Correlations that are drawn: the others are smaller."""
 _EQUAL = {"parameters": "parameters", "mean": "mean error", "worst": "worst error"}
 _MEAN, _WORST, _OTHER_STYLE = 0, 1, 4
-_NOT_A_SIDE = 1e-12
 
 
 def design_charts(design: PlanDesignResult | None, time: PlannedTime | None) -> tuple[Chart, ...]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from cellapp.errors import InputError
 from cellapp.reporting.captioned import CaptionedFigure
 from cellapp.reporting.chart_figure import chart_figure
 from cellapp.reporting.charts_fleet import condition_charts, effect_chart, pair_chart, parameter_charts, trend_charts
@@ -21,6 +19,7 @@ from cellapp.reporting.fleet_text import (
     pair_table,
     runs_table,
 )
+from cellapp.reporting.page_file import write_page_file
 from cellapp.reporting.plotly_script import plotly_base64, plotly_notice
 from cellapp.reporting.table import Table
 from cellapp.reporting.templates import template
@@ -86,15 +85,7 @@ def write_fleet_page(result: FleetResult, path: Path) -> Path:
     InputError
         If it cannot be written.
     """
-    partial = path.with_name(path.name + ".part")
-    try:
-        partial.write_text(fleet_page_text(result, datetime.now(UTC)), encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror}); check disk and folder rights") from None
-    return path
+    return write_page_file(path, fleet_page_text(result, datetime.now(UTC)))
 
 
 def fleet_page_text(result: FleetResult, written: datetime) -> str:

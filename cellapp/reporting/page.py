@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
 
 from cellapp.acceptance.conditions import measured_conditions
 from cellapp.acceptance.judgements import judge_run
-from cellapp.errors import InputError
 from cellapp.exports.export_format import ExportFormat
 from cellapp.exports.formats import formats_of
 from cellapp.exports.run_export import lost_by_arm
@@ -30,6 +28,7 @@ from cellapp.reporting.headlines import (
 from cellapp.reporting.judged import judgement_table
 from cellapp.reporting.location_text import location_sentences, location_tables
 from cellapp.reporting.page_figures import accuracy_figures, joint_curve_figures, pair_figures, residual_figures
+from cellapp.reporting.page_file import write_page_file
 from cellapp.reporting.page_parts import PageParts, page_parts
 from cellapp.reporting.page_sections import page_sections, section_messages
 from cellapp.reporting.page_summary import header_facts, nothing_found, summary
@@ -58,7 +57,6 @@ from cellapp.run import RunFile
 from cellapp.run.out_of_date import data_mark
 from cellapp.run.sqlite_file import REPORT_FILE
 
-PAGE_FILE = REPORT_FILE
 _MOST_EVENTS = 100
 """Newest events of the run's log on the page; the run file has all of them."""
 
@@ -73,17 +71,7 @@ def write_page(run: RunFile) -> Path:
     InputError
         If the run is not calibrated yet, or the page cannot be written.
     """
-    text = page_text(run, datetime.now(UTC))
-    path = run.folder / PAGE_FILE
-    partial = path.with_name(path.name + ".part")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror}); check disk and folder rights") from None
-    return path
+    return write_page_file(run.folder / REPORT_FILE, page_text(run, datetime.now(UTC)))
 
 
 def page_text(run: RunFile, written: datetime) -> str:

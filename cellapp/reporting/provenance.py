@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 
 import numpy as np
@@ -12,7 +11,7 @@ from cellapp.profile import Profile, profile_to_json
 from cellapp.reporting.report_data import ReportData
 from cellapp.results import Provenance
 from cellapp.run.in_order import order_sentences
-from cellapp.run.stages import CALIBRATION_FILE, readings_digest
+from cellapp.run.stages import CALIBRATION_FILE, readings_digest, sha256_of
 
 HASH_TITLE = "SHA-256"
 """The template sets lines whose title begins so in a fixed-width font."""
@@ -24,7 +23,7 @@ def provenance_lines(data: ReportData) -> list[tuple[str, str]]:
     plant = data.profile.plant
     return [
         ("Profile", data.profile.name),
-        (f"{HASH_TITLE} of the profile", _sha256(profile_to_json(data.profile))),
+        (f"{HASH_TITLE} of the profile", sha256_of(profile_to_json(data.profile))),
         ("Seed of splits and draws", str(origin.seed)),
         *([] if plant is None else [("Seed of the simulated cell", str(plant.seed))]),
         ("Calibrated by", _programs(origin)),
@@ -33,7 +32,7 @@ def provenance_lines(data: ReportData) -> list[tuple[str, str]]:
         *_reading_lines(data),
         ("Settings", _settings(data.profile)),
         *((f"{HASH_TITLE} of the readings of arm {name}", readings_digest(arm)) for name, arm in data.readings.items()),
-        (f"{HASH_TITLE} of {CALIBRATION_FILE}", _sha256(data.model_in_force + "\n")),
+        (f"{HASH_TITLE} of {CALIBRATION_FILE}", sha256_of(data.model_in_force + "\n")),
     ]
 
 
@@ -67,7 +66,3 @@ def _programs(origin: Provenance) -> str:
         if version is not None:
             words.append(f"{title} {version}")
     return ", ".join(words)
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -25,7 +25,7 @@ _MILLIMETRES = 1e-3
 """Lengths from here on are shown in mm [m]."""
 _NEARLY_CERTAIN = 0.99
 """Probability beyond which only the limit is stated."""
-_TWO_SIDED = 1.959964
+TWO_SIDED = 1.959964
 """Half width of a 95 % interval in standard errors: quantile 0.975 of the normal distribution."""
 
 
@@ -77,7 +77,7 @@ def interval_95(estimate: Estimate) -> tuple[Number, Interval | None, str]:
         return Number(value, 3), None, unit
     error = estimate.standard_error * factor
     decimals = min(max(1 - math.floor(math.log10(error)), 0), 9) if 0.0 < error < math.inf else 3
-    half = _TWO_SIDED * error
+    half = TWO_SIDED * error
     return Number(value, decimals), Interval(value - half, value + half, decimals), unit
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal
 
@@ -39,12 +40,21 @@ class NetworkResult(Record):
     tried: tuple[NetworkTrial, ...] = ()
 
 
+_MEAN_LENGTH = 2.0 * math.sqrt(2.0 / math.pi)
+"""Mean length of a normal vector in three dimensions, in standard deviations of a coordinate."""
+
+
 class Repeatability(Record):
     """Position repeatability of repeated stops [mm]: mean distance from the barycentre, and RP of ISO 9283."""
 
     mean: float
     rp: float
     n: int
+
+    @property
+    def coordinate(self) -> float:
+        """Standard deviation of a coordinate [mm], if all three scatter alike."""
+        return self.mean / _MEAN_LENGTH
 
 
 SignaturePart = Literal["geometry", "effects", "curves"]

@@ -142,12 +142,12 @@ class StoredStage:
         The same outcome at another time has the same digest. Raises ``InputError`` if the model is not JSON.
         """
         if self.model is None:
-            return _sha256(self.text)
+            return sha256_of(self.text)
         content = json_object(self.model)
         if content is None:
             raise InputError(f"the stored model of '{self.name}' is damaged; run 'cellapp {self.name}' again")
         content.pop("provenance", None)
-        return _sha256(json.dumps(content, sort_keys=True))
+        return sha256_of(json.dumps(content, sort_keys=True))
 
 
 @dataclass(frozen=True)
@@ -289,7 +289,7 @@ def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Bas
     """The basis of a stage that is made now; ``stages`` maps each earlier stage that it uses to its digest."""
     readings = {name: run.readings(name) for name in run.arms()}
     return Basis(
-        profile=_sha256(profile_to_json(run.profile)),
+        profile=sha256_of(profile_to_json(run.profile)),
         readings={name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm)) for name, arm in readings.items()},
         stages=stages or {},
     )
@@ -303,7 +303,7 @@ def counted_basis(run: RunFile) -> Basis:
     """
     counts = {name: sum(splits.values()) for name, splits in run.split_counts().items()}
     return Basis(
-        profile=_sha256(profile_to_json(run.profile)),
+        profile=sha256_of(profile_to_json(run.profile)),
         readings={name: ReadingsBasis(n=n, sha256="") for name, n in counts.items()},
     )
 
@@ -316,10 +316,10 @@ def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel
     if model.basis is None:
         return None
     return Basis(
-        profile=_sha256(profile_to_json(run.profile)),
+        profile=sha256_of(profile_to_json(run.profile)),
         readings=model.basis.readings,
         stages={model.name: model.digest},
-        targets=_sha256("\n".join(one.model_dump_json(exclude_none=True, exclude_defaults=True) for one in targets)),
+        targets=sha256_of("\n".join(one.model_dump_json(exclude_none=True, exclude_defaults=True) for one in targets)),
     )
 
 
@@ -333,6 +333,11 @@ def readings_digest(readings: Readings) -> str:
             digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
     digest.update(json.dumps(readings.split).encode())
     return digest.hexdigest()
+
+
+def sha256_of(text: str) -> str:
+    """SHA-256 of a text, in hexadecimal digits."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -464,7 +469,7 @@ def earlier_digest(run: RunFile, arm: str) -> str:
     in_force = _in_force_before_moving({stage.name: stage for stage in read_history(run)})
     if in_force is None:
         raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
-    return _sha256(f"{in_force.digest} {readings_digest(run.readings(arm))}")
+    return sha256_of(f"{in_force.digest} {readings_digest(run.readings(arm))}")
 
 
 def _changed_priors(priors: Mapping[str, PriorBasis]) -> list[str]:
@@ -487,7 +492,3 @@ def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, Readi
         return [f"{after - before} readings were added since"]
     same = then.keys() == now.keys() and all(now[name].is_same(arm) for name, arm in then.items())
     return [] if same else ["the readings or their splits were changed since"]
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -17,7 +17,7 @@ import numpy as np
 from cellapp.check import CheckBelief, check_belief, choose_stops
 from cellapp.check.conclusion import judgement
 from cellapp.check.linear import Moments, StopRows, stop_rows
-from cellapp.check.model import LENGTH_M, TRACKER, TURN_RAD
+from cellapp.check.model import FALSE_ALARM, LENGTH_M, TRACKER, TURN_RAD
 from cellapp.check.naming import Cause, Design, with_station
 from cellapp.check.sequential import design_of, ended
 from cellapp.check.statistics import LastTest
@@ -39,11 +39,10 @@ from cellapp.signature.belief import is_own
 from cellapp.signature.changes import parameter_words
 from cellapp.trials.check_changes import PlantChange, effect_changes, parameter_plant, rigid_changes
 from cellapp.trials.check_records import CheckedChange, CheckTrialResult
+from cellapp.trials.drawn_cell import calibrated_alone, drawn_cell, measured_stops, require_simulated, with_mix
 from cellapp.trials.measured import measured_by
-from cellapp.trials.signature import calibrated_alone, measured_stops, with_mix
 from drivers.plant import Plant
 
-FALSE_ALARM = 0.01
 _RIGID_M = (1e-4, 1e-3, 1e-2)
 """Motions of tracker, bases and SMRs [m, rad]."""
 _CHANGE_SEED = 0xC4A6
@@ -61,11 +60,11 @@ class CheckPlan(Record):
     """
 
     profile: Profile
-    earlier: int
-    planned: int
-    unchanged: int
-    mix: bool
-    station_free: bool
+    earlier: int = 400
+    planned: int = 20
+    unchanged: int = 20
+    mix: bool = False
+    station_free: bool = False
 
 
 class CheckedCell(Record):
@@ -77,19 +76,13 @@ class CheckedCell(Record):
 
 
 def check_trials(
-    profile: Profile,
+    plan: CheckPlan,
     seeds: Sequence[int],
-    *,
-    earlier: int = 400,
-    planned: int = 20,
-    unchanged: int = 20,
-    mix: bool = False,
-    station_free: bool = False,
     resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> CheckTrialResult:
-    """Checks of simulated cells; ``mix`` hides other effects than the profile's.
+    """Checks of simulated cells, one for each seed.
 
     Raises
     ------
@@ -98,19 +91,15 @@ def check_trials(
     Cancelled
         On request.
     """
-    if profile.plant is None:
-        raise InputError(f"profile {profile.name}: the trial needs a simulated cell, a section 'plant'")
-    plan = CheckPlan(
-        profile=profile, earlier=earlier, planned=planned, unchanged=unchanged, mix=mix, station_free=station_free
-    )
+    require_simulated(plan.profile)
     batch = Batch(CELLS, plan, [Seed(seed=seed) for seed in seeds], [f"seed {seed}" for seed in seeds])
     gathered = gather(batch, "check", resources, listener, cancel)
     found = gathered.found
     return CheckTrialResult(
-        profile=(with_mix(profile, found[0].seed) if mix else profile).name,
+        profile=(with_mix(plan.profile, found[0].seed) if plan.mix else plan.profile).name,
         cells=len(found),
-        planned=planned,
-        station_free=station_free,
+        planned=plan.planned,
+        station_free=plan.station_free,
         weakest={f"{one.seed}: {one.weakest[0]}": one.weakest[1] for one in found},
         checks=tuple(check for one in found for check in one.checks),
         failed=gathered.failed,
@@ -120,16 +109,14 @@ def check_trials(
 def checked_cell(plan: CheckPlan, drawn: Seed) -> CheckedCell:
     """All checks of one cell."""
     seed = drawn.seed
-    cell = with_mix(plan.profile, seed) if plan.mix else plan.profile
-    assert cell.plant is not None
-    profile = cell.model_copy(update={"seed": seed, "plant": cell.plant.model_copy(update={"seed": seed})})
+    profile = drawn_cell(with_mix(plan.profile, seed) if plan.mix else plan.profile, seed)
     known = _calibration_readings(profile, plan.earlier, seed)
     model = CellModel(calibrated_alone(profile, known))
     belief = check_belief(profile, model, known, station_free=plan.station_free)
     homes = home_positions(profile)
     chosen = choose_stops(belief, {name: its.q for name, its in known.items()}, plan.planned, start=homes)
     q = {name: its.q[chosen.order] for name, its in known.items()}
-    trial = _Trial(profile, design_of(belief, FALSE_ALARM), q, homes, seed)
+    trial = _Trial(profile, design_of(belief), q, homes, seed)
     weakest = chosen.weakest
     return CheckedCell(
         seed=seed,

@@ -26,6 +26,7 @@ from cellapp.run import Readings
 from cellapp.scale.executor import IN_PROCESS, Resources
 from cellapp.scale.gather import gather
 from cellapp.scale.task import Batch, Seed, SimulatedCell, TaskKind, profile_of
+from cellapp.trials.drawn_cell import drawn_cell
 from cellapp.trials.measured import measured_plan
 
 PAPER_COOPERATIVE_MM = {"method_1": 0.2319, "method_2": 0.4669, "proposed": 0.1676}
@@ -96,7 +97,7 @@ def paper_trial(profile: Profile, seed: int, cancel: CancelToken | None = None) 
     """One seed of the comparison. Raises ``InputError`` if the profile does not suit it."""
     if profile.plant is None or len(profile.arms) != 2:
         raise InputError(f"profile {profile.name}: the comparison needs a section 'plant' and two arms")
-    profile = profile.model_copy(update={"seed": seed, "plant": profile.plant.model_copy(update={"seed": seed})})
+    profile = drawn_cell(profile, seed)
     plan = plan_stops(profile, cancel=cancel)
     readings = measured_plan(profile, plan, seed)
     calibration = calibrate_readings(profile, readings, cancel=cancel)

@@ -13,7 +13,7 @@ from cellapp.design.block_choice import Candidates
 from cellapp.design.block_design import Criterion
 from cellapp.design.relaxation import least_errors
 from cellapp.planning.candidates import CandidatePool, draw_pool
-from cellapp.planning.plan_quality import ERROR_NAMES, ErrorName, Errors, Judge, arm_design, equal_to_random
+from cellapp.planning.plan_quality import ErrorName, Errors, Judge, arm_design, equal_to_random
 from cellapp.planning.selection import select_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, ignore
@@ -169,8 +169,3 @@ def _bound(
         least = least_errors(candidates, stops, criterion, _ROUNDS, cancel)
     bound = Errors(least.parameters * random[stops].parameters, least.mean, least.worst)
     return equal_to_random(bound, random, stops)
-
-
-def bars_met(result: PlanTrialsResult, arm: str) -> dict[ErrorName, bool]:
-    """Which of the bars the median over seeds reaches."""
-    return {error: result.worth(arm, error) >= BARS[error] for error in ERROR_NAMES}

@@ -13,6 +13,7 @@ import math
 import secrets
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -31,7 +32,7 @@ from cellapp.profile import Profile, Sensors
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.results import Record, Result
 from cellapp.run import Readings, RunFile, stated_uncertainty
-from cellapp.trials.blind import DURATION_S, blind_readings, with_hidden
+from cellapp.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
 from cellapp.trials.sealed_cases import EXPECTED, OUT, Case, cases, library_name
 from cellapp.trials.sealed_setup import NOISES, USUAL_SETUP, Setup
 from cellapp.trials.visible_size import beyond_geometry, beyond_law, registered_model
@@ -249,6 +250,9 @@ def without_truth(profile: Profile, number: int) -> Profile:
 
 # -- inside -----------------------------------------------------------------------------------------------------------
 
+_Effects = Mapping[str, Mapping[str, Any]]
+"""Effect of the plant -> parameters."""
+
 
 def _write_runs(
     profile: Profile,
@@ -275,6 +279,35 @@ def _write_runs(
     return truths
 
 
+@dataclass(frozen=True, eq=False)
+class _HiddenCell:
+    """The simulated cell of one run, with effects of one arm; ``plan`` and ``noise_seed`` are as in ``blind_readings``.
+
+    ``plant_seed`` draws the true geometry, ``split_seed`` the splits.
+    """
+
+    profile: Profile
+    arm: str
+    plan: Mapping[str, Array] | PlannedStops
+    plant_seed: int
+    noise_seed: int
+    split_seed: int
+
+    def measured(self, effects: _Effects, noise: Noise) -> dict[str, Readings]:
+        """Readings with noise."""
+        return blind_readings(self._cell(effects, noise_on=True), self.plan, self.noise_seed, noise)
+
+    def exact(self, effects: _Effects) -> dict[str, Readings]:
+        """Readings at the same stops without noise."""
+        return blind_readings(self._cell(effects, noise_on=False), self.plan, self.noise_seed)
+
+    def _cell(self, effects: _Effects, *, noise_on: bool) -> Profile:
+        hidden = with_hidden(self.profile, {self.arm: effects} if effects else {}, self.plant_seed)
+        assert hidden.plant is not None
+        settings = hidden.plant.model_copy(update={"noise": noise_on})
+        return hidden.model_copy(update={"plant": settings, "seed": self.split_seed})
+
+
 def _write_run(
     profile: Profile,
     folder: Path,
@@ -288,28 +321,10 @@ def _write_run(
     """Write one run and return its ground truth."""
     rng = np.random.default_rng([seed, 0x5EA1, number])
     plant_seed, noise_seed = (int(value) for value in rng.integers(2**31, size=2))
-    parameters: dict[str, dict[str, Any]] = {}
-    if case.slugs:
-        config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
-        draw = suggest_other_law if setup.laws == "other" and case.kind != OUT else suggest
-        parameters = {slug: draw(slug, rng, config, DURATION_S) for slug in case.slugs}
+    parameters = _drawn_parameters(profile, case, setup, rng)
     public = without_truth(profile, number)
-
-    def cell(effects: Mapping[str, Mapping[str, Any]], noise_on: bool) -> Profile:
-        hidden = with_hidden(profile, {case.arm: effects} if effects else {}, plant_seed)
-        assert hidden.plant is not None
-        settings = hidden.plant.model_copy(update={"noise": noise_on})
-        return hidden.model_copy(update={"plant": settings, "seed": public.seed})  # which draws the splits
-
-    def exact(effects: Mapping[str, Mapping[str, Any]]) -> dict[str, Readings]:
-        return blind_readings(cell(effects, False), plan, noise_seed)
-
-    readings = blind_readings(cell(parameters, True), plan, noise_seed, NOISES[setup.noise])
-    with_all = exact(parameters)
-    effects = []
-    for slug in case.slugs:
-        without = exact({other: values for other, values in parameters.items() if other != slug})
-        effects.append(_hidden_law(profile, case.arm, slug, parameters[slug], without, with_all))
+    cell = _HiddenCell(profile, case.arm, plan, plant_seed, noise_seed, split_seed=public.seed)
+    readings, with_all = cell.measured(parameters, NOISES[setup.noise]), cell.exact(parameters)
 
     def fill(run: RunFile) -> None:
         for name, arm in readings.items():
@@ -323,13 +338,33 @@ def _write_run(
         kind=case.kind,
         look_alikes=case.look_alikes,
         arm=case.arm,
-        effects=tuple(effects),
+        effects=_hidden_laws(cell, parameters, with_all),
         expected=None if expected is None else ExpectedTerm(channel=expected[0], variables=expected[1]),
         noise_um={name: _stated_um(arm) for name, arm in readings.items()},
         held_out_um={name: _rms_um((arm.p_M - with_all[name].p_M)[held_out[name]]) for name, arm in readings.items()},
         seeds={"plan": plan_seed, "plant": plant_seed, "noise": noise_seed},
         readings=digest_of(readings),
     )
+
+
+def _drawn_parameters(
+    profile: Profile, case: Case, setup: Setup, rng: np.random.Generator
+) -> dict[str, dict[str, Any]]:
+    """Parameters of every effect of a case, drawn for its arm."""
+    if not case.slugs:
+        return {}
+    config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
+    draw = suggest_other_law if setup.laws == "other" and case.kind != OUT else suggest
+    return {slug: draw(slug, rng, config, DURATION_S) for slug in case.slugs}
+
+
+def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str, Readings]) -> tuple[HiddenLaw, ...]:
+    """Every hidden effect; ``with_all`` are the exact readings with all of them."""
+    found = []
+    for slug, own in parameters.items():
+        without = cell.exact({other: values for other, values in parameters.items() if other != slug})
+        found.append(_hidden_law(cell.profile, cell.arm, slug, own, without, with_all))
+    return tuple(found)
 
 
 def _hidden_law(

@@ -19,7 +19,6 @@ from cellapp.discovery.discover import discover_arm
 from cellapp.effects import MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.model import ArmModel
-from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, ignore
 from cellapp.results import Record, Result
@@ -30,6 +29,7 @@ from cellapp.scale.task import Batch, Seed, TaskKind, as_given
 from cellapp.signature.calibrate import prior_result, stated_model, updated_arm
 from cellapp.signature.discovery import SearchWithPriors
 from cellapp.signature.earlier import Earlier, believed
+from cellapp.trials.drawn_cell import calibrated_alone, drawn_cell, measured_stops, require_simulated, with_mix
 from cellapp.trials.league.series import (
     Entrant,
     Rows,
@@ -39,7 +39,6 @@ from cellapp.trials.league.series import (
     parse_entrants,
     series_texts,
 )
-from cellapp.trials.measured import measured_plan
 
 _REMOUNT_SEED = 0x2E30
 """Beside the seed of a cell: the draw of its new mounts is then independent of all other draws."""
@@ -47,9 +46,6 @@ _BASE_M, _BASE_RAD, _SMR_M = 0.03, 0.02, 0.01
 """Standard deviations of a coordinate by which a base and an SMR are mounted elsewhere: by hand, not by a fixture."""
 _EXACT = 1e-6
 """Share of its covariance that is left of an earlier calibration that is taken as exact."""
-_STIFFNESS, _PLAY, _CURVE = (6e4, 3e4), 1e-4, 1e-4
-"""Hidden in the mix: stiffness of every joint of two arms in turn [Nm/rad], play and rms of the gears' curves [rad]; of
-the size that catalogues of strain-wave gears and measured arms of this class have."""
 _PLAN_SEED = 1000
 """Is added to the seed of the plan of the second calibration: its stops are others."""
 
@@ -124,11 +120,11 @@ class TwinPlan(Record):
     stops; ``mix`` hides other effects than the profile's."""
 
     profile: Profile
-    earlier: int
-    few: int
-    many: int
-    held_out: int
-    mix: bool
+    earlier: int = 400
+    few: int = 30
+    many: int = 150
+    held_out: int = 120
+    mix: bool = False
 
 
 class RealSeries(Record):
@@ -153,19 +149,13 @@ class Draws(Record):
 
 
 def twin_trials(
-    profile: Profile,
+    plan: TwinPlan,
     seeds: Sequence[int],
-    *,
-    earlier: int = 400,
-    few: int = 30,
-    many: int = 150,
-    held_out: int = 120,
-    mix: bool = False,
     resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> SignatureResult:
-    """Simulated cells whose arms were mounted elsewhere; ``mix`` hides other effects than the profile's.
+    """Simulated cells whose arms were mounted elsewhere, one for each seed.
 
     Raises
     ------
@@ -174,20 +164,18 @@ def twin_trials(
     Cancelled
         On request.
     """
-    if profile.plant is None:
-        raise InputError(f"profile {profile.name}: the trial needs a simulated cell, a section 'plant'")
-    plan = TwinPlan(profile=profile, earlier=earlier, few=few, many=many, held_out=held_out, mix=mix)
+    require_simulated(plan.profile)
     batch = Batch(TWINS, plan, [Seed(seed=seed) for seed in seeds], [f"seed {seed}" for seed in seeds])
     gathered = gather(batch, "signature", resources, listener, cancel)
     draws = [draw for one in gathered.found for draw in one.draws]
     draws.sort(key=lambda draw: (draw.stops, draw.seed, draw.arm))
-    few_draws = [draw for draw in draws if draw.stops == few]
-    many_mm = float(np.mean([draw.alone_mm for draw in draws if draw.stops == many]))
+    few_draws = [draw for draw in draws if draw.stops == plan.few]
+    many_mm = float(np.mean([draw.alone_mm for draw in draws if draw.stops == plan.many]))
     reached = float(np.mean([draw.discovered_mm for draw in few_draws if draw.discovered_mm is not None]))
-    what = f"{few} stops with [mm], {many} without: {many_mm:.4f}"
+    what = f"{plan.few} stops with [mm], {plan.many} without: {many_mm:.4f}"
     bar = SignatureBar(what=what, most=many_mm, reached=reached, met=reached <= many_mm)
     return SignatureResult(
-        earlier_stops={draws[0].cell: earlier},
+        earlier_stops={draws[0].cell: plan.earlier},
         lines=lines_of(draws),
         bars=(bar,),
         draws=tuple(draws),
@@ -195,28 +183,10 @@ def twin_trials(
     )
 
 
-def with_mix(profile: Profile, seed: int) -> Profile:
-    """The profile with a mix of hidden effects of the arms themselves; curves are drawn by ``seed``."""
-    assert profile.plant is not None
-    hidden = {}
-    for place, (name, arm) in enumerate(profile.arms.items()):
-        count = len(arm.type.joints)
-        sag: dict[str, object] = {"stiffness": [_STIFFNESS[place % 2]] * count}
-        if place % 2:
-            hidden[name] = {"joint_compliance": sag, "backlash": {"play": [_PLAY] * count}}
-        else:
-            curves = {"joints": list(range(1, count)), "rms": [_CURVE] * (count - 1), "lowest": 2, "highest": 30}
-            hidden[name] = {"joint_compliance": sag, "transmission_error": {"mode": "curve", "seed": seed, **curves}}
-    plant = profile.plant.model_copy(update={"effects": hidden})
-    return profile.model_copy(update={"name": f"{profile.name}, mix", "plant": plant})
-
-
 def twin_draws(plan: TwinPlan, drawn: Seed) -> Draws:
     """Both arms of one simulated cell, from few and from many stops."""
     seed = drawn.seed
-    cell = with_mix(plan.profile, seed) if plan.mix else plan.profile
-    assert cell.plant is not None
-    first = cell.model_copy(update={"seed": seed, "plant": cell.plant.model_copy(update={"seed": seed})})
+    first = drawn_cell(with_mix(plan.profile, seed) if plan.mix else plan.profile, seed)
     known = measured_stops(first, plan.earlier, seed)
     models = calibrated_alone(first, known)
     again = remounted(first, seed)
@@ -357,34 +327,11 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def measured_stops(profile: Profile, stops: int, seed: int) -> dict[str, Readings]:
-    """Readings of all arms at a plan of its own; all but the last are to learn from."""
-    planned = profile.model_copy(
-        update={
-            "seed": seed,
-            "plan": profile.plan.model_copy(update={"stops": stops}),
-        }
-    )
-    readings = measured_plan(planned, plan_stops(planned), seed)
-    words = ("identify",) * (stops - 1) + ("validate",)
-    return {name: replace(arm, split=words) for name, arm in readings.items()}
-
-
 def _first_learn(readings: Readings, stops: int, learnable: int) -> Readings:
     """The first ``stops`` readings to learn from, those from ``learnable`` on held out."""
     count = len(readings)
     words = ["identify" if k < stops else "validate" if k >= learnable else None for k in range(count)]
     return replace(readings, split=tuple(words))
-
-
-def calibrated_alone(profile: Profile, readings: Mapping[str, Readings]) -> dict[str, ArmModel]:
-    """Calibration and discovery of all arms."""
-    models = {name: calibrate_arm(profile, name, its)[0].model for name, its in readings.items()}
-    conditions = conditions_of_arms(models, readings)
-    return {
-        name: discover_arm(profile, name, model, readings[name], conditions=conditions[name]).model
-        for name, model in models.items()
-    }
 
 
 def _draw(

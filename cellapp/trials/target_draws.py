@@ -10,7 +10,7 @@ import numpy as np
 from cellapp.collection.cell import build_plant
 from cellapp.compensation.targets import Partner, Target
 from cellapp.kinematics.chain import Geometry, flange_poses
-from cellapp.kinematics.transforms import Array, invert, transform, zyx_angles
+from cellapp.kinematics.transforms import Array, invert, transform, xyz_of, zyx_angles
 from cellapp.model import CellModel
 from cellapp.planning.candidates import random_configurations
 from cellapp.profile import Profile
@@ -23,9 +23,6 @@ _HIDDEN_SEED, _TARGET_SEED = 0x71DE, 0x7A26
 """Beside the trial's seed."""
 _OTHER_LAWS = 0.5
 """Share of the drawn effects whose law has another shape than the library's."""
-
-Hidden = Mapping[str, Mapping[str, Mapping[str, Any]]]
-"""Arm -> effect -> parameters."""
 
 
 def draw_hidden(profile: Profile, seed: int, duration_s: float) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
@@ -84,7 +81,7 @@ def draw_pairs(profile: Profile, model: CellModel, count: int, seed: int) -> lis
         T_M_S = [_pose(model.arms[name].nominal, q) for name, q in zip((first, second), both, strict=True)]
         between = np.asarray(invert(T_M_S[0]) @ T_M_S[1])
         position, rpy = _smr(model.arms[first].nominal, both[0])
-        partner = Partner(arm=second, position=_triple(between[:3, 3]), rpy=_rpy(between[:3, :3]))
+        partner = Partner(arm=second, position=xyz_of(between[:3, 3]), rpy=_rpy(between[:3, :3]))
         targets.append(_target(f"pair {number + 1}", first, position, rpy, partner))
     return targets
 
@@ -117,7 +114,7 @@ def _pose(nominal: Geometry, q: Array) -> Array:
 
 def _smr(nominal: Geometry, q: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     T_M_S = _pose(nominal, q)
-    return _triple(T_M_S[:3, 3]), _rpy(T_M_S[:3, :3])
+    return xyz_of(T_M_S[:3, 3]), _rpy(T_M_S[:3, :3])
 
 
 def _target(
@@ -133,8 +130,3 @@ def _target(
 def _rpy(rotation: Array) -> tuple[float, float, float]:
     yaw, pitch, roll = zyx_angles(rotation)
     return roll, pitch, yaw
-
-
-def _triple(vector: Array) -> tuple[float, float, float]:
-    x, y, z = vector.tolist()
-    return x, y, z

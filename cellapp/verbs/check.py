@@ -11,6 +11,7 @@ import numpy as np
 
 from cellapp.calibration.station_location import displacement_m, predicted_points
 from cellapp.check import CheckBelief, Conclusion, SequentialTest, check_belief, choose_stops
+from cellapp.check.model import FALSE_ALARM, MISS
 from cellapp.check.statistics import SPENT_EARLY
 from cellapp.collection.cell import Cell
 from cellapp.collection.check import CheckTask, DrivenCheck, MeasuredStop, drive_check
@@ -22,7 +23,7 @@ from cellapp.commissioning.confirm import Ask, confirmation
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.control import JobControl
 from cellapp.errors import InputError
-from cellapp.kinematics.transforms import Array, invert
+from cellapp.kinematics.transforms import Array, invert, rows_of, xyz_of
 from cellapp.model import CellModel
 from cellapp.profile import Profile, load_profile
 from cellapp.profile.schema import Plant
@@ -42,13 +43,11 @@ from cellapp.run import Readings, RunFile
 from cellapp.run.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.run.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.safety.cell_bodies import home_positions
-from cellapp.verbs.locate import excess_of_readings, profile_at_station
+from cellapp.verbs.station import excess_of_readings, profile_at_station
 
 STOPS = 20
 FEWEST_STOPS = 4
 """Fewer stops of one arm do not tell a motion of its base from one of its joints."""
-FALSE_ALARM, MISS = 0.01, 0.05
-"""Chances of finding a change where there is none, and of missing a visible one."""
 
 
 def check_run(
@@ -84,7 +83,7 @@ def check_run(
     chosen = _stops(run.profile, checked, stops)
     profile = _with_plant(profile_at_station(run, checked.stages), simulated_plant)
     task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
-    test = SequentialTest(checked.belief, len(chosen), false_alarm=FALSE_ALARM, miss=MISS)
+    test = SequentialTest(checked.belief, len(chosen))
     notes: list[str] = []
     if checked.stale:
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
@@ -192,9 +191,9 @@ def _result(run: RunFile, checked: _Checked, planned: int, driven: DrivenCheck, 
         ),
         station_shift_mm=found.station_shift_mm,
         station_turn_deg=found.station_turn_deg,
-        T_new_old=None if found.T_new_old is None else _rows(found.T_new_old),
-        moved_bases={name: _rows(T) for name, T in found.moved_bases.items()},
-        smr_offsets_F={name: _point(offset) for name, offset in found.smr_offsets_F.items()},
+        T_new_old=None if found.T_new_old is None else rows_of(found.T_new_old),
+        moved_bases={name: rows_of(T) for name, T in found.moved_bases.items()},
+        smr_offsets_F={name: xyz_of(offset) for name, offset in found.smr_offsets_F.items()},
         stops=tuple(_checked_stop(checked.model, stop) for stop in driven.stops),
         seconds=driven.seconds,
         stale=checked.stale,
@@ -223,7 +222,7 @@ def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
         points={
             name: CheckedPoint(
                 q=tuple(own.q[0].tolist()),
-                measured_M=_point(own.measured_M[0]),
+                measured_M=xyz_of(own.measured_M[0]),
                 error_mm=float(np.linalg.norm(own.measured_M[0] - expected[name][0])) * 1e3,
             )
             for name, own in points.items()
@@ -262,12 +261,3 @@ def _store(run: RunFile, checked: _Checked, result: CheckResult) -> None:
     append_stage(run, CHECK, result, basis_on_model(run, used))
     for line in (*result.complaints(), *result.notes):
         run.log("note" if result.verdict == "valid" else "warning", line)
-
-
-def _point(values: Array) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
-
-
-def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in matrix.tolist())

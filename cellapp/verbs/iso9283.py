@@ -27,7 +27,7 @@ from cellapp.results import ISO9283, ISO_COMMANDS, ISO_TESTS, Iso9283Result, Iso
 from cellapp.run import RunFile
 from cellapp.run.stages import RunStages, StoredStage, append_stage, basis_of, basis_on_model, read_stages
 from cellapp.run.stored_model import model_of, require_current_model, stale_notes
-from cellapp.verbs.locate import profile_at_station
+from cellapp.verbs.station import profile_at_station
 
 CYCLES = NORM_CYCLES["pose"]
 DRIFT_MIN = 60.0

@@ -18,7 +18,7 @@ from cellapp.control import JobControl
 from cellapp.effects import EFFECTS, EffectTerm
 from cellapp.effects.law import DriverVariable
 from cellapp.errors import InputError
-from cellapp.kinematics.transforms import Array, invert, rotation_vectors, zyx_angles
+from cellapp.kinematics.transforms import Array, invert, rotation_vectors, rows_of, xyz_of, zyx_angles
 from cellapp.model import CellModel
 from cellapp.model.nominal import pose_matrix
 from cellapp.model.relocation import relocated
@@ -33,18 +33,16 @@ from cellapp.results import (
     StationPose,
 )
 from cellapp.run import RunFile
-from cellapp.run.readings import stated_uncertainty
 from cellapp.run.stages import (
     CALIBRATION_FILE,
     RunStages,
     StoredStage,
     append_stage,
     basis_on_model,
-    read_results,
     read_stages,
-    tracker_moved,
 )
 from cellapp.run.stored_model import arms_stage, model_of
+from cellapp.verbs.station import excess_of_readings, last_location, profile_at_station
 
 POINTS = 4
 
@@ -84,7 +82,7 @@ def locate_run(
     stages = read_stages(run)
     used = _stage_before_moving(run, stages)
     task = LocateTask(
-        profile=_at_station(run, stages, simulated_pose),
+        profile=profile_at_station(run, stages, simulated_pose),
         model=model_of(run, used),
         rough_T=_rough_station(run, stages, tracker_pose),
         candidates={name: run.readings(name).q for name in run.profile.arms},
@@ -119,42 +117,6 @@ def typed_pose(text: str, what: str) -> Pose:
     return Pose(position=(x, y, z), rpy=(math.radians(roll), math.radians(pitch), math.radians(yaw)))
 
 
-def profile_at_station(run: RunFile, stages: RunStages) -> Profile:
-    """The profile of a run with the tracker of a simulated cell where it was moved to; for jobs that open the cell."""
-    return _at_station(run, stages, None)
-
-
-def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
-    """Scatter of a coordinate about the model beyond the tracker's covariance at the readings [m], by arm.
-
-    As the model states it, else from the errors at held-out stops.
-    """
-    stored = read_results(run).calibrate
-    found = {}
-    for name, arm in model.arms.items():
-        noise_m = 0.0 if arm.posterior is None else arm.posterior.noise_m
-        if arm.posterior is None and stored is not None:
-            result = stored.arms[name]
-            noise_m = result.validate_[result.best_stage].position_mm.rms * 1e-3 / math.sqrt(3.0)
-        stated = stated_uncertainty(run.readings(name))
-        tracker = 0.0 if stated is None else float(np.mean(_variances(stated)))
-        found[name] = math.sqrt(max(noise_m**2 - tracker, 0.0))
-    return found
-
-
-def refuse_second_station(run: RunFile) -> None:
-    """Raise ``InputError`` where further readings would not belong to the cell in which those of the run were taken."""
-    located = read_stages(run).current.get(LOCATE)
-    if located is None or (located.model is not None and not tracker_moved(located)):
-        return
-    what = "the tracker" if located.model is not None else "the tracker or an arm"
-    raise InputError(
-        f"{run.path}: {what} was moved since the readings of this run were taken: 'cellapp show {run.folder} location'."
-        " Readings from two stations do not calibrate together: plan and collect a new run, or put it back and locate"
-        " the tracker again"
-    )
-
-
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
@@ -167,22 +129,6 @@ def _stage_before_moving(run: RunFile, stages: RunStages) -> StoredStage:
     return used
 
 
-def _at_station(run: RunFile, stages: RunStages, simulated_pose: Pose | None) -> Profile:
-    profile = run.profile
-    simulated = profile.plant is not None and profile.tracker.driver.needs_plant
-    if simulated_pose is not None and not simulated:
-        raise InputError(
-            "locate: --simulated-pose moves the tracker of a simulated cell; the profile's tracker is not simulated"
-        )
-    last = _last_result(run, stages)
-    if simulated_pose is None and last is not None and last.simulated_pose is not None:
-        simulated_pose = Pose(position=last.simulated_pose.position, rpy=last.simulated_pose.rpy)
-    if simulated_pose is None or profile.plant is None:
-        return profile
-    plant = profile.plant.model_copy(update={"tracker_pose": simulated_pose})
-    return profile.model_copy(update={"plant": plant})
-
-
 def _rough_station(run: RunFile, stages: RunStages, tracker_pose: Pose | None) -> Array:
     """A guess of ``T_new_old`` (4, 4): from the given pose, else where the tracker was found last."""
     pose = run.profile.tracker.pose
@@ -190,18 +136,8 @@ def _rough_station(run: RunFile, stages: RunStages, tracker_pose: Pose | None) -
         raise InputError(f"profile {run.profile.name}: tracker.pose is needed to point the tracker")
     if tracker_pose is not None:
         return np.asarray(invert(pose_matrix(tracker_pose)) @ pose_matrix(pose))
-    last = _last_result(run, stages)
+    last = last_location(run, stages)
     return np.eye(4) if last is None else np.array(last.T_new_old)
-
-
-def _last_result(run: RunFile, stages: RunStages) -> LocateResult | None:
-    stored = stages.current.get(LOCATE)
-    return None if stored is None else LocateResult.from_json(stored.text, f"{run.path}: {LOCATE}")
-
-
-def _variances(stated: Array) -> Array:
-    """Variance of a coordinate (n,) [m^2] of standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
-    return np.asarray(stated**2 if stated.ndim == 1 else np.trace(stated, axis1=1, axis2=2) / 3.0)
 
 
 def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tuple[str, ...]) -> LocateResult:
@@ -216,10 +152,10 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
     return LocateResult(
         verdict=_verdict(found),
         moved=moved,
-        T_new_old=_rows(fit.T_new_old),
+        T_new_old=rows_of(fit.T_new_old),
         shift_mm=float(np.linalg.norm(old_station)) * 1e3,
         turn_deg=float(np.degrees(np.linalg.norm(rotation_vectors(fit.T_new_old[None, :3, :3])[0]))),
-        covariance=_rows(fit.covariance),
+        covariance=rows_of(fit.covariance),
         uncertainty_mm=_added_mm(found),
         rms_mm=fit.rms_m * 1e3,
         chi_squared=fit.chi_squared,
@@ -232,8 +168,8 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
             LocatedPoint(
                 arm=one.arm,
                 q=tuple(one.q.tolist()),
-                measured_M=_point(one.point.p_M),
-                residual_mm=_point(next(rows[one.arm]) * 1e3),
+                measured_M=xyz_of(one.point.p_M),
+                residual_mm=xyz_of(next(rows[one.arm]) * 1e3),
                 found_off_mm=one.found_off_m * 1e3,
             )
             for one in found.found
@@ -332,13 +268,4 @@ def _added_mm(found: LocatedStation) -> float:
 
 def _pose(T: Array) -> StationPose:
     yaw, pitch, roll = zyx_angles(T[:3, :3])
-    return StationPose(position=_point(T[:3, 3]), rpy=(roll, pitch, yaw))
-
-
-def _point(values: Array) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
-
-
-def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in matrix.tolist())
+    return StationPose(position=xyz_of(T[:3, 3]), rpy=(roll, pitch, yaw))

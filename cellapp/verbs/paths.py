@@ -24,7 +24,7 @@ from cellapp.results import FOLLOW, PATH, DrivenPath, PathResult
 from cellapp.run import RunFile
 from cellapp.run.stages import append_stage, basis_on_model, read_stages
 from cellapp.run.stored_model import model_of, require_current_model, stage_in_force, stale_notes
-from cellapp.verbs.locate import profile_at_station
+from cellapp.verbs.station import profile_at_station
 
 Driving = Literal["plan", "drive", "verify"]
 """Only plan, which moves nothing; drive; drive and measure."""

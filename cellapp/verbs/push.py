@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -23,8 +22,6 @@ from cellapp.run.stored_model import model_of
 
 MOST_ROUNDS = 20
 """Corrections of one target: each more than halves what remains, so that more only follow the noise."""
-_MEAN_LENGTH = 2.0 * math.sqrt(2.0 / math.pi)
-"""Mean length of a normal vector in three dimensions, in standard deviations of a coordinate."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ def _repeatability_m(run: RunFile) -> dict[str, float]:
     if calibrated is None:
         return {}
     return {
-        name: arm.repeatability_mm.mean * 1e-3 / _MEAN_LENGTH
+        name: arm.repeatability_mm.coordinate * 1e-3
         for name, arm in calibrated.arms.items()
         if arm.repeatability_mm is not None
     }

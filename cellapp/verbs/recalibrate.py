@@ -23,7 +23,6 @@ from cellapp.results import (
     RecalibratedStage,
     RecalibrateResult,
     Record,
-    Stage,
 )
 from cellapp.run import RunFile
 from cellapp.run.history import check_folder, run_folders
@@ -32,8 +31,6 @@ from cellapp.scale.executor import IN_PROCESS, Resources
 from cellapp.scale.gather import gather
 from cellapp.scale.task import Batch, TaskKind, as_given
 from cellapp.signature.source import recorded_priors
-
-_BEST_FIRST: tuple[Stage, ...] = ("network", "geometry", "nominal")
 
 
 class WhatToMake(Record):
@@ -156,8 +153,4 @@ def _prior(run: RunFile) -> Path | None:
 
 def _calibrated_mm(result: CalibrateResult) -> dict[str, float]:
     """Arm -> mean held-out error of its best model [mm]."""
-    found = {}
-    for name, arm in result.arms.items():
-        best = next(stage for stage in _BEST_FIRST if stage in arm.validate_)
-        found[name] = arm.validate_[best].position_mm.mean
-    return found
+    return {name: arm.validate_[arm.best_stage].position_mm.mean for name, arm in result.arms.items()}

@@ -25,7 +25,7 @@ from cellapp.run.stages import read_stages
 from cellapp.run.stored_model import model_of, stage_in_force
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import refuse_motion, refuse_stop
-from cellapp.verbs.locate import excess_of_readings
+from cellapp.verbs.station import excess_of_readings
 from drivers.trackers.simulated import SimulatedTracker
 
 

@@ -17,7 +17,7 @@ from cellapp.safety.cell_bodies import home_positions
 from cellapp.trials.check_changes import effect_changes, rigid_changes
 from cellapp.trials.check_records import CheckedChange, CheckTrialResult, Share
 from cellapp.trials.check_tables import check_trial_sentences, check_trial_tables
-from cellapp.trials.check_trial import check_trials
+from cellapp.trials.check_trial import CheckPlan, check_trials
 from cellapp.trials.measured import measured_by
 from drivers.plant import Plant
 from tests.twin import PROFILES, small_twin
@@ -32,7 +32,7 @@ def result() -> CheckTrialResult:
     assert profile.plant is not None
     plant = profile.plant.model_copy(update={"effects": {"right": profile.plant.effects["right"]}})
     alone = profile.model_copy(update={"arms": {"right": profile.arms["right"]}, "plant": plant})
-    return check_trials(alone, [3], earlier=100, planned=12, unchanged=4)
+    return check_trials(CheckPlan(profile=alone, earlier=100, planned=12, unchanged=4), [3])
 
 
 def test_visible_changes_of_the_plant_are_detected_and_named(result: CheckTrialResult) -> None:
@@ -104,7 +104,7 @@ def test_changed_plants_move_what_they_say() -> None:
 @pytest.mark.fast
 def test_a_profile_without_a_simulated_cell_is_refused() -> None:
     with pytest.raises(InputError, match="section 'plant'"):
-        check_trials(load_profile(Path(PROFILES) / "ur10-ur5.yaml"), [0])
+        check_trials(CheckPlan(profile=load_profile(Path(PROFILES) / "ur10-ur5.yaml")), [0])
 
 
 @pytest.mark.fast

@@ -12,7 +12,7 @@ from cellapp.cli.app import app
 from cellapp.collection.cell import build_plant
 from cellapp.errors import InputError
 from cellapp.profile import load_profile
-from cellapp.trials.signature import SignatureDraw, SignatureResult, lines_of, remounted, twin_trials
+from cellapp.trials.signature import SignatureDraw, SignatureResult, TwinPlan, lines_of, remounted, twin_trials
 from cellapp.trials.signature_tables import signature_sentences, signature_tables
 
 PROFILES = Path(__file__).parents[2] / "profiles"
@@ -72,4 +72,4 @@ def test_a_draw_that_the_earlier_calibration_makes_worse_is_counted() -> None:
 @pytest.mark.fast
 def test_a_profile_without_a_plant_is_refused() -> None:
     with pytest.raises(InputError, match="section 'plant'"):
-        twin_trials(load_profile(PROFILES / "ur10-real.yaml"), [0])
+        twin_trials(TwinPlan(profile=load_profile(PROFILES / "ur10-real.yaml")), [0])

@@ -64,10 +64,6 @@ class _FilesQuestion(AnswerQuestion[A]):
         """Close with the request, if the fields are complete."""
         raise NotImplementedError
 
-    def typed(self, name: str) -> str:
-        """What a field holds."""
-        return self.query_one(f"#{name}", Input).value.strip()
-
     def path(self, name: str) -> Path | None:
         """The path that a field holds; None where it is empty."""
         text = self.typed(name)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from textual.app import ComposeResult
-from textual.widgets import Input
 
 from cellapp.tui.dialogs.file_picker import PathField
 from cellapp.tui.dialogs.question import Answer, AnswerQuestion
@@ -51,7 +50,7 @@ class CheckCalibration(AnswerQuestion[CheckRequest]):
 
     def action_answer(self, value: str) -> None:
         """Close with the request; with a number that does not fit, say so."""
-        stops = self.query_one("#stops", Input).value.strip()
+        stops = self.typed("stops")
         plant = self.query_one(PathField).value.strip() if self._simulated else ""
         if value == "no":
             self.dismiss(None)

@@ -58,9 +58,9 @@ class CorrectProgram(WriteQuestion[CorrectRequest]):
         """Begin with the arm, or with the file where there is but one."""
         self.query_one("#arm" if len(self._arms) > 1 else "#path", Input).focus()
 
-    def action_write(self) -> None:
+    def action_send(self) -> None:
         """Close with the request; the verb judges it."""
-        path, arm, tcp = (self.query_one(f"#{name}", Input).value.strip() for name in ("path", "arm", "tcp"))
+        path, arm, tcp = (self.typed(name) for name in ("path", "arm", "tcp"))
         partly, extrapolate = (self.query_one(f"#{name}", Checkbox).value for name in ("partly", "extrapolate"))
         if not path:
             self.query_one("#path").focus()

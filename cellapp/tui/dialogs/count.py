@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from textual import on
 from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.widgets import Button, Input, Static
 
-from cellapp.tui.dialogs.question import Question
+from cellapp.tui.dialogs.question import FieldsQuestion
 
 
-class CountQuestion(Question[int]):
+class CountQuestion(FieldsQuestion[int]):
     """How many. Returns the number; None where the dialog is closed.
 
     Parameters
@@ -38,24 +37,10 @@ class CountQuestion(Question[int]):
         """Begin with the field."""
         self.query_one("#count").focus()
 
-    @on(Input.Submitted)
-    def submit(self, event: Input.Submitted) -> None:
-        """Take what was typed."""
-        event.stop()
-        self._take()
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Take or close."""
-        event.stop()
-        if event.button.id == "take":
-            self._take()
-        else:
-            self.dismiss(None)
-
-    def _take(self) -> None:
-        text = self.query_one("#count", Input).value.strip()
+    def action_send(self) -> None:
+        """Close with the number, if it is one that was asked for."""
+        text = self.typed("count")
         if text.isascii() and text.isdigit() and 1 <= int(text[:10]) <= self._most:
             self.dismiss(int(text))
         else:
-            self.query_one("#why", Static).update(f"Type a whole number from 1 to {self._most}.")
+            self.explain(f"Type a whole number from 1 to {self._most}.")

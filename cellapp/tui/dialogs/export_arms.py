@@ -89,12 +89,12 @@ class ExportArms(WriteQuestion[ExportRequest]):
         field.focus()
         field.cursor_position = len(field.value)
 
-    def action_write(self) -> None:
+    def action_send(self) -> None:
         """Close with the request; the verb judges it."""
         chosen = self.query_one("#formats", OptionList).highlighted_option
-        path = self.query_one("#path", Input).value.strip()
+        path = self.typed("path")
         if chosen is None or not path:
             self.query_one("#path").focus()
             return
-        arm, stage = (self.query_one(f"#{name}", Input).value.strip() or None for name in ("arm", "stage"))
+        arm, stage = (self.typed(name) or None for name in ("arm", "stage"))
         self.dismiss(ExportRequest(str(chosen.id), Path(path).expanduser(), arm, stage))

@@ -14,7 +14,7 @@ from textual.containers import Horizontal
 from textual.suggester import Suggester
 from textual.widgets import Button, Input, OptionList, Static
 
-from cellapp.tui.dialogs.question import Question
+from cellapp.tui.dialogs.question import FieldsQuestion
 
 _MOST_SHOWN = 200
 
@@ -83,7 +83,7 @@ class PathField(Input):
         self.focus()
 
 
-class FilePicker(Question[Path]):
+class FilePicker(FieldsQuestion[Path]):
     """Ask for a path. Returns it; None where the dialog is closed.
 
     Parameters
@@ -149,26 +149,12 @@ class FilePicker(Question[Path]):
         field.cursor_position = len(field.value)
         field.focus()
         if not field.value.endswith(os.sep):
-            self._open()
+            self.action_send()
 
-    @on(Input.Submitted)
-    def submit(self, event: Input.Submitted) -> None:
-        """Open what was typed."""
-        event.stop()
-        self._open()
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Open or close."""
-        event.stop()
-        if event.button.id == "open":
-            self._open()
-        else:
-            self.dismiss(None)
-
-    def _open(self) -> None:
-        path = Path(self.query_one("#path", Input).value.strip()).expanduser()
+    def action_send(self) -> None:
+        """Close with the file, if there is one."""
+        path = Path(self.typed("path")).expanduser()
         if path.is_file():
             self.dismiss(path)
             return
-        self.query_one("#why", Static).update(f"{path}: no such file. Tab completes, {self.closing_key} closes.")
+        self.explain(f"{path}: no such file. Tab completes, {self.closing_key} closes.")

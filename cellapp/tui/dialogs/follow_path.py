@@ -71,9 +71,9 @@ class FollowPath(WriteQuestion[FollowRequest]):
         """Begin with the file."""
         self.query_one("#path", Input).focus()
 
-    def action_write(self) -> None:
+    def action_send(self) -> None:
         """Close with the request; the verb judges it."""
-        paths, arm, csv = (self.query_one(f"#{name}", Input).value.strip() for name in ("path", "arm", "csv"))
+        paths, arm, csv = (self.typed(name) for name in ("path", "arm", "csv"))
         marks = (self.query_one(f"#{name}", Checkbox).value for name in ("drive", "verify", "rehearse"))
         drive, verify, rehearse = marks
         if not paths:

@@ -95,7 +95,7 @@ class Iso9283Tests(AnswerQuestion[IsoRequest]):
         tests = tuple(name for name in self._tests if self._marked(name))
         commands = tuple(name for name in self._commands if self._marked(name))
         cycles, speed, minutes = (self._number(name) for name in ("cycles", "speed", "minutes"))
-        arm = self.query_one("#arm", Input).value.strip()
+        arm = self.typed("arm")
         if not tests:
             self.explain("Mark a test: space marks it.")
         elif not commands:

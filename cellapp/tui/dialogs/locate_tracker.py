@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from textual import on
 from textual.app import ComposeResult
 from textual.containers import Horizontal
-from textual.widgets import Button, Input, Static
+from textual.widgets import Button, Static
 
-from cellapp.tui.dialogs.question import Question
+from cellapp.tui.dialogs.question import FieldsQuestion
 from cellapp.tui.widgets.labelled import text_field
 
 POINTS = 4
@@ -25,7 +24,7 @@ class LocateRequest:
     simulated_pose: str | None
 
 
-class LocateTracker(Question[LocateRequest]):
+class LocateTracker(FieldsQuestion[LocateRequest]):
     """Ask how the tracker is located. Returns the request; None where the dialog is closed.
 
     Parameters
@@ -61,28 +60,11 @@ class LocateTracker(Question[LocateRequest]):
         """Begin with the number of points."""
         self.query_one("#points").focus()
 
-    @on(Input.Submitted)
-    def submit(self, event: Input.Submitted) -> None:
-        """Take what was typed."""
-        event.stop()
-        self._begin()
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Begin or close."""
-        event.stop()
-        if event.button.id == "begin":
-            self._begin()
-        else:
-            self.dismiss(None)
-
-    def _begin(self) -> None:
-        points = self._text("points")
+    def action_send(self) -> None:
+        """Close with what was typed; the verb judges the poses."""
+        points = self.typed("points")
         if not (points.isascii() and points.isdigit()):
-            self.query_one("#why", Static).update(f"Type how many points, as {POINTS}.")
+            self.explain(f"Type how many points, as {POINTS}.")
             return
-        simulated = self._text("simulated-pose") if self._simulated else ""
-        self.dismiss(LocateRequest(int(points[:6]), self._text("tracker-pose") or None, simulated or None))
-
-    def _text(self, name: str) -> str:
-        return self.query_one(f"#{name}", Input).value.strip()
+        simulated = self.typed("simulated-pose") if self._simulated else ""
+        self.dismiss(LocateRequest(int(points[:6]), self.typed("tracker-pose") or None, simulated or None))

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from textual import on
 from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.widgets import Button, Input, Static
 
-from cellapp.tui.dialogs.question import Question
+from cellapp.tui.dialogs.question import FieldsQuestion
 
 
-class NewRunQuestion(Question[Path]):
+class NewRunQuestion(FieldsQuestion[Path]):
     """Which folder a new run goes into. Returns it; None where the dialog is closed.
 
     Parameters
@@ -46,27 +45,13 @@ class NewRunQuestion(Question[Path]):
         field.focus()
         field.cursor_position = len(field.value)
 
-    @on(Input.Submitted)
-    def submit(self, event: Input.Submitted) -> None:
-        """Take what was typed."""
-        event.stop()
-        self._take()
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Plan or close."""
-        event.stop()
-        if event.button.id == "plan":
-            self._take()
-        else:
-            self.dismiss(None)
-
-    def _take(self) -> None:
-        text = self.query_one("#folder", Input).value.strip()
+    def action_send(self) -> None:
+        """Close with the folder, if it can take a new run."""
+        text = self.typed("folder")
         folder = Path(text).expanduser()
         why = _why_not(text, folder)
         if why:
-            self.query_one("#why", Static).update(why)
+            self.explain(why)
         else:
             self.dismiss(folder)
 

@@ -16,7 +16,7 @@ from textual.widgets import Button, Static, TextArea
 from cellapp.errors import InputError
 from cellapp.profile.draft import ProfileDraft
 from cellapp.profile.survey_points import points_of_text
-from cellapp.tui.dialogs.question import Question
+from cellapp.tui.dialogs.question import FieldsQuestion
 
 _PAUSE_S = 0.3
 """Rest after the last key before the points are fitted."""
@@ -34,7 +34,7 @@ class Fitted(Message):
         self.text, self.draft, self.words = text, draft, words
 
 
-class PointsDialog(Question[ProfileDraft]):
+class PointsDialog(FieldsQuestion[ProfileDraft]):
     """Fit the base of one arm of a draft. Returns the draft with that base; None where the dialog is closed.
 
     Parameters
@@ -47,7 +47,7 @@ class PointsDialog(Question[ProfileDraft]):
     """
 
     DEFAULT_CSS = "PointsDialog TextArea { height: 6; background: $panel; }"
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "use", "Use this pose")]
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "send", "Use this pose")]
 
     def __init__(self, draft: ProfileDraft, index: int, path: Path) -> None:
         super().__init__()
@@ -101,16 +101,7 @@ class PointsDialog(Question[ProfileDraft]):
         self.query_one("#fit", Static).update(words)
         self.query_one("#use", Button).disabled = draft is None
 
-    def action_use(self) -> None:
+    def action_send(self) -> None:
         """Take the pose into the form."""
         if self._fitted is not None:
             self.dismiss(self._fitted)
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Use the pose or close."""
-        event.stop()
-        if event.button.id == "use":
-            self.action_use()
-        else:
-            self.dismiss(None)

@@ -42,6 +42,40 @@ class Question(ModalScreen[A]):
         """The widgets of the dialog."""
         raise NotImplementedError
 
+    def typed(self, name: str) -> str:
+        """What a field holds."""
+        return self.query_one(f"#{name}", Input).value.strip()
+
+
+class FieldsQuestion(Question[A]):
+    """Fields that Enter in one of them, or the first button, sends off; the other button closes.
+
+    A subclass closes the dialog in ``action_send``, or says with ``explain`` what is wrong with the fields.
+    """
+
+    @on(Input.Submitted)
+    def submit(self, event: Input.Submitted) -> None:
+        """Send with Enter in any field."""
+        event.stop()
+        self.action_send()
+
+    @on(Button.Pressed)
+    def press(self, event: Button.Pressed) -> None:
+        """Send or close."""
+        event.stop()
+        if event.button is self.query(".answers Button").first():
+            self.action_send()
+        else:
+            self.dismiss(None)
+
+    def action_send(self) -> None:
+        """Close with the answer, if the fields are complete."""
+        raise NotImplementedError
+
+    def explain(self, sentence: str) -> None:
+        """Say below the fields what is wrong with them."""
+        self.query_one("#why", Static).update(sentence)
+
 
 @dataclass(frozen=True)
 class Answer:

@@ -5,17 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar
 
-from textual import on
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
-from textual.widgets import Button, Input, Static
+from textual.widgets import Button, Static
 
 from cellapp.tui.dialogs.file_picker import PathField
-from cellapp.tui.dialogs.question import Question
+from cellapp.tui.dialogs.question import FieldsQuestion
 
 
-class SaveAs(Question[Path]):
+class SaveAs(FieldsQuestion[Path]):
     """Save a text where a person says. Returns the path; None where the dialog is closed.
 
     Parameters
@@ -51,37 +50,20 @@ class SaveAs(Question[Path]):
         """Complete as far as all candidates agree."""
         self.query_one(PathField).complete()
 
-    @on(Input.Submitted)
-    def submit(self, event: Input.Submitted) -> None:
-        """Save where was typed."""
-        event.stop()
-        self._save()
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Save or close."""
-        event.stop()
-        if event.button.id == "save":
-            self._save()
-        else:
-            self.dismiss(None)
-
-    def _save(self) -> None:
-        path = Path(self.query_one("#path", Input).value.strip()).expanduser()
+    def action_send(self) -> None:
+        """Save where was typed; what exists is replaced the second time."""
+        path = Path(self.typed("path")).expanduser()
         if path.exists() and path != self._replace:
             self._replace = path
-            self._explain(f"{path} exists. Enter again replaces it; or type another name.")
+            self.explain(f"{path} exists. Enter again replaces it; or type another name.")
             return
         if self._text is not None:
             try:
                 path.write_text(self._text, encoding="utf-8")
             except OSError as error:
-                self._explain(f"{path} cannot be written ({error.strerror or error}); type another name.")
+                self.explain(f"{path} cannot be written ({error.strerror or error}); type another name.")
                 return
         self.dismiss(path)
-
-    def _explain(self, sentence: str) -> None:
-        self.query_one("#why", Static).update(sentence)
 
 
 def _anything(path: Path) -> bool:

@@ -15,11 +15,11 @@ from textual.widgets import Button, Input, Static
 from cellapp.compensation.target_text import FIELDS, TypedTarget, frame_choices, typed_target
 from cellapp.compensation.targets import Target
 from cellapp.profile import Profile
-from cellapp.tui.dialogs.question import Question
+from cellapp.tui.dialogs.question import FieldsQuestion
 from cellapp.tui.widgets.form_fields import FieldRow
 
 
-class TargetForm(Question[Target]):
+class TargetForm(FieldsQuestion[Target]):
     """Edit a target, or type a new one. Returns it; None where the dialog is closed.
 
     Parameters
@@ -35,7 +35,7 @@ class TargetForm(Question[Target]):
         Its arms can be chosen.
     """
 
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "take", "Take", priority=True)]
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "send", "Take", priority=True)]
     DEFAULT_CSS = """
     TargetForm .fields { height: auto; max-height: 50vh; }
     """
@@ -96,13 +96,7 @@ class TargetForm(Question[Target]):
         """Explain the field."""
         self._judge()
 
-    @on(Input.Submitted)
-    def submit(self, event: Input.Submitted) -> None:
-        """Take the target."""
-        event.stop()
-        self.action_take()
-
-    def action_take(self) -> None:
+    def action_send(self) -> None:
         """Close with the target; with something wrong, go there."""
         found = self._judge()
         if found.target is not None:
@@ -110,12 +104,3 @@ class TargetForm(Question[Target]):
             return
         wrong = next(row for row in self.query(FieldRow) if row.field_id in found.problems)
         wrong.input.focus()
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Take the target or close."""
-        event.stop()
-        if event.button.id == "take":
-            self.action_take()
-        else:
-            self.dismiss(None)
