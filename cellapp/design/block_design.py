@@ -140,11 +140,10 @@ class _Tracked:
     @classmethod
     def of(cls, rows: Array, C: Array, CWC: Array) -> _Tracked:
         single = rows.astype(np.float32)
-        flat, by_column = single.reshape(-1, rows.shape[2]), single.transpose(0, 2, 1)
+        flat = single.reshape(-1, rows.shape[2])
 
         def products(matrix: Array) -> Single:
-            found = (flat @ matrix.astype(np.float32)).reshape(rows.shape) @ by_column
-            return np.ascontiguousarray(found.transpose(1, 2, 0))
+            return np.einsum("sap,sbp->abs", (flat @ matrix.astype(np.float32)).reshape(rows.shape), single)
 
         return cls(single, products(C), products(CWC))
 

@@ -170,11 +170,13 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
     u, v, w = a1 - a0, b1 - b0, a0 - b0
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
     uw, vw = _dot(u, w), _dot(v, w)
-    denominator = uu * vv - uv * uv
-    s = np.clip(_ratio(uv * vw - vv * uw, denominator), 0.0, 1.0)  # parallel segments: any s will do
-    t = np.clip(_ratio(uv * s + vw, vv), 0.0, 1.0)
-    s = np.clip(_ratio(uv * t - uw, uu), 0.0, 1.0)
-    gap = w + s[..., None] * u - t[..., None] * v
+    s = _share(uv * vw - vv * uw, uu * vv - uv * uv)  # parallel segments: any s will do
+    t = _share(uv * s + vw, vv)
+    s = _share(uv * t - uw, uu)
+    u *= s[..., None]
+    v *= t[..., None]
+    gap = w + u
+    gap -= v
     return np.asarray(np.sqrt(_dot(gap, gap)))
 
 
@@ -258,7 +260,9 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("...a,...a->...", a, b))
 
 
-def _ratio(numerator: Array, denominator: Array) -> Array:
-    """The quotient; 0 where the denominator vanishes (points and parallel segments, in m^2 or m^4)."""
-    regular = denominator > 1e-18
-    return np.asarray(np.where(regular, numerator / np.where(regular, denominator, 1.0), 0.0))
+def _share(numerator: Array, denominator: Array) -> Array:
+    """The quotient between 0 and 1; 0 where the denominator vanishes (points and parallel segments, in m^2 or m^4)."""
+    found: Array = np.zeros(numerator.shape)
+    np.divide(numerator, denominator, out=found, where=denominator > 1e-18)
+    np.maximum(found, 0.0, out=found)  # keeps NaN, as does the next line
+    return np.minimum(found, 1.0, out=found)
