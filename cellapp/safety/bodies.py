@@ -173,10 +173,8 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
     s = _share(uv * vw - vv * uw, uu * vv - uv * uv)  # parallel segments: any s will do
     t = _share(uv * s + vw, vv)
     s = _share(uv * t - uw, uu)
-    u *= s[..., None]
-    v *= t[..., None]
-    gap = w + u
-    gap -= v
+    gap = w + s[..., None] * u
+    gap -= t[..., None] * v
     return np.asarray(np.sqrt(_dot(gap, gap)))
 
 
@@ -257,12 +255,16 @@ def mounted_hides(tracker: Array, bodies: Placed, radius: float) -> np.ndarray:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.einsum("...a,...a->...", a, b))
+    product: Array = np.einsum("...a,...a->...", a, b)
+    return product
 
 
 def _share(numerator: Array, denominator: Array) -> Array:
     """The quotient between 0 and 1; 0 where the denominator vanishes (points and parallel segments, in m^2 or m^4)."""
-    found: Array = np.zeros(numerator.shape)
-    np.divide(numerator, denominator, out=found, where=denominator > 1e-18)
+    regular = denominator > 1e-18
+    if np.all(regular):
+        found = np.asarray(numerator / denominator)
+    else:
+        found = np.divide(numerator, denominator, out=np.zeros_like(numerator), where=regular)
     np.maximum(found, 0.0, out=found)  # keeps NaN, as does the next line
     return np.minimum(found, 1.0, out=found)
