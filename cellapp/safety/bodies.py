@@ -66,6 +66,16 @@ class ArmBodies:
         return np.concatenate([both, np.ones((len(both), 2, 1))], axis=2)
 
     @cached_property
+    def tool(self) -> Array:
+        """SMR centre in the flange frame, homogeneous, shape (4,) [m]."""
+        return np.append(self.geometry.tool, 1.0)
+
+    @cached_property
+    def moving(self) -> np.ndarray:
+        """Bodies that can move vertically, numbers: base and shoulder only rotate about the first axis."""
+        return np.flatnonzero(self.frames > 1)
+
+    @cached_property
     def levers(self) -> Array:
         """Upper bound on the distance of any body point from each joint's axis, over all q, shape (N,) [m]."""
         return np.asarray(self.body_levers.max(axis=0, initial=0.0))
@@ -156,7 +166,7 @@ def place(arm: ArmBodies, q: Array) -> Placed:
         arm=arm,
         start=ends[:, :, 0].transpose(2, 1, 0),
         end=ends[:, :, 1].transpose(2, 1, 0),
-        smr=np.ascontiguousarray((np.append(arm.geometry.tool, 1.0) @ flange).T),
+        smr=np.ascontiguousarray((arm.tool @ flange).T),
         flange=np.ascontiguousarray(flange[:, :3].transpose(2, 0, 1)),
     )
 
@@ -195,25 +205,20 @@ def self_clearance(placed: Placed) -> Array:
 
 def floor_clearance(placed: Placed, floor: float) -> Array:
     """Smallest height of moving bodies above the floor at height ``floor``, shape (n,) [m]; infinite without any."""
-    moving = _moving(placed)
-    if not moving.any():
+    moving = placed.arm.moving
+    if not len(moving):
         return np.full(len(placed.smr), np.inf)
-    lowest = np.minimum(placed.start[:, moving, 2], placed.end[:, moving, 2]) - placed.radius[moving]
+    lowest = np.minimum(placed.start[:, :, 2], placed.end[:, :, 2])[:, moving] - placed.radius[moving]
     return np.asarray(lowest.min(axis=1) - floor)
 
 
 def ceiling_clearance(placed: Placed, ceiling: float) -> Array:
     """Smallest depth of moving bodies below the ceiling at height ``ceiling``, shape (n,) [m]; infinite without any."""
-    moving = _moving(placed)
-    if not moving.any():
+    moving = placed.arm.moving
+    if not len(moving):
         return np.full(len(placed.smr), np.inf)
-    highest = np.maximum(placed.start[:, moving, 2], placed.end[:, moving, 2]) + placed.radius[moving]
+    highest = np.maximum(placed.start[:, :, 2], placed.end[:, :, 2])[:, moving] + placed.radius[moving]
     return np.asarray(ceiling - highest.max(axis=1))
-
-
-def _moving(placed: Placed) -> np.ndarray:
-    """Bodies that can move vertically, (m,) bool: base and shoulder only rotate about the first axis."""
-    return np.asarray(placed.frames > 1)
 
 
 def beam_clearance(tracker: Array, target: Array, bodies: Placed, *, own: bool) -> Array:
