@@ -143,7 +143,8 @@ class _Tracked:
         flat = single.reshape(-1, rows.shape[2])
 
         def products(matrix: Array) -> Single:
-            return np.einsum("sap,sbp->abs", (flat @ matrix.astype(np.float32)).reshape(rows.shape), single)
+            ahead = (flat @ matrix.astype(np.float32)).reshape(rows.shape)
+            return np.asarray(np.einsum("sap,sbp->abs", ahead, single))
 
         return cls(single, products(C), products(CWC))
 
