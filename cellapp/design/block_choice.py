@@ -128,16 +128,20 @@ def _greedy(
     """Stop after stop the largest gain among a subset."""
     free = np.ones(len(candidates), dtype=bool)
     size = max(_SMALLEST_BATCH, -(-count // effort.batches))
-    while (chosen := np.flatnonzero(~free)).size < count:
+    chosen, information = list[int](), candidates.prior
+    while len(chosen) < count:
         cancel.check()
         subset = _drawn(free, max(effort.subset, 2 * size), rng)
-        design = BlockDesign(candidates.information(chosen), W)
+        design = BlockDesign(information, W)
         design.track(candidates.rows[subset])
-        for _ in range(min(_batch(size, len(chosen)), count - len(chosen))):
+        before = len(chosen)
+        for _ in range(min(_batch(size, before), count - before)):
             best = int(np.argmax(np.where(free[subset], design.gains(), -np.inf)))
             free[subset[best]] = False
-            design.add(candidates.rows[subset[best]])
-    return chosen
+            chosen.append(int(subset[best]))
+            design.add(candidates.rows[chosen[-1]])
+        information = information + information_of(candidates.rows[chosen[before:]])
+    return np.flatnonzero(~free)
 
 
 def _exchanged(
@@ -149,8 +153,9 @@ def _exchanged(
     cancel: CancelToken,
 ) -> Rows:
     """Each chosen stop, the one of the least information first, against the best of a subset, or itself."""
-    W = criterion.weights(candidates.covariance(chosen))
-    design = BlockDesign(candidates.information(chosen), W)
+    information = candidates.information(chosen)
+    W = criterion.weights(inverse_psd(information))
+    design = BlockDesign(information, W)
     design.track(candidates.rows[chosen])
     queue = chosen[np.argsort(design.losses(), kind="stable")][: effort.exchanges]
     free = np.ones(len(candidates), dtype=bool)
@@ -159,8 +164,9 @@ def _exchanged(
         cancel.check()
         leaving = queue[first : first + effort.batch]
         looked_at = np.concatenate([leaving, _drawn(free, effort.subset, rng)])
-        design = BlockDesign(candidates.information(np.flatnonzero(~free)), W)
+        design = BlockDesign(information, W)
         design.track(candidates.rows[looked_at])
+        before = free.copy()
         for stop in leaving:
             if free[stop]:
                 continue
@@ -169,6 +175,8 @@ def _exchanged(
             best = looked_at[int(np.argmax(np.where(free[looked_at], design.gains(), -np.inf)))]
             design.add(candidates.rows[best])
             free[best] = False
+        come, gone = (candidates.rows[before & ~free], candidates.rows[free & ~before])
+        information = information + information_of(come) - information_of(gone)
     return np.flatnonzero(~free)
 
 

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -141,15 +140,13 @@ class _Tracked:
     @classmethod
     def of(cls, rows: Array, C: Array, CWC: Array) -> _Tracked:
         single = rows.astype(np.float32)
-        flat, by_column = single.reshape(-1, rows.shape[2]), single.transpose(0, 2, 1)
+        flat = single.reshape(-1, rows.shape[2])
 
         def products(matrix: Array) -> Single:
-            found = (flat @ matrix.astype(np.float32)).reshape(rows.shape) @ by_column
-            return np.ascontiguousarray(found.transpose(1, 2, 0))
+            ahead = (flat @ matrix.astype(np.float32)).reshape(rows.shape)
+            return np.asarray(np.einsum("sap,sbp->abs", ahead, single))
 
-        with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
-            V, U = pool.map(products, (C, CWC))
-        return cls(single, V, U)
+        return cls(single, products(C), products(CWC))
 
     def follow(self, changes: Sequence[_Change]) -> None:
         """Follow changes one after the other; what takes time, reading the rows, is done once for all of them."""
@@ -190,6 +187,7 @@ class BlockDesign:
         self._CWC = self.covariance @ weights @ self.covariance
         none = np.empty((0, 3, len(information)), dtype=np.float32)
         self._tracked = _Tracked(none, np.empty((3, 3, 0), np.float32), np.empty((3, 3, 0), np.float32))
+        self._product = np.empty_like(self.covariance)
         self._unfollowed: list[_Change] = []
         """Changes since gains or losses were asked for."""
 
@@ -232,7 +230,8 @@ class BlockDesign:
         GK = G @ K
         B = H @ K - 0.5 * GK @ (row @ H) @ K
         self._unfollowed.append(_Change(G, B, K))
-        half = G @ B.T
-        self.covariance -= GK @ G.T
+        # one array for all products: new ones of this size would be fetched from the system each time
+        self.covariance -= np.matmul(GK, G.T, out=self._product)
+        half = np.matmul(G, B.T, out=self._product)
         self._CWC -= half
         self._CWC -= half.T

@@ -160,7 +160,10 @@ class JointAngles:
     @cached_property
     def signed_sines(self) -> Array:
         """Sines, and sines with the opposite sign, (N, 2, 1, n): what a turn adds to the x axis and to the y axis."""
-        return np.stack([self.sines, -self.sines], axis=1)[:, :, None]
+        signed: Array = np.empty((len(self.sines), 2, 1, self.count))
+        signed[:, 0, 0] = self.sines
+        np.negative(self.sines, out=signed[:, 1, 0])
+        return signed
 
     def part(self, first: int, last: int) -> JointAngles:
         """The configurations first to last - 1."""

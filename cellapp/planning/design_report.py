@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from cellapp.planning.designed import DesignedStops
+from cellapp.planning.each_arm import of_each_arm
 from cellapp.planning.factor_correlations import correlations, travel_time
 from cellapp.planning.plan_quality import arm_design
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, ignore
-from cellapp.results import PlanDesignResult
+from cellapp.results import ArmDesign, PlanDesignResult
 from cellapp.safety.cell_bodies import cell_bodies
 
 _SEED = 0xDE52
@@ -29,10 +31,13 @@ def design_result(
     rng = np.random.default_rng([profile.seed, _SEED])
     reserves = profile.plan.reserves(len(stops))
     asked = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
-    arms = {}
-    for number, (name, pool) in enumerate(pools.items()):
-        listener(Progress("compare", number, len(pools), f"arm {name} with random stops"))
-        arms[name] = arm_design(profile, pool, name, asked.q, rng, cancel=cancel)
+
+    def compare(name: str, own_rng: np.random.Generator) -> ArmDesign:
+        return arm_design(profile, pools[name], name, asked.q, own_rng, cancel=cancel)
+
+    listener(Progress("compare", 0, len(pools), "with random stops"))
+    with threadpool_limits(limits=1, user_api="blas"):  # the products are narrow, and the arms have a core each
+        arms = of_each_arm(compare, pools, rng)
     listener(Progress("compare", len(pools), len(pools), "done"))
     return PlanDesignResult(
         arms=arms,

@@ -12,6 +12,7 @@ from cellapp.design.block_design import Criterion, Rows, information_of, referen
 from cellapp.design.gaps import close_gaps, gap_limits, without_turns
 from cellapp.kinematics.transforms import Array
 from cellapp.planning.candidates import CandidatePool
+from cellapp.planning.each_arm import of_each_arm
 from cellapp.planning.information import even_conditions, information_model
 from cellapp.planning.workspace import workspace_configurations
 from cellapp.profile import Profile
@@ -33,6 +34,9 @@ def select_stops(
 ) -> dict[str, Rows]:
     """Choose ``count`` candidates of each arm, fewer where its pool has fewer; the most informative first.
 
+    Each arm has a thread and a stream of random numbers of its own, spawned from ``rng``: what is chosen does not
+    depend on which is faster.
+
     ``kept`` are configurations (k, N) [rad] of each arm that are in the plan already: what they tell is there before
     the first choice, and they count in the coverage of the joints.
 
@@ -43,14 +47,14 @@ def select_stops(
     Cancelled
     """
     cancel = cancel or CancelToken()
-    chosen = {}
-    for number, name in enumerate(pools):
-        cancel.check()
-        listener(Progress("select", number, len(pools), f"arm {name}"))
-        own = None if kept is None else kept.get(name)
-        q = {other: other_pool.q for other, other_pool in pools.items()}
-        with threadpool_limits(limits=1, user_api="blas"):  # the products are narrow
-            chosen[name] = _select(profile, name, q, count, own, rng, cancel)
+    q = {name: pool.q for name, pool in pools.items()}
+
+    def choose(name: str, own_rng: np.random.Generator) -> Rows:
+        return _select(profile, name, q, count, None if kept is None else kept.get(name), own_rng, cancel)
+
+    listener(Progress("select", 0, len(pools), " and ".join(f"arm {name}" for name in pools)))
+    with threadpool_limits(limits=1, user_api="blas"):  # the products are narrow
+        chosen = of_each_arm(choose, pools, rng)
     listener(Progress("select", len(pools), len(pools), "done"))
     return chosen
 

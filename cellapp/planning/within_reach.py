@@ -19,7 +19,7 @@ _LEAST_WAYS = 2
 """Ways that must be free of those tried: an isolated pose rarely fits into an order of stops."""
 _SAMPLES = 10
 """Of a way, without its ends: a tenth of a turn apart on a way of one turn."""
-_AT_ONCE = 1000
+_AT_ONCE = 250
 """Configurations that are placed at once; they fit in the cache."""
 
 

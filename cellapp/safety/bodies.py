@@ -66,6 +66,16 @@ class ArmBodies:
         return np.concatenate([both, np.ones((len(both), 2, 1))], axis=2)
 
     @cached_property
+    def tool(self) -> Array:
+        """SMR centre in the flange frame, homogeneous, shape (4,) [m]."""
+        return np.append(self.geometry.tool, 1.0)
+
+    @cached_property
+    def moving(self) -> np.ndarray:
+        """Bodies that can move vertically, numbers: base and shoulder only rotate about the first axis."""
+        return np.flatnonzero(self.frames > 1)
+
+    @cached_property
     def levers(self) -> Array:
         """Upper bound on the distance of any body point from each joint's axis, over all q, shape (N,) [m]."""
         return np.asarray(self.body_levers.max(axis=0, initial=0.0))
@@ -156,7 +166,7 @@ def place(arm: ArmBodies, q: Array) -> Placed:
         arm=arm,
         start=ends[:, :, 0].transpose(2, 1, 0),
         end=ends[:, :, 1].transpose(2, 1, 0),
-        smr=np.ascontiguousarray((np.append(arm.geometry.tool, 1.0) @ flange).T),
+        smr=np.ascontiguousarray((arm.tool @ flange).T),
         flange=np.ascontiguousarray(flange[:, :3].transpose(2, 0, 1)),
     )
 
@@ -170,11 +180,11 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
     u, v, w = a1 - a0, b1 - b0, a0 - b0
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
     uw, vw = _dot(u, w), _dot(v, w)
-    denominator = uu * vv - uv * uv
-    s = np.clip(_ratio(uv * vw - vv * uw, denominator), 0.0, 1.0)  # parallel segments: any s will do
-    t = np.clip(_ratio(uv * s + vw, vv), 0.0, 1.0)
-    s = np.clip(_ratio(uv * t - uw, uu), 0.0, 1.0)
-    gap = w + s[..., None] * u - t[..., None] * v
+    s = _share(uv * vw - vv * uw, uu * vv - uv * uv)  # parallel segments: any s will do
+    t = _share(uv * s + vw, vv)
+    s = _share(uv * t - uw, uu)
+    gap = w + s[..., None] * u
+    gap -= t[..., None] * v
     return np.asarray(np.sqrt(_dot(gap, gap)))
 
 
@@ -195,25 +205,20 @@ def self_clearance(placed: Placed) -> Array:
 
 def floor_clearance(placed: Placed, floor: float) -> Array:
     """Smallest height of moving bodies above the floor at height ``floor``, shape (n,) [m]; infinite without any."""
-    moving = _moving(placed)
-    if not moving.any():
+    moving = placed.arm.moving
+    if not len(moving):
         return np.full(len(placed.smr), np.inf)
-    lowest = np.minimum(placed.start[:, moving, 2], placed.end[:, moving, 2]) - placed.radius[moving]
+    lowest = np.minimum(placed.start[:, :, 2], placed.end[:, :, 2])[:, moving] - placed.radius[moving]
     return np.asarray(lowest.min(axis=1) - floor)
 
 
 def ceiling_clearance(placed: Placed, ceiling: float) -> Array:
     """Smallest depth of moving bodies below the ceiling at height ``ceiling``, shape (n,) [m]; infinite without any."""
-    moving = _moving(placed)
-    if not moving.any():
+    moving = placed.arm.moving
+    if not len(moving):
         return np.full(len(placed.smr), np.inf)
-    highest = np.maximum(placed.start[:, moving, 2], placed.end[:, moving, 2]) + placed.radius[moving]
+    highest = np.maximum(placed.start[:, :, 2], placed.end[:, :, 2])[:, moving] + placed.radius[moving]
     return np.asarray(ceiling - highest.max(axis=1))
-
-
-def _moving(placed: Placed) -> np.ndarray:
-    """Bodies that can move vertically, (m,) bool: base and shoulder only rotate about the first axis."""
-    return np.asarray(placed.frames > 1)
 
 
 def beam_clearance(tracker: Array, target: Array, bodies: Placed, *, own: bool) -> Array:
@@ -255,10 +260,16 @@ def mounted_hides(tracker: Array, bodies: Placed, radius: float) -> np.ndarray:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.einsum("...a,...a->...", a, b))
+    product: Array = np.einsum("...a,...a->...", a, b)
+    return product
 
 
-def _ratio(numerator: Array, denominator: Array) -> Array:
-    """The quotient; 0 where the denominator vanishes (points and parallel segments, in m^2 or m^4)."""
+def _share(numerator: Array, denominator: Array) -> Array:
+    """The quotient between 0 and 1; 0 where the denominator vanishes (points and parallel segments, in m^2 or m^4)."""
     regular = denominator > 1e-18
-    return np.asarray(np.where(regular, numerator / np.where(regular, denominator, 1.0), 0.0))
+    if np.all(regular):
+        found = np.asarray(numerator / denominator)
+    else:
+        found = np.divide(numerator, denominator, out=np.zeros_like(numerator), where=regular)
+    np.maximum(found, 0.0, out=found)  # keeps NaN, as does the next line
+    return np.minimum(found, 1.0, out=found)

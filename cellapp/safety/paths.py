@@ -63,7 +63,7 @@ class SampledPath:
 
     def placed(self, samples: np.ndarray) -> Placed:
         """The bodies at some of the samples."""
-        share = np.linspace(0.0, 1.0, self.count)[samples]
+        share = np.where(samples == self.count - 1, 1.0, samples * (1.0 / (self.count - 1)))
         return place(self.arm, self.start + share[:, None] * (self.target - self.start))
 
     def around(self, doubtful: np.ndarray, every: int = 1) -> np.ndarray:

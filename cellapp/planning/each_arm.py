@@ -1,0 +1,27 @@
+"""Work that is done for each arm by itself: in threads, with streams of random numbers that do not depend on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numpy as np
+
+_AT_ONCE = 2
+"""Arms at once: bounds the memory, and few arms or cores are more."""
+
+Result = TypeVar("Result")
+
+
+def of_each_arm(
+    work: Callable[[str, np.random.Generator], Result], names: Iterable[str], rng: np.random.Generator
+) -> dict[str, Result]:
+    """Arm -> ``work(arm, stream)``, each with a stream of its own that is spawned from ``rng``.
+
+    The result is the same whichever arm is faster, and on any number of cores: matrix products and other work on long
+    arrays run outside the interpreter lock. Raises what ``work`` raises for the first arm that fails.
+    """
+    names = tuple(names)
+    with ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
+        return dict(zip(names, threads.map(work, names, rng.spawn(len(names))), strict=True))
