@@ -314,7 +314,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((host, port))
-            listener.listen(128)
+            listener.listen(512)
         except OSError as error:
             raise OSError(error.errno, f"cannot listen at {host} port {port}: {error.strerror}") from error
         listener.setblocking(False)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
@@ -17,6 +16,7 @@ from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, Series, personality, start_in_process
+from tests.at_once import in_parallel
 from tests.loopback import own_address, own_arms
 
 PATIENT_S = 20.0
@@ -88,13 +88,6 @@ def drivers_of(hosts: Mapping[str, str]) -> Iterator[dict[str, UrArm]]:
 def warnings_about(arm: UrArm) -> list[str]:
     """Return the arm's warnings without those about this computer, which may be busy."""
     return [note for note in arm.warnings() if "heartbeats: " not in note]
-
-
-def in_parallel(action: Callable[..., None], arguments: Iterable[tuple[Any, ...]]) -> None:
-    """Call ``action`` with each tuple of arguments at the same time; raise the first error."""
-    with ThreadPoolExecutor() as pool:
-        for future in [pool.submit(action, *values) for values in arguments]:
-            future.result()
 
 
 def of_each_arm(

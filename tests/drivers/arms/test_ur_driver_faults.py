@@ -20,6 +20,7 @@ from drivers.arms.protocol import ArmError, ArmTimeout, EmergencyStop, LinkLost,
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess
+from tests.at_once import in_parallel
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
@@ -35,7 +36,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     driven,
     drivers_of,
     emulated_cell,
-    in_parallel,
     of_each_arm,
     repair,
     until,

@@ -47,6 +47,7 @@ from drivers.arms.ur_rtde_reader import wait_at_rest
 from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_worker_process import HeartbeatGaps
 from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
+from tests.at_once import in_parallel
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
@@ -64,7 +65,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     drivers_of,
     emulated_cell,
     expectation,
-    in_parallel,
     repair,
     until,
     warnings_about,

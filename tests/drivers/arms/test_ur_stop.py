@@ -30,6 +30,7 @@ from drivers.arms.protocol import (
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess
+from tests.at_once import in_parallel
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
@@ -47,7 +48,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     driven,
     drivers_of,
     emulated_cell,
-    in_parallel,
     of_each_arm,
     received_stop_s,
     repair,
