@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -100,14 +100,13 @@ def links() -> Iterator[Future[LinksResult]]:
 @pytest.fixture
 def connected(emulator: EmulatorProcess, drivers: dict[str, UrArm], links: Future[LinksResult]) -> dict[str, UrArm]:
     """Both arms, without a fault; they stay connected until a test needs the controllers without clients."""
-    in_parallel(connect_repaired, [(emulator, arm) for arm in drivers.values()])
+    in_parallel(make_ready, [(emulator, arm) for arm in drivers.values()])
     return drivers
 
 
-def connect_repaired(emulator: EmulatorProcess, arm: UrArm) -> None:
-    if arm.worker_pid is None:
-        repair(emulator, arm.name)
-        arm.connect()
+def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
+    repair(emulator, arm.name)
+    arm.connect()
 
 
 @pytest.fixture
@@ -748,7 +747,7 @@ def test_motions_with_random_faults(links: Future[LinksResult]) -> None:
 
 
 def test_threads_and_processes_are_gone_afterwards(unconnected: EmulatorProcess, links: Future[LinksResult]) -> None:
-    links.result()  # its threads are gone
+    wait([links])  # its threads are gone
     before = threading.active_count()
     with driven("right") as arm:
         arm.connect()

@@ -78,7 +78,14 @@ def smooth_path(period_s: float, duration_s: float) -> np.ndarray:
 def begun(arm: UrPathArm, duration_s: float = 3.0) -> UrPathArm:
     """The arm in the middle of a path."""
     arm.start_path(smooth_path(arm.path_period_s, duration_s), arm.path_period_s)
-    until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.05, "the arm follows the path")
+
+    def under_way() -> bool:
+        state = arm.state()
+        if not state.ready:
+            arm.wait_settled(PATIENT_S)  # raises what has stopped it: a stall of this computer, perhaps
+        return bool(abs(state.q[0] - HOME[0]) > 0.05)
+
+    until(under_way, "the arm follows the path")
     return arm
 
 
