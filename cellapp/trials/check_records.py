@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from cellapp.results import Record, Result
 from cellapp.results.check import CheckVerdict
@@ -57,8 +57,8 @@ class Share(Record):
     def of(cls, facts: Sequence[bool]) -> Share:
         """Of how many facts are true."""
         n, k = len(facts), sum(facts)
-        low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
-        high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
+        low = float(betaincinv(k, n - k + 1, 0.025)) if k else 0.0
+        high = float(betaincinv(k + 1, n - k, 0.975)) if k < n else 1.0
         return cls(n=n, count=k, low=low, high=high)
 
     @property

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from cellapp.calibration.identification import identify, start_from_nominal
 from cellapp.collection.cell import build_plant
@@ -103,7 +103,7 @@ def interval(planned: PlannedCell, drawn: ArmSeed) -> Interval:
     if np.abs(exactly.residuals).max() > 1e-8:
         raise ValueError(f"the model does not fit noise-free positions: {exactly.message}")
     truth = estimate.parameter_set.merged_values(exactly.geometry, start)
-    limit = student.ppf(0.975, estimate.degrees_of_freedom)
+    limit = stdtrit(estimate.degrees_of_freedom, 0.975)
     held = np.abs(estimate.values - truth) <= limit * estimate.standard_errors
     return Interval(held=dict(zip(estimate.names, held.tolist(), strict=True)), scatter=float(estimate.scale))
 

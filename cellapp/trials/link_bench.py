@@ -44,6 +44,8 @@ _UNDER_WAY_RAD = 0.15
 _WATCHED_S = 0.25
 """Time for which arms are watched after a fault: several cycles of every link."""
 _BRAKES_WITHIN_S = 1.0
+_STARTS = 3
+"""Attempts to begin a motion that a fault is to interrupt."""
 _STANDS_S = 2.0
 """Time at slider 0: longer than the driver's longest patience with an arm that stands in a motion."""
 
@@ -145,8 +147,7 @@ class LinkBench:
     def _stop_cell(self, name: str, fault: Fault, moment: Moment, arm: str) -> None:
         what = f"{name} {moment} a motion of arm {arm}"
         if moment != "before":
-            for other in self._arms.values():
-                start_far(other)
+            self._start_all_far(what)
         if moment == "after":
             for other in self._arms.values():
                 other.wait_settled(_MOVE_WITHIN_S)
@@ -174,6 +175,18 @@ class LinkBench:
         self._emulator.control(arm, "start-delay", START_DELAY_S)
         detected_s = self._reaction.doubted_s - struck_s
         self._log.add(Struck(name, moment, "" if whole else arm, detected_s, at_rest_s, recovered_s, others))
+
+    def _start_all_far(self, what: str) -> None:
+        """Start a long motion of all arms; again where this computer stalled and the cell was stopped for that."""
+        for _ in range(_STARTS):
+            try:
+                for other in self._arms.values():
+                    start_far(other)
+            except ArmError as error:
+                self._stopped_without_fault(f"before {what}", error)
+                self._reaction.arm_for_next()
+            else:
+                return
 
     def _strike(self, fault: Fault, arm: str) -> None:
         if fault.cause == "stop":

@@ -40,7 +40,9 @@ LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
 _READ_TIMEOUT_S = 0.05
+_FIRST_RETRY_S = 0.02
 _RETRY_S = 0.2
+"""Between two attempts: short at first, as most faults are over at once; then twice as long each time, up to this."""
 _READ_BYTES = 4096
 _MAX_STALE_LINES = 500
 _MAX_DRAINED_BYTES = 1_000_000
@@ -170,6 +172,7 @@ class BridgeTracker:
         patience_s = self._longest_s + 2.0 * self._timeout_s if self._patience_s is None else self._patience_s
         until_s = time.monotonic() + patience_s
         problem: Exception = _LinkFault("no answer")
+        pause_s = _FIRST_RETRY_S
         while time.monotonic() < until_s:
             try:
                 if self._port is None or self._out_of_sync:
@@ -186,7 +189,8 @@ class BridgeTracker:
                 LOG.info("tracker bridge %s: %s; synchronising", self._url, error)
                 problem = error
                 self._out_of_sync = True
-            self._pause.wait(_RETRY_S)
+            self._pause.wait(pause_s)
+            pause_s = min(2.0 * pause_s, _RETRY_S)
         self._raise_link_lost(problem)
 
     def _raise_link_lost(self, problem: Exception) -> NoReturn:
@@ -368,9 +372,7 @@ class BridgeTracker:
                 raise _LinkFault("the link is closed")
             try:
                 self._received += port.read(1)
-                waiting = port.in_waiting
-                if waiting:
-                    self._received += port.read(min(waiting, _READ_BYTES))
+                self._received += _waiting(port)
             except (serial.SerialException, OSError) as error:
                 if b"\n" in self._received:
                     continue  # lines that came before the connection closed
@@ -422,6 +424,16 @@ class _PortOpener:
         if self._port is None:
             raise _LinkFault(self._error or f"could not be opened within {timeout_s:g} s")
         return self._port
+
+
+def _waiting(port: serial.SerialBase) -> bytes:
+    """Return bytes that have come, at most ``_READ_BYTES``; does not wait. Raises as the port's methods."""
+    number = min(port.in_waiting, _READ_BYTES)
+    if not number:
+        return b""
+    if isinstance(port, TcpPort):  # it knows only that there are some: reading them one by one would take long
+        return bytes(port._socket.recv(_READ_BYTES))
+    return bytes(port.read(number))
 
 
 def _shut_down(port: serial.SerialBase) -> None:

@@ -32,6 +32,8 @@ _MAX_QUEUED_BYTES = 65536
 """Replies that a peer may leave unread: 32 lines of the greatest length."""
 _LOG_INTERVAL_S = 1.0
 _REOPEN_SERIAL_S = 2.0
+_SERIAL_OPENS_WITHIN_S = 2.0
+"""A serial port that takes longer is opened meanwhile; what a client sends before is lost."""
 
 SessionState = Literal["new", "challenged", "holding"]
 
@@ -314,7 +316,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((host, port))
-            listener.listen(128)
+            listener.listen(512)
         except OSError as error:
             raise OSError(error.errno, f"cannot listen at {host} port {port}: {error.strerror}") from error
         listener.setblocking(False)
@@ -328,10 +330,13 @@ class _SerialPump:
     def __init__(self, url: str, baud: int, end: socket.socket) -> None:
         self._url, self._baud, self._end = url, baud, end
         self._closing = threading.Event()
+        self._tried = threading.Event()
         self._thread = threading.Thread(target=self._run, name="tracker bridge, serial", daemon=True)
 
     def start(self) -> None:
+        """Start, and return when the port is open or could not be opened."""
         self._thread.start()
+        self._tried.wait(_SERIAL_OPENS_WITHIN_S)
 
     def close(self) -> None:
         self._closing.set()
@@ -344,9 +349,11 @@ class _SerialPump:
             try:
                 with serial.serial_for_url(self._url, baudrate=self._baud, timeout=0.02, write_timeout=2.0) as port:
                     LOG.info("serving %s", self._url)
+                    self._tried.set()
                     self._copy(port)
             except (serial.SerialException, OSError, ValueError) as error:
                 LOG.warning("%s: %s; retrying", self._url, error)
+                self._tried.set()
                 self._closing.wait(_REOPEN_SERIAL_S)
 
     def _copy(self, port: serial.SerialBase) -> None:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -39,7 +40,7 @@ from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES, small_twin
 
 PATIENT_S = 60.0
-PACE = 50.0
+PACE = 200.0
 STOPS = 20
 SETTLE_S = 0.05
 """Wall time, of which the emulated arms need less: a second of theirs is 0.02 s at this pace."""
@@ -104,7 +105,16 @@ def collected(
         return readings, calibrated, push_run(run, targets, verify=True, iterate=1)
 
 
-def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_twin(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def shells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Future[None]]:
+    """A user at work at other addresses while the other test runs: both mostly wait."""
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(emulates_the_cell_in_one_shell_and_runs_it_in_another, tmp_path_factory.mktemp("shells"))
+
+
+def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_twin(
+    tmp_path: Path, shells: Future[None]
+) -> None:
     twin = small_twin(STOPS)
     twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
     plan, _ = make_stops(twin)
@@ -177,7 +187,11 @@ def wire_profile(folder: Path) -> Path:
     return path
 
 
-def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> None:
+def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(shells: Future[None]) -> None:
+    shells.result()
+
+
+def emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> None:
     wire_profile(tmp_path)
     environment = {**os.environ, "PYTHONPATH": str(PROFILES.parent)}
 

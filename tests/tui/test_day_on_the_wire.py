@@ -27,7 +27,7 @@ from tests.twin import PROFILES
 STOPS = 8
 PACE = 10.0
 """Seconds of the cell for each real one: enough of a motion is left to strike."""
-UNDISTURBED_PACE = 50.0
+UNDISTURBED_PACE = 200.0
 """Where nothing is struck any more."""
 SETTLE_S = 0.05
 """Wall time, of which the emulated arms need less."""

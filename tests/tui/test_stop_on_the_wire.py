@@ -27,6 +27,8 @@ from tests.twin import PROFILES
 WAIT_S = 60.0
 BAR_S = 0.1
 """From the key to the stop command at every controller."""
+UNDISTURBED_PACE = 10.0
+"""Seconds of the cell for each real one while a stop is measured and nothing is timed."""
 SLACK_S = 0.2
 """From there to rest, more than the arm's own braking time."""
 HOSTS = {"127.0.0.2": own_address(57), "127.0.0.3": own_address(58)}
@@ -127,7 +129,9 @@ async def one_session(profile: Path, folder: Path, control: Control) -> dict[str
         await pilot.press("c")
         await until(lambda: all(moving(control)), "the job goes on")
         await pilot.press("p")
+        control("*", "pace", UNDISTURBED_PACE)
         await until(lambda: app.record.state == "paused", "it rests after the stop")
+        control("*", "pace", 1.0)
         assert moving(control) == [False, False]
         await pilot.press("p")
         aborted = await stopped_by(pilot, control, "x")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from cellapp.calibration.identification import Identification, identify, start_from_nominal
 from cellapp.model.nominal import nominal_arm
@@ -106,7 +106,7 @@ def _false(world: World, name: str, readings: Readings, q: NDArray[np.float64]) 
     off = readings.p_M - world.plant.smr_positions(name, readings.q)
     assert readings.covariance_M is not None
     square = np.einsum("na,na->n", off, np.linalg.solve(readings.covariance_M, off[..., None])[..., 0])
-    away = square > chi2.isf(FALSE_ALARM, 3)
+    away = square > chdtri(3, FALSE_ALARM)
     return [
         *(
             Failure("reading false", f"stop {stop}, arm {name}: not at the planned joint positions")
@@ -185,6 +185,6 @@ def _other_calibration(
         off = estimates[name].values - before.values
         covariance = estimates[name].covariance + before.covariance
         square = float(off @ np.linalg.solve(covariance, off))
-        if not square <= chi2.isf(FALSE_ALARM, len(off)):
+        if not square <= chdtri(len(off), FALSE_ALARM):
             failures.append(Failure("calibration", f"arm {name}: chi-square {square:.0f} of {len(off)} parameters"))
     return failures

@@ -1,12 +1,11 @@
-"""Two emulated UR controllers in a separate process, and drivers for them with the real client."""
+"""Two or four emulated UR controllers in a separate process, and drivers for them with the real client."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -16,13 +15,16 @@ from drivers.arms.protocol import JointLimits
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
 from drivers.arms.ur_settings import UrSettings
-from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, personality, start_in_process
-from tests.loopback import own_arms
+from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, Series, personality, start_in_process
+from tests.at_once import in_parallel
+from tests.loopback import own_address, own_arms
 
 PATIENT_S = 20.0
-SERIALS = {"left": "20153012345", "right": "20205501234"}
+SERIALS = {"left": "20153012345", "right": "20205501234", "left2": "20153012346", "right2": "20205501235"}
 HOSTS = own_arms(41)
-MODELS = {"left": "UR10", "right": "UR5e"}
+FOUR_HOSTS = {**HOSTS, "left2": own_address(63), "right2": own_address(64)}
+"""Of four arms, for tests that mostly wait: four of them wait at the same time. A second one is like the first."""
+MODELS = {"left": "UR10", "right": "UR5e", "left2": "UR10", "right2": "UR5e"}
 HOME = np.array([0.0, -np.pi / 2.0, 0.0, -np.pi / 2.0, 0.0, 0.0])
 SPEED, ACCELERATION = np.full(6, 2.0), np.full(6, 8.0)
 UNHURRIED = 0.5 * SPEED
@@ -32,6 +34,8 @@ FAR = HOME + np.array([2.4, 0.3, -0.5, 1.0, 1.5, -2.0])
 """More than a second away."""
 WATCHDOG_HZ = 2.0
 """A busy computer may stall for longer than the usual period of 0.2 s; a test of the watchdog sets its own."""
+Episode = Callable[[EmulatorProcess, UrArm], None]
+"""What happens to one arm, without fault and connected before it; it mostly waits."""
 SETTLE_S = 0.05
 """Of the emulated arms, which do not swing; usually 0.2 s after each motion."""
 
@@ -44,27 +48,29 @@ def expectation(name: str, **changes: Any) -> UrExpectation:
     return replace(expected, **changes)
 
 
-def configs(**changes: Any) -> list[ControllerConfig]:
-    """The controllers: a CB3 and an e-Series one."""
-    personalities = {
-        "left": personality("CB3", "UR10", SERIALS["left"]),
-        "right": personality("e-Series", "UR5", SERIALS["right"]),
-    }
+def configs(hosts: Mapping[str, str] = HOSTS, **changes: Any) -> list[ControllerConfig]:
+    """The controllers: CB3 ones on the left, e-Series ones on the right."""
+    series: dict[str, tuple[Series, str]] = {"left": ("CB3", "UR10"), "right": ("e-Series", "UR5")}
     load: dict[str, Any] = {"payload_mass": 0.35, "payload_center": (0.0, 0.0, 0.03)}
     quick: dict[str, Any] = {"boot_s": 0.2, "brake_release_s": 0.1, "unlock_after_s": 0.2}
-    return [ControllerConfig(name, HOSTS[name], personalities[name], **(load | quick | changes)) for name in HOSTS]
+    return [
+        ControllerConfig(
+            name, host, personality(*series[name.removesuffix("2")], SERIALS[name]), **(load | quick | changes)
+        )
+        for name, host in hosts.items()
+    ]
 
 
 @contextmanager
-def emulated_cell() -> Iterator[EmulatorProcess]:
-    with start_in_process(configs()) as emulator:
+def emulated_cell(hosts: Mapping[str, str] = HOSTS) -> Iterator[EmulatorProcess]:
+    with start_in_process(configs(hosts)) as emulator:
         yield emulator
 
 
 @contextmanager
 def driven(name: str, settings: UrSettings | None = None, **changes: Any) -> Iterator[UrArm]:
     """A driver that is not connected yet; disconnected at the end."""
-    patient = UrSettings(host=HOSTS[name], watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S)
+    patient = UrSettings(host=FOUR_HOSTS[name], watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S)
     arm = UrArm(name, settings or patient, expectation(name, **changes), rest_s=1.0)
     try:
         yield arm
@@ -72,16 +78,32 @@ def driven(name: str, settings: UrSettings | None = None, **changes: Any) -> Ite
         arm.disconnect()
 
 
+@contextmanager
+def drivers_of(hosts: Mapping[str, str]) -> Iterator[dict[str, UrArm]]:
+    """A driver an arm, not connected yet; all are disconnected at the end."""
+    with ExitStack() as stack:
+        yield {name: stack.enter_context(driven(name)) for name in hosts}
+
+
 def warnings_about(arm: UrArm) -> list[str]:
     """Return the arm's warnings without those about this computer, which may be busy."""
     return [note for note in arm.warnings() if "heartbeats: " not in note]
 
 
-def in_parallel(action: Callable[..., None], arguments: Iterable[tuple[Any, ...]]) -> None:
-    """Call ``action`` with each tuple of arguments at the same time; raise the first error."""
-    with ThreadPoolExecutor() as pool:
-        for future in [pool.submit(action, *values) for values in arguments]:
-            future.result()
+def of_each_arm(
+    emulator: EmulatorProcess,
+    arms: Mapping[str, UrArm],
+    episodes: Mapping[str, Sequence[Episode]],
+    make_ready: Callable[[EmulatorProcess, UrArm], object],
+) -> None:
+    """Let all arms have their episodes at the same time, each one after the other and from an arm that is ready."""
+
+    def one_after_the_other(arm: UrArm, its: Sequence[Episode]) -> None:
+        for episode in its:
+            make_ready(emulator, arm)
+            episode(emulator, arm)
+
+    in_parallel(one_after_the_other, [(arms[name], its) for name, its in episodes.items()])
 
 
 def until(condition: Callable[[], bool], what: str, within_s: float = PATIENT_S) -> None:
@@ -128,3 +150,13 @@ def assert_braked(emulator: EmulatorProcess, name: str, since_s: float) -> None:
     assert_stays_at_rest(emulator, name)
     stops = emulator.control(name, "stops", since_s)
     assert any(stop["ideal_s"] > 0.0 for stop in stops), f"no stop met it in motion: {stops}"
+
+
+def received_stop_s(emulator: EmulatorProcess, name: str, since_s: float) -> float:
+    """Return when the controller received the first stop after ``since_s`` (``time.monotonic``)."""
+    stops = [stop for stop in emulator.control(name, "stops") if stop["received_s"] >= since_s]
+    return float(stops[0]["received_s"])
+
+
+def at_rest(emulator: EmulatorProcess, name: str) -> bool:
+    return not emulator.control(name, "status")["moving"]

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +20,23 @@ from drivers.arms.protocol import ArmError, ArmTimeout, EmergencyStop, LinkLost,
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess
+from tests.at_once import in_parallel
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
     FAR,
+    FOUR_HOSTS,
     HOME,
-    HOSTS,
     PATIENT_S,
     SPEED,
     UNHURRIED,
+    Episode,
     assert_braked,
     assert_stays_at_rest,
     driven,
+    drivers_of,
     emulated_cell,
-    in_parallel,
+    of_each_arm,
     repair,
     until,
 )
@@ -51,66 +55,25 @@ FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
 
 @pytest.fixture(scope="module")
 def emulator() -> Iterator[EmulatorProcess]:
-    with emulated_cell() as started:
+    with emulated_cell(FOUR_HOSTS) as started:
         yield started
+
+
+@pytest.fixture(scope="module")
+def arms(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
+    """Four arms; the drivers are the same for all tests."""
+    with drivers_of(FOUR_HOSTS) as drivers:
+        yield drivers
 
 
 LONGEST_DOUBT_S = 12.0
 """A wait that ended with a timeout after this would have missed the fault."""
-Faults = dict[str, str]
-"""Arm -> its fault; arms with faults are tested in parallel."""
-DURING: list[Faults] = [
-    {"left": "fin", "right": "rst"},
-    {"left": "refused", "right": "silence"},
-    {"left": "all silent", "right": "protective"},
-    {"left": "emergency"},
-]
-# detecting a silent link takes seconds: one kind of silence before a motion, the other after one
-BEFORE: list[Faults] = [
-    {"left": "rst", "right": "fin"},
-    {"left": "silence", "right": "refused"},
-    {"left": "protective", "right": "emergency"},
-]
-AFTER: list[Faults] = [
-    {"left": "fin", "right": "rst"},
-    {"left": "all silent", "right": "refused"},
-    {"left": "emergency", "right": "protective"},
-]
-
-
-@pytest.fixture(scope="module")
-def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
-    with driven("left") as left, driven("right") as right:
-        yield {"left": left, "right": right}
 
 
 def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
     repair(emulator, arm.name)
     arm.connect()
     go(arm, HOME)
-
-
-@pytest.fixture
-def arms(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> dict[str, UrArm]:
-    """Both arms, without fault and at HOME; the drivers are the same for all tests, which leave them connected."""
-    in_parallel(make_ready, [(emulator, arm) for arm in drivers.values()])
-    return drivers
-
-
-@pytest.fixture
-def arm(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
-    """The right arm, without fault and at HOME."""
-    make_ready(emulator, drivers["right"])
-    return drivers["right"]
-
-
-@pytest.fixture
-def unconnected(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> EmulatorProcess:
-    """The controllers without clients, for tests that connect themselves."""
-    for name, driver in drivers.items():
-        driver.disconnect()
-        repair(emulator, name)
-    return emulator
 
 
 def inject(emulator: EmulatorProcess, name: str, fault: str) -> type[ArmError]:
@@ -136,12 +99,7 @@ def go_again(emulator: EmulatorProcess, arm: UrArm) -> None:
     go(arm, HOME)
 
 
-@pytest.mark.parametrize("faults", DURING, ids=str)
-def test_faults_during_a_motion(emulator: EmulatorProcess, arms: dict[str, UrArm], faults: Faults) -> None:
-    in_parallel(fault_during_a_motion, [(emulator, arms[name], fault) for name, fault in faults.items()])
-
-
-def fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+def fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, *, fault: str) -> None:
     arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
     error = inject(emulator, arm.name, fault)
@@ -155,12 +113,7 @@ def fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> 
     go_again(emulator, arm)
 
 
-@pytest.mark.parametrize("faults", BEFORE, ids=str)
-def test_faults_before_a_motion(emulator: EmulatorProcess, arms: dict[str, UrArm], faults: Faults) -> None:
-    in_parallel(fault_before_a_motion, [(emulator, arms[name], fault) for name, fault in faults.items()])
-
-
-def fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+def fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, *, fault: str) -> None:
     moves = emulator.control(arm.name, "status")["moves"]
     error = inject(emulator, arm.name, fault)
     with pytest.raises(error, match=f"arm {arm.name}: "):
@@ -170,12 +123,7 @@ def fault_before_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> 
     go_again(emulator, arm)
 
 
-@pytest.mark.parametrize("faults", AFTER, ids=str)
-def test_faults_after_a_motion(emulator: EmulatorProcess, arms: dict[str, UrArm], faults: Faults) -> None:
-    in_parallel(fault_after_a_motion, [(emulator, arms[name], fault) for name, fault in faults.items()])
-
-
-def fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+def fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, *, fault: str) -> None:
     go(arm, AWAY)
     error = inject(emulator, arm.name, fault)
     if error is LinkLost:
@@ -193,11 +141,8 @@ def fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, fault: str) -> N
     go_again(emulator, arm)
 
 
-def test_a_protective_stop_is_never_released_by_the_program(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
-    in_parallel(protective_stop_stays, [(emulator, arm) for arm in arms.values()])
-
-
 def protective_stop_stays(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """A protective stop is never released by the program."""
     emulator.control(arm.name, "protective", "travel", 0.3)
     arm.start_move(FAR, UNHURRIED, ACCELERATION)
     with pytest.raises(ProtectiveStop, match="see what stopped it"):
@@ -211,7 +156,8 @@ def protective_stop_stays(emulator: EmulatorProcess, arm: UrArm) -> None:
     go_again(emulator, arm)
 
 
-def test_a_stop_on_the_pendant_ends_the_motion_and_the_job(emulator: EmulatorProcess, arm: UrArm) -> None:
+def stop_on_the_pendant(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """It ends the motion and the job."""
     arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     emulator.control(arm.name, "power-off")
@@ -220,35 +166,12 @@ def test_a_stop_on_the_pendant_ends_the_motion_and_the_job(emulator: EmulatorPro
     go_again(emulator, arm)
 
 
-def test_the_other_arm_goes_on_when_one_link_breaks(unconnected: EmulatorProcess) -> None:
-    emulator = unconnected
-    with driven("left") as left, driven("right") as right:
-        left.connect()
-        right.connect()
-        began_s = time.monotonic()
-        for driver in (left, right):
-            driver.start_move(AWAY, SPEED * 0.2, ACCELERATION)
-        until(lambda: float(np.abs(left.state().q - HOME).max()) > 0.02, "the left arm moves")
-        inject(emulator, "left", "rst")
-        np.testing.assert_allclose(right.wait_settled(PATIENT_S).q, AWAY, atol=1e-6)
-        with pytest.raises(LinkLost):
-            left.wait_settled(PATIENT_S)
-        assert_braked(emulator, "left", began_s)
-        go_again(emulator, left)
-        go(right, HOME)
-
-
-def test_a_worker_that_crashes_or_hangs_stops_the_arm(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
-    signals = {"left": signal.SIGSEGV, "right": signal.SIGSTOP}
-    in_parallel(signal_worker, [(emulator, arms[name], number) for name, number in signals.items()])
-
-
-def signal_worker(emulator: EmulatorProcess, arm: UrArm, signal_number: signal.Signals) -> None:
+def signal_to_the_worker(emulator: EmulatorProcess, arm: UrArm, *, number: signal.Signals) -> None:
     """The client may crash or hang when its link breaks at the wrong moment: signals simulate that."""
     arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
     assert arm.worker_pid is not None
-    os.kill(arm.worker_pid, signal_number)
+    os.kill(arm.worker_pid, number)
     # the application has not looked yet: the controller stops the arm by itself
     until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm")
     assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
@@ -269,15 +192,10 @@ with driven(sys.argv[1]) as arm:
 """
 
 
-def test_when_the_application_is_killed_the_arm_comes_to_rest(unconnected: EmulatorProcess) -> None:
-    in_parallel(kill_the_application, [(unconnected, "left", False), (unconnected, "right", True)])
-
-
-def kill_the_application(emulator: EmulatorProcess, name: str, with_worker: bool) -> None:
-    """Kill the application, with or without its worker process, during a motion."""
-    with driven(name) as arm:
-        arm.connect()
-        go(arm, HOME)
+def kill_the_application(emulator: EmulatorProcess, arm: UrArm, *, with_worker: bool) -> None:
+    """The arm comes to rest when the application is killed during a motion, with its worker process or without it."""
+    arm.disconnect()
+    name = arm.name
     root = Path(__file__).parents[3]
     command = [sys.executable, "-c", APPLICATION, name]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
@@ -294,9 +212,8 @@ def kill_the_application(emulator: EmulatorProcess, name: str, with_worker: bool
     assert np.abs(np.array(status["q"]) - FAR).max() > 0.3, "it went all the way"
     until(lambda: not alive(worker), "the worker is gone")
     assert_stays_at_rest(emulator, name)
-    with driven(name) as arm:
-        arm.connect()
-        go(arm, HOME)
+    arm.connect()
+    go(arm, HOME)
 
 
 def alive(pid: int) -> bool:
@@ -305,10 +222,6 @@ def alive(pid: int) -> bool:
             return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
     except FileNotFoundError:
         return False
-
-
-def test_stop_from_another_thread(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
-    in_parallel(stop_from_another_thread, [(emulator, arm) for arm in arms.values()])
 
 
 def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
@@ -329,27 +242,19 @@ def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
     go(arm, HOME)
 
 
-def test_slow_and_late_starts_of_the_program(unconnected: EmulatorProcess) -> None:
-    in_parallel(start_program, [(unconnected, "left", "late"), (unconnected, "right", "slow")])
-
-
-def start_program(emulator: EmulatorProcess, name: str, case: str) -> None:
-    with driven(name) as arm:
-        if case == "slow":
-            slow_start(emulator, arm)
-        else:
-            late_start(emulator, arm)
-    status = emulator.control(name, "status")
-    assert (status["runtime_state"], status["moving"]) == ("STOPPED", False)
-
-
 def slow_start(emulator: EmulatorProcess, arm: UrArm) -> None:
-    """A slow start of the program is waited for, a slower one is reported."""
+    """A slow start of the program is waited for."""
+    arm.disconnect()
     emulator.control(arm.name, "start-delay", 0.5)
     arm.connect()
     go(arm, AWAY)
     arm.stop()
     go(arm, HOME)  # the program is uploaded again
+    assert_stops_with_its_driver(emulator, arm)
+
+
+def slower_start(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """A program that does not start within the time limit is reported."""
     arm.disconnect()
     emulator.control(arm.name, "start-delay", 30.0)
     with pytest.raises(ArmTimeout, match="did not start within 5 s"):
@@ -357,10 +262,12 @@ def slow_start(emulator: EmulatorProcess, arm: UrArm) -> None:
     repair(emulator, arm.name)
     arm.connect()
     go(arm, AWAY)
+    assert_stops_with_its_driver(emulator, arm)
 
 
 def late_start(emulator: EmulatorProcess, arm: UrArm) -> None:
     """A program that starts after the time limit is ended by the next connect."""
+    arm.disconnect()
     emulator.control(arm.name, "fault", "script", "silent")
     with pytest.raises(ArmTimeout, match=f"arm {arm.name}: its control program did not start within 5 s"):
         arm.connect()
@@ -368,9 +275,17 @@ def late_start(emulator: EmulatorProcess, arm: UrArm) -> None:
     until(lambda: emulator.control(arm.name, "status")["runtime_state"] == "PLAYING", "the program starts after all")
     arm.connect()
     assert arm.state().ready
+    assert_stops_with_its_driver(emulator, arm)
 
 
-def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, arm: UrArm) -> None:
+def assert_stops_with_its_driver(emulator: EmulatorProcess, arm: UrArm) -> None:
+    arm.disconnect()
+    status = emulator.control(arm.name, "status")
+    assert (status["runtime_state"], status["moving"]) == ("STOPPED", False)
+
+
+def slower_than_the_wait(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """It goes on."""
     arm.start_move(AWAY, SPEED * 0.1, ACCELERATION)
     with pytest.raises(ArmTimeout):
         arm.wait_settled(0.2)
@@ -380,7 +295,7 @@ def test_an_arm_that_is_slower_than_the_wait_goes_on(emulator: EmulatorProcess, 
     go(arm, HOME)
 
 
-def test_a_dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess, arm: UrArm) -> None:
+def dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess, arm: UrArm) -> None:
     """Only the watchdog is left to stop the arm."""
     arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
@@ -395,13 +310,14 @@ def test_a_dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess
     go_again(emulator, arm)
 
 
-def test_the_watchdogs_rate_is_the_settings(unconnected: EmulatorProcess) -> None:
+def rate_of_the_watchdog(emulator: EmulatorProcess, arm: UrArm) -> None:
     """At 1 Hz the controller stops a program later after the worker was killed than at 5 Hz."""
-    with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=1.0)) as arm:
-        assert stopped_after_kill_s(unconnected, arm) > 0.5  # the last kick is 0.2 s old, or more on a busy computer
-    with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=5.0)) as arm:
+    arm.disconnect()
+    with driven(arm.name, UrSettings(host=FOUR_HOSTS[arm.name], watchdog_hz=1.0)) as slow:
+        assert stopped_after_kill_s(emulator, slow) > 0.5  # the last kick is 0.2 s old, or more on a busy computer
+    with driven(arm.name, UrSettings(host=FOUR_HOSTS[arm.name], watchdog_hz=5.0)) as quick:
         for took in attempts(stopped=0.4):
-            took["stopped"] = stopped_after_kill_s(unconnected, arm)
+            took["stopped"] = stopped_after_kill_s(emulator, quick)
 
 
 def stopped_after_kill_s(emulator: EmulatorProcess, arm: UrArm) -> float:
@@ -409,10 +325,96 @@ def stopped_after_kill_s(emulator: EmulatorProcess, arm: UrArm) -> float:
     make_ready(emulator, arm)
     arm.start_move(FAR, UNHURRIED, ACCELERATION)
     assert arm.worker_pid is not None
-    until(lambda: emulator.control("right", "status")["moving"], "the arm moves")
+    until(lambda: emulator.control(arm.name, "status")["moving"], "the arm moves")
     killed_s = time.monotonic()
     os.kill(arm.worker_pid, signal.SIGKILL)
-    until(lambda: not emulator.control("right", "status")["moving"], "the watchdog stops the arm")
-    (stop,) = emulator.control("right", "stops", killed_s)
+    until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm")
+    (stop,) = emulator.control(arm.name, "stops", killed_s)
     assert stop["ideal_s"] > 0.0, "it went all the way"
     return float(stop["received_s"]) - killed_s
+
+
+# -- four arms at a time, because each of these episodes mostly waits --------------------------------------------------
+
+
+def before(fault: str) -> Episode:
+    return partial(fault_before_a_motion, fault=fault)
+
+
+def during(fault: str) -> Episode:
+    return partial(fault_during_a_motion, fault=fault)
+
+
+def after(fault: str) -> Episode:
+    return partial(fault_after_a_motion, fault=fault)
+
+
+def killed(number: signal.Signals) -> Episode:
+    return partial(signal_to_the_worker, number=number)
+
+
+ROUNDS: dict[str, dict[str, list[Episode]]] = {
+    "faults before a motion": {
+        "left": [before("rst")],
+        "right": [before("fin")],
+        "left2": [before("protective")],
+        "right2": [before("emergency")],
+    },
+    "faults during a motion": {
+        "left": [during("fin")],
+        "right": [during("rst")],
+        "left2": [during("emergency")],
+        "right2": [during("protective")],
+    },
+    "faults after a motion": {
+        "left": [after("fin")],
+        "right": [after("rst")],
+        "left2": [after("emergency")],
+        "right2": [after("protective")],
+    },
+    "links that are refused or silent": {
+        "left": [during("refused")],
+        "right": [after("refused")],
+        "left2": [before("silence")],
+        "right2": [before("refused")],
+    },
+    "silence": {
+        "left": [during("all silent")],
+        "right": [during("silence"), dashboard_that_is_dead_when_the_link_breaks],
+        "left2": [after("all silent")],
+        "right2": [rate_of_the_watchdog, stop_on_the_pendant],
+    },
+    "starts of the program, and what is killed": {
+        "left": [killed(signal.SIGSEGV), partial(kill_the_application, with_worker=False)],
+        "right": [killed(signal.SIGSTOP), slow_start],
+        "left2": [late_start],
+        "right2": [slower_start],
+    },
+    "stops": {
+        "left": [protective_stop_stays, stop_from_another_thread],
+        "right": [protective_stop_stays, stop_from_another_thread],
+        "left2": [slower_than_the_wait],
+        "right2": [partial(kill_the_application, with_worker=True)],
+    },
+}
+
+
+@pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)
+def test_of_each_arm(emulator: EmulatorProcess, arms: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
+    of_each_arm(emulator, arms, episodes, make_ready)
+
+
+def test_the_other_arm_goes_on_when_one_link_breaks(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
+    left, right = arms["left"], arms["right"]
+    in_parallel(make_ready, [(emulator, left), (emulator, right)])
+    began_s = time.monotonic()
+    for driver in (left, right):
+        driver.start_move(AWAY, SPEED * 0.2, ACCELERATION)
+    until(lambda: float(np.abs(left.state().q - HOME).max()) > 0.02, "the left arm moves")
+    inject(emulator, "left", "rst")
+    np.testing.assert_allclose(right.wait_settled(PATIENT_S).q, AWAY, atol=1e-6)
+    with pytest.raises(LinkLost):
+        left.wait_settled(PATIENT_S)
+    assert_braked(emulator, "left", began_s)
+    go_again(emulator, left)
+    go(right, HOME)

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from cellapp.progress import CancelToken
 from cellapp.trials.link_bench import travel_s
+from cellapp.trials.link_results import LinksResult
 from cellapp.trials.links import link_trials
 from drivers.arms import ur_path_supervisor, ur_supervisor, ur_worker
 from drivers.arms.protocol import (
@@ -44,6 +47,7 @@ from drivers.arms.ur_rtde_reader import wait_at_rest
 from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_worker_process import HeartbeatGaps
 from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
+from tests.at_once import in_parallel
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
@@ -58,6 +62,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     configs,
     driven,
+    drivers_of,
     emulated_cell,
     expectation,
     repair,
@@ -78,23 +83,39 @@ def emulator() -> Iterator[EmulatorProcess]:
 
 
 @pytest.fixture(scope="module")
-def connected(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
-    """Both arms, connected once for all tests that leave them without a fault."""
-    with driven("left") as left, driven("right") as right:
-        for arm in (left, right):
-            arm.connect()
-        yield {"left": left, "right": right}
+def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
+    with drivers_of(HOSTS) as drivers:
+        yield drivers
+
+
+@pytest.fixture(scope="module")
+def links() -> Iterator[Future[LinksResult]]:
+    """A trial at addresses of its own, which runs while the other tests wait; cancelled if no test needs it."""
+    cancel = CancelToken()
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(link_trials, 8, 4, seed=10, cancel=cancel, hosts=TRIAL_HOSTS)
+        cancel.cancel()
 
 
 @pytest.fixture
-def unconnected(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> Iterator[EmulatorProcess]:
-    """The controllers without clients, for tests that connect themselves."""
-    for arm in connected.values():
+def connected(emulator: EmulatorProcess, drivers: dict[str, UrArm], links: Future[LinksResult]) -> dict[str, UrArm]:
+    """Both arms, without a fault; they stay connected until a test needs the controllers without clients."""
+    in_parallel(make_ready, [(emulator, arm) for arm in drivers.values()])
+    return drivers
+
+
+def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
+    repair(emulator, arm.name)
+    arm.connect()
+
+
+@pytest.fixture
+def unconnected(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> EmulatorProcess:
+    """The controllers without clients and faults, for tests that connect themselves."""
+    for name, arm in drivers.items():
         arm.disconnect()
-    yield emulator
-    for name, arm in connected.items():
         repair(emulator, name)
-        arm.connect()
+    return emulator
 
 
 # -- motions ----------------------------------------------------------------------------------------------------------
@@ -103,7 +124,7 @@ def unconnected(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> Itera
 def test_both_arms_move_at_once(connected: dict[str, UrArm]) -> None:
     for goal in (AWAY, HOME):
         for arm in connected.values():
-            arm.start_move(goal, SPEED * 0.2, ACCELERATION)
+            arm.start_move(goal, SPEED * 0.5, ACCELERATION)
         assert all(arm.state().moving for arm in connected.values())
         for arm in connected.values():
             state = arm.wait_settled(PATIENT_S)
@@ -347,20 +368,11 @@ def test_disconnecting_while_it_moves_stops_it(unconnected: EmulatorProcess) -> 
         arm.wait_settled(PATIENT_S)
 
 
-def test_threads_and_processes_are_gone_afterwards(unconnected: EmulatorProcess) -> None:
-    before = threading.active_count()
-    with driven("right") as arm:
-        arm.connect()
-        pid = arm.worker_pid
-    assert threading.active_count() == before
-    assert not Path(f"/proc/{pid}").exists()
-
-
 def test_another_controller_at_the_same_address_is_refused() -> None:
     """The cables were swapped after a fault."""
     left, right = (replace(config, host=SWAPPED_HOSTS[config.name]) for config in configs())
     with start_in_process([left, right]):
-        arm = UrArm("left", UrSettings(host=SWAPPED_HOSTS["left"]), expectation("left", serial=None))
+        arm = UrArm("left", UrSettings(host=SWAPPED_HOSTS["left"]), expectation("left", serial=None), rest_s=1.0)
         arm.connect()
     with pytest.raises(LinkLost):
         arm.state()
@@ -378,11 +390,11 @@ def test_another_controller_at_the_same_address_is_refused() -> None:
 def test_a_silent_host_is_reported_within_its_time_limit(unconnected: EmulatorProcess, silent: str) -> None:
     assert UrSettings(host=HOSTS["right"]).timeout <= 5.0
     unconnected.control("right", "fault", silent, "silent")
-    with driven("right", UrSettings(host=HOSTS["right"], timeout=1.0)) as arm:
+    with driven("right", UrSettings(host=HOSTS["right"], timeout=0.5)) as arm:
         if silent == "primary":  # its data are optional
             arm.connect()
             return
-        for took in attempts(reported=2.0):
+        for took in attempts(reported=1.0):
             began = time.monotonic()
             with pytest.raises(LinkLost, match=f"arm right: .*{re.escape(HOSTS['right'])}"):
                 arm.connect()
@@ -422,7 +434,7 @@ def test_an_arm_is_watched_over_a_separate_connection(emulator: EmulatorProcess,
     arm.start_move(FAR, SPEED * 0.2, ACCELERATION)
     until(lambda: arm.state().moving, "the arm moves")
     with pytest.raises(LinkLost, match="still moves"):
-        wait_at_rest(HOSTS["left"], 1.0)
+        wait_at_rest(HOSTS["left"], 0.3)
     arm.stop()
     arm.start_move(HOME, SPEED, ACCELERATION)
     arm.wait_settled(PATIENT_S)
@@ -726,9 +738,19 @@ def test_silence_after_a_stop_on_purpose_is_not_counted() -> None:
 # -- many motions, many faults ----------------------------------------------------------------------------------------
 
 
-def test_motions_with_random_faults() -> None:
-    trial = link_trials(8, 4, seed=10, hosts=TRIAL_HOSTS)
+def test_motions_with_random_faults(links: Future[LinksResult]) -> None:
+    trial = links.result()
     assert trial.complaints == ()
     assert trial.moves == 8
     assert trial.faults == 2
     assert trial.longest_step_s < 30.0
+
+
+def test_threads_and_processes_are_gone_afterwards(unconnected: EmulatorProcess, links: Future[LinksResult]) -> None:
+    wait([links])  # its threads are gone
+    before = threading.active_count()
+    with driven("right") as arm:
+        arm.connect()
+        pid = arm.worker_pid
+    assert threading.active_count() == before
+    assert not Path(f"/proc/{pid}").exists()

@@ -30,20 +30,26 @@ from drivers.arms.protocol import (
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess
+from tests.at_once import in_parallel
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
     FAR,
+    FOUR_HOSTS,
     HOME,
     HOSTS,
     PATIENT_S,
     SPEED,
     UNHURRIED,
+    Episode,
     assert_braked,
     assert_stays_at_rest,
+    at_rest,
     driven,
+    drivers_of,
     emulated_cell,
-    in_parallel,
+    of_each_arm,
+    received_stop_s,
     repair,
     until,
 )
@@ -63,25 +69,14 @@ MOST_LOST = 3
 
 @pytest.fixture(scope="module")
 def emulator() -> Iterator[EmulatorProcess]:
-    with emulated_cell() as started:
+    with emulated_cell(FOUR_HOSTS) as started:
         yield started
 
 
 @pytest.fixture(scope="module")
 def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
-    with driven("left") as left, driven("right") as right:
-        yield {"left": left, "right": right}
-
-
-@pytest.fixture(params=["left", "right"])
-def arm(request: pytest.FixtureRequest, emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
-    """A CB3 or an e-Series arm, connected, without fault."""
-    return make_ready(emulator, drivers[request.param])
-
-
-@pytest.fixture
-def right(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> UrArm:
-    return make_ready(emulator, drivers["right"])
+    with drivers_of(FOUR_HOSTS) as drivers:
+        yield drivers
 
 
 def make_ready(emulator: EmulatorProcess, arm: UrArm) -> UrArm:
@@ -105,16 +100,6 @@ def go(arm: UrArm, q: np.ndarray) -> None:
     np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, q, atol=1e-6)
 
 
-def received_stop_s(emulator: EmulatorProcess, name: str, since_s: float) -> float:
-    """Return when the controller received the first stop after ``since_s`` (``time.monotonic``)."""
-    stops = [stop for stop in emulator.control(name, "stops") if stop["received_s"] >= since_s]
-    return float(stops[0]["received_s"])
-
-
-def at_rest(emulator: EmulatorProcess, name: str) -> bool:
-    return not emulator.control(name, "status")["moving"]
-
-
 class Heard:
     """A listener that keeps what it was told, and when."""
 
@@ -130,7 +115,13 @@ class Heard:
 # -- brake ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_brake_during_a_wait_stops_the_arm_and_ends_the_wait(emulator: EmulatorProcess, arm: UrArm) -> None:
+def test_a_brake_during_a_wait_stops_the_arm_and_ends_the_wait(
+    emulator: EmulatorProcess, drivers: dict[str, UrArm]
+) -> None:
+    in_parallel(brake_ends_a_wait, [(emulator, drivers[name]) for name in ("left", "right")])
+
+
+def brake_ends_a_wait(emulator: EmulatorProcess, arm: UrArm) -> None:
     for took in attempts(woken=COMMANDED_WITHIN_S, returned=0.05, received=COMMANDED_WITHIN_S):
         make_ready(emulator, arm)
         took.update(brake_during_a_wait(emulator, arm))
@@ -168,26 +159,17 @@ def brake_during_a_wait(emulator: EmulatorProcess, arm: UrArm) -> dict[str, floa
 def test_no_motion_survives_a_brake_at_any_moment_of_its_start(
     emulator: EmulatorProcess, drivers: dict[str, UrArm]
 ) -> None:
-    threads = []
-    failures: list[BaseException] = []
     ends: list[type[ArmError]] = []
+    moments = random.Random(11)
+    moments_s = [moments.uniform(0.0, 0.2) for _ in range(12)]  # shared by the two arms of a series
 
-    def hammer(arm: UrArm) -> None:
-        try:
-            moments = random.Random(11)
-            for _ in range(12):
-                ends.append(brake_while_it_starts(emulator, arm, moments.uniform(0.0, 0.2)))
-        except BaseException as error:  # noqa: BLE001 - raised below, in the test's thread
-            failures.append(error)
-
-    for arm in drivers.values():
+    def hammer(name: str, arm: UrArm) -> None:
         make_ready(emulator, arm)
-        threads.append(threading.Thread(target=hammer, args=(arm,)))
-        threads[-1].start()
-    for thread in threads:
-        thread.join()
-    for failure in failures:
-        raise failure
+        for after_s in moments_s[6:] if name.endswith("2") else moments_s[:6]:
+            ends.append(brake_while_it_starts(emulator, arm, after_s))
+
+    in_parallel(hammer, drivers.items())
+    assert len(ends) == 24
     assert len(ends) - ends.count(MotionStopped) <= MOST_LOST, ends
 
 
@@ -219,54 +201,52 @@ def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float)
     return ended.type
 
 
-def test_a_brake_without_its_open_line_takes_a_new_one(emulator: EmulatorProcess, right: UrArm) -> None:
+def brake_without_its_open_line(emulator: EmulatorProcess, arm: UrArm) -> None:
     for took in attempts(received=COMMANDED_WITHIN_S):
-        make_ready(emulator, right)
-        start(emulator, right)
-        emulator.control("right", "drop", "dashboard", "rst")
+        make_ready(emulator, arm)
+        start(emulator, arm)
+        emulator.control(arm.name, "drop", "dashboard", "rst")
         asked = time.monotonic()
-        right.brake()
-        assert_braked(emulator, "right", asked)
-        took["received"] = received_stop_s(emulator, "right", asked) - asked
+        arm.brake()
+        assert_braked(emulator, arm.name, asked)
+        took["received"] = received_stop_s(emulator, arm.name, asked) - asked
 
 
-def test_a_brake_that_the_dashboard_does_not_confirm_says_so_and_stops_all_the_same(
-    emulator: EmulatorProcess, right: UrArm
-) -> None:
+def unconfirmed_brake_says_so_and_stops_all_the_same(emulator: EmulatorProcess, arm: UrArm) -> None:
     for took in attempts(received=COMMANDED_WITHIN_S):
-        make_ready(emulator, right)
-        start(emulator, right)
-        emulator.control("right", "fault", "dashboard", "silent")
+        make_ready(emulator, arm)
+        start(emulator, arm)
+        emulator.control(arm.name, "fault", "dashboard", "silent")
         asked = time.monotonic()
-        with pytest.raises(LinkLost, match=r"arm right: its stop was not confirmed: .*29999"):
-            right.brake()
-        assert_braked(emulator, "right", asked)
-        took["received"] = received_stop_s(emulator, "right", asked) - asked
+        with pytest.raises(LinkLost, match=rf"arm {arm.name}: its stop was not confirmed: .*29999"):
+            arm.brake()
+        assert_braked(emulator, arm.name, asked)
+        took["received"] = received_stop_s(emulator, arm.name, asked) - asked
 
 
-def test_braking_an_arm_that_rests_or_is_not_connected_is_harmless(emulator: EmulatorProcess, right: UrArm) -> None:
-    go(right, AWAY)
-    right.brake()
-    right.brake()
-    right.stop()
+def braking_at_rest_or_unconnected(emulator: EmulatorProcess, arm: UrArm) -> None:
+    go(arm, AWAY)
+    arm.brake()
+    arm.brake()
+    arm.stop()
     with pytest.raises(MotionStopped):
-        right.start_move(HOME, SPEED, ACCELERATION)
-    right.connect()
-    go(right, HOME)
-    with driven("left") as other:
+        arm.start_move(HOME, SPEED, ACCELERATION)
+    arm.connect()
+    go(arm, HOME)
+    with driven(arm.name) as other:
         other.brake()
 
 
-def test_a_slider_at_0_keeps_a_braked_arm_stopped(emulator: EmulatorProcess, right: UrArm) -> None:
-    right.brake()
-    emulator.control("right", "slider", 0.0)
-    with pytest.raises(ArmError, match="arm right: not moved: speed slider: at 0 %"):
-        right.connect()
+def slider_at_0_keeps_a_braked_arm_stopped(emulator: EmulatorProcess, arm: UrArm) -> None:
+    arm.brake()
+    emulator.control(arm.name, "slider", 0.0)
+    with pytest.raises(ArmError, match=f"arm {arm.name}: not moved: speed slider: at 0 %"):
+        arm.connect()
     with pytest.raises(MotionStopped):
-        right.start_move(HOME, SPEED, ACCELERATION)
-    emulator.control("right", "slider", 1.0)
-    right.connect()
-    go(right, AWAY)
+        arm.start_move(HOME, SPEED, ACCELERATION)
+    emulator.control(arm.name, "slider", 1.0)
+    arm.connect()
+    go(arm, AWAY)
 
 
 # -- doubts -----------------------------------------------------------------------------------------------------------
@@ -279,18 +259,21 @@ PUSHED: dict[str, tuple[tuple[Any, ...] | None, type[ArmError], float]] = {
     "killed": (None, LinkLost, 0.0),
     "protective": (("protective", "now"), ProtectiveStop, 0.0),
 }
-PUSHED_AT_ONCE = [
-    {"left": "fin", "right": "rst"},
-    {"left": "silent", "right": "all silent"},
-    {"left": "protective", "right": "killed"},
-]
+PUSHED_AT_ONCE = {
+    "left": ["silent"],
+    "right": ["all silent"],
+    "left2": ["fin", "protective"],
+    "right2": ["rst", "killed"],
+}
 
 
-@pytest.mark.parametrize("faults", PUSHED_AT_ONCE, ids=str)
-def test_a_doubt_is_pushed_before_it_is_diagnosed(
-    emulator: EmulatorProcess, drivers: dict[str, UrArm], faults: dict[str, str]
-) -> None:
-    in_parallel(doubt_is_pushed, [(emulator, drivers[name], fault) for name, fault in faults.items()])
+def test_a_doubt_is_pushed_before_it_is_diagnosed(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
+    in_parallel(doubts_are_pushed, [(emulator, drivers[name], faults) for name, faults in PUSHED_AT_ONCE.items()])
+
+
+def doubts_are_pushed(emulator: EmulatorProcess, arm: UrArm, faults: list[str]) -> None:
+    for fault in faults:
+        doubt_is_pushed(emulator, arm, fault)
 
 
 def doubt_is_pushed(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
@@ -328,24 +311,24 @@ def told_of(emulator: EmulatorProcess, arm: UrArm, fault: str, heard: Heard) -> 
     return heard_s - began_s
 
 
-def test_a_worker_that_does_not_run_is_a_doubt(emulator: EmulatorProcess, right: UrArm) -> None:
+def worker_that_does_not_run_is_a_doubt(emulator: EmulatorProcess, arm: UrArm) -> None:
     for took in attempts(told=KNOWN_WITHIN_S + TOLD_WITHIN_S, received=COMMANDED_WITHIN_S):
-        make_ready(emulator, right)
-        heard = Heard(right)
-        start(emulator, right)
-        assert right.worker_pid is not None
+        make_ready(emulator, arm)
+        heard = Heard(arm)
+        start(emulator, arm)
+        assert arm.worker_pid is not None
         began_s = time.monotonic()
-        os.kill(right.worker_pid, signal.SIGSTOP)
+        os.kill(arm.worker_pid, signal.SIGSTOP)
         heard_s, doubt = heard.first()
         assert isinstance(doubt, LinkLost | HostStalled)
         asked_s = time.monotonic()
-        right.brake()
-        assert_braked(emulator, "right", began_s)
-        took.update(told=heard_s - began_s, received=received_stop_s(emulator, "right", began_s) - asked_s)
+        arm.brake()
+        assert_braked(emulator, arm.name, began_s)
+        took.update(told=heard_s - began_s, received=received_stop_s(emulator, arm.name, began_s) - asked_s)
         with pytest.raises(LinkLost, match="seen at rest"):
-            right.wait_settled(PATIENT_S)
-    right.connect()
-    go(right, AWAY)
+            arm.wait_settled(PATIENT_S)
+    arm.connect()
+    go(arm, AWAY)
 
 
 def test_a_stall_of_this_computer_is_named(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
@@ -383,10 +366,10 @@ def freeze_until_stopped(emulator: EmulatorProcess, arm: UrArm) -> float:
 
 
 APPLICATION = """
-import threading
+import sys
 from tests.drivers.arms.emulated_ur_cell import ACCELERATION, AWAY, FAR, HOME, SPEED, driven
 
-with driven("right") as arm:
+with driven(sys.argv[1]) as arm:
     arm.connect()
     far = FAR if abs(arm.state().q - FAR).max() > abs(arm.state().q - HOME).max() else HOME
     arm.start_move(far, SPEED * 0.3, ACCELERATION)
@@ -398,20 +381,18 @@ with driven("right") as arm:
 """
 
 
-def test_a_suspended_application_does_not_leave_its_arm_moving(
-    emulator: EmulatorProcess, drivers: dict[str, UrArm]
-) -> None:
-    drivers["right"].disconnect()
-    repair(emulator, "right")
+def suspended_application_does_not_leave_its_arm_moving(emulator: EmulatorProcess, arm: UrArm) -> None:
+    arm.disconnect()
+    name = arm.name
     root = Path(__file__).parents[3]
-    command = [sys.executable, "-c", APPLICATION]
+    command = [sys.executable, "-c", APPLICATION, name]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
         assert application.stdout is not None
         assert application.stdout.readline() == "moving\n"
-        until(lambda: not at_rest(emulator, "right"), "the arm moves")
+        until(lambda: not at_rest(emulator, name), "the arm moves")
         suspended_s = time.monotonic()
         application.send_signal(signal.SIGSTOP)
-        assert_braked(emulator, "right", suspended_s)
+        assert_braked(emulator, name, suspended_s)
         application.send_signal(signal.SIGCONT)
         assert application.stdout.readline() == "HostStalled\n"
         application.wait(PATIENT_S)
@@ -420,32 +401,42 @@ def test_a_suspended_application_does_not_leave_its_arm_moving(
 # -- what the controller says -----------------------------------------------------------------------------------------
 
 
-def test_a_paused_program_of_somebody_else_is_left_alone(emulator: EmulatorProcess, right: UrArm) -> None:
-    right.disconnect()
-    emulator.control("right", "foreign", "paused")
-    until(lambda: emulator.control("right", "status")["runtime_state"] == "PAUSED", "the program is paused")
-    with pytest.raises(ArmError, match=r"arm right: not moved: program: .* is paused"):
-        right.connect()
-    assert emulator.control("right", "status")["runtime_state"] == "PAUSED"
-    emulator.control("right", "foreign", "off")
-    until(lambda: emulator.control("right", "status")["runtime_state"] == "STOPPED", "the program has ended")
+def paused_program_of_somebody_else_is_left_alone(emulator: EmulatorProcess, arm: UrArm) -> None:
+    arm.disconnect()
+    emulator.control(arm.name, "foreign", "paused")
+    until(lambda: emulator.control(arm.name, "status")["runtime_state"] == "PAUSED", "the program is paused")
+    with pytest.raises(ArmError, match=rf"arm {arm.name}: not moved: program: .* is paused"):
+        arm.connect()
+    assert emulator.control(arm.name, "status")["runtime_state"] == "PAUSED"
+    emulator.control(arm.name, "foreign", "off")
+    until(lambda: emulator.control(arm.name, "status")["runtime_state"] == "STOPPED", "the program has ended")
 
 
 def test_a_slider_that_is_moved_during_a_motion_is_no_fault(
     emulator: EmulatorProcess, drivers: dict[str, UrArm]
 ) -> None:
-    in_parallel(slider_is_no_fault, [(emulator, arm) for arm in drivers.values()])
+    arms = [drivers[name] for name in ("left", "right")]
+    in_parallel(make_ready, [(emulator, arm) for arm in arms])
+    chosen = [(emulator, arm, Heard(arm)) for arm in arms]
+    in_parallel(slider_to_zero, chosen)
+    emulator.control("*", "pace", 4.0)  # what is left of the motion is nothing to wait for
+    try:
+        in_parallel(slider_up_again, chosen)
+    finally:
+        emulator.control("*", "pace", 1.0)
 
 
-def slider_is_no_fault(emulator: EmulatorProcess, arm: UrArm) -> None:
-    make_ready(emulator, arm)
-    heard = Heard(arm)
+def slider_to_zero(emulator: EmulatorProcess, arm: UrArm, heard: Heard) -> None:
     start(emulator, arm, SPEED)
     emulator.control(arm.name, "slider", 0.0)
     with pytest.raises(ArmTimeout, match=f"arm {arm.name}: .* stands, because the speed slider is at 0 %"):
         arm.wait_settled(1.6)  # a motion that stands at full speed is a fault after 1 s
     state = arm.state()
     assert (state.speed_fraction, state.ready, state.moving) == (0.0, True, True)
+    assert heard.doubts == []
+
+
+def slider_up_again(emulator: EmulatorProcess, arm: UrArm, heard: Heard) -> None:
     emulator.control(arm.name, "slider", 0.5)
     arm.wait_settled(PATIENT_S)
     assert arm.state().speed_fraction == 0.5
@@ -455,26 +446,28 @@ def slider_is_no_fault(emulator: EmulatorProcess, arm: UrArm) -> None:
         arm.start_move(AWAY, SPEED, ACCELERATION)
 
 
-def test_local_control_is_named_when_a_stop_is_refused(emulator: EmulatorProcess, right: UrArm) -> None:
-    start(emulator, right)
+def local_control_is_named_when_a_stop_is_refused(emulator: EmulatorProcess, arm: UrArm) -> None:
+    start(emulator, arm)
     asked = time.monotonic()
-    emulator.control("right", "remote", "off")
-    with pytest.raises(LinkLost, match=r"arm right: its stop was not confirmed: .*the pendant is in local control"):
-        right.brake()
-    assert_braked(emulator, "right", asked)  # its program still obeys
+    emulator.control(arm.name, "remote", "off")
+    with pytest.raises(
+        LinkLost, match=rf"arm {arm.name}: its stop was not confirmed: .*the pendant is in local control"
+    ):
+        arm.brake()
+    assert_braked(emulator, arm.name, asked)  # its program still obeys
     with pytest.raises(NotInRemoteControl, match="from Local to Remote"):
-        right.connect()
+        arm.connect()
 
 
-def test_local_control_is_named_after_a_stop(emulator: EmulatorProcess, right: UrArm) -> None:
-    start(emulator, right)
-    right.stop()
-    emulator.control("right", "remote", "off")
-    with pytest.raises(NotInRemoteControl, match="arm right: the pendant is in local control"):
-        right.start_move(HOME, SPEED, ACCELERATION)
+def local_control_is_named_after_a_stop(emulator: EmulatorProcess, arm: UrArm) -> None:
+    start(emulator, arm)
+    arm.stop()
+    emulator.control(arm.name, "remote", "off")
+    with pytest.raises(NotInRemoteControl, match=f"arm {arm.name}: the pendant is in local control"):
+        arm.start_move(HOME, SPEED, ACCELERATION)
 
 
-def test_the_controller_is_asked_about_joint_positions(emulator: EmulatorProcess, arm: UrArm) -> None:
+def asked_about_joint_positions(emulator: EmulatorProcess, arm: UrArm) -> None:
     moves = emulator.control(arm.name, "status")["moves"]
     rows = np.vstack([HOME, AWAY, HOME + 7.0, FAR])
     assert arm.refused_by_controller(rows).tolist() == [False, False, True, False]
@@ -484,3 +477,24 @@ def test_the_controller_is_asked_about_joint_positions(emulator: EmulatorProcess
     arm.brake()
     with pytest.raises(MotionStopped):
         arm.refused_by_controller(rows)
+
+
+# -- four arms at a time, because each of these episodes mostly waits --------------------------------------------------
+
+ROUNDS: dict[str, dict[str, list[Episode]]] = {
+    "brakes and the slider": {
+        "left": [asked_about_joint_positions, braking_at_rest_or_unconnected],
+        "right": [asked_about_joint_positions, brake_without_its_open_line, local_control_is_named_after_a_stop],
+        "left2": [slider_at_0_keeps_a_braked_arm_stopped, paused_program_of_somebody_else_is_left_alone],
+        "right2": [unconfirmed_brake_says_so_and_stops_all_the_same, local_control_is_named_when_a_stop_is_refused],
+    },
+    "processes that stand still": {
+        "right": [worker_that_does_not_run_is_a_doubt],
+        "right2": [suspended_application_does_not_leave_its_arm_moving],
+    },
+}
+
+
+@pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)
+def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
+    of_each_arm(emulator, drivers, episodes, make_ready)

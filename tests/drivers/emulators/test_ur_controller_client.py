@@ -8,7 +8,9 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,25 +22,26 @@ from tests.loopback import own_arms
 
 ROOT = Path(__file__).parents[3]
 LONGEST_S = 40.0
-HOSTS = own_arms(61)
+HOSTS, MEANWHILE_HOSTS = own_arms(61), own_arms(65)
+MEANWHILE = ("late_start", "watchdog", "emergency_stop")
+"""Scenarios that run meanwhile, because they wait longest."""
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs loopback addresses beyond 127.0.0.1")
 
 
-@pytest.fixture(scope="module")
-def process() -> Iterator[EmulatorProcess]:
+@contextmanager
+def controllers(hosts: Mapping[str, str]) -> Iterator[EmulatorProcess]:
     left = personality("CB3", "UR10", "20153012345")
     arms = [
-        ControllerConfig("left", HOSTS["left"], left, boot_s=0.2, brake_release_s=0.1),
-        ControllerConfig("right", HOSTS["right"], personality("e-Series", "UR5", "20205501234")),
+        ControllerConfig("left", hosts["left"], left, boot_s=0.2, brake_release_s=0.1),
+        ControllerConfig("right", hosts["right"], personality("e-Series", "UR5", "20205501234")),
     ]
     with start_in_process(arms) as process:
         yield process
 
 
-@pytest.fixture
-def emulator(process: EmulatorProcess) -> EmulatorProcess:
-    """The controllers at work and without faults, wherever their arms stand; their time passes three times as fast."""
+def reset(process: EmulatorProcess) -> None:
+    """Let controllers work without faults, wherever their arms stand; their time passes three times as fast."""
     control = process.control
     control("*", "pace", 3)
     control("*", "fault", "*", "none")
@@ -50,10 +53,37 @@ def emulator(process: EmulatorProcess) -> EmulatorProcess:
     end = time.monotonic() + LONGEST_S
     while not all(s["robot_mode"] == "RUNNING" and s["safety_mode"] == "NORMAL" for s in control("*", "status")):
         assert time.monotonic() < end
+
+
+Found = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def meanwhile() -> Iterator[Mapping[str, Future[Found]]]:
+    """What the scenarios that wait longest found with other controllers, while the other tests run."""
+
+    def alone(process: EmulatorProcess, scenario: str) -> Found:
+        reset(process)
+        return client(process, scenario, MEANWHILE_HOSTS)
+
+    with controllers(MEANWHILE_HOSTS) as process, ThreadPoolExecutor(1) as one_after_the_other:
+        yield {scenario: one_after_the_other.submit(alone, process, scenario) for scenario in MEANWHILE}
+        one_after_the_other.shutdown(cancel_futures=True)
+
+
+@pytest.fixture(scope="module")
+def process() -> Iterator[EmulatorProcess]:
+    with controllers(HOSTS) as process:
+        yield process
+
+
+@pytest.fixture
+def emulator(meanwhile: object, process: EmulatorProcess) -> EmulatorProcess:
+    reset(process)
     return process
 
 
-def client(emulator: EmulatorProcess, scenario: str) -> dict[str, Any]:
+def client(emulator: EmulatorProcess, scenario: str, hosts: Mapping[str, str] = HOSTS) -> Found:
     """What a scenario found."""
     done = subprocess.run(
         [
@@ -62,7 +92,7 @@ def client(emulator: EmulatorProcess, scenario: str) -> dict[str, Any]:
             "tests.drivers.emulators.ur_rtde_scenario",
             scenario,
             str(emulator.addresses.control[1]),
-            *HOSTS.values(),
+            *hosts.values(),
         ],
         cwd=ROOT,
         capture_output=True,
@@ -71,7 +101,7 @@ def client(emulator: EmulatorProcess, scenario: str) -> dict[str, Any]:
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    found: Found = json.loads(done.stdout.splitlines()[-1])
     return found
 
 
@@ -105,17 +135,6 @@ def test_a_protective_stop_and_its_release(emulator: EmulatorProcess) -> None:
     assert (found["still"], found["next"], found["moves"]) == (True, True, 2)
 
 
-def test_an_emergency_stop_and_its_release(emulator: EmulatorProcess) -> None:
-    assert client(emulator, "emergency_stop") == {"refused": False, "still": True, "next": True}
-
-
-def test_the_watchdog_brings_the_arm_of_a_silent_client_to_rest(emulator: EmulatorProcess) -> None:
-    found = client(emulator, "watchdog")
-    assert found["fed"] is True
-    assert found["moving"] is False
-    assert found["gone"] < 2.4, "it went all the way"
-
-
 def test_an_arm_goes_on_when_the_link_is_cut(emulator: EmulatorProcess) -> None:
     found = client(emulator, "dropped")
     assert found["seen"] is True
@@ -123,13 +142,24 @@ def test_an_arm_goes_on_when_the_link_is_cut(emulator: EmulatorProcess) -> None:
 
 
 def test_a_late_start_local_control_and_a_second_client_fail_as_on_a_real_controller(
-    emulator: EmulatorProcess,
+    emulator: EmulatorProcess, meanwhile: Mapping[str, Future[Found]]
 ) -> None:
     assert "remote control" in client(emulator, "local_control")["error"]
     second = client(emulator, "second_client")
     assert "already in use" in second["error"]
     assert second["first"] is True
-    assert "Failed to start control script" in client(emulator, "late_start")["error"]
+    assert "Failed to start control script" in meanwhile["late_start"].result()["error"]
+
+
+def test_the_watchdog_brings_the_arm_of_a_silent_client_to_rest(meanwhile: Mapping[str, Future[Found]]) -> None:
+    found = meanwhile["watchdog"].result()
+    assert found["fed"] is True
+    assert found["moving"] is False
+    assert found["gone"] < 2.4, "it went all the way"
+
+
+def test_an_emergency_stop_and_its_release(meanwhile: Mapping[str, Future[Found]]) -> None:
+    assert meanwhile["emergency_stop"].result() == {"refused": False, "still": True, "next": True}
 
 
 @pytest.mark.skipif(

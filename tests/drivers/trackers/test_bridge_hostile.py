@@ -28,7 +28,7 @@ def bridge(make_plant):
 
 @pytest.fixture
 def bridge_with_token(make_plant):
-    with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, hello_s=2.0, line_s=0.5, token=TOKEN) as served:
+    with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, hello_s=0.5, line_s=0.5, token=TOKEN) as served:
         yield served
 
 

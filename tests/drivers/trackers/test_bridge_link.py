@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,11 +35,12 @@ from drivers.trackers.protocol import (
     WrongTarget,
 )
 from drivers.trackers.simulated import SimulatedTracker
+from tests.at_once import all_at_once, in_parallel
 from tests.drivers.trackers.fake_lmf import Scene
 from tests.drivers.trackers.virtual_serial_cable import serial_cable
 
 TOKEN = "correct horse battery staple"
-QUICK_S = 0.3
+QUICK_S = 0.6
 NEST = np.array([1.5, 2.0, -0.3])
 
 
@@ -63,7 +66,7 @@ def over(kind, plant, **options):
         with (
             serial_cable() as (theirs, ours),
             TrackerBridgeEmulator(plant, port=None, serial_url=theirs, **values) as bridge,
-            client(ours, timeout_s=0.5) as tracker,
+            client(ours, timeout_s=1.0) as tracker,
         ):
             yield bridge, tracker
 
@@ -93,8 +96,11 @@ def test_the_bridge_returns_the_trackers_own_results(kind, make_plant):
 
 
 @pytest.mark.parametrize("kind", ["tcp", "serial"])
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_neither_loses_nor_doubles_a_measurement(kind, fault, make_plant):
+def test_a_fault_neither_loses_nor_doubles_a_measurement(kind, make_plant):
+    in_parallel(fault_is_survived, [(kind, fault, make_plant) for fault in FAULTS])
+
+
+def fault_is_survived(kind, fault, make_plant):
     with over(kind, make_plant(noise=True)) as (bridge, tracker):
         before = tracker.measure(NEST, 1.0)
         bridge.fault(fault)
@@ -110,7 +116,7 @@ def test_a_fault_neither_loses_nor_doubles_a_measurement(kind, fault, make_plant
         assert tracker.unmet() == []
 
 
-def test_several_faults_one_after_the_other(make_plant):
+def several_faults_one_after_the_other(make_plant):
     with over("tcp", make_plant()) as (bridge, tracker):
         for fault in ("garbage", "drop", "silence"):
             bridge.fault(fault)
@@ -171,7 +177,7 @@ def test_one_client_at_a_time(make_plant):
                 first.measure(NEST, 1.0)
 
 
-def test_a_silent_client_loses_the_tracker_to_another(make_plant):
+def a_silent_client_loses_the_tracker_to_another(make_plant):
     with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, idle_s=0.0) as bridge, client(bridge.url) as first:
         first.measure(NEST, 1.0)
         threading.Event().wait(0.05)
@@ -181,9 +187,15 @@ def test_a_silent_client_loses_the_tracker_to_another(make_plant):
         assert first.measure(NEST, 1.0).temperature_c == pytest.approx(20.0, abs=0.6)
 
 
-@pytest.mark.parametrize("kind", ["tcp", "serial"])
-def test_the_token_lets_in_and_keeps_out(kind, make_plant, caplog):
+def test_the_token_lets_in_and_keeps_out(make_plant, caplog):
     caplog.set_level("DEBUG")
+    in_parallel(token_lets_in_and_keeps_out, [(kind, make_plant) for kind in ("tcp", "serial")])
+    for peer in (r"127\.0\.0\.1:\d+", "the serial port"):
+        assert re.search(f"{peer}: refused: it does not know the token", caplog.text), peer
+    assert "horse" not in caplog.text
+
+
+def token_lets_in_and_keeps_out(kind, make_plant):
     with serial_cable() as (theirs, ours):
         serial_end: dict[str, Any] = {"port": None, "serial_url": theirs} if kind == "serial" else {}
         with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}, token=TOKEN, **serial_end) as bridge:
@@ -196,8 +208,6 @@ def test_the_token_lets_in_and_keeps_out(kind, make_plant, caplog):
                 assert tracker.measure(NEST, 1.0).p_M == pytest.approx(NEST)
                 bridge.fault("reboot")
                 assert tracker.measure(NEST, 1.0).p_M == pytest.approx(NEST)
-    assert "it does not know the token" in caplog.text
-    assert "horse" not in caplog.text
 
 
 def test_a_bridge_that_does_not_know_the_token_is_not_trusted(make_plant):
@@ -244,7 +254,7 @@ def test_no_bridge_at_the_address(make_plant):
             BridgeTracker(url, timeout_s=QUICK_S).connect()
 
 
-def test_a_bridge_that_goes_for_good_ends_the_measurement_in_time(make_plant):
+def a_bridge_that_goes_for_good_ends_the_measurement_in_time(make_plant):
     with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}) as bridge:
         tracker = BridgeTracker(bridge.url, timeout_s=QUICK_S, preparation=Preparation(), patience_s=1.0)
         tracker.connect()
@@ -253,9 +263,9 @@ def test_a_bridge_that_goes_for_good_ends_the_measurement_in_time(make_plant):
     tracker.disconnect()
 
 
-def test_a_serial_port_that_is_silent_or_babbles():
+def a_serial_port_that_is_silent_or_babbles():
     with serial_cable() as (theirs, ours):
-        with pytest.raises(TrackerLinkLost, match=r"no answer within 0\.3 s"):
+        with pytest.raises(TrackerLinkLost, match=f"no answer within {QUICK_S:g} s"):
             BridgeTracker(ours, timeout_s=QUICK_S).connect()
         stop = threading.Event()
 
@@ -345,7 +355,7 @@ def in_thread(act):
     return wait
 
 
-def test_a_slow_tracker_is_waited_for_longer_than_the_link_may_be_silent():
+def a_slow_tracker_is_waited_for_longer_than_the_link_may_be_silent():
     slow = SlowTracker()
     with TrackerService(slow) as bridge, client(bridge.url, timeout_s=1.5) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
@@ -357,7 +367,7 @@ def test_a_slow_tracker_is_waited_for_longer_than_the_link_may_be_silent():
     assert len(slow.threads) == 1
 
 
-def test_halt_ends_the_running_measurement():
+def halt_ends_the_running_measurement():
     slow = SlowTracker()
     with TrackerService(slow) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
@@ -368,7 +378,7 @@ def test_halt_ends_the_running_measurement():
         assert tracker.measure(NEST, 1.0).time_s == 5.0  # the halt does not affect the next measurement
 
 
-def test_a_client_that_reconnects_gets_the_running_measurement():
+def a_client_that_reconnects_gets_the_running_measurement():
     slow = SlowTracker()
     with TrackerService(slow) as bridge, client(bridge.url) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
@@ -387,7 +397,7 @@ def test_a_client_that_reconnects_gets_the_running_measurement():
     assert slow.calls == 1
 
 
-def test_a_tracker_that_never_ends_is_halted_and_the_client_gets_a_timeout():
+def a_tracker_that_never_ends_is_halted_and_the_client_gets_a_timeout():
     slow = SlowTracker()
     with TrackerService(slow, command_s=0.3, recover_s=0.0) as bridge, client(bridge.url) as tracker:
         with pytest.raises(TrackerTimeout, match=r"did not finish 'measure' within 0\.3 s; a halt was requested"):
@@ -408,7 +418,7 @@ def test_a_defect_in_a_driver_does_not_end_the_bridge():
         assert tracker.identify().model == "slow"
 
 
-def test_a_tracker_that_cannot_be_reached_is_reported():
+def a_tracker_that_cannot_be_reached_is_reported():
     class Away(SlowTracker):
         def connect(self):
             raise TrackerLinkLost("no tracker at 192.168.0.1")
@@ -460,7 +470,7 @@ class AdvancedPlant:
         self._thread.join(10.0)
 
 
-def test_the_tracker_of_a_shared_plant_waits_for_the_plants_clock(make_plant):
+def the_tracker_of_a_shared_plant_waits_for_the_plants_clock(make_plant):
     plant = make_plant(noise=True)
     alone = make_plant(noise=True)
     direct = SimulatedTracker(alone, nests={"n": NEST})
@@ -477,7 +487,7 @@ def test_the_tracker_of_a_shared_plant_waits_for_the_plants_clock(make_plant):
     assert np.array_equal([p.p_M for p in points], [direct.measure(NEST, 1.0).p_M for _ in range(3)])
 
 
-def test_an_arm_that_moves_or_blocks_the_beam_on_a_shared_clock(make_plant):
+def an_arm_that_moves_or_blocks_the_beam_on_a_shared_clock(make_plant):
     plant = make_plant()
     here = plant.targets()[0].p_M
     with AdvancedPlant(plant, 5.0) as cell:
@@ -509,3 +519,22 @@ def test_an_arm_that_moves_or_blocks_the_beam_on_a_shared_clock(make_plant):
             while not ended.wait(0.2):  # a halt before the measurement has begun does not affect it
                 tracker.halt()
             assert isinstance(halting(), Halted | Unstable)
+
+
+def test_what_waits_for_the_other_side(make_plant):
+    """Each has a bridge of its own; they wait at the same time."""
+    all_at_once(
+        [
+            a_slow_tracker_is_waited_for_longer_than_the_link_may_be_silent,
+            halt_ends_the_running_measurement,
+            a_client_that_reconnects_gets_the_running_measurement,
+            a_tracker_that_never_ends_is_halted_and_the_client_gets_a_timeout,
+            a_tracker_that_cannot_be_reached_is_reported,
+            a_serial_port_that_is_silent_or_babbles,
+            partial(several_faults_one_after_the_other, make_plant),
+            partial(a_silent_client_loses_the_tracker_to_another, make_plant),
+            partial(a_bridge_that_goes_for_good_ends_the_measurement_in_time, make_plant),
+            partial(the_tracker_of_a_shared_plant_waits_for_the_plants_clock, make_plant),
+            partial(an_arm_that_moves_or_blocks_the_beam_on_a_shared_clock, make_plant),
+        ]
+    )
