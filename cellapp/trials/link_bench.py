@@ -177,14 +177,19 @@ class LinkBench:
         self._log.add(Struck(name, moment, "" if whole else arm, detected_s, at_rest_s, recovered_s, others))
 
     def _start_all_far(self, what: str) -> None:
-        """Start a long motion of all arms; again where this computer stalled and the cell was stopped for that."""
-        for _ in range(_STARTS):
+        """Start a long motion of all arms; again where this computer stalled and the cell was stopped for that.
+
+        Raises ``ArmError`` if it stalled every time.
+        """
+        for attempt in range(1, _STARTS + 1):
             try:
                 for other in self._arms.values():
                     start_far(other)
             except ArmError as error:
                 self._stopped_without_fault(f"before {what}", error)
                 self._reaction.arm_for_next()
+                if attempt == _STARTS:
+                    raise
             else:
                 return
 
