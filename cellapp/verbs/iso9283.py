@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cellapp.acceptance.iso9283_judgements import judge_characteristics
 from cellapp.collection.cell import Cell
 from cellapp.collection.collect import Opened
 from cellapp.collection.controllers import check_controllers
@@ -19,7 +20,6 @@ from cellapp.commissioning.job_requests import taking_requests
 from cellapp.control import JobControl
 from cellapp.errors import CellappError, InputError
 from cellapp.iso9283.findings import IsoFindings, arm_results, missing_words, pair_results
-from cellapp.iso9283.judgements import judge
 from cellapp.iso9283.programme import NORM_CYCLES, NORM_DRIFT_MIN
 from cellapp.profile import Profile
 from cellapp.progress import Cancelled, Listener, ignore, with_eta
@@ -216,7 +216,7 @@ def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, sto
             seconds=found.seconds,
             temperature_c=(min(air), max(air)) if air else None,
         ),
-        judgements=judge(profile.tolerances, arms, pairs, task.cycles),
+        judgements=judge_characteristics(profile.tolerances, arms, pairs, task.cycles),
         missing=missing_words(found, task.tests),
         stopped=stopped,
         notes=tuple(dict.fromkeys(found.notes)),
