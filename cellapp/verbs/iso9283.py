@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.acceptance.iso9283_judgements import judge_characteristics
-from cellapp.collection.cell import Cell
 from cellapp.collection.collect import Opened
-from cellapp.collection.controllers import check_controllers
+from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.iso9283 import DWELL_S, IsoTask, drive_tests
 from cellapp.collection.motion import Confirm
 from cellapp.commissioning.confirm import Ask, confirmation
@@ -128,10 +127,7 @@ def _driven(
 ) -> Iso9283Result:
     """Drive the tests and store their result; where they are stopped, what was measured until then."""
     findings, began = IsoFindings(notes=list(notes)), datetime.now(UTC).isoformat(timespec="seconds")
-
-    def opened(cell: Cell) -> None:
-        findings.notes.extend(check_controllers(run, cell).notes)
-
+    opened = noting_controllers(run, findings.notes)
     try:
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:
