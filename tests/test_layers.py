@@ -177,6 +177,17 @@ def test_mathematics_reads_and_writes_no_run(package: str) -> None:
         assert set(found) <= allowed, name(path)
 
 
+def test_mathematics_opens_no_file() -> None:
+    """But a model reads and writes its own: ``CellModel.load`` is how a program without a run comes to one."""
+    opening = {"open", "read_text", "write_text", "read_bytes", "write_bytes", "mkdir", "unlink"}
+    found = set()
+    for path in (path for package in (*PURE, "discovery", "iso9283") for path in modules_below(f"cellapp/{package}")):
+        called = [node.func for node in nodes_of(path) if isinstance(node, ast.Call)]
+        names = {ast.unparse(one).rpartition(".")[2] for one in called if isinstance(one, ast.Name | ast.Attribute)}
+        found |= {(name(path), one) for one in names & opening}
+    assert found == {("cellapp/model/model.py", "read_text"), ("cellapp/model/model.py", "write_text")}
+
+
 def test_json_goes_through_the_typed_results() -> None:
     """Results are typed; no object of its own makes a dictionary for JSON."""
     for path in modules_below("cellapp"):
