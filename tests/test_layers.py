@@ -15,7 +15,18 @@ pytestmark = pytest.mark.fast
 
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(path for folder in ("cellapp", "drivers") for path in (ROOT / folder).rglob("*.py"))
-PURE = ("kinematics", "effects", "model", "calibration")
+PURE = ("kinematics", "effects", "model", "calibration", "design", "check", "acceptance")
+OUTER = ("collection", "compensation", "planning", "trials", "tui", "reporting", "cli", "pipeline", "commissioning")
+"""What uses mathematics, and is not known to it."""
+EACH_OTHER = {
+    ("collection", "compensation"),
+    ("compensation", "paths"),
+    ("discovery", "planning"),
+    ("pipeline", "verbs"),
+}
+"""Packages that import each other; whoever parts two of them takes them from here."""
+READINGS = ("cellapp.run.readings", "cellapp.run.columns")
+"""What mathematics may know of a run: arrays, and the names of their columns."""
 OPEN_DEVICES = ("collection", "compensation", "commissioning", "trials")
 SETTINGS = (
     "drivers.quantities",
@@ -27,6 +38,8 @@ SETTINGS = (
     ),
 )
 """What the profile may import from drivers: settings, and the lists of the kinds that have some."""
+DRIVERS = ("drivers.plant", "drivers.arms.ur", "drivers.trackers.lmf")
+"""Some of what no command needs that only reads the profile."""
 REGISTRIES = "drivers.plugins"
 """How all registries find plug-ins, those of effects and exports as well; it knows no device."""
 
@@ -65,6 +78,12 @@ def imports_of(path: Path, package: str) -> list[str]:
     return [name for name in imported(path) if name == package or name.startswith(f"{package}.")]
 
 
+def is_ours(module: str) -> bool:
+    """Whether there is such a module or package."""
+    path = ROOT.joinpath(*module.split("."))
+    return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+
+
 def name(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
@@ -81,6 +100,23 @@ def test_the_modules_are_found() -> None:
     assert {"cellapp/cli/app.py", "cellapp/kinematics/chain.py", "drivers/plant/plant.py"} <= names
     assert imports_of(ROOT / "cellapp/collection/cell.py", "drivers") != []
     assert "cellapp.pipeline" in imported(ROOT / "cellapp/cli/app.py"), "imports inside functions count"
+
+
+def test_every_name_in_these_rules_is_a_module() -> None:
+    """A rule about a module that was renamed would hold whatever is written."""
+    packages = [f"cellapp.{package}" for package in (*PURE, *OPEN_DEVICES, *OUTER)]
+    assert [module for module in (*packages, *READINGS, *SETTINGS, *DRIVERS, REGISTRIES) if not is_ours(module)] == []
+    assert not is_ours("cellapp.run.csv_io")
+
+
+def test_no_two_packages_import_each_other_but_these() -> None:
+    imports: dict[str, set[str]] = {}
+    for path in modules_below("cellapp"):
+        package = path.relative_to(ROOT / "cellapp").with_suffix("").parts[0]
+        used = (module.split(".")[1] for module in imports_of(path, "cellapp") if "." in module)
+        imports.setdefault(package, set()).update(used)
+    both = {(one, other) for one in imports for other in imports[one] if one < other and one in imports.get(other, ())}
+    assert both == EACH_OTHER
 
 
 def test_drivers_stand_alone() -> None:
@@ -107,7 +143,7 @@ def test_only_the_profile_imports_settings_and_only_some_packages_open_devices()
 
 def test_loading_the_profile_loads_no_driver() -> None:
     """Settings modules import neither numpy nor a device library, so that every command starts fast."""
-    heavy = {"numpy", "serial", "rtde_control", "clr", "drivers.plant", "drivers.arms.ur", "drivers.trackers.lmf"}
+    heavy = {"numpy", "serial", "rtde_control", "clr", *DRIVERS}
     code = f"import sys, cellapp.profile; sys.exit(', '.join({heavy} & sys.modules.keys()) or None)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
@@ -126,17 +162,30 @@ def test_generic_code_compares_no_kinds_of_devices() -> None:
 
 @pytest.mark.parametrize("package", PURE)
 def test_mathematics_knows_neither_devices_nor_those_who_use_them(package: str) -> None:
-    outer = ("collection", "compensation", "planning", "trials", "tui", "reporting", "cli", "pipeline", "commissioning")
-    for path in (ROOT / "cellapp" / package).rglob("*.py"):
-        for module in outer:
+    for path in modules_below(f"cellapp/{package}"):
+        for module in OUTER:
             assert imports_of(path, f"cellapp.{module}") == [], name(path)
 
 
-@pytest.mark.parametrize("package", [*PURE, "discovery", "design", "check"])
+@pytest.mark.parametrize("package", [*PURE, "discovery", "iso9283"])
 def test_mathematics_reads_and_writes_no_run(package: str) -> None:
-    for path in (ROOT / "cellapp" / package).rglob("*.py"):
-        for module in ("cellapp.run.file", "cellapp.run.stages", "cellapp.run.RunFile", "cellapp.run.csv_io"):
-            assert module not in imported(path), name(path)
+    inside = tuple(f"{module}." for module in READINGS)
+    offered = [one for one in imported(ROOT / "cellapp/run/__init__.py") if one.startswith(inside)]
+    allowed = {"cellapp.run", *READINGS, *(f"cellapp.run.{one.rpartition('.')[2]}" for one in offered)}
+    for path in modules_below(f"cellapp/{package}"):
+        found = [one for one in imports_of(path, "cellapp.run") if not one.startswith(inside)]
+        assert set(found) <= allowed, name(path)
+
+
+def test_mathematics_opens_no_file() -> None:
+    """But a model reads and writes its own: ``CellModel.load`` is how a program without a run comes to one."""
+    opening = {"open", "read_text", "write_text", "read_bytes", "write_bytes", "mkdir", "unlink"}
+    found = set()
+    for path in (path for package in (*PURE, "discovery", "iso9283") for path in modules_below(f"cellapp/{package}")):
+        called = [node.func for node in nodes_of(path) if isinstance(node, ast.Call)]
+        names = {ast.unparse(one).rpartition(".")[2] for one in called if isinstance(one, ast.Name | ast.Attribute)}
+        found |= {(name(path), one) for one in names & opening}
+    assert found == {("cellapp/model/model.py", "read_text"), ("cellapp/model/model.py", "write_text")}
 
 
 def test_json_goes_through_the_typed_results() -> None:

@@ -9,6 +9,7 @@ from cellapp.acceptance.conditions import MeasuredConditions
 from cellapp.profile import Profile
 from cellapp.profile.acceptance import Instrument
 from cellapp.results import CertifiedArm, CertifiedInstrument
+from cellapp.times import day_of
 
 TRACKER_ROLE = "laser tracker"
 _FIELDS = {
@@ -29,7 +30,7 @@ def used_instruments(profile: Profile, measured: Sequence[str]) -> tuple[Certifi
     ``measured`` are the first and the last time of measuring (ISO 8601); empty if that is not known.
     """
     stated = profile.traceability
-    days = [date.fromisoformat(time[:10]) for time in measured]
+    days = [date.fromisoformat(day_of(time)) for time in measured]
     listed = [
         (TRACKER_ROLE, stated.tracker),
         *((f"SMR of arm {arm}", stated.smr.get(arm, Instrument())) for arm in profile.arms),

@@ -20,7 +20,7 @@ from scipy.spatial.distance import pdist
 from cellapp.acceptance.budget import distance_budget, expanded_mm, not_given, position_budget
 from cellapp.acceptance.conditions import MeasuredConditions
 from cellapp.acceptance.decision import conformity
-from cellapp.iso9283.judgements import judge
+from cellapp.acceptance.iso9283_judgements import judge_characteristics
 from cellapp.iso9283.programme import NORM_CYCLES
 from cellapp.profile import Profile
 from cellapp.profile.acceptance import Tolerances
@@ -193,7 +193,7 @@ def _held_iso(tolerances: Tolerances, results: RunResults) -> tuple[Judgement, .
     if stored is None:
         return ()
     cycles = NORM_CYCLES["pose"] if stored.conditions is None else stored.conditions.cycles
-    return judge(tolerances, stored.arms, stored.pairs, cycles)
+    return judge_characteristics(tolerances, stored.arms, stored.pairs, cycles)
 
 
 def held_verification(results: RunResults) -> VerifyResult | None:

@@ -353,16 +353,13 @@ def plans(
     from cellapp.profile import load_profile
     from cellapp.trials.plan_tables import plan_trial_sentences, plan_trial_tables
     from cellapp.trials.plan_trial import plan_trials
-    from cellapp.trials.whole_plans import whole_plans
 
     with Job(json_file) as job:
         check_markdown(markdown)
-        cell = load_profile(profile)
         resources = resources_of(jobs, scheduler, store)
-        result = plan_trials(cell, range(seeds), stops, bounded, resources, job.listen, job.control)
-        if whole:
-            found = whole_plans(cell, range(seeds), whole, resources, job.listen, job.control)
-            result = result.model_copy(update={"plans": found.found, "failed": (*result.failed, *found.failed)})
+        result = plan_trials(
+            load_profile(profile), range(seeds), stops, bounded, whole, resources, job.listen, job.control
+        )
         state_result(job, result, plan_trial_tables(result), plan_trial_sentences(result), markdown)
         require_none(result.complaints(), "trials plans")
 

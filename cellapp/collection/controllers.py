@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from pydantic import TypeAdapter, ValidationError
@@ -81,6 +81,18 @@ def check_controllers(run: RunFile, cell: Cell) -> ControllerCheck:
     if plugins_of_devices(run.profile):
         run.log("info", f"devices opened by {program_of(run.profile)}")
     return ControllerCheck(identities, tuple(notes), tuple(changed))
+
+
+def noting_controllers(run: RunFile, notes: list[str]) -> Callable[[Cell], None]:
+    """Return what is to be called with the opened cell before anything moves.
+
+    It checks the controllers and raises as ``check_controllers`` does; what it finds is added to ``notes``.
+    """
+
+    def opened(cell: Cell) -> None:
+        notes.extend(check_controllers(run, cell).notes)
+
+    return opened
 
 
 def _query(arm: Arm) -> tuple[ControllerIdentity, tuple[str, ...]]:

@@ -26,7 +26,6 @@ from cellapp.iso9283.commands import arm_programme
 from cellapp.iso9283.cube import POSES
 from cellapp.iso9283.evaluate import Measured
 from cellapp.iso9283.findings import IsoFindings
-from cellapp.iso9283.judgements import wanted_cycles
 from cellapp.iso9283.programme import (
     Visit,
     directional_visits,
@@ -36,6 +35,7 @@ from cellapp.iso9283.programme import (
     paired_visits,
     pose_pairs,
     pose_visits,
+    wanted_cycles,
 )
 from cellapp.iso9283.reach import CubeSearch
 from cellapp.kinematics.transforms import Array

@@ -30,7 +30,7 @@ from cellapp.effects.data_driven import (
     form_of,
     variables,
 )
-from cellapp.effects.data_functions import PAIR_ORDER, PAIR_ORDERS, functions, run_constants
+from cellapp.effects.data_functions import PAIR_ORDERS, functions, run_constants
 from cellapp.effects.effect import Effect
 from cellapp.effects.field import FIELD_LENGTH, field_frequencies, field_variances
 from cellapp.effects.law import DriverVariable, Law, LawForm
@@ -167,35 +167,12 @@ def pair_families(
     return found
 
 
-def dictionary(context: EffectContext) -> list[Law]:
-    """Laws of every term of one variable that the data at hand allow.
-
-    Choosing among them costs as much as their number says: a law itself does not know that number.
-    """
-    families = curve_families(context)
-    return [family.law(channel) for channel in channels(context.joints) for family in families]
-
-
 def _single_periods(ends: Mapping[str, float], stops: int) -> list[dict[str, float]]:
     """Constants of laws with one period each, from twice the duration of the run to a dozen stops."""
     run_s = ends["high"] - ends["low"]
     shortest = _STOPS_PER_PERIOD * run_s / max(stops, _FEWEST)
     periods = np.geomspace(2.0 * run_s, shortest, _PERIODS).tolist()
     return [{**ends, "order": 1.0, PERIOD.name: period} for period in periods]
-
-
-def pairs(
-    context: EffectContext, channel: DataChannel | None = None, among: Collection[Variable] | None = None
-) -> list[Law]:
-    """Laws of all terms of two variables in one channel, or in every channel.
-
-    Both variables are of ``among``; where it is not given, of all that vary for one channel, and of the arm's own joint
-    angles for every channel, as there would be thousands of terms.
-    """
-    if among is None and channel is None:
-        among = own_angles(context)
-    chosen = channels(context.joints) if channel is None else (channel,)
-    return [family.law(one) for family in pair_families(context, among, (PAIR_ORDER,)) for one in chosen]
 
 
 def own_angles(context: EffectContext) -> tuple[Variable, ...]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from cellapp.results import ArmCondition, ArmHistory, EffectHistory, Figure, ParameterHistory, Trend
+from cellapp.times import day_of
 
 _CHANGED = ("appeared", "vanished", "grew", "shrank")
-_DATE = len("2026-01-02")
 FIGURE_WORDS: Mapping[Figure, str] = {
     "heldout": "mean held-out error",
     "verified": "largest distance from a target",
@@ -39,7 +39,7 @@ def _beyond(arm: ArmHistory) -> Iterator[str]:
     if verified and arm.tolerance_mm is not None and verified[-1].value > arm.tolerance_mm:
         newest = verified[-1]
         yield (
-            f"largest distance from a target {newest.value:.3f} mm on {newest.time[:_DATE]}, tolerance"
+            f"largest distance from a target {newest.value:.3f} mm on {day_of(newest.time)}, tolerance"
             f" {arm.tolerance_mm:g} mm"
         )
     newest_test = arm.iso9283[-1].time if arm.iso9283 else ""
@@ -47,7 +47,7 @@ def _beyond(arm: ArmHistory) -> Iterator[str]:
         if point.time == newest_test and point.conformity == "does not conform":
             value = "" if point.value_mm is None else f" {point.value_mm:.3f} mm"
             yield (
-                f"ISO 9283 {point.characteristic.replace('_', ' ')}{value} on {point.time[:_DATE]}, tolerance"
+                f"ISO 9283 {point.characteristic.replace('_', ' ')}{value} on {day_of(point.time)}, tolerance"
                 f" {point.tolerance_mm:g} mm"
             )
 
@@ -64,9 +64,9 @@ def _changed(arm: ArmHistory) -> Iterator[str]:
     if newest is None or newest.time <= calibrated:
         return
     if newest.verdict == "arm changed" and newest.changes:
-        yield f"the check of {newest.time[:_DATE]} says that the arm changed: {', '.join(newest.changes)}"
+        yield f"the check of {day_of(newest.time)} says that the arm changed: {', '.join(newest.changes)}"
     elif newest.verdict == "not explained":
-        yield f"the check of {newest.time[:_DATE]} found errors that no single change explains"
+        yield f"the check of {day_of(newest.time)} found errors that no single change explains"
 
 
 def _drifting(arm: ArmHistory) -> Iterator[str]:

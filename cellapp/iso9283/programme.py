@@ -23,6 +23,11 @@ NORM_DRIFT_MIN = 480.0
 """The norm observes drift for 8 h, or until it slows down (7.6)."""
 
 
+def wanted_cycles(test: IsoTest, cycles: int) -> int:
+    """Cycles of a test where ``cycles`` were asked for: drift and path take no more than the norm's."""
+    return min(cycles, NORM_CYCLES[test]) if test in ("drift", "path") else cycles
+
+
 @dataclass(frozen=True)
 class Place:
     """What is measured at a visit: its positions are evaluated together, over all cycles.

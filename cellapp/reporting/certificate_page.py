@@ -21,6 +21,7 @@ from cellapp.reporting.table import Table
 from cellapp.reporting.templates import template
 from cellapp.results import CERTIFICATE, CertificateResult, CertifiedArm, Judgement, StageName
 from cellapp.results.certificate import Range
+from cellapp.times import day_of, minute_of
 
 _STAGE_WORDS: dict[StageName, str] = {"verify": "verification", "iso9283": "test by ISO 9283"}
 
@@ -133,10 +134,10 @@ def _span(limits: Range) -> str:
 def _period(measured: Sequence[str]) -> str:
     if not measured:
         return NOT_GIVEN
-    first, last = (time[:16].replace("T", " ") for time in (measured[0], measured[-1]))
+    first, last = (minute_of(time) for time in (measured[0], measured[-1]))
     if first == last:
         return f"{first} UTC"
-    if first[:10] == last[:10]:
+    if day_of(first) == day_of(last):
         return f"{first} to {last[11:]} UTC"
     return f"{first} to {last} UTC"
 

@@ -28,7 +28,6 @@ _CONDITIONS: tuple[tuple[str, Axis, tuple[Figure, ...]], ...] = (
     ),
     ("Temperature at the stops", Axis("temperature", "°C"), ("temperature",)),
 )
-_DATE = len("2026-01-02")
 
 
 def trend_charts(arm: ArmHistory) -> list[Chart]:
@@ -183,4 +182,4 @@ def _start(times: Sequence[str]) -> float:
 
 
 def _days(start: float) -> Axis:
-    return Axis(f"days since {datetime.fromtimestamp(start * 86400.0, UTC).isoformat()[:_DATE]}")
+    return Axis(f"days since {datetime.fromtimestamp(start * 86400.0, UTC).date()}")

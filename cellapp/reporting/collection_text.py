@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from cellapp.reporting.table import Cell, Column, Table, number_column
 from cellapp.results import CollectionResult, CollectResult, MissingReading, ReplayResult
+from cellapp.times import second_of
 
 _MOST_LISTED = 10
 """Missing readings that are printed one by one; ``show DIR collection`` has all."""
@@ -125,4 +126,4 @@ def _standard_errors(state: CollectionResult) -> Table:
 
 
 def _time(written: str | None) -> str:
-    return "" if written is None else written[:19].replace("T", " ")
+    return "" if written is None else second_of(written)

@@ -18,9 +18,9 @@ from cellapp.results import (
     ParameterHistory,
     Trend,
 )
+from cellapp.times import day_of
 
 _MM = ".3f"
-_DATE = len("2026-01-02")
 _FEW_ARMS = 4
 """Arms up to which each has tables of its own in a terminal: two cells."""
 _MOST_PARAMETERS = 12
@@ -120,7 +120,7 @@ def _between(trend: Trend) -> str:
     earliest, latest = trend.crossing.earliest, trend.crossing.latest
     if earliest is None:
         return "no limits"
-    return f"{earliest[:_DATE]} to {latest[:_DATE]}" if latest is not None else f"{earliest[:_DATE]} or later"
+    return f"{day_of(earliest)} to {day_of(latest)}" if latest is not None else f"{day_of(earliest)} or later"
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
@@ -138,7 +138,7 @@ def arms_table(result: FleetResult) -> Table:
         number_column("tolerance", _MM, "mm"),
         number_column("effects", "d"),
     )
-    began = {run.run: run.began[:_DATE] for run in result.runs}
+    began = {run.run: day_of(run.began) for run in result.runs}
     rows = tuple(
         (
             arm.condition,
@@ -176,7 +176,7 @@ def runs_table(result: FleetResult, most: int | None = MOST_ROWS) -> Table:
         for name, arm in own:
             values = [_of_run(arm.figures.get(figure, ()), run.run) for figure in figures]
             changed = sum(change.proven for one in arm.parameters for change in one.changes if change.run == run.run)
-            rows.append((short(run.run), run.began[:_DATE], name, *values, changed))
+            rows.append((short(run.run), day_of(run.began), name, *values, changed))
     return part_table("Runs", columns, rows if most is None else rows[-most:], len(rows))
 
 
@@ -275,7 +275,7 @@ def trend_table(name: str, arm: ArmHistory) -> Table:
             trend.p_value,
             "proven" if trend.proven else "not proven",
             trend.tolerance_mm,
-            "" if trend.crossing is None else f"{trend.crossing.date[:_DATE]} ({_between(trend)})",
+            "" if trend.crossing is None else f"{day_of(trend.crossing.date)} ({_between(trend)})",
         )
         for trend in arm.trends
         if trend.proven or trend.figure != "parameter"
@@ -293,7 +293,7 @@ def check_table(name: str, arm: ArmHistory) -> Table:
         (point.time, f"ISO 9283 {point.characteristic.replace('_', ' ')}", point.conformity, point.value_mm)
         for point in arm.iso9283
     ]
-    shown = tuple((time[:_DATE], *rest) for time, *rest in sorted(rows, key=lambda row: row[0]))
+    shown = tuple((day_of(time), *rest) for time, *rest in sorted(rows, key=lambda row: row[0]))
     return Table(f"{name}: checks and tests", columns, shown)
 
 

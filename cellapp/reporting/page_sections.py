@@ -30,6 +30,7 @@ from cellapp.results import (
     PathResult,
     StageName,
 )
+from cellapp.times import day_of
 
 _CHAIN_LENGTH = re.compile(r"[ad]\d")
 """Names of the lengths of a chain: a1, d1 and so on."""
@@ -215,7 +216,9 @@ def _notes_message(data: ReportData) -> str:
 def _provenance_message(data: ReportData) -> str:
     origin = data.calibrate.provenance
     count = sum(len(readings) for readings in data.readings.values())
-    return f"Calibrated by {origin.program} on {origin.written[:10]} from {count} readings; hashes identify the data."
+    return (
+        f"Calibrated by {origin.program} on {day_of(origin.written)} from {count} readings; hashes identify the data."
+    )
 
 
 def _plan_message(plan: PlanSection) -> str:

@@ -23,6 +23,7 @@ from cellapp.results import (
     Characteristic,
     Judgement,
 )
+from cellapp.times import day_of
 
 _AT_TARGETS: tuple[Characteristic, ...] = ("position", "distance", "cooperative")
 """Characteristics that a verification at targets measures; the others are of ISO 9283."""
@@ -94,7 +95,7 @@ def header_facts(data: ReportData) -> list[str]:
         facts.append(f"arm {name}: {arm.type.model}{f', serial {serial}' if serial else ''}")
     tracker = " ".join(filter(None, (traced.tracker.model, traced.tracker.serial)))
     facts += [f"tracker: {tracker}"] if tracker else []
-    return [*facts, f"calibrated {data.calibrate.provenance.written[:10]}"]
+    return [*facts, f"calibrated {day_of(data.calibrate.provenance.written)}"]
 
 
 # -- what was found ---------------------------------------------------------------------------------------------------

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cellapp.reporting.runs import CELL_WORDS, effects_words, next_words, short_name, stops_words, time_words
+from cellapp.reporting.runs import CELL_WORDS, effects_words, next_words, short_name, stops_words
 from cellapp.results import RunSummary
+from cellapp.times import minute_of
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ def run_columns(folder: str) -> tuple[RunColumn, ...]:
     """The columns of a list of the runs below ``folder``, the name first."""
     return (
         RunColumn("run", lambda run: short_name(run, folder), lambda run: run.run),
-        RunColumn("began (UTC)", lambda run: time_words(run.began), lambda run: run.began or run.changed, True),
+        RunColumn("began (UTC)", lambda run: minute_of(run.began), lambda run: run.began or run.changed, True),
         RunColumn("cell", lambda run: CELL_WORDS[run.cell], lambda run: run.cell),
         RunColumn("stops", stops_words, lambda run: run.stops_measured),
         RunColumn("next", next_words, next_words),

@@ -17,6 +17,7 @@ from cellapp.results import (
     StopsResult,
 )
 from cellapp.run.in_order import order_sentences
+from cellapp.times import second_of
 
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
@@ -41,7 +42,7 @@ def overview_tables(state: OverviewResult) -> list[Table]:
     if not state.stages:
         return [arms]
     columns = (Column("stage"), Column("when (UTC)"), Column("by"), Column("state"))
-    rows = tuple((stage.name, _when(stage), stage.program, _holds(stage)) for stage in state.stages)
+    rows = tuple((stage.name, second_of(stage.written), stage.program, _holds(stage)) for stage in state.stages)
     return [arms, Table("Stored results", columns, rows)]
 
 
@@ -61,7 +62,7 @@ def history_lines(history: HistoryResult) -> list[str]:
     lines = []
     for stage in history.stages:
         number = str(stage.number) if stage.number else "-"
-        lines.append(f"{number:>4}  {stage.name:10}  {_when(stage)}  {stage.digest[:12]}  {stage.program}")
+        lines.append(f"{number:>4}  {stage.name:10}  {second_of(stage.written)}  {stage.digest[:12]}  {stage.program}")
         lines.append(f"      {_holds(stage)}")
         lines.append(f"      rests on: {', '.join(stage.rests_on)}")
     return lines
@@ -102,10 +103,6 @@ def merged_sentences(result: CalibrateResult) -> list[str]:
         for name, arm in result.arms.items()
         for parameter, shares in arm.merged.items()
     ]
-
-
-def _when(stage: StageState) -> str:
-    return stage.written[:19].replace("T", " ")
 
 
 def _holds(stage: StageState) -> str:

@@ -9,6 +9,7 @@ from rich import filesize
 
 from cellapp.reporting.table import Column, Table, number_column
 from cellapp.results import ArmFigures, BeforeAfter, CellKind, RunsResult, RunSummary
+from cellapp.times import day_of, minute_of
 
 CELL_WORDS: dict[CellKind, str] = {
     "simulated": "simulated",
@@ -17,7 +18,6 @@ CELL_WORDS: dict[CellKind, str] = {
     "none": "no arms",
 }
 _MM = ".3f"
-_DATE = len("2026-01-02")
 
 
 def runs_tables(result: RunsResult) -> list[Table]:
@@ -27,7 +27,7 @@ def runs_tables(result: RunsResult) -> list[Table]:
         f"Runs below {result.folder}, newest first",
         tuple(map(Column, ("run", "cell", "began", "stops", "next"))),
         tuple(
-            (name, CELL_WORDS[run.cell], run.began[:_DATE], stops_words(run), next_words(run)) for name, run in named
+            (name, CELL_WORDS[run.cell], day_of(run.began), stops_words(run), next_words(run)) for name, run in named
         ),
     )
     errors = Table(
@@ -76,8 +76,8 @@ def run_lines(run: RunSummary) -> list[str]:
         return [run.problem, *used]
     size = filesize.decimal(run.size_bytes)
     lines = [
-        f"profile {run.profile}, {CELL_WORDS[run.cell]}; began {time_words(run.began)},"
-        f" changed {time_words(run.changed)} (UTC); {size}",
+        f"profile {run.profile}, {CELL_WORDS[run.cell]}; began {minute_of(run.began)},"
+        f" changed {minute_of(run.changed)} (UTC); {size}",
         f"stops {stops_words(run)}; {stages_words(run)}",
         *used,
         *(f"{name}: {figures_words(figures)}" for name, figures in run.figures.items()),
@@ -112,11 +112,6 @@ def short_name(run: RunSummary, folder: str) -> str:
     """The run's folder as seen from the listed one."""
     path = Path(run.run)
     return str(path.relative_to(folder)) if path.is_relative_to(folder) and path != Path(folder) else run.run
-
-
-def time_words(written: str) -> str:
-    """A time (ISO 8601) to the minute."""
-    return written[:16].replace("T", " ")
 
 
 def stops_words(run: RunSummary) -> str:

@@ -17,6 +17,7 @@ from cellapp.run.stages import PriorBasis, StoredStage, earlier_digest, read_sta
 from cellapp.run.stored_model import model_of, stage_in_force
 from cellapp.signature.belief import Belief
 from cellapp.signature.earlier import Earlier, believed
+from cellapp.times import day_of
 
 _MOST_EARLIER = 20
 """Earlier runs in a row that are followed; more would be a circle."""
@@ -99,7 +100,7 @@ def _earlier(run: RunFile, stage: StoredStage, name: str, notes: tuple[str, ...]
         run=run.folder.resolve(),
         stage=cast(Literal["calibrate", "discover"], stage.name),
         digest=earlier_digest(run, name),
-        since=(run.created or stage.written)[:10],
+        since=day_of(run.created or stage.written),
         readings=count,
         controller=None if controller is None else controller.serial or None,
         left_behind=tuple(

@@ -116,13 +116,6 @@ def parameter_set_trials(
     )
 
 
-def compare_parameter_sets(profile: Profile, arm: str, seeds: Sequence[int]) -> list[ParameterSetTrial]:
-    """Both solvers on the full, the paper's and the automatic set, over simulated arms of several seeds."""
-    planned = planned_cell(profile, IDENTIFY_STOPS + VALIDATE_STOPS)
-    found = [compared_sets(planned, ArmSeed(arm=arm, seed=seed)) for seed in seeds]
-    return _summaries([one for some in found for one in some.solutions])
-
-
 def compared_sets(planned: PlannedCell, drawn: ArmSeed) -> Solutions:
     """Both solvers on all parameter sets, for one arm and seed."""
     arm, profile, stops = drawn.arm, planned.profile, IDENTIFY_STOPS + VALIDATE_STOPS

@@ -22,7 +22,7 @@ from cellapp.safety.cell_bodies import cell_bodies
 from cellapp.scale.executor import IN_PROCESS, Resources
 from cellapp.scale.gather import gather
 from cellapp.scale.task import Batch, SimulatedCell, TaskKind, profile_of
-from cellapp.trials.whole_plans import WholePlan
+from cellapp.trials.whole_plans import WholePlan, whole_plans
 
 BARS: Mapping[ErrorName, float] = {"parameters": 2.0, "mean": 1.5, "worst": 3.0}
 """Random stops that one designed stop shall be worth, by each error."""
@@ -95,16 +95,24 @@ def plan_trials(
     seeds: Sequence[int],
     stops: int = 100,
     bounded: int = 1,
+    whole: int = 0,
     resources: Resources = IN_PROCESS,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> PlanTrialsResult:
-    """Trials of all ``seeds``; those of the first ``bounded`` ones with their bounds, which take longer."""
+    """Trials of all ``seeds``; those of the first ``bounded`` ones with their bounds, which take longer.
+
+    With ``whole``, also whole plans of so many stops with each seed. Raises as ``gather`` and ``whole_plans`` do.
+    """
     drawn = [BoundedSeed(seed=seed, stops=stops, with_bound=number < bounded) for number, seed in enumerate(seeds)]
     batch = Batch(DESIGNS, SimulatedCell(profile=profile), drawn, [f"seed {seed}" for seed in seeds])
     gathered = gather(batch, "plans", resources, listener, cancel)
     trials = tuple(trial for one in gathered.found for trial in one.trials)
-    return PlanTrialsResult(profile=profile.name, trials=trials, failed=gathered.failed)
+    failed, plans = gathered.failed, tuple[WholePlan, ...]()
+    if whole:
+        planned = whole_plans(profile, seeds, whole, resources, listener, cancel)
+        failed, plans = (*failed, *planned.failed), planned.found
+    return PlanTrialsResult(profile=profile.name, trials=trials, plans=plans, failed=failed)
 
 
 def plan_trial(

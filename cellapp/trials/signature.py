@@ -39,6 +39,7 @@ from cellapp.trials.league.series import (
     parse_entrants,
     series_texts,
 )
+from cellapp.trials.target_records import mean_of
 
 _REMOUNT_SEED = 0x2E30
 """Beside the seed of a cell: the draw of its new mounts is then independent of all other draws."""
@@ -314,17 +315,12 @@ def _line(cell: str, stops: int, draws: Sequence[SignatureDraw]) -> SignatureLin
         stops=stops,
         draws=len(draws),
         alone_mm=float(np.mean([draw.alone_mm for draw in draws])),
-        calibrated_mm=_mean([draw.calibrated_mm for draw in draws]),
-        discovered_mm=_mean([draw.discovered_mm for draw in draws]),
-        exact_mm=_mean([draw.exact_mm for draw in draws]),
+        calibrated_mm=mean_of(draw.calibrated_mm for draw in draws),
+        discovered_mm=mean_of(draw.discovered_mm for draw in draws),
+        exact_mm=mean_of(draw.exact_mm for draw in draws),
         worst_ratio=max(ratios, default=None),
         worse=sum(ratio > 1.0 for ratio in ratios),
     )
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
 
 
 def _first_learn(readings: Readings, stops: int, learnable: int) -> Readings:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from cellapp.reporting.table import Cell, Column, Number, Table, number_column
+from cellapp.times import day_of
 from cellapp.trials.blind_matrix import MatrixResult
 from cellapp.trials.bridge import BridgeResult
 from cellapp.trials.campaigns.trial import CampaignsResult
@@ -256,7 +257,7 @@ def judge_sentences(result: JudgeResult) -> list[str]:
     said.append(
         f"{result.date}; {result.program}, source {result.source}; {sealed.runs} runs of {sealed.stops}"
         f" stops an arm, profile {sealed.profile}, {setup_words(sealed.setup)},"
-        f" seed {sealed.seed}, sealed {sealed.written[:10]} by {sealed.program}."
+        f" seed {sealed.seed}, sealed {day_of(sealed.written)} by {sealed.program}."
     )
     return said
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ERROR_LOG = "error.log"
 REPORT_FILE = "report.html"
-"""As ``cellapp.run`` names it."""
+"""As ``cellapp.run.sqlite_file`` names it, which loads more than a start needs."""
 STOPPED = 4
 UNEXPECTED = 3
 """Exit codes: stopped and resumable; an unexpected error, after which somebody must look at the cell."""

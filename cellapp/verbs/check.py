@@ -13,11 +13,10 @@ from cellapp.calibration.station_location import displacement_m, predicted_point
 from cellapp.check import CheckBelief, Conclusion, SequentialTest, check_belief, choose_stops
 from cellapp.check.model import FALSE_ALARM, MISS
 from cellapp.check.statistics import SPENT_EARLY
-from cellapp.collection.cell import Cell
 from cellapp.collection.check import CheckTask, DrivenCheck, MeasuredStop, drive_check
 from cellapp.collection.check_stops import check_candidates
 from cellapp.collection.collect import Opened
-from cellapp.collection.controllers import check_controllers
+from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.smr_search import points_of
 from cellapp.commissioning.confirm import Ask, confirmation
 from cellapp.commissioning.job_requests import taking_requests
@@ -88,9 +87,7 @@ def check_run(
     if checked.stale:
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
 
-    def opened(cell: Cell) -> None:
-        notes.extend(check_controllers(run, cell).notes)
-
+    opened = noting_controllers(run, notes)
     with taking_requests(run.folder, control):
         confirm = confirmation(run.profile, ask)
         driven = drive_check(

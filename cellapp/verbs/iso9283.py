@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.collection.cell import Cell
+from cellapp.acceptance.iso9283_judgements import judge_characteristics
 from cellapp.collection.collect import Opened
-from cellapp.collection.controllers import check_controllers
+from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.iso9283 import DWELL_S, IsoTask, drive_tests
 from cellapp.collection.motion import Confirm
 from cellapp.commissioning.confirm import Ask, confirmation
@@ -19,7 +19,6 @@ from cellapp.commissioning.job_requests import taking_requests
 from cellapp.control import JobControl
 from cellapp.errors import CellappError, InputError
 from cellapp.iso9283.findings import IsoFindings, arm_results, missing_words, pair_results
-from cellapp.iso9283.judgements import judge
 from cellapp.iso9283.programme import NORM_CYCLES, NORM_DRIFT_MIN
 from cellapp.profile import Profile
 from cellapp.progress import Cancelled, Listener, ignore, with_eta
@@ -128,10 +127,7 @@ def _driven(
 ) -> Iso9283Result:
     """Drive the tests and store their result; where they are stopped, what was measured until then."""
     findings, began = IsoFindings(notes=list(notes)), datetime.now(UTC).isoformat(timespec="seconds")
-
-    def opened(cell: Cell) -> None:
-        findings.notes.extend(check_controllers(run, cell).notes)
-
+    opened = noting_controllers(run, findings.notes)
     try:
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:
@@ -216,7 +212,7 @@ def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, sto
             seconds=found.seconds,
             temperature_c=(min(air), max(air)) if air else None,
         ),
-        judgements=judge(profile.tolerances, arms, pairs, task.cycles),
+        judgements=judge_characteristics(profile.tolerances, arms, pairs, task.cycles),
         missing=missing_words(found, task.tests),
         stopped=stopped,
         notes=tuple(dict.fromkeys(found.notes)),

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from cellapp.calibration.station_location import FEWEST_POINTS, Cause, displacement_m, twist_columns
-from cellapp.collection.cell import Cell
 from cellapp.collection.collect import Opened
-from cellapp.collection.controllers import check_controllers
+from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.locate import LocatedStation, LocateTask, locate_station
 from cellapp.commissioning.confirm import Ask, confirmation
 from cellapp.commissioning.job_requests import taking_requests
@@ -91,10 +90,7 @@ def locate_run(
         still_m=run.profile.collection.reference.drift,
     )
     notes: list[str] = []
-
-    def opened(cell: Cell) -> None:
-        notes.extend(check_controllers(run, cell).notes)
-
+    opened = noting_controllers(run, notes)
     with taking_requests(run.folder, control):
         confirm = confirmation(run.profile, ask)
         found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from cellapp.collection.cell import Cell
-from cellapp.collection.controllers import check_controllers
+from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.motion import Confirm
 from cellapp.commissioning.confirm import Ask, confirmation
 from cellapp.commissioning.job_requests import taking_requests
@@ -112,9 +111,6 @@ def _driven(
     ``profile`` is that of the run, with the tracker of a simulated cell where it stands now.
     """
 
-    def opened(cell: Cell) -> None:
-        notes.extend(check_controllers(run, cell).notes)
-
     return follow(
         profile,
         model,
@@ -124,7 +120,7 @@ def _driven(
         verify=verify,
         rehearse=rehearse,
         confirm=confirm,
-        opened=opened,
+        opened=noting_controllers(run, notes),
     )
 
 

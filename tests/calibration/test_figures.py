@@ -12,7 +12,7 @@ from cellapp.pipeline import draw_missing_splits
 from cellapp.profile import load_profile
 from cellapp.run import import_csv
 from cellapp.trials.coverage import coverage
-from cellapp.trials.parameter_sets import compare_parameter_sets
+from cellapp.trials.parameter_sets import parameter_set_trials
 
 ROOT = Path(__file__).parents[2]
 READINGS = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"
@@ -48,8 +48,9 @@ def test_stated_95_percent_intervals_hold_the_truth_93_to_97_percent_of_the_time
 
 
 def test_the_redundant_model_does_not_converge_and_the_reduced_one_does():
-    trials = compare_parameter_sets(load_profile(ROOT / "profiles" / "twin.yaml"), "left", seeds=range(2))
-    by_name = {(trial.parameter_set, trial.solver): trial for trial in trials}
+    result = parameter_set_trials(load_profile(ROOT / "profiles" / "twin.yaml"), seeds=range(2))
+    assert result.failed == ()
+    by_name = {(trial.parameter_set, trial.solver): trial for trial in result.arms["left"]}
     redundant, reduced = by_name["full", "plain"], by_name["auto", "plain"]
     assert (redundant.parameters, reduced.parameters) == (34, 27)
     assert by_name["paper", "plain"].parameters == 26

@@ -11,8 +11,8 @@ import pytest
 
 from cellapp.effects import EFFECTS, Channel, EffectTerm, Law, MeasurementConditions, displacement
 from cellapp.effects.data_driven import channels, data_driven_form, variables
-from cellapp.effects.unknown import dictionary, pairs
 from tests.effects.cell import NOTHING, by_name, chain, context_of, rows_of, under
+from tests.effects.data_driven_laws import curve_laws, pair_laws
 
 pytestmark = pytest.mark.fast
 
@@ -33,8 +33,8 @@ PERIODIC = EFFECTS["transmission_error"]
 CURVE = PERIODIC.law("curve", {"cycles": 12.0, "length2": 0.3, "amplitude2": 1e-4, "length3": 0.5, "amplitude3": 2e-4})
 GEAR = PERIODIC.law("gear", {"ratio": 50.0}, 209)
 NAMED += [("transmission_error", CURVE), ("transmission_error", GEAR)]
-WHOLE = [law for law in dictionary(CONTEXT) if "period_s" not in law.constants]
-OSCILLATIONS = [law for law in dictionary(CONTEXT) if "period_s" in law.constants]
+WHOLE = [law for law in curve_laws(CONTEXT) if "period_s" not in law.constants]
+OSCILLATIONS = [law for law in curve_laws(CONTEXT) if "period_s" in law.constants]
 CHANNELS = {channel.name: channel for channel in channels(6)}
 VARIABLES = {variable.name: variable for variable in variables(CONTEXT)}
 
@@ -46,8 +46,8 @@ def data_driven_laws():
     sampled = [law for law in WHOLE if law.name in meeting]
     sampled += OSCILLATIONS[::173]
     several = [VARIABLES[name] for name in ("q2", "other q3", "time", "torque2", "payload", "azimuth")]
-    sampled += pairs(CONTEXT, CHANNELS["tool y"], several)[::2]
-    sampled += pairs(CONTEXT, CHANNELS["base shift"], [VARIABLES[name] for name in ("q1", "q5", "elevation")])
+    sampled += pair_laws(CONTEXT, CHANNELS["tool y"], several)[::2]
+    sampled += pair_laws(CONTEXT, CHANNELS["base shift"], [VARIABLES[name] for name in ("q1", "q5", "elevation")])
     return [("unknown", law) for law in sampled]
 
 

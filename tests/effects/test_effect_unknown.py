@@ -10,9 +10,11 @@ import pytest
 
 from cellapp.effects import EFFECTS, Channel, EffectColumn, MeasurementConditions
 from cellapp.effects.data_driven import DataDrivenForm, Quantity, channels, data_driven_form, form_named, variables
-from cellapp.effects.unknown import dictionary, pair_families, pairs
+from cellapp.effects.data_functions import PAIR_ORDER
+from cellapp.effects.unknown import own_angles, pair_families
 from cellapp.kinematics.transforms import rotation_z
 from tests.effects.cell import EYE, NOTHING, by_name, chain, context_of, offsets, shifts, slope, under
+from tests.effects.data_driven_laws import curve_laws, pair_laws
 
 pytestmark = pytest.mark.fast
 
@@ -40,7 +42,7 @@ def names_of(variables):
 def pairs_of(channel, names):
     """Pairs of one channel among variables, by their names."""
     (one,) = (one for one in channels(6) if one.name == channel)
-    return pairs(CONTEXT, one, [known for known in variables(CONTEXT) if known.name in names])
+    return pair_laws(CONTEXT, one, [known for known in variables(CONTEXT) if known.name in names])
 
 
 def pairs_among(*names):
@@ -49,7 +51,7 @@ def pairs_among(*names):
 
 def law_of(channel, variable, context=CONTEXT):
     *_, law = [
-        law for law in dictionary(context) if law.name == f"{channel}|{variable}" and "period_s" not in law.constants
+        law for law in curve_laws(context) if law.name == f"{channel}|{variable}" and "period_s" not in law.constants
     ]
     return law
 
@@ -66,7 +68,7 @@ def test_the_dictionary_is_every_channel_times_every_variable():
         *("tool x", "tool y", "tool z", "tracker radial", "tracker azimuth", "tracker elevation"),
     ) == CHANNELS
     assert names_of(variables(CONTEXT)) == EVERY
-    every = [law for law in dictionary(CONTEXT) if "period_s" not in law.constants]
+    every = [law for law in curve_laws(CONTEXT) if "period_s" not in law.constants]
     forms = [data_driven_form(law) for law in every]
     straight = {
         id(law)
@@ -176,7 +178,7 @@ def test_a_vector_is_its_three_directions_in_one_block(channel):
 def test_an_oscillation_has_one_of_the_periods_that_the_run_resolves():
     time = CONDITIONS.time_s
     run_s = time[-1] - time[0]
-    laws = [law for law in dictionary(CONTEXT) if law.name == "tool|time" and "period_s" in law.constants]
+    laws = [law for law in curve_laws(CONTEXT) if law.name == "tool|time" and "period_s" in law.constants]
     periods = np.array([law.constants["period_s"] for law in laws])
     assert len(periods) == 48
     np.testing.assert_allclose(periods[[0, -1]], [2.0 * run_s, 12.0 * run_s / 40.0])
@@ -319,15 +321,17 @@ def test_two_other_variables_make_products_up_to_the_third_order():
     )
 
 
-def test_pairs_of_one_channel_are_of_all_variables_and_of_all_channels_of_joint_angles():
-    of_one = pairs(CONTEXT, channels(6)[-4])
-    assert {data_driven_form(law).channel.name for law in of_one} == {"tool z"}
-    assert len(of_one) == len(EVERY) * (len(EVERY) - 1) / 2
-    of_all = pairs(CONTEXT)
-    assert len(of_all) == 15 * len(channels(6))
-    assert {data_driven_form(law).channel for law in of_all} == set(channels(6))
-    drivers = [driver for law in of_all for driver in data_driven_form(law).drivers]
+def test_pairs_are_of_all_variables_or_of_those_asked_for_in_any_channel():
+    of_all = pair_laws(CONTEXT, channels(6)[-4])
+    assert {data_driven_form(law).channel.name for law in of_all} == {"tool z"}
+    assert len(of_all) == len(EVERY) * (len(EVERY) - 1) / 2
+    of_angles = pair_families(CONTEXT, own_angles(CONTEXT), (PAIR_ORDER,))
+    assert len(of_angles) == 15
+    drivers = [driver for family in of_angles for driver in family.drivers]
     assert {driver.quantity for driver in drivers} == {Quantity.JOINT_ANGLE}
+    forms = [data_driven_form(family.law(channel)) for family in of_angles for channel in channels(6)]
+    assert {form.channel for form in forms} == set(channels(6))
+    assert {form.drivers for form in forms} == {family.drivers for family in of_angles}
 
 
 def test_pairs_of_a_lower_order_have_some_of_the_functions():

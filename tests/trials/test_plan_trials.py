@@ -12,17 +12,16 @@ from cellapp.safety.cell_bodies import home_positions
 from cellapp.trials.collision_check import CollisionCheck
 from cellapp.trials.plan_tables import plan_trial_sentences, plan_trial_tables
 from cellapp.trials.plan_trial import PlanTrialsResult, plan_trials
-from cellapp.trials.whole_plans import as_driven, planned_motions, whole_plans
+from cellapp.trials.whole_plans import as_driven, planned_motions
 from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast
 
 
 def test_whole_plans_are_counted_checked_and_shown() -> None:
-    profile = small_twin(20)
-    plans = whole_plans(profile, [3], 20).found
-    result = plan_trials(profile, [3], 20, 0).model_copy(update={"plans": plans})
-    assert plans[0].reached == 20
+    result = plan_trials(small_twin(20), [3], 20, 0, whole=20)
+    plans = result.plans
+    assert [(one.seed, one.reached) for one in plans] == [(3, 20)]
     assert plans[0].motions >= 41, "approach and last motion of each stop, and the way home"
     assert plans[0].collisions == 0
     assert result.complaints() == []

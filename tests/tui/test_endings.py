@@ -8,8 +8,9 @@ import pytest
 
 from cellapp.results import ErrorSummary, Result, VerifyResult, WholeRunResult
 from cellapp.results.targets import ArmVerification, MeasuredTarget
+from cellapp.run import sqlite_file
 from cellapp.tui import work
-from cellapp.tui.endings import ending_of
+from cellapp.tui.endings import REPORT_FILE, ending_of
 from cellapp.tui.jobs import Job, JobEnded
 
 pytestmark = pytest.mark.fast
@@ -38,6 +39,11 @@ def test_a_day_names_its_report_and_says_whether_the_verification_held(
     assert words in text
     assert str(RUN / "report.html") in text
     assert exit_code == code
+
+
+def test_the_page_is_named_as_it_is_written() -> None:
+    """The module has a copy of the name: the run's own loads scipy, which a start need not wait for."""
+    assert REPORT_FILE == sqlite_file.REPORT_FILE
 
 
 def test_only_a_push_that_measured_is_judged() -> None:

@@ -1,4 +1,4 @@
-"""Characteristics against the tolerances of a profile: the worst pose of each arm decides."""
+"""Characteristics of ISO 9283 against the tolerances of a profile: the worst pose of each arm decides."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from cellapp.acceptance.decision import conformity
-from cellapp.iso9283.programme import NORM_CYCLES, NORM_DRIFT_MIN
+from cellapp.iso9283.programme import NORM_CYCLES, NORM_DRIFT_MIN, wanted_cycles
 from cellapp.profile.acceptance import Tolerances
 from cellapp.results import (
     ISO_COMMANDS,
@@ -31,7 +31,7 @@ class _Found:
     value: IsoValue
 
 
-def judge(
+def judge_characteristics(
     tolerances: Tolerances, arms: Mapping[str, ArmIso9283], pairs: tuple[PairIso9283, ...], cycles: int
 ) -> tuple[Judgement, ...]:
     """Judge each characteristic that has a tolerance, at the place where it is largest.
@@ -53,11 +53,6 @@ def judge(
             ]
             found += _judged(tolerances, " and ".join(pair.arms), kind, each, cycles)
     return tuple(found)
-
-
-def wanted_cycles(test: IsoTest, cycles: int) -> int:
-    """Cycles of a test where ``cycles`` were asked for: drift and path take no more than the norm's."""
-    return min(cycles, NORM_CYCLES[test]) if test in ("drift", "path") else cycles
 
 
 def _judged(
