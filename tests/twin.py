@@ -37,7 +37,7 @@ def make_small(path: Path) -> None:
 
 @functools.cache
 def whole_twin() -> Profile:
-    """The cell of ``profiles/twin.yaml``, read once: profiles are frozen, and reading one takes longer than most tests."""
+    """The cell of ``profiles/twin.yaml``, read once: profiles are frozen, and reading takes longer than most tests."""
     return load_profile(PROFILES / "twin.yaml")
 
 
