@@ -299,7 +299,6 @@ def test_all_about_one_target_is_shown(work: Path, call: Any) -> None:
     one_sentence(call("show", "done", "plan", "--target", "left-01"), "--target belongs to 'targets'")
 
 
-@pytest.mark.fast
 def test_looking_changes_no_byte(work: Path, call: Any) -> None:
     with RunFile.open(work / "done", write=True) as run:
         run.log("warning", "the first line")
