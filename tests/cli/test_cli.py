@@ -34,6 +34,8 @@ from tests.twin import PROFILES, write_profile
 
 ROOT = Path(__file__).parents[2]
 WAIT_S = 120.0
+DRAWN = "  stops: 30\n  method: random"
+"""To design stops takes seconds; what loads for it and what it prints is tested with a few."""
 FAR = "  - {name: far, arm: left, position: [9.0, 0.0, 0.0], rpy: [0, 0, 0]}"
 
 
@@ -124,7 +126,7 @@ def bytes_below(folder: Path) -> dict[str, bytes]:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the profile, targets, and runs: planned, collected, calibrated, pushed. Never written by a test."""
     folder = tmp_path_factory.mktemp("made")
-    write_profile(folder)
+    edit(write_profile(folder), "  stops: 30", DRAWN)
     (folder / "targets.yaml").write_text(few_targets())
     steps: dict[str, Sequence[Sequence[object]]] = {
         "planned": [("plan", "twin.yaml", "--run", "planned")],
@@ -192,16 +194,9 @@ def test_doctor(work: Path, call: Any) -> None:
     assert "checks failed" in ended.err
 
 
-def draw_stops(work: Path) -> None:
-    """Let the stops of the twin's profile be drawn: designing them takes seconds, and ``made`` has a designed plan."""
-    edit(work / "twin.yaml", "  stops: 30", "  stops: 30\n  method: random")
-
-
 def test_plan_and_collect_to_standard_output(work: Path, call: Any) -> None:
-    draw_stops(work)
     assert call("plan", "twin.yaml", "--run", "new", "--json", "-").json["stops"] == {"left": 30, "right": 30}
-    assert call("plan", "twin.yaml", "--run", "again").code == 0
-    with RunFile.open(work / "new") as new, RunFile.open(work / "again") as first:
+    with RunFile.open(work / "new") as new, RunFile.open(work / "planned") as first:
         for name, q in first.read_plan().items():
             np.testing.assert_array_equal(new.read_plan()[name], q)
     ended = call("collect", "new", "--json", "-")
@@ -264,7 +259,6 @@ def test_paths_are_planned_measured_and_shown(work: Path, call: Any) -> None:
 
 def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
     (work / "targets" / "twin.yaml").write_text(few_targets())
-    draw_stops(work)
     ended = call("run", "twin.yaml", "--run", "all/of/it", "--json", "-")
     assert ended.code == 0, ended.err
     found = ended.json
@@ -715,7 +709,7 @@ def test_a_plan_that_cannot_be_made_leaves_no_run_behind(work: Path, call: Any) 
     one_sentence(call("plan", "twin.yaml", "--run", "new/one"), "arm left: none of", "the floor")
     assert bytes_below(work) == before
     assert not (work / "new").exists()
-    (work / "twin.yaml").write_text(text.replace("  stops: 30", "  stops: 3\n  method: random"), "utf-8")
+    (work / "twin.yaml").write_text(text.replace("  stops: 30", "  stops: 3"), "utf-8")
     assert call("plan", "twin.yaml", "--run", "new/one").code == 0
 
 
@@ -791,7 +785,7 @@ for command in sys.argv[1:]:
 
 
 def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work: Path) -> None:
-    edit(work / "twin.yaml", "  stops: 30", "  stops: 3")
+    edit(work / "twin.yaml", DRAWN, "  stops: 3")
     done = subprocess.run(
         [sys.executable, "-c", WATCH, *LIGHT],
         cwd=work,
