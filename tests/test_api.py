@@ -18,8 +18,6 @@ from cellapp.kinematics.chain import parameter_names
 from cellapp.model.arguments import configurations, require_radians
 from cellapp.run import RunFile, write_readings_csv
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture(scope="module")
 def run(finished_run: Path) -> Run:

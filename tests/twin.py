@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import shutil
 from pathlib import Path
@@ -34,9 +35,15 @@ def make_small(path: Path) -> None:
     path.write_text(text, "utf-8")
 
 
+@functools.cache
+def whole_twin() -> Profile:
+    """The cell of ``profiles/twin.yaml``, read once: profiles are frozen, and reading takes longer than most tests."""
+    return load_profile(PROFILES / "twin.yaml")
+
+
 def small_twin(stops: int = 30, *, plan: dict[str, Any] | None = None, plant: dict[str, Any] | None = None) -> Profile:
     """The twin with ``stops`` stops and few readings in each split; keys of its ``plan`` and ``plant`` changed."""
-    profile = load_profile(PROFILES / "twin.yaml")
+    profile = whole_twin()
     assert profile.plant is not None
     splits = {"identify": 15, "train": 5, "validate_": 10, "pair_identify": 10, "pair_validate": 10}
     return profile.model_copy(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import json
 import os
 import re
@@ -11,7 +12,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ from tests.twin import PROFILES, write_profile
 
 ROOT = Path(__file__).parents[2]
 WAIT_S = 120.0
+DRAWN = "  stops: 30\n  method: random"
+"""To design stops takes seconds; what loads for it and what it prints is tested with a few."""
 FAR = "  - {name: far, arm: left, position: [9.0, 0.0, 0.0], rpy: [0, 0, 0]}"
 
 
@@ -123,7 +126,7 @@ def bytes_below(folder: Path) -> dict[str, bytes]:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the profile, targets, and runs: planned, collected, calibrated, pushed. Never written by a test."""
     folder = tmp_path_factory.mktemp("made")
-    write_profile(folder)
+    edit(write_profile(folder), "  stops: 30", DRAWN)
     (folder / "targets.yaml").write_text(few_targets())
     steps: dict[str, Sequence[Sequence[object]]] = {
         "planned": [("plan", "twin.yaml", "--run", "planned")],
@@ -290,7 +293,6 @@ def test_all_about_one_target_is_shown(work: Path, call: Any) -> None:
     one_sentence(call("show", "done", "plan", "--target", "left-01"), "--target belongs to 'targets'")
 
 
-@pytest.mark.fast
 def test_looking_changes_no_byte(work: Path, call: Any) -> None:
     with RunFile.open(work / "done", write=True) as run:
         run.log("warning", "the first line")
@@ -707,7 +709,7 @@ def test_a_plan_that_cannot_be_made_leaves_no_run_behind(work: Path, call: Any) 
     one_sentence(call("plan", "twin.yaml", "--run", "new/one"), "arm left: none of", "the floor")
     assert bytes_below(work) == before
     assert not (work / "new").exists()
-    (work / "twin.yaml").write_text(text.replace("  stops: 30", "  stops: 3\n  method: random"), "utf-8")
+    (work / "twin.yaml").write_text(text.replace("  stops: 30", "  stops: 3"), "utf-8")
     assert call("plan", "twin.yaml", "--run", "new/one").code == 0
 
 
@@ -783,6 +785,7 @@ for command in sys.argv[1:]:
 
 
 def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work: Path) -> None:
+    edit(work / "twin.yaml", DRAWN, "  stops: 3")
     done = subprocess.run(
         [sys.executable, "-c", WATCH, *LIGHT],
         cwd=work,
@@ -852,14 +855,14 @@ def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
-def check_resumes(run: Path) -> None:
+def check_resumes(run: Path, collect: Callable[..., Ended]) -> None:
     with RunFile.open(run) as seen:
         stored = seen.stops_done()
         assert 5 <= len(stored) < 120
         assert stored == set(range(len(stored)))
         for name in ("left", "right"):
             np.testing.assert_array_equal(seen.readings(name).configuration, np.arange(len(stored)))
-    ended = shell("collect", run.name, "--resume", "--json", "-", cwd=run.parent)
+    ended = collect("collect", run.name, "--resume", "--json", "-")
     assert ended.code == 0, ended.err
     assert ended.json["stops"] == 120
     with RunFile.open(run) as seen:
@@ -873,10 +876,10 @@ def check_resumes(run: Path) -> None:
 def test_killed_in_the_middle_it_is_resumed(long_run: Path) -> None:
     ended = interrupted(long_run, signal.SIGKILL)
     assert ended.returncode == -signal.SIGKILL
-    check_resumes(long_run)
+    check_resumes(long_run, functools.partial(shell, cwd=long_run.parent))
 
 
-def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path) -> None:
+def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path, call: Any) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "cellapp", "collect", long_run.name],
         cwd=long_run.parent,
@@ -891,9 +894,9 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path)
         paused = shell("pause", long_run.name, cwd=long_run.parent)
         assert (paused.code, paused.out[:6]) == (0, "pause:"), paused.err
         assert "collect: paused" in process.stderr.readline()
-        one_sentence(shell("collect", long_run.name, "--resume", cwd=long_run.parent), "another job runs here")
-        one_sentence(shell("pause", long_run.name, cwd=long_run.parent), "paused already")
-        stopped = shell("stop", long_run.name, "--json", "-", cwd=long_run.parent)
+        one_sentence(call("collect", long_run.name, "--resume"), "another job runs here")
+        one_sentence(call("pause", long_run.name), "paused already")
+        stopped = call("stop", long_run.name, "--json", "-")
         assert stopped.json["answer"].startswith("stopped: all arms brake")
         process.communicate(timeout=WAIT_S)
         assert process.returncode == 4
@@ -901,21 +904,21 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path)
         if process.poll() is None:
             process.kill()
             process.communicate()
-    one_sentence(shell("stop", long_run.name, cwd=long_run.parent), "no job runs in planned")
+    one_sentence(call("stop", long_run.name), "no job runs in planned")
     with RunFile.open(long_run) as run:
         (session,) = run.sessions()
         assert session.requests[0][1] == "pause"
         assert session.outcome == "stopped"
-    check_resumes(long_run)
+    check_resumes(long_run, call)
 
 
-def test_interrupted_it_exits_with_four_and_is_resumed(long_run: Path) -> None:
+def test_interrupted_it_exits_with_four_and_is_resumed(long_run: Path, call: Any) -> None:
     ended = interrupted(long_run, signal.SIGINT)
     assert ended.returncode == 4, ended.stderr
     assert "Traceback" not in ended.stderr
     assert "'cellapp collect DIR --resume'" in ended.stderr
     assert not (long_run / "run.sqlite-wal").exists(), "the file is whole"
-    check_resumes(long_run)
+    check_resumes(long_run, call)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

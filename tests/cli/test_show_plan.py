@@ -27,7 +27,7 @@ def read_json(path: Path) -> Any:
 
 
 def test_a_plan_is_checked_and_foreseen_in_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    new_planned_run(small_twin(12), tmp_path / "run").close()
+    new_planned_run(small_twin(12, plan={"method": "random"}), tmp_path / "run").close()
     before = (tmp_path / "run" / "run.sqlite").read_bytes()
     out = tmp_path / "out.json"
     code, said, _ = called(capsys, "show", tmp_path / "run", "plan", "--check", "--json", out)
@@ -93,14 +93,20 @@ def test_a_plan_is_edited_in_batch(tmp_path: Path, capsys: pytest.CaptureFixture
     assert called(capsys, "plan", profile, "--from", file, "--run", tmp_path / "same")[0] == 0
     called(capsys, "export", tmp_path / "same", "--plan", tmp_path / "same.csv")
     assert (tmp_path / "same.csv").read_bytes() == file.read_bytes()
-    code, said, _ = called(capsys, "plan", "--run", run, "--add", 2)
-    assert (code, "arm left: 8 stops planned" in said) == (0, True)
-    code, said, _ = called(capsys, "plan", "--run", run, "--replan", "--json", "-")
-    assert (code, json.loads(said)["stops"]) == (0, {"left": 8, "right": 8})
     rows = [line for line in file.read_text("utf-8").splitlines() if line.startswith(("configuration", "0,", "1,"))]
     file.write_text("\n".join(rows), "utf-8")
     code, said, _ = called(capsys, "plan", profile, "--keep", file, "--run", tmp_path / "kept")
     assert (code, "arm right: 6 stops planned" in said) == (0, True)
+
+
+def test_a_plan_is_extended_and_planned_again_in_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Stops are drawn here: what a new design keeps is tested with the verbs."""
+    run = tmp_path / "run"
+    new_planned_run(small_twin(6, plan={"method": "random"}), run).close()
+    code, said, _ = called(capsys, "plan", "--run", run, "--add", 2)
+    assert (code, "arm left: 8 stops planned" in said) == (0, True)
+    code, said, _ = called(capsys, "plan", "--run", run, "--replan", "--json", "-")
+    assert (code, json.loads(said)["stops"]) == (0, {"left": 8, "right": 8})
 
 
 @pytest.mark.fast

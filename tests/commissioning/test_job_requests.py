@@ -17,8 +17,6 @@ from cellapp.commissioning.job_requests import JOB_FILE, ask_running_job, taking
 from cellapp.control import JobControl, Verb
 from cellapp.errors import HardwareError, InputError
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
@@ -40,6 +38,7 @@ def job(folder: Path, braked: list[str]) -> Iterator[JobControl]:
         yield control
 
 
+@pytest.mark.fast
 def test_every_verb_is_done_before_it_is_answered(folder: Path, job: JobControl, braked: list[str]) -> None:
     steps: tuple[tuple[Verb, str, str], ...] = (
         ("pause", "after the present stop", "pause"),
@@ -55,6 +54,7 @@ def test_every_verb_is_done_before_it_is_answered(folder: Path, job: JobControl,
     assert job.cancelled
 
 
+@pytest.mark.fast
 def test_a_request_that_does_not_fit_the_state_is_refused_in_words(folder: Path, job: JobControl) -> None:
     cases: tuple[tuple[Verb | None, Verb, str], ...] = (
         (None, "resume", "neither paused nor stopped"),
@@ -70,6 +70,7 @@ def test_a_request_that_does_not_fit_the_state_is_refused_in_words(folder: Path,
         assert caught.value.exit_code == 2
 
 
+@pytest.mark.fast
 def test_a_job_that_nobody_attends_ends_after_a_stop_and_cannot_be_resumed(folder: Path) -> None:
     control = JobControl()
     with taking_requests(folder, control):
@@ -82,6 +83,7 @@ def test_a_job_that_nobody_attends_ends_after_a_stop_and_cannot_be_resumed(folde
         assert "stopped" in ask_running_job(folder, "stop"), "a second stop does no harm"
 
 
+@pytest.mark.fast
 def test_no_run_no_job_and_a_job_that_ended(tmp_path: Path, folder: Path) -> None:
     with pytest.raises(InputError, match="no run is here"):
         ask_running_job(tmp_path / "nowhere", "stop")
@@ -95,6 +97,7 @@ def test_no_run_no_job_and_a_job_that_ended(tmp_path: Path, folder: Path) -> Non
         ask_running_job(folder, "stop")
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"computer": "a", "port": "x", "token": ""}', "\x00"])
 def test_a_damaged_file_is_no_job(folder: Path, text: str) -> None:
     (folder / JOB_FILE).write_text(text)
@@ -104,6 +107,7 @@ def test_a_damaged_file_is_no_job(folder: Path, text: str) -> None:
         assert "stopped" in ask_running_job(folder, "stop")
 
 
+@pytest.mark.fast
 def test_a_stale_token_never_acts_on_a_later_job(folder: Path, job: JobControl, braked: list[str]) -> None:
     address = json.loads((folder / JOB_FILE).read_text())
     (folder / JOB_FILE).write_text(json.dumps({**address, "token": "of an earlier job"}))
@@ -112,6 +116,7 @@ def test_a_stale_token_never_acts_on_a_later_job(folder: Path, job: JobControl, 
     assert (job.request, braked) == ("none", [])
 
 
+@pytest.mark.fast
 def test_a_second_job_in_the_folder_is_refused(folder: Path, job: JobControl) -> None:
     with pytest.raises(InputError, match="another job runs here"), taking_requests(folder, JobControl()):
         pytest.fail("two jobs in one folder")
@@ -119,6 +124,7 @@ def test_a_second_job_in_the_folder_is_refused(folder: Path, job: JobControl) ->
     assert job.request == "stop", "the first job still takes requests"
 
 
+@pytest.mark.fast
 def test_a_job_on_another_computer_is_named(folder: Path, job: JobControl) -> None:
     address = json.loads((folder / JOB_FILE).read_text())
     (folder / JOB_FILE).write_text(json.dumps({**address, "computer": "cell-pc"}))
@@ -127,11 +133,13 @@ def test_a_job_on_another_computer_is_named(folder: Path, job: JobControl) -> No
     assert job.request == "none"
 
 
+@pytest.mark.fast
 @pytest.mark.skipif(os.name != "posix", reason="Windows has other rights")
 def test_only_the_owner_may_read_the_token(folder: Path, job: JobControl) -> None:
     assert stat.S_IMODE((folder / JOB_FILE).stat().st_mode) == 0o600
 
 
+@pytest.mark.fast
 def test_hostile_requests_change_nothing_and_delay_no_stop(folder: Path, job: JobControl) -> None:
     address = json.loads((folder / JOB_FILE).read_text())
     lines = (b"\n", b"x" * 10_000, b"wrong abort\n", f"{address['token']} explode\n".encode(), b"\xff\xfe \x00\n")
@@ -157,6 +165,7 @@ def test_a_job_that_listens_and_is_silent_is_a_fault(folder: Path, monkeypatch: 
             ask_running_job(folder, "stop")
 
 
+@pytest.mark.fast
 def test_requests_of_many_at_once_are_all_answered(folder: Path, job: JobControl) -> None:
     answers: list[str] = []
     askers = [threading.Thread(target=lambda: answers.append(ask_running_job(folder, "stop"))) for _ in range(20)]

@@ -17,8 +17,6 @@ from cellapp.results import ArmDiscoveryResult
 from cellapp.run import Readings
 from tests.arms import STATION
 
-pytestmark = pytest.mark.fast
-
 TWIN = Path(__file__).parents[2] / "profiles" / "twin.yaml"
 STOPS, HELD_OUT = 240, 60
 SIGMA_M = 10e-6
@@ -61,6 +59,7 @@ def test_backlash_of_the_opposite_sign_is_said_and_unknown() -> None:
     assert accepted.meaning.check[0] == "Check the approach convention of the readings."
 
 
+@pytest.mark.fast
 def test_backlash_of_the_right_sign_is_named() -> None:
     arm = discovered(sign=1)
     assert [found.effect for found in arm.accepted] == ["backlash"]

@@ -22,8 +22,6 @@ from cellapp.run import RunFile
 from tests.docs.chapters import blocks
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 PAGE = chapter_text("check")
 
 

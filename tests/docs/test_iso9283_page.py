@@ -18,8 +18,6 @@ from cellapp.verbs import iso9283 as verb
 from tests.docs.chapters import blocks
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 COMMANDS = "".join(blocks("iso9283", "sh")).splitlines()
 
 

@@ -11,8 +11,6 @@ import pytest
 from cellapp.api import open_run
 from cellapp.docs.handbook import chapter_text
 
-pytestmark = pytest.mark.fast
-
 
 def test_mistakes_are_answered_as_the_chapter_says(finished_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (example, printed) = re.findall(r"^```(?:python|text)\n(.*?)^```", chapter_text("python"), re.M | re.S)[-2:]

@@ -29,8 +29,6 @@ from cellapp.run import Readings
 from tests.arms import STATION
 from tests.plugins.installed import add_example, installed
 
-pytestmark = pytest.mark.fast
-
 TWIN = Path(__file__).parents[2] / "profiles" / "twin.yaml"
 UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
 N = 240
@@ -95,6 +93,7 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
     assert row["law"] == f"{effect.forms[0].words}, taut beyond {math.degrees(slack):.3g} deg"
 
 
+@pytest.mark.fast
 def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discovery) -> None:
     (accepted,) = discovery.accepted
     structure = remaining_structure({"joints": 0.4, "order": 0.02}, chance=0.01)
@@ -145,6 +144,7 @@ def a_term() -> EffectTerm:
     return EffectTerm(HOSE, ("pull2",), np.array([3e-4]), np.array([1e-6]), ("rad/rad",), law)
 
 
+@pytest.mark.fast
 def test_an_effect_of_a_plugin_survives_json(plugin: None) -> None:
     term = a_term()
     again = term_from_json(term_to_json(term), EFFECTS)
@@ -152,6 +152,7 @@ def test_an_effect_of_a_plugin_survives_json(plugin: None) -> None:
     np.testing.assert_array_equal(again.values, term.values)
 
 
+@pytest.mark.fast
 def test_a_term_of_a_plugin_that_was_removed_is_refused(tmp_path: Path) -> None:
     with installed(add_example(tmp_path)):
         content = term_to_json(a_term())

@@ -20,8 +20,6 @@ from tests.fleet.runs import measured_run, set_month
 from tests.run.small_runs import planned_run
 from tests.run.spoiled import spoil_cut, spoil_middle, spoil_text
 
-pytestmark = pytest.mark.fast
-
 RUNS = 3
 
 
@@ -46,6 +44,7 @@ def read(folder: Path) -> tuple[list[RunRecord], int]:
     return sorted(found.records, key=lambda record: record.run), found.read
 
 
+@pytest.mark.fast
 def test_only_changed_runs_are_read_again(folder: Path) -> None:
     first, count = read(folder)
     assert (len(first), count) == (RUNS, RUNS)
@@ -58,6 +57,7 @@ def test_only_changed_runs_are_read_again(folder: Path) -> None:
     assert read(folder) == (second, 0)
 
 
+@pytest.mark.fast
 def test_a_change_within_the_same_size_and_time_is_seen_by_its_stage(folder: Path) -> None:
     path = folder / "run-1" / "run.sqlite"
     before, times = stamp_of(folder / "run-1"), path.stat()
@@ -72,6 +72,7 @@ def test_a_change_within_the_same_size_and_time_is_seen_by_its_stage(folder: Pat
     assert after != before
 
 
+@pytest.mark.fast
 def test_a_removed_run_leaves_the_index_and_a_moved_folder_keeps_it(folder: Path) -> None:
     read(folder)
     shutil.rmtree(folder / "run-0")
@@ -115,6 +116,7 @@ def other_version(path: Path) -> None:
         connection.commit()
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("spoil", [cut, noise, no_database, other_table, forged, other_version])
 def test_a_damaged_index_changes_no_record(folder: Path, spoil: Callable[[Path], None]) -> None:
     sound, _ = read(folder)
@@ -123,6 +125,7 @@ def test_a_damaged_index_changes_no_record(folder: Path, spoil: Callable[[Path],
     assert read(folder)[0] == sound
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("spoil", [cut, no_database, forged, other_version])
 def test_a_damaged_index_is_made_again(folder: Path, spoil: Callable[[Path], None]) -> None:
     sound, _ = read(folder)
@@ -131,6 +134,7 @@ def test_a_damaged_index_is_made_again(folder: Path, spoil: Callable[[Path], Non
     assert read(folder) == (sound, 0)
 
 
+@pytest.mark.fast
 def test_without_an_index_where_none_can_be_written(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may write anywhere
     records, count = read(folder)
@@ -172,6 +176,7 @@ def test_two_processes_at_once(folder: Path) -> None:
     assert read(folder) == (sound, 0)
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("spoil", [spoil_text, spoil_cut, spoil_middle])
 def test_a_run_that_cannot_be_read_is_tried_again_each_time(folder: Path, spoil: Callable[[Path], None]) -> None:
     with planned_run(folder / "broken", 200) as run:
@@ -185,6 +190,7 @@ def test_a_run_that_cannot_be_read_is_tried_again_each_time(folder: Path, spoil:
         assert len(records) == RUNS + 1
 
 
+@pytest.mark.fast
 def test_a_single_run_has_no_index(folder: Path) -> None:
     assert read(folder / "run-0")[1] == 1
     assert not (folder / "run-0" / INDEX_FILE).exists()

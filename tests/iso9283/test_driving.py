@@ -31,8 +31,6 @@ from drivers.trackers.simulated import SimulatedTracker
 from tests.planning.planned_cells import one_arm, seven_joints, three_arms
 from tests.twin import plant_of, small_twin
 
-pytestmark = pytest.mark.fast
-
 REPEATABILITY_RAD = 5e-5
 
 
@@ -88,6 +86,7 @@ def results(task: IsoTask, findings: IsoFindings) -> dict[str, ArmIso9283]:
     return arm_results(task.profile, findings, task.arms, np.random.default_rng(1))
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("aligned", [False, True], ids=["base given", "base found"])
 def test_without_noise_accuracy_is_the_true_error_of_the_cell(*, aligned: bool) -> None:
     task = task_of(cell_of(one_arm(), noise=False), "pose", "multidirectional", "distance", aligned=aligned)
@@ -115,6 +114,7 @@ def test_without_noise_accuracy_is_the_true_error_of_the_cell(*, aligned: bool) 
         np.testing.assert_array_equal(plant.q(name), home)
 
 
+@pytest.mark.fast
 def test_a_found_base_is_where_its_fit_says_it_is() -> None:
     task = task_of(cell_of(one_arm()), "pose", aligned=True)
     findings, plant = driven(task)
@@ -129,6 +129,7 @@ def test_a_found_base_is_where_its_fit_says_it_is() -> None:
     assert np.sqrt(np.mean(off**2)) < 4.0 * sigma  # joint zeros of the true arm turn its base for the fit
 
 
+@pytest.mark.fast
 def test_repeatability_is_that_of_the_joints() -> None:
     """The plant's joints stop with normal errors of a known size: RP is that of the positions which they give."""
     task = task_of(cell_of(one_arm(), noise=False, repeatability=REPEATABILITY_RAD), "pose", cycles=30)
@@ -192,6 +193,7 @@ def five_joints() -> Profile:
     return profile.model_copy(update={"arms": {"left": left.model_copy(update={"type": kind, "home": left.home[:5]})}})
 
 
+@pytest.mark.fast
 def test_the_drift_of_a_base_is_found() -> None:
     """A base that moves along its axis by 0.1 mm in ten minutes."""
     profile = cell_of(one_arm(), noise=False)
@@ -256,6 +258,7 @@ def at(done: int, act: Callable[[], object]) -> Callable[[Progress], None]:
     return listen
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("fault", ["protective stop", "link", "covered"])
 def test_a_fault_in_mid_cycle_stops_all_arms_and_keeps_what_was_measured(fault: str, cells: list[Cell]) -> None:
     task = task_of(cell_of(small_twin()), "pose", arms=("left",))
@@ -272,6 +275,7 @@ def test_a_fault_in_mid_cycle_stops_all_arms_and_keeps_what_was_measured(fault: 
     assert any("of 2 cycles" in words for words in missing_words(findings, task.tests))
 
 
+@pytest.mark.fast
 def test_an_smr_that_is_lost_for_a_moment_leaves_a_cycle_missing(cells: list[Cell]) -> None:
     task = task_of(cell_of(one_arm()), "pose", cycles=3)
     findings = IsoFindings()
@@ -288,6 +292,7 @@ def test_an_smr_that_is_lost_for_a_moment_leaves_a_cycle_missing(cells: list[Cel
     assert sorted(counts) == [2, 3, 3, 3, 3]
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("verb", ["stop", "abort"])
 def test_a_person_stops_the_test(verb: str, cells: list[Cell]) -> None:
     control, findings = JobControl(), IsoFindings()
@@ -298,6 +303,7 @@ def test_a_person_stops_the_test(verb: str, cells: list[Cell]) -> None:
     assert not plant_of(cells[0]).moving("left")
 
 
+@pytest.mark.fast
 def test_a_pause_holds_between_visits(cells: list[Cell]) -> None:
     control, findings = JobControl(), IsoFindings()
     held: list[int] = []
@@ -328,6 +334,7 @@ class RestingTracker:
         return getattr(self._tracker, name)
 
 
+@pytest.mark.fast
 def test_paths_are_refused_by_name_where_the_tracker_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     task = task_of(cell_of(one_arm()), "path")
     opened: list[Cell] = []

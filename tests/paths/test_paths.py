@@ -31,8 +31,6 @@ from cellapp.safety.gate import refuse_stop
 from drivers.plant.servo import ServoMotion
 from tests.twin import PROFILES, small_twin
 
-pytestmark = pytest.mark.fast
-
 PERIOD_S = 0.008
 TWIN = PROFILES / "paths" / "twin.yaml"
 
@@ -97,6 +95,7 @@ def square(**changes: Any) -> CartesianPath:
 # -- geometry ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fast
 @settings(max_examples=30)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9))
 def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
@@ -111,6 +110,7 @@ def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
     assert np.linalg.norm(points - via, axis=1).min() < arc.length / 1999.0
 
 
+@pytest.mark.fast
 def test_a_path_is_run_through_by_its_arc_length() -> None:
     path = square()
     s = np.linspace(0.0, path.length, 20_001)
@@ -121,6 +121,7 @@ def test_a_path_is_run_through_by_its_arc_length() -> None:
     np.testing.assert_allclose(path.stops[1:-1], path.begins[3:4])  # the second corner is not rounded
 
 
+@pytest.mark.fast
 def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     path = square()
     s = np.linspace(0.0, path.length, 5001)
@@ -130,6 +131,7 @@ def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     assert np.abs(np.diff(turned, axis=0)).max() < 2.0 * 0.5 / 5000
 
 
+@pytest.mark.fast
 def test_distances_are_geometric() -> None:
     path = square()
     s = np.linspace(0.01, path.length - 0.01, 50)
@@ -174,6 +176,7 @@ def assert_followed(profile: Profile, model: CellModel, plan: PathPlan) -> None:
         assert refuse_stop(cell, {**others, wanted.arm: trajectory.q[row]}) == ""
 
 
+@pytest.mark.fast
 def test_the_example_paths_are_planned_for_both_arms(profile: Profile, model: CellModel) -> None:
     for wanted in load_paths(TWIN, profile):
         plan = planned(profile, model, wanted)
@@ -216,6 +219,7 @@ def test_random_small_paths_keep_tolerance_and_limits(
     assert_followed(profile, model, plan)
 
 
+@pytest.mark.fast
 def test_a_joint_that_turns_round_crosses_its_play(profile: Profile, model: CellModel) -> None:
     there_and_back = spec(
         poses=[
@@ -236,6 +240,7 @@ def test_a_joint_that_turns_round_crosses_its_play(profile: Profile, model: Cell
     assert without.reversals == ()
 
 
+@pytest.mark.fast
 def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model: CellModel) -> None:
     trajectory = planned(profile, model, spec()).trajectory
     assert trajectory is not None
@@ -248,6 +253,7 @@ def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model:
     assert np.diff(fast.s).max() / PERIOD_S < 2.5
 
 
+@pytest.mark.fast
 def test_a_rehearsal_takes_out_what_the_lag_cuts(profile: Profile, model: CellModel) -> None:
     sent = planned(profile, model, load_paths(TWIN, profile, "left")[0]).trajectory
     assert sent is not None
@@ -276,6 +282,7 @@ def at_time(motion: ServoMotion, time_s: float) -> tuple[np.ndarray, np.ndarray]
     return motion.position(now)[0], motion.velocity(now)[0]
 
 
+@pytest.mark.fast
 def test_a_single_arm_of_seven_joints_follows_too(tmp_path: Path) -> None:
     shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
     content = yaml.safe_load((tmp_path / "twin.yaml").read_text("utf-8"))
@@ -302,6 +309,7 @@ def test_a_single_arm_of_seven_joints_follows_too(tmp_path: Path) -> None:
 # -- refusals ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fast
 def test_what_cannot_be_followed_is_refused_with_its_place(profile: Profile, model: CellModel) -> None:
     start = {"position": [-0.15, -0.75, 0.55], "rpy": ["90 deg", 0, 0]}
     cases = {
@@ -339,6 +347,7 @@ BAD: dict[str, tuple[str, str, str]] = {
 }
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("name", BAD, ids=BAD)
 def test_a_bad_file_is_named_by_line(name: str, tmp_path: Path, profile: Profile) -> None:
     good, bad, words = BAD[name]
@@ -351,6 +360,7 @@ def test_a_bad_file_is_named_by_line(name: str, tmp_path: Path, profile: Profile
     assert str(caught.value).startswith(f"{path}:")
 
 
+@pytest.mark.fast
 def test_one_arm_of_a_file(profile: Profile) -> None:
     assert [one.name for one in load_paths(TWIN, profile, "right")] == ["right-arc"]
     with pytest.raises(InputError, match="no arm 'up'"):

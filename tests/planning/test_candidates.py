@@ -27,8 +27,6 @@ from cellapp.safety.gate import CellBodies, TrackerField, clear_alone, visible
 from cellapp.safety.visibility import sight_of
 from tests.twin import PROFILES, small_twin, with_arms
 
-pytestmark = pytest.mark.fast
-
 COUNT = 400
 FACING = math.radians(20.0)
 TRACKER = TrackerField(
@@ -90,6 +88,7 @@ def plain_rejection(cell: CellBodies, name: str, draws: int) -> np.ndarray:
     return np.asarray(q[clear_alone(cell, place(cell.arms[name], q))])
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("which", CELLS)
 def test_every_candidate_can_be_measured(which: str) -> None:
     cell, name = CELLS[which]
@@ -118,6 +117,7 @@ def test_each_joint_is_spread_like_plain_rejection(which: str) -> None:
         assert ks_2samp(found[:, i] + found[:, k], expected[:, i] + expected[:, k]).pvalue > 1e-3
 
 
+@pytest.mark.fast
 def test_small_incidence_is_preferred_and_no_joint_loses_its_range() -> None:
     cell, name = CELLS["UR10"]
     plain, pool = plain_rejection(cell, name, 120_000), pool_of(cell, name, count=4000)
@@ -130,6 +130,7 @@ def test_small_incidence_is_preferred_and_no_joint_loses_its_range() -> None:
         np.testing.assert_allclose(np.quantile(pool.q, level, axis=0), np.quantile(plain, level, axis=0), atol=0.25)
 
 
+@pytest.mark.fast
 def test_random_configurations_are_independent() -> None:
     cell, name = CELLS["UR10"]
     configurations = random_configurations(cell, small_twin(), name, np.random.default_rng(5))
@@ -139,6 +140,7 @@ def test_random_configurations_are_independent() -> None:
     assert visible(cell, name, q).all()
 
 
+@pytest.mark.fast
 def test_the_seed_makes_the_pool() -> None:
     cell, name = CELLS["UR10"]
     first, again, other = (pool_of(cell, name, seed) for seed in (1, 1, 2))
@@ -147,6 +149,7 @@ def test_the_seed_makes_the_pool() -> None:
     assert not np.any(np.all(first.q == other.q, axis=1))
 
 
+@pytest.mark.fast
 def test_joints_that_may_not_move_give_no_copies() -> None:
     cell, name = CELLS["UR10"]
     start = pool_of(cell, name).q[0]
@@ -156,6 +159,7 @@ def test_joints_that_may_not_move_give_no_copies() -> None:
         assert len(np.unique(q, axis=0)) == 100
 
 
+@pytest.mark.fast
 def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.planning.candidates._MOST_DRAWS", 60_000)
     monkeypatch.setattr("cellapp.planning.candidates._MOST_DRAWS_PER_CANDIDATE", 1)
@@ -165,6 +169,7 @@ def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch:
         draw_pool(cell, small_twin(COUNT * 10), name, 5000, np.random.default_rng(0))
 
 
+@pytest.mark.fast
 def test_drawing_can_be_cancelled() -> None:
     token = CancelToken()
     token.cancel()
@@ -172,6 +177,7 @@ def test_drawing_can_be_cancelled() -> None:
         draw_pool(*CELLS["UR10"][:1], small_twin(), "left", 10, np.random.default_rng(0), token)
 
 
+@pytest.mark.fast
 @settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), which=st.sampled_from(sorted(CELLS)))
 def test_what_is_seen_of_combined_joints_is_what_placing_them_gives(seed: int, which: str) -> None:
@@ -233,6 +239,7 @@ def impossible(twin: Profile) -> dict[str, tuple[Profile, str, str]]:
 CAUSES = impossible(small_twin(3))
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("cause", CAUSES)
 def test_what_cannot_be_measured_names_its_constraint(cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.planning.candidates._MOST_DRAWS", 20_000)

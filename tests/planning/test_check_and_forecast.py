@@ -220,7 +220,7 @@ def test_more_stops_show_smaller_effects(forecast: PlanForecastResult, planned: 
 
 
 def test_too_few_stops_are_told_and_the_rest_is_foreseen(tmp_path: Path) -> None:
-    with new_planned_run(small_twin(5), tmp_path / "run") as run:
+    with new_planned_run(small_twin(5, plan={"method": "random"}), tmp_path / "run") as run:
         few = forecast_run(run)
     assert few.arms["left"].effects == ()
     assert few.arms["left"].accuracy
@@ -228,7 +228,7 @@ def test_too_few_stops_are_told_and_the_rest_is_foreseen(tmp_path: Path) -> None
 
 
 def test_an_unknown_smr_offset_is_assumed_and_said(tmp_path: Path) -> None:
-    profile = small_twin(STOPS)
+    profile = small_twin(STOPS, plan={"method": "random"})
     smr = profile.arms["left"].smr.model_copy(update={"offset": "unknown"})
     arms = {**profile.arms, "left": profile.arms["left"].model_copy(update={"smr": smr})}
     with new_planned_run(profile.model_copy(update={"arms": arms}), tmp_path / "run") as run:

@@ -29,8 +29,6 @@ from cellapp.results.plan_design import ArmDesign
 from cellapp.safety.cell_bodies import cell_bodies
 from tests.twin import PROFILES, small_twin, with_arms
 
-pytestmark = pytest.mark.fast
-
 COUNT, POOL = 40, 800
 FEW: dict[str, Any] = {"effects": ("joint_compliance", "encoder_eccentricity", "backlash")}
 Pools = Mapping[str, CandidatePool]
@@ -68,6 +66,7 @@ def model_of(profile: Profile, pools: Pools, name: str = "left") -> InformationM
     return information_model(profile, name, pools[name].q, conditions)
 
 
+@pytest.mark.fast
 def test_each_stop_is_chosen_once_and_the_seed_decides(
     twin: Profile, pools: Pools, chosen: Mapping[str, np.ndarray]
 ) -> None:
@@ -77,6 +76,7 @@ def test_each_stop_is_chosen_once_and_the_seed_decides(
         np.testing.assert_array_equal(again[name], rows)
 
 
+@pytest.mark.fast
 def test_designed_stops_tell_more_than_random_ones_on_unseen_points(judged: ArmDesign) -> None:
     designed, random = judged.designed, judged.random
     assert random.parameters == pytest.approx(1.0)
@@ -88,6 +88,7 @@ def test_designed_stops_tell_more_than_random_ones_on_unseen_points(judged: ArmD
     assert designed.indices.o5 > random.indices.o5
 
 
+@pytest.mark.fast
 def test_errors_by_number_of_stops_fall(judged: ArmDesign) -> None:
     assert [one.stops for one in judged.by_stops] == [25, COUNT]
     assert judged.by_stops[0].mean_mm > judged.by_stops[1].mean_mm
@@ -95,6 +96,7 @@ def test_errors_by_number_of_stops_fall(judged: ArmDesign) -> None:
     assert ArmDesign.model_validate_json(judged.model_dump_json()) == judged
 
 
+@pytest.mark.fast
 def test_no_phase_of_a_joint_is_left_out(pools: Pools, chosen: Mapping[str, np.ndarray]) -> None:
     for name, rows in chosen.items():
         q = pools[name].q
@@ -104,6 +106,7 @@ def test_no_phase_of_a_joint_is_left_out(pools: Pools, chosen: Mapping[str, np.n
         assert np.all(gaps <= np.where(parts_without, unreachable + limits, limits))
 
 
+@pytest.mark.fast
 def test_the_largest_gap_of_the_profile_holds(pools: Pools) -> None:
     limit = math.radians(20.0)
     strict = small_twin(60, plan={**FEW, "largest_gap": limit})
@@ -113,6 +116,7 @@ def test_the_largest_gap_of_the_profile_holds(pools: Pools) -> None:
     assert np.all(largest_gaps(q[rows])[reachable] <= limit)
 
 
+@pytest.mark.fast
 def test_kept_stops_count(twin: Profile, pools: Pools) -> None:
     """Beside stops at which the third joint is bent one way, the others are chosen from the other side."""
     q = pools["left"].q
@@ -123,6 +127,7 @@ def test_kept_stops_count(twin: Profile, pools: Pools) -> None:
     assert np.mean(q[beside, 2] > 0.5) < np.mean(q[free, 2] > 0.5)
 
 
+@pytest.mark.fast
 def test_a_pool_may_be_smaller_than_the_plan(twin: Profile, pools: Pools) -> None:
     few = {name: replace(pool, q=pool.q[:12], incidence=pool.incidence[:12]) for name, pool in pools.items()}
     rows = select_stops(twin, few, COUNT, np.random.default_rng(1))
@@ -165,6 +170,7 @@ def test_any_cell_can_be_designed(cell: Any) -> None:
     assert coupled == (len(profile.arms) == 2)
 
 
+@pytest.mark.fast
 def test_the_columns_are_geometry_listed_effects_and_potential_terms(twin: Profile, pools: Pools) -> None:
     model = model_of(twin, pools)
     slugs = [name.split(": ")[0] for name in model.names[len(model.parameters.columns) :]]
@@ -176,6 +182,7 @@ def test_the_columns_are_geometry_listed_effects_and_potential_terms(twin: Profi
     assert model_of(small_twin(COUNT, plan={"effects": ()}), pools).wanted == len(model.parameters.columns)
 
 
+@pytest.mark.fast
 def test_rows_are_whitened_displacements_per_expected_size(twin: Profile, pools: Pools) -> None:
     model, q = model_of(twin, pools), pools["left"].q[:300]
     conditions = even_conditions(twin, "left", q, {"right": pools["right"].q}, np.random.default_rng(4))
@@ -189,6 +196,7 @@ def test_rows_are_whitened_displacements_per_expected_size(twin: Profile, pools:
     assert np.all(np.linalg.norm(told, axis=1) > 0.9 * size / np.hypot(1e-4, 4e-5))
 
 
+@pytest.mark.fast
 def test_oblique_stops_tell_less(twin: Profile, pools: Pools) -> None:
     q, plan = pools["left"].q[:200], twin.plan
     conditions = drawn_conditions(twin, "left", q, {}, np.random.default_rng(4))
@@ -200,6 +208,7 @@ def test_oblique_stops_tell_less(twin: Profile, pools: Pools) -> None:
     assert np.any(told[1] < 0.98 * told[0])
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize(
     ("effects", "words"),
     [
@@ -214,6 +223,7 @@ def test_effects_that_no_plan_can_show_are_refused(pools: Pools, effects: tuple[
     assert words in str(refused.value)
 
 
+@pytest.mark.fast
 def test_a_selection_can_be_cancelled(twin: Profile, pools: Pools) -> None:
     token = CancelToken()
     token.cancel()

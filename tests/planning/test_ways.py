@@ -23,9 +23,6 @@ from cellapp.safety.gate import CellBodies, refuse_motion
 from tests.planning.hand_made import some_stops
 from tests.planning.planned_cells import one_arm, planned_twin, refusals
 
-pytestmark = pytest.mark.fast
-
-
 OUT = np.array([0.0, -0.6, 0.3, -1.0, 0.3, 0.2])
 """Joint positions with which the left arm is stretched out."""
 
@@ -56,6 +53,7 @@ def replay(cell: CellBodies, here: dict[str, np.ndarray], way: Way, there: dict[
     return [one for one in found if one]
 
 
+@pytest.mark.fast
 def test_a_way_leads_round_a_pillar() -> None:
     profile = with_pillar(one_arm())
     cell = cell_bodies(profile)
@@ -69,6 +67,7 @@ def test_a_way_leads_round_a_pillar() -> None:
     assert way.seconds <= route_s(profile, here, (home, there)) + 1e-9
 
 
+@pytest.mark.fast
 def test_a_random_tree_leads_round_a_pillar() -> None:
     cell = cell_bodies(with_pillar(one_arm()))
     here, there = both_sides(cell)
@@ -78,6 +77,7 @@ def test_a_random_tree_leads_round_a_pillar() -> None:
     assert not any(refuse_motion(cell, a, b) for a, b in pairwise(stations))
 
 
+@pytest.mark.fast
 def test_arms_that_would_meet_go_another_way() -> None:
     profile = planned_twin(200)
     cell = cell_bodies(profile)
@@ -92,6 +92,7 @@ def test_arms_that_would_meet_go_another_way() -> None:
         assert not isinstance(way, Way) or replay(cell, here, way, there) == []
 
 
+@pytest.mark.fast
 def test_roadmaps_know_what_the_limits_shut_off() -> None:
     """With limits of half a turn, wrist 1 beyond a quarter turn is on the other side of the forearm."""
     profile = one_arm()
@@ -108,6 +109,7 @@ def test_roadmaps_know_what_the_limits_shut_off() -> None:
     assert len(path) == 0
 
 
+@pytest.mark.fast
 def test_an_arm_without_home_has_a_roadmap() -> None:
     profile = one_arm()
     arm = profile.arms["left"].model_copy(update={"home": None})
@@ -131,6 +133,7 @@ def test_plans_among_obstacles_pass_the_gate(seed: int) -> None:
     assert refusals(cell, found.stops, homes, homes) == []
 
 
+@pytest.mark.fast
 def test_times_of_stops_are_those_of_their_motions() -> None:
     profile = planned_twin(6)
     stops = some_stops(6)
@@ -147,6 +150,7 @@ def test_times_of_stops_are_those_of_their_motions() -> None:
     np.testing.assert_allclose(stop_times_of(profile, straight).moving_s[1:], expected)
 
 
+@pytest.mark.fast
 def test_a_confounded_factor_is_found() -> None:
     """All last motions of joint 2 come from above where its sine is positive."""
     profile = planned_twin(40)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from cellapp.planning.candidates import draw_pool
 from cellapp.planning.designed import design_stops
@@ -15,8 +14,6 @@ from cellapp.safety.bodies import place
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.safety.gate import clear_alone, refuse_motion
 from tests.twin import PROFILES, small_twin
-
-pytestmark = pytest.mark.fast
 
 
 def test_free_ways_agree_with_finely_placed_bodies() -> None:

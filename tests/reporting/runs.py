@@ -37,7 +37,7 @@ def twin_of(left: str, right: str, name: str) -> Profile:
         update={
             "name": name,
             "arms": {names[arm]: settings for arm, settings in twin.arms.items()},
-            "plan": twin.plan.model_copy(update={"stops": 60}),
+            "plan": twin.plan.model_copy(update={"stops": 60, "method": "random"}),
             "splits": Splits(identify=30, train=10, validate=20, pair_identify=30, pair_validate=20),
             "network": twin.network.model_copy(update={"iterations": 30}),
             "discovery": Discovery(null_simulations=20, folds=2, false_alarm=0.05),

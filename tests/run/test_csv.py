@@ -18,8 +18,6 @@ from cellapp.profile import load_profile
 from cellapp.run import Reading, Readings, RunFile, import_csv, read_readings_csv, write_readings_csv
 from tests.run.two_arm_cell import assert_same, two_arms
 
-pytestmark = pytest.mark.fast
-
 ROOT = Path(__file__).parents[2]
 REAL = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"
 JOINTS = {"left": 2, "right": 3}
@@ -54,6 +52,7 @@ def refusal(path: Path) -> str:
     return str(caught.value)
 
 
+@pytest.mark.fast
 def test_a_file_of_two_arms(path: Path) -> None:
     write(path, *ROWS)
     readings, notes = read_readings_csv(path, JOINTS)
@@ -71,6 +70,7 @@ def test_a_file_of_two_arms(path: Path) -> None:
     assert notes == [f"{path}: column 'mood' is unknown; it is kept and not used"]
 
 
+@pytest.mark.fast
 def test_rows_come_back_in_the_order_of_configurations(path: Path) -> None:
     write(path, *reversed(ROWS))
     readings, _ = read_readings_csv(path, JOINTS)
@@ -79,6 +79,7 @@ def test_rows_come_back_in_the_order_of_configurations(path: Path) -> None:
     assert readings["left"].extras == {"mood": ("good", "bad")}
 
 
+@pytest.mark.fast
 def test_what_is_optional_may_be_absent(path: Path) -> None:
     write(path, "5,left,1,2,3,4,5", header="configuration,arm,q1,q2,x_m,y_m,z_m")
     readings, notes = read_readings_csv(path, JOINTS)
@@ -90,6 +91,7 @@ def test_what_is_optional_may_be_absent(path: Path) -> None:
     assert notes == [f"{path}: arm 'right' of the profile has no readings in this file"]
 
 
+@pytest.mark.fast
 def test_spaces_byte_order_mark_blank_lines_and_windows_line_ends(path: Path) -> None:
     text = "\r\n".join([HEADER.replace(",", " , "), ROWS[0].replace(",", " , "), "", ROWS[2], "", ""])
     path.write_bytes(b"\xef\xbb\xbf" + text.encode())
@@ -97,6 +99,7 @@ def test_spaces_byte_order_mark_blank_lines_and_windows_line_ends(path: Path) ->
     assert len(readings["left"]) == 2
 
 
+@pytest.mark.fast
 def test_a_misspelt_optional_column_is_pointed_out(path: Path) -> None:
     write(path, *ROWS, header=HEADER.replace("sigma_m", "sigma"))
     readings, notes = read_readings_csv(path, JOINTS)
@@ -138,6 +141,7 @@ BAD_CELLS = [
 ]
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize(("row", "old", "new", "column", "says"), BAD_CELLS)
 def test_a_bad_cell_is_named_with_file_line_and_column(
     path: Path, row: int, old: str, new: str, column: str, says: str
@@ -152,6 +156,7 @@ def test_a_bad_cell_is_named_with_file_line_and_column(
     assert "\n" not in message
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize(
     ("old", "new", "column", "says"),
     [
@@ -176,6 +181,7 @@ def test_a_bad_header_names_the_column(path: Path, old: str, new: str, column: s
     assert says in told
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("sign", ["2", "0.5", "+", "-2"])
 def test_approach_is_a_sign(path: Path, sign: str) -> None:
     header = "configuration,arm,q1,q2,x_m,y_m,z_m,approach1,approach2"
@@ -196,6 +202,7 @@ COVARIANCES = [
 ]
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize(("six", "column", "says"), COVARIANCES)
 def test_a_covariance_that_is_none(path: Path, six: str, column: str, says: str) -> None:
     header = "configuration,arm,q1,q2,x_m,y_m,z_m,sxx,sxy,sxz,syy,syz,szz"
@@ -216,6 +223,7 @@ def test_a_covariance_that_is_none(path: Path, six: str, column: str, says: str)
     assert says in message
 
 
+@pytest.mark.fast
 def test_degrees_are_noticed_and_a_far_turned_joint_is_not_degrees(path: Path) -> None:
     header = "configuration,arm,q1,q2,x_m,y_m,z_m"
     write(path, "0,left,1,2,3,4,5", "1,left,90,2,3,4,5", "2,left,10,-45,3,4,5", header=header)
@@ -225,6 +233,7 @@ def test_degrees_are_noticed_and_a_far_turned_joint_is_not_degrees(path: Path) -
     assert readings["left"].q[1, 0] == 13.0
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize(
     ("content", "where", "says"),
     [
@@ -247,12 +256,14 @@ def test_a_file_that_holds_no_readings(path: Path, content: bytes, where: str, s
     assert says in message
 
 
+@pytest.mark.fast
 def test_a_missing_file_and_a_folder(path: Path) -> None:
     assert "file not found" in refusal(path)
     path.mkdir()
     assert "cannot be read" in refusal(path)
 
 
+@pytest.mark.fast
 def test_several_errors_are_told_together(path: Path) -> None:
     rows = [row.replace("0.2,", "x,", 1).replace("3.5", "y") for row in ROWS]
     write(path, *rows)
@@ -264,6 +275,7 @@ def test_several_errors_are_told_together(path: Path) -> None:
     ]
 
 
+@pytest.mark.fast
 def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
     write(path, *ROWS)
     with import_csv(two_arms(), path, tmp_path / "run") as run:
@@ -277,6 +289,7 @@ def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
         import_csv(two_arms(), path, tmp_path / "run")
 
 
+@pytest.mark.fast
 def test_an_import_without_any_reading_of_an_arm_is_refused(path: Path, tmp_path: Path) -> None:
     write(path, *(row for row in ROWS if "left" in row))
     with pytest.raises(InputError, match=r"readings\.csv: arm: no reading of arm right"):
@@ -284,6 +297,7 @@ def test_an_import_without_any_reading_of_an_arm_is_refused(path: Path, tmp_path
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.fast
 def test_export_has_the_columns_of_the_import(path: Path, tmp_path: Path) -> None:
     header = "zeta," + HEADER + ",alpha,payload_kg"
     write(path, *(f"{index},{row},x y,," for index, row in enumerate(ROWS)), header=header + ",empty")
@@ -298,6 +312,7 @@ def test_export_has_the_columns_of_the_import(path: Path, tmp_path: Path) -> Non
     assert not (tmp_path / "out.csv.new").exists()
 
 
+@pytest.mark.fast
 def test_export_of_nothing_and_to_nowhere(path: Path, tmp_path: Path) -> None:
     with RunFile.create(tmp_path / "run", two_arms()) as run:
         with pytest.raises(InputError, match="no readings yet"):
@@ -379,6 +394,7 @@ def test_export_then_import_gives_every_bit_back(data: st.DataObject, tmp_path_f
     shutil.rmtree(folder)
 
 
+@pytest.mark.fast
 @settings(max_examples=50, deadline=None)
 @given(content=st.text(alphabet='configuration,arm"qxyz_m123.\n-e5leftrigh', max_size=120))
 def test_any_text_is_read_or_refused(content: str, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -393,6 +409,7 @@ def test_any_text_is_read_or_refused(content: str, tmp_path_factory: pytest.Temp
     shutil.rmtree(path.parent)
 
 
+@pytest.mark.fast
 def test_the_real_arm(tmp_path: Path) -> None:
     profile = load_profile(ROOT / "profiles" / "ur10-real.yaml")
     with import_csv(profile, REAL, tmp_path / "run") as run:

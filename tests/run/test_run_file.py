@@ -27,8 +27,6 @@ from cellapp.run import Outcome, Reading, Readings, RunFile
 from tests.run.spoiled import SPOILED
 from tests.run.two_arm_cell import assert_same, two_arms
 
-pytestmark = pytest.mark.fast
-
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 ALL_FLOATS = st.floats(allow_infinity=False)
 
@@ -52,6 +50,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.fast
 def test_a_run_keeps_its_profile_and_is_one_file_when_closed(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"left": reading(0), "right": reading(1, 3)})
@@ -63,6 +62,7 @@ def test_a_run_keeps_its_profile_and_is_one_file_when_closed(profile: Profile, f
     assert list(files(folder)) == ["run.sqlite"]
 
 
+@pytest.mark.fast
 def test_reading_does_not_change_the_file(profile: Profile, folder: Path) -> None:
     RunFile.create(folder, profile).close()
     before = files(folder)
@@ -85,6 +85,7 @@ def test_reading_does_not_change_the_file(profile: Profile, folder: Path) -> Non
     assert files(folder) == before
 
 
+@pytest.mark.fast
 @settings(max_examples=50, deadline=None)
 @given(data=st.data())
 def test_every_bit_of_a_stop_comes_back(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -131,6 +132,7 @@ def test_every_bit_of_a_stop_comes_back(data: st.DataObject, tmp_path_factory: p
     shutil.rmtree(folder)
 
 
+@pytest.mark.fast
 def test_a_stop_with_all_its_values(profile: Profile, folder: Path) -> None:
     full = Reading(
         q=np.array([0.1, -0.2]),
@@ -162,6 +164,7 @@ def test_a_stop_with_all_its_values(profile: Profile, folder: Path) -> None:
     np.testing.assert_array_equal(left.in_split("train"), [1])
 
 
+@pytest.mark.fast
 def test_a_stop_is_stored_for_all_arms_or_for_none(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"right": reading(0, 3)})
@@ -171,6 +174,7 @@ def test_a_stop_is_stored_for_all_arms_or_for_none(profile: Profile, folder: Pat
         assert run.readings("right").time_s[0] == 0.0
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize(
     ("arm", "wrong", "says"),
     [
@@ -194,6 +198,7 @@ def test_values_that_are_no_reading(profile: Profile, folder: Path, arm: str, wr
         assert run.stops_done() == set()
 
 
+@pytest.mark.fast
 def test_plan_splits_events_and_results(profile: Profile, folder: Path) -> None:
     rng = np.random.default_rng(0)
     plan = {"right": rng.normal(size=(12, 3)), "left": rng.normal(size=(12, 2))}
@@ -221,6 +226,7 @@ def test_plan_splits_events_and_results(profile: Profile, folder: Path) -> None:
         assert run.read_result("other") is None
 
 
+@pytest.mark.fast
 def test_a_plan_does_not_change_under_measured_stops(profile: Profile, folder: Path) -> None:
     plan = {"left": np.arange(8.0).reshape(4, 2)}
     with RunFile.create(folder, profile) as run:
@@ -234,6 +240,7 @@ def test_a_plan_does_not_change_under_measured_stops(profile: Profile, folder: P
         np.testing.assert_array_equal(run.read_plan()["left"], longer["left"])
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize(
     "plan",
     [
@@ -250,6 +257,7 @@ def test_a_plan_that_does_not_fit(profile: Profile, folder: Path, plan: dict[str
         assert run.read_plan() == {}
 
 
+@pytest.mark.fast
 def test_wrong_splits(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"left": reading(0)})
@@ -260,6 +268,7 @@ def test_wrong_splits(profile: Profile, folder: Path) -> None:
         assert run.readings("left").split is None
 
 
+@pytest.mark.fast
 def test_a_reader_looks_on_while_another_writes(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run, RunFile.open(folder) as reader:
         for stop in range(3):
@@ -269,6 +278,7 @@ def test_a_reader_looks_on_while_another_writes(profile: Profile, folder: Path) 
         assert len(run.readings("left")) == 3
 
 
+@pytest.mark.fast
 def test_threads_share_a_run(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
 
@@ -286,6 +296,7 @@ def test_threads_share_a_run(profile: Profile, folder: Path) -> None:
         assert len(run.events()) == 30
 
 
+@pytest.mark.fast
 def test_a_full_disk_is_a_sentence_and_costs_only_that_stop(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"left": reading(0)})
@@ -299,6 +310,7 @@ def test_a_full_disk_is_a_sentence_and_costs_only_that_stop(profile: Profile, fo
         assert run.read_result("big") is None
 
 
+@pytest.mark.fast
 def test_using_a_closed_run_is_a_sentence(profile: Profile, folder: Path) -> None:
     run = RunFile.create(folder, profile)
     run.close()
@@ -310,6 +322,7 @@ def test_using_a_closed_run_is_a_sentence(profile: Profile, folder: Path) -> Non
 # -- folders that hold something else ---------------------------------------------------------------------------------
 
 
+@pytest.mark.fast
 def test_a_folder_with_a_run_is_not_used_again(profile: Profile, folder: Path) -> None:
     RunFile.create(folder, profile).close()
     before = files(folder)
@@ -320,6 +333,7 @@ def test_a_folder_with_a_run_is_not_used_again(profile: Profile, folder: Path) -
     assert files(folder) == before
 
 
+@pytest.mark.fast
 def test_a_folder_with_something_else_is_not_used(profile: Profile, folder: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "thesis.tex").write_text("draft")
@@ -328,6 +342,7 @@ def test_a_folder_with_something_else_is_not_used(profile: Profile, folder: Path
     assert files(folder) == {"thesis.tex": b"draft"}
 
 
+@pytest.mark.fast
 def test_a_file_is_no_folder(profile: Profile, tmp_path: Path) -> None:
     path = tmp_path / "run"
     path.write_text("x")
@@ -340,6 +355,7 @@ def test_a_file_is_no_folder(profile: Profile, tmp_path: Path) -> None:
     assert path.read_text() == "x"
 
 
+@pytest.mark.fast
 def test_an_empty_folder_and_one_of_a_killed_creation_are_used(profile: Profile, folder: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "run.sqlite.new").write_bytes(b"half")
@@ -348,6 +364,7 @@ def test_an_empty_folder_and_one_of_a_killed_creation_are_used(profile: Profile,
     assert list(files(folder)) == ["run.sqlite"]
 
 
+@pytest.mark.fast
 def test_a_creation_that_fails_leaves_nothing(profile: Profile, tmp_path: Path) -> None:
     def fill(run: RunFile) -> None:
         run.add_stop(0, {"left": reading(0)})
@@ -366,6 +383,7 @@ def test_a_creation_that_fails_leaves_nothing(profile: Profile, tmp_path: Path) 
 # -- files that cannot be opened --------------------------------------------------------------------------------------
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("write", [False, True])
 @pytest.mark.parametrize(("spoil", "says"), SPOILED)
 def test_a_file_that_is_no_run_is_refused_and_left_alone(
@@ -383,6 +401,7 @@ def test_a_file_that_is_no_run_is_refused_and_left_alone(
     assert files(folder) == before
 
 
+@pytest.mark.fast
 def test_a_missing_run(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="run folder not found"):
         RunFile.open(tmp_path / "none")
@@ -454,6 +473,7 @@ def test_nothing_committed_is_lost_by_a_kill_at_any_moment(profile: Profile, fol
         assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
 
 
+@pytest.mark.fast
 def test_a_commit_waits_for_the_disk(profile: Profile, folder: Path) -> None:
     """SIGKILL cannot show this: after a power cut only what was synchronised is there."""
     with RunFile.create(folder, profile) as run:
@@ -463,6 +483,7 @@ def test_a_commit_waits_for_the_disk(profile: Profile, folder: Path) -> None:
     assert (synchronous, journal) == (2, "wal")
 
 
+@pytest.mark.fast
 def test_who_changes_nothing_leaves_every_byte_as_it_was(profile: Profile, folder: Path) -> None:
     RunFile.create(folder, profile).close()
     before = (folder / "run.sqlite").read_bytes()
@@ -472,6 +493,7 @@ def test_who_changes_nothing_leaves_every_byte_as_it_was(profile: Profile, folde
     assert list(files(folder)) == ["run.sqlite"]
 
 
+@pytest.mark.fast
 def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lacks(
     profile: Profile, folder: Path
 ) -> None:
@@ -500,6 +522,7 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
         np.testing.assert_array_equal(left.dwell_s, [np.nan, 1.5])
 
 
+@pytest.mark.fast
 def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_stages(
     profile: Profile, folder: Path
 ) -> None:
@@ -523,6 +546,7 @@ def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_
     assert [request[1:] for request in found.requests] == [("pause", "by a person")]
 
 
+@pytest.mark.fast
 def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(1, {"left": reading(1)})
@@ -539,6 +563,7 @@ def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Prof
         np.testing.assert_array_equal(run.readings("left").sequence, [np.nan, 1.0])
 
 
+@pytest.mark.fast
 def test_an_outcome_counts_until_the_stop_is_measured(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(1, {"left": reading(1)}, [Outcome(1, "right", "not measured", "hidden")])

@@ -23,8 +23,6 @@ from cellapp.trials.collision_check import CollisionCheck
 from tests.safety.test_obstacles import crowded, random_segments
 from tests.twin import PROFILES, small_twin
 
-pytestmark = pytest.mark.fast
-
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("fcl")
 

@@ -8,8 +8,6 @@ from cellapp.planning.plan_quality import ERROR_NAMES
 from cellapp.trials.plan_trial import BARS, PlanTrialsResult, plan_trials
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 STOPS = 30
 
 
@@ -29,6 +27,7 @@ def test_designed_stops_are_worth_more_than_random_ones(result: PlanTrialsResult
     assert BARS.keys() == set(ERROR_NAMES), "every error has its bar"
 
 
+@pytest.mark.fast
 def test_the_bound_is_above_what_is_reached_and_only_where_it_was_asked_for(result: PlanTrialsResult) -> None:
     for one in result.trials:
         assert (one.bound is not None) == (one.seed == 1)
@@ -37,5 +36,6 @@ def test_the_bound_is_above_what_is_reached_and_only_where_it_was_asked_for(resu
             assert all(one.bound[error] > 0.9 * one.equal[error] for error in ERROR_NAMES)
 
 
+@pytest.mark.fast
 def test_the_figures_survive_json(result: PlanTrialsResult) -> None:
     assert PlanTrialsResult.model_validate_json(result.model_dump_json()) == result

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from cellapp.planning.method import make_stops
 from cellapp.safety.cell_bodies import home_positions
@@ -14,8 +13,6 @@ from cellapp.trials.plan_tables import plan_trial_sentences, plan_trial_tables
 from cellapp.trials.plan_trial import PlanTrialsResult, plan_trials
 from cellapp.trials.whole_plans import as_driven, planned_motions
 from tests.twin import small_twin
-
-pytestmark = pytest.mark.fast
 
 
 def test_whole_plans_are_counted_checked_and_shown() -> None:

@@ -20,7 +20,6 @@ from cellapp.tui.app import CellApp
 from tests.tui.pilot import SMALL, ended, opened, shown_text, until
 from tests.twin import write_profile
 
-pytestmark = pytest.mark.fast
 DAY = Path("logs") / "day"
 
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
 from textual.widgets import Input, OptionList, Tree
 
 from cellapp.docs.handbook import CHAPTERS
 from cellapp.tui.app import CellApp
 from cellapp.tui.dialogs.handbook import Handbook, SectionText
 from tests.tui.pilot import PROFILES, SMALL, opened, shown_text, until
-
-pytestmark = pytest.mark.fast
 
 
 def at_top(app: CellApp) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from pathlib import Path
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from textual.pilot import Pilot
@@ -18,8 +17,6 @@ from cellapp.tui.widgets.log_view import LogView
 from cellapp.tui.widgets.log_view_pane import LogHeading
 from cellapp.tui.widgets.log_view_rows import LogFilter, LogRows, as_text
 from tests.tui.pilot import PROFILES, SMALL, opened, shown_text, until
-
-pytestmark = pytest.mark.fast
 
 NOON = datetime(2026, 3, 1, 12, 0, 0)
 

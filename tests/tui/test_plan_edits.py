@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from textual.pilot import Pilot
 from textual.widgets import Input, Static, TabbedContent
 
@@ -24,8 +23,6 @@ from cellapp.tui.widgets.charts_view import ChartsView
 from cellapp.tui.widgets.plan_tables import PairsTable, StopsTable
 from tests.tui.pilot import SMALL, ended, until
 from tests.twin import small_twin, write_profile
-
-pytestmark = pytest.mark.fast
 
 RUN = Path("run")
 

@@ -26,8 +26,6 @@ from tests.reporting.plan_cases import plan_design
 from tests.tui.pilot import PROFILES, SIZES, SMALL, ended, opened, shown_text, until
 from tests.twin import small_twin, write_profile
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture(scope="module")
 def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -22,8 +22,6 @@ from cellapp.tui.jobs import Job
 from tests.run.small_runs import collected_run, set_began
 from tests.tui.pilot import PROFILES, SIZES, SMALL, MovingJob, ended, opened, shown_text, until
 
-pytestmark = pytest.mark.fast
-
 LOGS = Path("logs")
 
 

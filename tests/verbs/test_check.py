@@ -290,7 +290,8 @@ def test_one_arm_alone_is_checked(tmp_path: Path) -> None:
     twin = finished_twin(30)
     assert twin.plant is not None
     plant = twin.plant.model_copy(update={"effects": {}})
-    alone = twin.model_copy(update={"arms": {"left": twin.arms["left"]}, "plant": plant})
+    drawn = twin.plan.model_copy(update={"method": "random"})
+    alone = twin.model_copy(update={"arms": {"left": twin.arms["left"]}, "plant": plant, "plan": drawn})
     with new_planned_run(alone, tmp_path / "run") as run:
         collect_run(run)
         calibrate_run(run)

@@ -16,7 +16,6 @@ from tests.benchmarks.peers.drive_cellapp import start_geometry
 from tests.benchmarks.peers.environments import Failed, run
 from tests.benchmarks.peers.table import Fit, Row, case_text
 
-pytestmark = pytest.mark.fast
 STRAIGHT = np.zeros(6)
 
 
@@ -24,6 +23,7 @@ def fit(seed, mean_um, seconds=1e-3, floor_s=None):
     return Fit(seed, "1.0", 27, seconds, mean_um, 2.0 * mean_um, "converged", floor_s)
 
 
+@pytest.mark.fast
 def test_a_case_is_the_same_for_the_same_seed_and_differs_in_beta_alone():
     one, again, turned = make_case("mdh", 30, 4), make_case("mdh", 30, 4), make_case("hayati", 30, 4)
     np.testing.assert_array_equal(one.p_M, again.p_M)
@@ -32,12 +32,14 @@ def test_a_case_is_the_same_for_the_same_seed_and_differs_in_beta_alone():
     assert 1e-4 < apart.max() < 2e-2  # 0.1 deg at the length of the arm
 
 
+@pytest.mark.fast
 def test_the_start_fits_to_millimetres():
     case = make_case("mdh", 30, 1)
     off = np.linalg.norm(positions(NOMINAL_ROWS, STRAIGHT, NOMINAL_TOOL, case.T_M_B, case.q) - case.p_M, axis=1)
     assert 1e-4 < off.mean() < 1e-2
 
 
+@pytest.mark.fast
 def test_all_solvers_get_the_same_nominal_arm(tmp_path):
     case = make_case("mdh", 30, 1)
     write_case(case, tmp_path)
@@ -55,11 +57,13 @@ def test_all_solvers_get_the_same_nominal_arm(tmp_path):
     assert len(ElementTree.parse(tmp_path / "nominal.urdf").findall("joint")) == 7
 
 
+@pytest.mark.fast
 def test_a_solver_is_not_told_the_true_positions(tmp_path):
     write_case(make_case("mdh", 30, 1), tmp_path)
     assert sorted(np.load(tmp_path / "readings.npz").files) == ["p_M", "q", "q_test"]
 
 
+@pytest.mark.fast
 def test_a_command_that_fails_or_does_not_end_says_why():
     with pytest.raises(Failed, match="no such model"):
         run([sys.executable, "-c", "raise SystemExit('no such model')"], 60.0)
@@ -67,6 +71,7 @@ def test_a_command_that_fails_or_does_not_end_says_why():
         run([sys.executable, "-c", "import time; time.sleep(60)"], 0.2)
 
 
+@pytest.mark.fast
 def test_failures_and_misses_are_rows_with_a_reason():
     ours = Row("cellapp", (fit(0, 3.0, floor_s=5e-4), fit(1, 3.3, floor_s=5e-4)), ())
     wrong = Row("wrong", (fit(0, 700.0, 2.0),), ("no answer after 600 s",))
