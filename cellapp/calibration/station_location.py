@@ -194,7 +194,8 @@ def possible_causes(
     """What besides the tracker may have moved: one arm's base or its SMR, those that explain the points best first.
 
     Only arms with points enough for a motion of their own are asked. Other arms count as still if the tracker's motion
-    that their points ask for moves them by no more than ``still_m`` [m].
+    that their points ask for moves them by no more than ``still_m`` [m]. In a cell of two arms, a motion of either base
+    explains the same points as well, each with another motion of the tracker: the one that needs none comes first.
     """
     found = []
     for name, own in points.items():
@@ -205,7 +206,7 @@ def possible_causes(
             found.append(_cause(_Problem(model, points, excess_m, (0,), None, ("base", name)), start, still_m))
         if sum(map(len, points.values())) > FEWEST_POINTS:
             found.append(_cause(_Problem(model, points, excess_m, (0,), None, ("smr", name)), start, still_m))
-    return tuple(sorted(found, key=lambda cause: (not cause.fit.explains, _akaike(cause), not cause.others_still)))
+    return tuple(sorted(found, key=lambda cause: (not cause.fit.explains, _akaike(cause))))
 
 
 def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
@@ -377,8 +378,12 @@ def _cause(problem: _Problem, start: Array, still_m: float) -> Cause:
 
 
 def _akaike(cause: Cause) -> float:
-    """Akaike's criterion up to a constant: chi-squared and twice the number of parameters beyond the tracker's six."""
-    return cause.fit.chi_squared + (12.0 if cause.kind == "base" else 6.0)
+    """Akaike's criterion: chi-squared and twice the number of parameters, the tracker's six where it was moved.
+
+    Without the latter, rounding would choose between two bases whose motions against each other are the same.
+    """
+    parameters = (6 if cause.kind == "base" else 3) + (0 if cause.others_still else 6)
+    return cause.fit.chi_squared + 2.0 * parameters
 
 
 def _layout_refusal(p_M: Array) -> str:

@@ -226,23 +226,25 @@ def remounted(model, name, shift):
 
 
 @pytest.mark.fast
+@pytest.mark.parametrize("draw", range(3))
+@pytest.mark.parametrize("name", ["left", "right"])
 @pytest.mark.parametrize("size_m", [0.5e-3, 0.05], ids=["half a millimetre", "five centimetres"])
 @pytest.mark.parametrize("tracker_moved", [True, False], ids=["tracker moved", "tracker still"])
-def test_a_moved_base_is_told_from_a_moved_tracker(size_m, tracker_moved):
-    rng = np.random.default_rng(8)
+def test_a_moved_base_is_told_from_a_moved_tracker(size_m, tracker_moved, name, draw):
+    rng = np.random.default_rng([8, draw])
     model = certain_cell()
     motion = transform(rotation_from_vector(np.array([0.2, -0.1, 0.4]) * size_m), np.array([1.0, 0.0, 0.0]) * size_m)
     T = MOVED if tracker_moved else np.eye(4)
-    points = drawn_points(base_moved(model, "right", motion), {"left": 4, "right": 4}, T, rng)
+    points = drawn_points(base_moved(model, name, motion), {"left": 4, "right": 4}, T, rng)
     assert not fit_station(model, points, T, excess_m=EXCESS).explains
     first = possible_causes(model, points, T, excess_m=EXCESS, still_m=0.1e-3)[0]
     assert first.fit.explains
     assert first.kind == "base"
     assert first.others_still is not tracker_moved
     if not tracker_moved:
-        assert first.arm == "right"
-    base = model.arms["right"].geometry.T_M_B()[:3, 3]
-    if first.arm == "right":
+        assert first.arm == name
+    base = model.arms[name].geometry.T_M_B()[:3, 3]
+    if first.arm == name:
         assert first.shift_m == pytest.approx(np.linalg.norm(apply(motion, base[None])[0] - base), abs=0.1e-3)
 
 
