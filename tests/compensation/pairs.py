@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from cellapp.compensation.targets import Partner, Target
 from cellapp.kinematics.transforms import Array, invert, transform, zyx_angles
 from cellapp.model import ArmModel, CellModel
 from cellapp.run import RunFile
+from cellapp.safety.cell_bodies import cell_bodies
+from cellapp.safety.gate import clear_stops, visible_stops
+from tests.postures import far_from_singular
+
+_NARROWER_RAD = np.radians(2.0)
+"""The true flange is turned by some milliradians against the published one: a stop that is planned at the edge of an
+SMR's acceptance may be beyond it for the calibrated arm."""
+_FARTHER_M = 0.01
+"""The true arms stand and reach some millimetres beside where the published ones do."""
 
 
 def pair_targets(
@@ -33,6 +45,23 @@ def pair_targets(
             )
         )
     return tuple(targets)
+
+
+def stops_with_room(run: RunFile, model: CellModel, count: int) -> list[int]:
+    """The first stops of a plan that a calibrated cell can repeat with room: SMRs well within sight, arms well apart
+    and far from singular postures. Stops that tell most lie at the edges, so that many of a plan have none."""
+    plan = run.read_plan()
+    assert plan is not None
+    q = {name: plan[name] for name in model.arms}
+    cell = cell_bodies(run.profile, model)
+    arms = {name: replace(arm, acceptance=arm.acceptance - _NARROWER_RAD) for name, arm in cell.arms.items()}
+    strict = replace(cell, arms=arms, clearance=cell.clearance + _FARTHER_M)
+    good = visible_stops(strict, q) & clear_stops(strict, q)
+    for name, arm in model.arms.items():
+        good &= far_from_singular(arm.geometry, q[name])
+    found: list[int] = np.flatnonzero(good)[:count].tolist()
+    assert len(found) == count, f"of {len(good)} stops only {len(found)} have room"
+    return found
 
 
 def _pose(arm: ArmModel, q: Array) -> Array:

@@ -18,26 +18,29 @@ from cellapp.reporting.target_words import verify_lines
 from cellapp.results import ArmVerification, ErrorSummary, MeasuredPair, VerifyResult
 from cellapp.run import RunFile
 from cellapp.safety.cell_bodies import home_positions
-from tests.compensation.pairs import pair_targets
+from tests.compensation.pairs import pair_targets, stops_with_room
 from tests.twin import plant_of
-
-STOPS = [0, 5, 11, 17]
 
 
 @pytest.fixture(scope="module")
-def pairs(run: RunFile, model: CellModel) -> list[Command]:
-    return list(compensate(run.profile, model, pair_targets(run, model, STOPS, tolerance=2e-3)))
+def stops(run: RunFile, model: CellModel) -> list[int]:
+    return stops_with_room(run, model, 4)
+
+
+@pytest.fixture(scope="module")
+def pairs(run: RunFile, model: CellModel, stops: list[int]) -> list[Command]:
+    return list(compensate(run.profile, model, pair_targets(run, model, stops, tolerance=2e-3)))
 
 
 def test_both_arms_are_measured_at_each_cooperative_target(
-    run: RunFile, model: CellModel, pairs: list[Command], cells: list[Any]
+    run: RunFile, model: CellModel, stops: list[int], pairs: list[Command], cells: list[Any]
 ) -> None:
     found = push(run.profile, model, pairs, verify=True)
     assert [(target.name, target.arm, target.partner, target.note) for target in found.targets] == [
-        (f"pair-{stop}", name, other, "") for stop in STOPS for name, other in (("left", "right"), ("right", "left"))
+        (f"pair-{stop}", name, other, "") for stop in stops for name, other in (("left", "right"), ("right", "left"))
     ]
     assert [(pair.name, pair.arms, pair.note) for pair in found.pairs] == [
-        (f"pair-{stop}", ("left", "right"), "") for stop in STOPS
+        (f"pair-{stop}", ("left", "right"), "") for stop in stops
     ]
     for pair, (left, right) in zip(found.pairs, zip(found.targets[::2], found.targets[1::2])):
         measured, wanted = (
@@ -54,7 +57,7 @@ def test_both_arms_are_measured_at_each_cooperative_target(
         assert left.predicted_M is not None
         assert math.dist(left.measured_M, left.predicted_M) < 0.2e-3
     assert found.cooperative is not None
-    assert found.cooperative.compensated_mm.n == len(STOPS)
+    assert found.cooperative.compensated_mm.n == len(stops)
     assert found.cooperative.nominal_mm.mean > 10.0 * found.cooperative.compensated_mm.mean
     assert found.complaints() == []
     assert any("pairs" in line or "distance" in line for line in verify_lines(found))

@@ -20,6 +20,7 @@ from cellapp.results import CorrectResult
 from cellapp.run import RunFile
 from cellapp.run.stages import CALIBRATION_FILE
 from drivers.plant import Plant
+from tests.postures import far_from_singular
 from tests.programs.plain_controller import PlainController, Pose, forward, matrix, pose_of
 
 Array = NDArray[np.float64]
@@ -60,8 +61,9 @@ def cell_of(folder: Path, name: str) -> Cell:
         model = CellModel.load(folder / CALIBRATION_FILE).arms[name]
         measured = run.readings(name).q
         tcp = Pose((*model.geometry.tool, 0.3, -0.2, 0.5))
-        q = measured[::10] + np.random.default_rng(3).uniform(-0.02, 0.02, measured[::10].shape)
+        q = measured + np.random.default_rng(3).uniform(-0.02, 0.02, measured.shape)
         q = np.clip(q, measured.min(axis=0) + 0.02, measured.max(axis=0) - 0.02)
+        q = q[far_from_singular(model.geometry, q)][:12]  # at singular ones a correction is refused
         rows = model.nominal.rows[:, :4]
         return Cell(name, run, build_plant(run.profile), rows, tcp, model.nominal.T_M_B(), q)
 
