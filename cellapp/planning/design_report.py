@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from cellapp.planning.designed import DesignedStops
 from cellapp.planning.each_arm import of_each_arm
@@ -36,8 +35,7 @@ def design_result(
         return arm_design(profile, pools[name], name, asked.q, own_rng, cancel=cancel)
 
     listener(Progress("compare", 0, len(pools), "with random stops"))
-    with threadpool_limits(limits=1, user_api="blas"):  # the products are narrow, and the arms have a core each
-        arms = of_each_arm(compare, pools, rng)
+    arms = of_each_arm(compare, pools, rng)
     listener(Progress("compare", len(pools), len(pools), "done"))
     return PlanDesignResult(
         arms=arms,

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 _AT_ONCE = 2
 """Arms at once: bounds the memory, and few arms or cores are more."""
@@ -23,5 +24,6 @@ def of_each_arm(
     arrays run outside the interpreter lock. Raises what ``work`` raises for the first arm that fails.
     """
     names = tuple(names)
-    with ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
+    # linear algebra keeps to one thread: its products are narrow, and the arms have a core each
+    with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
         return dict(zip(names, threads.map(work, names, rng.spawn(len(names))), strict=True))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from cellapp.design.block_choice import Candidates, choose_blocks, most_informative_first
 from cellapp.design.block_design import Criterion, Rows, information_of, reference_errors
@@ -53,8 +52,7 @@ def select_stops(
         return _select(profile, name, q, count, None if kept is None else kept.get(name), own_rng, cancel)
 
     listener(Progress("select", 0, len(pools), " and ".join(f"arm {name}" for name in pools)))
-    with threadpool_limits(limits=1, user_api="blas"):  # the products are narrow
-        chosen = of_each_arm(choose, pools, rng)
+    chosen = of_each_arm(choose, pools, rng)
     listener(Progress("select", len(pools), len(pools), "done"))
     return chosen
 
