@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
-from cellapp.progress import Cancelled, CancelToken
+from cellapp.progress import Cancelled, CancelToken, CellLive, Halt
 
 Request = Literal["none", "pause", "stop", "abort"]
 Verb = Literal["pause", "resume", "stop", "abort"]
@@ -48,6 +48,9 @@ class JobControl(CancelToken):
         self._request: Request = "none"
         self._changed = threading.Condition()
         self._brakes: list[Callable[[str], None]] = []
+        self._holding = 0  # brakes after which the job can hold
+        self._looks: list[Callable[[], CellLive]] = []
+        self._record: Callable[[str, Halt], None] = lambda arm, halt: None
 
     @property
     def request(self) -> Request:
@@ -73,7 +76,7 @@ class JobControl(CancelToken):
 
     def stop(self) -> None:
         """Brake all arms now."""
-        attended = self.holds and self.has_brakes  # a job without arms has nothing to hold
+        attended = self.holds and self._holding > 0  # a job without open arms has nothing to hold
         self._set_and_brake("stop", replaces=("none", "pause", "stop"), ends=not attended)
 
     def leave(self) -> None:
@@ -115,18 +118,50 @@ class JobControl(CancelToken):
             return self._changed.wait_for(lambda: self._request in ("stop", "abort"), timeout_s)
 
     @contextmanager
-    def brakes(self, brake: Callable[[str], None]) -> Iterator[None]:
+    def brakes(self, brake: Callable[[str], None], *, holds: bool = True) -> Iterator[None]:
         """Call ``brake(verb)`` at once on ``stop`` and ``abort``, in the caller's thread, while this context is open.
 
-        A request that already stands calls it at once.
+        A request that already stands calls it at once. Without ``holds`` a stop ends the job even where a person
+        attends it: the cell is not open yet.
         """
         self._brakes.append(brake)
+        self._holding += holds
         try:
             if self._request in ("stop", "abort"):
                 brake(self._request)
             yield
         finally:
             self._brakes.remove(brake)
+            self._holding -= holds
+
+    # -- what is known of the cell now ---------------------------------------------------------------------------------
+
+    @contextmanager
+    def watching(self, look: Callable[[], CellLive]) -> Iterator[None]:
+        """Let ``live`` ask ``look`` while this context is open: a cell is open. It returns at once, in any thread."""
+        self._looks.append(look)
+        try:
+            yield
+        finally:
+            self._looks.remove(look)
+
+    def live(self) -> CellLive | None:
+        """Return what is known of the open cell now; None while none is open."""
+        looks = tuple(self._looks)
+        return looks[-1]() if looks else None
+
+    @contextmanager
+    def recording(self, record: Callable[[str, Halt], None]) -> Iterator[None]:
+        """Let ``record`` take the end of each arm's stop, arm and halt, while this context is open; from any thread."""
+        self._record, before = record, self._record
+        try:
+            yield
+        finally:
+            self._record = before
+
+    def note_halt(self, arm: str, halt: Halt) -> None:
+        """Take the end of an arm's stop: it was seen at rest, or was not."""
+        self._record(arm, halt)
 
     def _set_and_brake(self, verb: Literal["stop", "abort"], replaces: tuple[Request, ...], *, ends: bool) -> None:
         """Set the request, then brake: a job that sees its arms stopped must find who asked for it.

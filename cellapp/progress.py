@@ -20,6 +20,67 @@ class StateChange:
     reason: str
 
 
+HaltState = Literal["asked", "braking", "at rest", "not seen at rest"]
+
+
+@dataclass(frozen=True)
+class Halt:
+    """How far the stop of an arm is.
+
+    Attributes
+    ----------
+    state : str
+        ``asked``: its brake was called. ``braking``: the stop was commanded. ``at rest``: it was seen at rest since.
+        ``not seen at rest``: nobody knows whether it moves.
+    reason : str
+        Why, in a sentence.
+    """
+
+    state: HaltState
+    reason: str
+
+
+@dataclass(frozen=True)
+class ArmLive:
+    """What is known of an arm now.
+
+    Attributes
+    ----------
+    age_s : float or None
+        Age of the newest state from its controller [s]; None without one.
+    moving : bool
+        Whether it moved then.
+    halt : Halt or None
+        How far its stop is; None where it was not stopped.
+    """
+
+    age_s: float | None
+    moving: bool
+    halt: Halt | None = None
+
+
+@dataclass(frozen=True)
+class CellLive:
+    """What is known of an open cell now, whatever its job is doing.
+
+    Attributes
+    ----------
+    arms : mapping
+        Arm -> what is known of it.
+    tracker_age_s : float or None
+        Age of the newest sign of life from the tracker [s]; None without one.
+    job_age_s : float
+        Age of the newest sign of life from the job itself [s].
+    causes : tuple of str
+        Why the arms were stopped, oldest first; empty while they may move.
+    """
+
+    arms: Mapping[str, ArmLive]
+    tracker_age_s: float | None
+    job_age_s: float
+    causes: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True)
 class StopReport:
     """One arm at one stop, after the model was refitted with it.

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
-from cellapp.collection.together import Together, in_threads, one_by_one
+from cellapp.collection.pulse import JobPulse
+from cellapp.collection.together import Together, answers_of_all, in_threads, one_by_one
 from cellapp.collection.tracker_watch import Watch, unwatched, watched
+from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
 from cellapp.model.nominal import pose_matrix
 from cellapp.profile import Arm as ArmProfile
 from cellapp.profile import Profile
 from cellapp.safety.gate import Gate, refuse_motion
-from drivers.arms.protocol import Arm, ArmError, JointLimits
+from drivers.arms.protocol import Arm, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
 from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
@@ -46,7 +48,7 @@ class Cell:
     ``air`` is None without a weather station, ``clearance`` None if distances are not observed. ``together`` calls
     functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
     ``gate`` checks every motion; a trial that drives the same plan many times shares its answers. ``tracker_unmet``
-    lists what kept the tracker from measuring when the cell was opened.
+    lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's sign of life.
     """
 
     arms: Mapping[str, Arm]
@@ -58,6 +60,11 @@ class Cell:
     watch_tracker: Watch = watched
     gate: Gate = refuse_motion
     tracker_unmet: tuple[str, ...] = ()
+    pulse: JobPulse = field(default_factory=JobPulse)
+
+    def oldest_data_s(self) -> float:
+        """Return the age of the newest state of the arm that was heard last [s]; never blocks."""
+        return max(arm.live().age_s for arm in self.arms.values())
 
     def require_tracker(self) -> None:
         """Raise ``HardwareError`` if the tracker was not ready to measure when the cell was opened."""
@@ -66,11 +73,18 @@ class Cell:
 
 
 @contextmanager
-def open_cell(profile: Profile, *, watch_clearance: bool = False, plant: Plant | None = None) -> Iterator[Cell]:
+def open_cell(
+    profile: Profile,
+    *,
+    watch_clearance: bool = False,
+    plant: Plant | None = None,
+    control: JobControl | None = None,
+) -> Iterator[Cell]:
     """Connect to all devices of a profile; at the end they are disconnected, whatever happens.
 
     ``watch_clearance`` observes the distances in a simulated cell; this takes time. ``plant`` is the simulated cell, as
-    an earlier job left it; None: a new one that the profile describes.
+    an earlier job left it; None: a new one that the profile describes. A person's stop, through ``control``, ends the
+    connecting: no program is started on a controller after it.
 
     Raises
     ------
@@ -78,19 +92,20 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False, plant: Plant |
         If a setting does not fit its device.
     HardwareError
         If a device cannot be reached or is not ready.
+    Stopped, Aborted
+        If a person stopped the job while it connected; nothing has moved.
     """
+    control = control or JobControl()
     if plant is None and _needs_plant(profile):
         plant = build_plant(profile, watch_clearance=watch_clearance)
     arms = {name: _driver_of(name, arm, plant) for name, arm in profile.arms.items()}
     tracker = tracker_driver(profile, plant)
     air = _air_sensor(profile, plant)
+    real = plant is None or _has_real_arm(profile)
+    together = in_threads if real else one_by_one
     with ExitStack() as stack:
-        for arm in arms.values():
-            stack.callback(_disconnect, arm)
-            try:
-                arm.connect()
-            except ArmError as error:
-                raise HardwareError(str(error)) from error
+        stack.callback(_disconnect_all, arms, together)
+        _connect_all(arms, together, control)
         stack.callback(tracker.disconnect)
         unmet = start_tracker(tracker, profile.tracker.driver)
         if air is not None:
@@ -99,11 +114,12 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False, plant: Plant |
                 air.connect()
             except SensorError as error:
                 raise HardwareError(str(error)) from error
-        if plant is None or _has_real_arm(profile):
+        control.check()
+        if real:
             yield Cell(arms, tracker, RealClock(), air, tracker_unmet=unmet)
         else:
             clock, clearance = SimulatedClock(plant), plant.clearance
-            yield Cell(arms, tracker, clock, air, clearance, one_by_one, unwatched, tracker_unmet=unmet)
+            yield Cell(arms, tracker, clock, air, clearance, together, unwatched, tracker_unmet=unmet)
 
 
 def _needs_plant(profile: Profile) -> bool:
@@ -121,9 +137,24 @@ def _has_real_arm(profile: Profile) -> bool:
     return any(arm.driver.has_device and not arm.driver.needs_plant for arm in profile.arms.values())
 
 
-def _disconnect(arm: Arm) -> None:
-    with suppress(ArmError):  # the other devices must be disconnected too, and an earlier error is the one to report
-        arm.disconnect()
+def _connect_all(arms: Mapping[str, Arm], together: Together, control: JobControl) -> None:
+    """Connect all arms at once; a person's stop meanwhile ends that."""
+
+    def brake_all(verb: str) -> None:
+        for arm in arms.values():
+            arm.refuse_motion()
+
+    with control.brakes(brake_all, holds=False):
+        control.check()
+        _, errors = answers_of_all(together, {name: arm.connect for name, arm in arms.items()})
+    control.check()
+    for error in errors.values():
+        raise HardwareError(str(error)) from error
+
+
+def _disconnect_all(arms: Mapping[str, Arm], together: Together) -> None:
+    """Disconnect every arm, whatever another one says: an earlier error is the one to report."""
+    answers_of_all(together, {name: arm.disconnect for name, arm in arms.items()})
 
 
 def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...]:

@@ -13,11 +13,10 @@ from typing import Protocol
 import numpy as np
 
 from cellapp.check import Standing
-from cellapp.collection.cell import Cell, open_cell
-from cellapp.collection.collect import Opened
+from cellapp.collection.cell import Cell
 from cellapp.collection.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.collection.smr_search import FoundPoint, SmrSearch
-from cellapp.collection.supervision import hold_while_paused, reacting
+from cellapp.collection.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.compensation.driving import Driver
 from cellapp.compensation.target_visit import last_motion_matters
 from cellapp.control import JobControl
@@ -106,7 +105,7 @@ def drive_check(
     """
     control = control or JobControl()
     bodies, homes = cell_bodies(task.profile, task.model), home_positions(task.profile)
-    with (open_with or open_cell)(task.profile) as cell, reacting(cell, control) as reaction:
+    with attended_cell(task.profile, control, open_with) as (cell, reaction):
         opened(cell)
         cell.require_tracker()
         mover = Mover(task.profile, cell, bodies, reaction)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
-from cellapp.collection.cell import Cell, open_cell
+from cellapp.collection.cell import Cell
 from cellapp.collection.controllers import check_controllers
 from cellapp.collection.motion import Confirm
 from cellapp.collection.session import CollectSession, End
-from cellapp.collection.supervision import reacting
+from cellapp.collection.supervision import Opened, opening, reacting
 from cellapp.collection.work import remaining_work
 from cellapp.control import Aborted, JobControl, Stopped
 from cellapp.errors import HardwareError, InputError
@@ -20,9 +20,6 @@ from cellapp.run import RunFile, SessionEnd
 from cellapp.run.collected import missing_readings
 from cellapp.safety.cell_bodies import cell_bodies
 from drivers.arms.protocol import ArmError
-
-Opened = Callable[..., AbstractContextManager[Cell]]
-"""Opens the cell of a profile; ``watch_clearance`` observes distances in a simulated cell."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ def collect_run(
     if not work.stops:
         return CollectSummary("complete", (f"all {work.total} stops were stored already",), missing_readings(run))
     bodies = cell_bodies(run.profile)
-    with (opened or open_cell)(run.profile, watch_clearance=watch_clearance) as cell:
+    with opening(run.profile, control, opened, watch_clearance=watch_clearance) as cell:
         notes = list(check_controllers(run, cell).notes)
         number = run.begin_session()
         with (

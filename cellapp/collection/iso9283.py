@@ -11,12 +11,11 @@ from itertools import combinations
 
 import numpy as np
 
-from cellapp.collection.cell import Cell, open_cell
-from cellapp.collection.collect import Opened
+from cellapp.collection.cell import Cell
 from cellapp.collection.iso9283_paths import PathTests
 from cellapp.collection.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.collection.reaction import StopReaction
-from cellapp.collection.supervision import hold_while_paused, reacting
+from cellapp.collection.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.compensation.driving import Driver
 from cellapp.control import JobControl
 from cellapp.errors import HardwareError
@@ -101,7 +100,7 @@ def drive_tests(
     """
     control = control or JobControl()
     profile, homes = task.profile, home_positions(task.profile)
-    with (open_with or open_cell)(profile) as cell, reacting(cell, control) as reaction:
+    with attended_cell(profile, control, open_with) as (cell, reaction):
         cell = replace(cell, gate=remembered(cell.gate))
         opened(cell)
         cell.require_tracker()

@@ -18,12 +18,11 @@ from cellapp.calibration.station_location import (
     fit_station,
     possible_causes,
 )
-from cellapp.collection.cell import Cell, open_cell
-from cellapp.collection.collect import Opened
+from cellapp.collection.cell import Cell
 from cellapp.collection.locating_stops import LocatingStops
 from cellapp.collection.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.collection.smr_search import FoundPoint, SmrSearch
-from cellapp.collection.supervision import hold_while_paused, reacting
+from cellapp.collection.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.control import JobControl
 from cellapp.errors import HardwareError
 from cellapp.kinematics.transforms import Array
@@ -102,7 +101,7 @@ def locate_station(
     """
     control = control or JobControl()
     bodies = cell_bodies(task.profile, task.model)
-    with (open_with or open_cell)(task.profile) as cell, reacting(cell, control) as reaction:
+    with attended_cell(task.profile, control, open_with) as (cell, reaction):
         opened(cell)
         cell.require_tracker()
         mover = Mover(task.profile, cell, bodies, reaction)

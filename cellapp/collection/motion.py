@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cellapp.collection.cell import Cell
 from cellapp.collection.details import motion_ended, vectors
 from cellapp.collection.reaction import CellStopped, StopCause, StopReaction, cause_of
+from cellapp.collection.together import answers_of_all
 from cellapp.errors import CellappError, InputError
 from cellapp.profile import Arm as ArmProfile
 from cellapp.profile import Profile
@@ -31,6 +32,7 @@ _LEAST_FRACTION = 0.01
 """A lower speed slider counts as 0: the motion would take a hundred times as long."""
 _STANDSTILL_S = 60.0
 """Longest wait for an arm whose speed slider is at 0."""
+_TRACKER_ANSWERS_WITHIN_S = 0.5
 _WRONG_TARGET_M = 0.05
 """Nominal geometry and base poses predict an SMR better than this; SMRs of two arms are farther apart."""
 _AT_TARGET_RAD = 1e-3
@@ -167,6 +169,7 @@ class Mover:
         self._record_foreign_steps(start)
         self._departure = start
         with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
+            self._confirm_links()
             states = self._drive(start, targets)
         for name, q in targets.items():
             self._record_step(name, start[name], q, states[name].q)
@@ -219,6 +222,7 @@ class Mover:
         expected_s = len(q) * period_s
         self._emit(MotionBegun(self.stop, vectors({name: start[name]}), vectors({name: q[-1]}), expected_s))
         with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
+            self._confirm_links()
             self._reaction.check()
             try:
                 arm.start_path(q, period_s)
@@ -229,6 +233,21 @@ class Mover:
         self._approach[name] = _last_signs(q, self._approach[name])
         self._emit(motion_ended(self.stop, states))
         return arm.followed()
+
+    def _confirm_links(self) -> None:
+        """Make sure that every link of every arm and the tracker answer now, also those of arms that stay at rest.
+
+        Raises ``CellStopped`` if one does not: nothing begins beside a doubt.
+        """
+        arms = self._cell.arms
+        _, errors = answers_of_all(self._cell.together, {name: arm.confirm for name, arm in arms.items()})
+        for name, error in errors.items():
+            raise self.stop_cell(cause_of(name, error)) from error
+        try:
+            self._cell.tracker.confirm(_TRACKER_ANSWERS_WITHIN_S)
+        except TrackerError as error:
+            raise self.stop_cell(StopCause("tracker", str(error))) from error
+        self._reaction.check()
 
     def _tracker_died(self, reason: str) -> None:
         self._reaction.trigger(StopCause("tracker", reason))
@@ -287,7 +306,8 @@ class Mover:
             states, fraction = {}, 1.0
             for name in names:
                 try:
-                    states[name] = self._cell.arms[name].wait_settled(_ROUND_S)
+                    with self._cell.pulse.waiting(self._cell.oldest_data_s):
+                        states[name] = self._cell.arms[name].wait_settled(_ROUND_S)
                 except ArmTimeout:
                     late, fraction = name, min(fraction, self._speed_fraction(name))
                     continue
@@ -333,7 +353,8 @@ class Mover:
         """Wait until an arm has been at rest for ``dwell_s`` [s]. Raises as soon as the cell is stopped."""
         left_s = dwell_s - (self.rested_s(name) or 0.0)
         if left_s > 0.0:
-            self._cell.clock.wait(left_s, cancel.wait)
+            with self._cell.pulse.waiting():
+                self._cell.clock.wait(left_s, cancel.wait)
         self._reaction.check()
         cancel.check()
 
@@ -361,7 +382,8 @@ class Mover:
         for _ in range(tries):
             self._reaction.check()
             try:
-                point = self._cell.tracker.measure(expected_M, self._profile.tracker.averaging)
+                with self._cell.pulse.waiting(self._cell.tracker.data_age_s):
+                    point = self._cell.tracker.measure(expected_M, self._profile.tracker.averaging)
             except (TargetLost, WrongTarget, Unstable) as error:
                 problem = error
                 continue
@@ -390,6 +412,7 @@ class Mover:
         return CellStopped(self._reaction.cause or cause)
 
     def _state(self, name: str) -> ArmState:
+        self._cell.pulse.beat()
         try:
             return self._cell.arms[name].state()
         except ArmError as error:

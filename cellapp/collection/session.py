@@ -360,6 +360,7 @@ class CollectSession:
     # -- what others hear ----------------------------------------------------------------------------------------------
 
     def _emit(self, detail: Detail | None = None, note: str = "") -> None:
+        self.cell.pulse.beat()
         self.listener(Progress("collect", self._queue.finished, self._queue.total, note, detail=detail))
 
     def _record(self, kind: str, reason: str) -> None:

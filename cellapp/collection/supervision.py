@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
-from cellapp.collection.cell import Cell
+from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.reaction import CellStopped, StopCause, StopReaction
 from cellapp.control import Aborted, JobControl, Stopped
 from cellapp.errors import CellappError, HardwareError
+from cellapp.profile import Profile
 from cellapp.profile.collection import Suspend, Suspension
-from cellapp.progress import Cancelled, Detail, StateChange
+from cellapp.progress import ArmLive, Cancelled, CellLive, Detail, StateChange
 from drivers.clock import slept_s
 
 SuspensionKind = Literal["target", "air", "drift", "tracker_warm_up", "host_stall"]
@@ -25,9 +27,31 @@ _POLL_S = 0.1
 _BY_PERSON = {"stop": "a person stopped the arms", "abort": "a person aborted the job"}
 
 
+Opened = Callable[..., AbstractContextManager[Cell]]
+"""Opens the cell of a profile in place of ``open_cell``; ``watch_clearance`` observes distances in a simulated cell."""
+
+
+def opening(
+    profile: Profile, control: JobControl, opened: Opened | None = None, **options: bool
+) -> AbstractContextManager[Cell]:
+    """Return what opens the cell of a profile: ``opened``, else ``open_cell``, which a person's stop ends."""
+    return open_cell(profile, control=control, **options) if opened is None else opened(profile, **options)
+
+
+@contextmanager
+def attended_cell(
+    profile: Profile, control: JobControl, opened: Opened | None = None
+) -> Iterator[tuple[Cell, StopReaction]]:
+    """Open the cell of a profile and wire it to its brakes. Raises as ``open_cell`` and ``reacting`` do."""
+    with opening(profile, control, opened) as cell, reacting(cell, control) as reaction:
+        yield cell, reaction
+
+
 @contextmanager
 def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
     """Wire the doubts of all arms and a person's stop to the brakes of all arms while this context is open.
+
+    Meanwhile ``control.live`` tells what is known of the cell, whatever the job is doing.
 
     Whatever ends the context with an exception also stops the arms, and they are watched until they rest.
 
@@ -38,8 +62,9 @@ def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
     Stopped, Aborted
         If a person did.
     """
-    reaction = StopReaction(cell.arms, cell.tracker, cell.together)
-    with control.brakes(lambda verb: reaction.trigger(_personal(verb))):
+    reaction = StopReaction(cell.arms, cell.tracker, cell.together, control.note_halt)
+    brakes = control.brakes(lambda verb: reaction.trigger(_personal(verb)))
+    with control.watching(lambda: _live(cell, reaction)), brakes:
         try:
             yield reaction
         except BaseException as error:
@@ -49,6 +74,21 @@ def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
             if end is error:
                 raise
             raise end from error
+
+
+def _live(cell: Cell, reaction: StopReaction) -> CellLive:
+    """What is known of an open cell now."""
+    halts, arms = reaction.halts, {name: arm.live() for name, arm in cell.arms.items()}
+    return CellLive(
+        {name: ArmLive(_known(live.age_s), live.moving, halts.get(name)) for name, live in arms.items()},
+        _known(cell.tracker.data_age_s()),
+        cell.pulse.age_s(),
+        tuple(dict.fromkeys(cause.text for cause in reaction.causes)),
+    )
+
+
+def _known(age_s: float) -> float | None:
+    return age_s if math.isfinite(age_s) else None
 
 
 def _end_of(error: BaseException, reaction: StopReaction) -> BaseException:
@@ -84,6 +124,7 @@ def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -
 
 def _attend(cell: Cell, control: JobControl) -> None:
     """Wait a moment for a person, in real time; in a simulated cell, its time passes too."""
+    cell.pulse.beat()
     control.wait_while("pause", "stop", timeout_s=_POLL_S)
     cell.clock.wait(_POLL_S, lambda duration_s: None)
 
@@ -115,7 +156,8 @@ class Supervisor:
 
     def wait(self, duration_s: float) -> None:
         """Let time pass with the arms at rest. Raises ``CellStopped`` as soon as the cell is stopped."""
-        self.cell.clock.wait(duration_s, self.control.wait)
+        with self.cell.pulse.waiting():
+            self.cell.clock.wait(duration_s, self.control.wait)
         self.reaction.check()
 
     def recover(self, stopped: CellStopped) -> None:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.calibration.evaluation import summarise
-from cellapp.collection.cell import Cell, open_cell
+from cellapp.collection.cell import Cell
 from cellapp.collection.motion import Confirm, MotionRefused, Mover
 from cellapp.collection.reaction import StopCause, StopReaction
-from cellapp.collection.supervision import hold_while_paused, reacting
+from cellapp.collection.supervision import attended_cell, hold_while_paused
 from cellapp.compensation.path_file import PathSpec
 from cellapp.compensation.tolerance import measured_verdict
 from cellapp.control import JobControl
@@ -68,7 +68,7 @@ def follow(
         raise InputError(f"follow: none of the paths can be driven: {plans[0].refusal}")
     homes = home_positions(profile)
     found: list[tuple[PathPlan, DrivenPath | None]] = []
-    with open_cell(profile) as cell, reacting(cell, control) as reaction:
+    with attended_cell(profile, control) as (cell, reaction):
         opened(cell)
         if verify:
             cell.require_tracker()

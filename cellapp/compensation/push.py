@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from cellapp.collection.cell import Cell, open_cell
-from cellapp.collection.collect import Opened
+from cellapp.collection.cell import Cell
 from cellapp.collection.motion import Confirm, Mover
-from cellapp.collection.supervision import hold_while_paused, reacting
+from cellapp.collection.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.compensation.cell_checks import require_same_arms
 from cellapp.compensation.command import Command
 from cellapp.compensation.driving import Driver
@@ -86,7 +85,7 @@ def push(
     if not any(command.q_compensated is not None for command in commands):
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
     bodies, homes = cell_bodies(profile, model), home_positions(profile)
-    with (open_with or open_cell)(profile) as cell, reacting(cell, control) as reaction:
+    with attended_cell(profile, control, open_with) as (cell, reaction):
         opened(cell)
         cell.require_tracker()
         mover = Mover(profile, cell, bodies, reaction)

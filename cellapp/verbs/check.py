@@ -15,9 +15,9 @@ from cellapp.check.model import FALSE_ALARM, MISS
 from cellapp.check.statistics import SPENT_EARLY
 from cellapp.collection.check import CheckTask, DrivenCheck, MeasuredStop, drive_check
 from cellapp.collection.check_stops import check_candidates
-from cellapp.collection.collect import Opened
 from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.smr_search import points_of
+from cellapp.collection.supervision import Opened
 from cellapp.commissioning.confirm import Ask, confirmation
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.control import JobControl

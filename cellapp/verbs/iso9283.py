@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.acceptance.iso9283_judgements import judge_characteristics
-from cellapp.collection.collect import Opened
 from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.iso9283 import DWELL_S, IsoTask, drive_tests
 from cellapp.collection.motion import Confirm
+from cellapp.collection.supervision import Opened
 from cellapp.commissioning.confirm import Ask, confirmation
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.control import JobControl

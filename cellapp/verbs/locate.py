@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from cellapp.calibration.station_location import FEWEST_POINTS, Cause, displacement_m, twist_columns
-from cellapp.collection.collect import Opened
 from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.locate import LocatedStation, LocateTask, locate_station
+from cellapp.collection.supervision import Opened
 from cellapp.commissioning.confirm import Ask, confirmation
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.control import JobControl
