@@ -110,6 +110,22 @@ class ArmState:
     speed_fraction: float | None = None
 
 
+@dataclass(frozen=True)
+class LiveArm:
+    """What is known of an arm without asking it.
+
+    Attributes
+    ----------
+    age_s : float
+        Age of the newest state from the controller [s]; inf where there is none.
+    moving : bool
+        Whether a joint moved in it or a motion has been accepted since; true where neither can be excluded.
+    """
+
+    age_s: float
+    moving: bool
+
+
 def stale(before: str, now: str) -> str:
     """Return a sentence about a changed ``dh_checksum``."""
     return (
@@ -172,6 +188,9 @@ class Arm(Protocol):
     def connect(self) -> None:
         """Open the link, or reopen it after a fault or ``brake``; harmless when open. Nothing moves.
 
+        ``refuse_motion`` or ``brake`` of another thread ends it within 0.5 s with ``MotionStopped``: from that moment
+        on nothing is started on the controller, and what had been started is stopped.
+
         Raises ``LinkLost``, or the reason why the arm would refuse to move: ``WrongRobot``, ``NotInRemoteControl``,
         ``ProtectiveStop``, ``EmergencyStop``, ``LimitExceeded``, else ``ArmError``.
         """
@@ -203,6 +222,16 @@ class Arm(Protocol):
     def state(self) -> ArmState:
         """Return the current state, never an old one. Raises ``LinkLost``."""
 
+    def live(self) -> LiveArm:
+        """Return what is known of the arm now, and how old that is. From any thread; asks nothing, never waits."""
+
+    def confirm(self) -> None:
+        """Make sure, at most 0.3 s, that every link over which the arm is moved, seen and stopped answers now.
+
+        Usually takes a few milliseconds: it is called for all arms directly before every motion of any of them.
+        Raises ``LinkLost``, or the fault of the arm; the listener of ``watch`` has been told then.
+        """
+
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Start a joint motion to ``q`` (N,), at most at ``speed`` (N,) [rad/s] and ``acceleration`` (N,) [rad/s^2].
 
@@ -214,6 +243,12 @@ class Arm(Protocol):
         """Wait until the arm rests at the end of its motion.
 
         Raises ``ArmTimeout``, or at once the error that stopped it: ``MotionStopped`` after ``brake`` or ``stop``.
+        """
+
+    def refuse_motion(self) -> None:
+        """Accept no motion until the next ``connect``. From any thread, at once: nothing is sent, nothing waited for.
+
+        A motion that goes on is not stopped by it. ``brake`` includes it.
         """
 
     def brake(self) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,7 @@ from drivers.arms.protocol import (
     JointLimits,
     LimitExceeded,
     LinkLost,
+    LiveArm,
     MotionStopped,
     ProtectiveStop,
     Tool,
@@ -46,8 +49,9 @@ class SimulatedArm:
         self._connected = False
         self._fault: ProtectiveStop | EmergencyStop | None = None
         self._link_cut = False
-        self._braked = False
-        """Set by ``brake``: no motion until the next ``connect``."""
+        self._refusals = 0
+        """Number of calls of ``refuse_motion``: no motion until the next ``connect``."""
+        self._released = 0
         self._cut_short = False
         """Whether the last motion was stopped before its goal."""
         self._listener: DoubtListener = lambda error: None
@@ -62,11 +66,13 @@ class SimulatedArm:
         return self._name
 
     def connect(self) -> None:
-        """Open the link. Raises ``LinkLost`` while it is cut."""
+        """Open the link. Raises ``LinkLost`` while it is cut, ``MotionStopped`` if motion was refused meanwhile."""
+        refusals = self._refusals
         if self._link_cut:
             raise LinkLost(f"arm {self._name}: the simulated link is cut")
         self._connected = True
-        self._braked = False
+        self._released = refusals
+        self._may_move()
 
     def watch(self, listener: DoubtListener) -> None:
         """Report faults and lost links to ``listener`` when they occur."""
@@ -113,16 +119,30 @@ class SimulatedArm:
         self._plant.advance(CYCLE_S)
         return self._now()
 
+    def live(self) -> LiveArm:
+        """Return whether the arm moves: at age 0 while it is linked, infinitely old otherwise."""
+        linked = self._connected and not self._link_cut
+        return LiveArm(0.0 if linked else math.inf, self._moving)
+
+    def confirm(self) -> None:
+        """Raise ``LinkLost`` while the link is cut or closed, or the fault of the arm."""
+        self._link()
+        self._no_fault()
+
+    @property
+    def _moving(self) -> bool:
+        return self._plant.moving(self._name) or self._stream is not None
+
     def _now(self) -> ArmState:
         return ArmState(
             q=self._plant.q(self._name),
             time_s=self._plant.clock_s,
-            moving=self._plant.moving(self._name),
+            moving=self._moving,
             ready=self._fault is None,
             reason="" if self._fault is None else str(self._fault),
             payload_kg=self._plant.payload(self._name)[0],
             joint_temperature_c=self._plant.joint_temperatures_c(self._name),
-            rest_since_s=None if self._plant.moving(self._name) else self._plant.rest_s(self._name),
+            rest_since_s=None if self._moving else self._plant.rest_s(self._name),
             speed_fraction=1.0,
         )
 
@@ -164,18 +184,19 @@ class SimulatedArm:
                     f" {most[joint]:g} {unit}"
                 )
             rates.append(rate)
-        self._must_rest()
         self._cut_short = False
         self._plant.start_move(self._name, goal, rates[0], rates[1])
 
-    def _may_start(self) -> None:
-        self._link()
-        self._no_fault()
-        if self._braked:
+    def _may_move(self) -> None:
+        if self._refusals > self._released:
             raise MotionStopped(f"arm {self._name}: it was stopped; connect again when it may move")
 
-    def _must_rest(self) -> None:
-        if self._plant.moving(self._name) or self._stream is not None:
+    def _may_start(self) -> None:
+        """Raise what keeps the arm from beginning a motion: its link, a fault, a refusal, a motion in progress."""
+        self._link()
+        self._no_fault()
+        self._may_move()
+        if self._moving:
             raise ArmError(f"arm {self._name} is still moving; wait until it rests, or stop it")
 
     # -- paths --------------------------------------------------------------------------------------------------------
@@ -191,7 +212,6 @@ class SimulatedArm:
         here = self._plant.q(self._name)
         limits = JointLimits(self._config.limits, self._config.speed, self._config.acceleration)
         path = checked_path(self._name, q, period_s, CYCLE_S, limits, here)
-        self._must_rest()
         self._cut_short = False
         self._stream, self._followed = path, []
         self._stream_end_s = self._plant.clock_s + len(path) * CYCLE_S
@@ -240,9 +260,13 @@ class SimulatedArm:
         rest_s = self._plant.rest_s(self._name)
         return rest_s if self._stream is None else max(rest_s, self._stream_end_s)
 
+    def refuse_motion(self) -> None:
+        """Accept no motion until the next ``connect``."""
+        self._refusals += 1
+
     def brake(self) -> None:
         """Brake at full deceleration; no motion until ``connect``. The simulated brake needs no link."""
-        self._braked = True
+        self.refuse_motion()
         self._brake()
 
     def stop(self) -> None:
@@ -252,7 +276,7 @@ class SimulatedArm:
         self._plant.advance(max(self._plant.rest_s(self._name) - self._plant.clock_s, 0.0))
 
     def _brake(self) -> None:
-        self._cut_short = self._cut_short or self._plant.moving(self._name) or self._stream is not None
+        self._cut_short = self._cut_short or self._moving
         self._halt()
 
     def _halt(self) -> None:

@@ -14,6 +14,7 @@ After a fault or a brake nothing moves until ``connect`` is called again. The dr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -28,6 +29,7 @@ from drivers.arms.protocol import (
     DoubtListener,
     JointLimits,
     LinkLost,
+    LiveArm,
     MotionStopped,
     Tool,
     WrongRobot,
@@ -222,6 +224,29 @@ class UrArm:
         timeout = max(timeout_s, 0.0)
         answer = self._call("settled", timeout + _ANSWER_WITHIN_S, self._require_not_braked, timeout_s=timeout)
         return arm_state(answer, self._settings.settle_speed)
+
+    def live(self) -> LiveArm:
+        """Return what the worker last reported of the arm."""
+        worker = self._worker
+        return LiveArm(math.inf, self._may_run_program) if worker is None else worker.live
+
+    def confirm(self) -> None:
+        """Ask the dashboard and the worker. Raises as the protocol specifies."""
+        doubt = self._doubt.error
+        if doubt is not None:
+            raise type(doubt)(*doubt.args)
+        try:
+            self._stop_line.open()
+        except LinkLost as error:
+            self._doubted("link", str(error))
+            raise LinkLost(f"arm {self._name}: {error}") from error
+        fault = self._call("state", _ANSWER_WITHIN_S)["fault"]
+        if fault is not None:
+            raise arm_error(self._name, fault["kind"], fault["text"])
+
+    def refuse_motion(self) -> None:
+        """Accept no motion until the next ``connect``."""
+        self._latch.refuse()
 
     def brake(self) -> None:
         """Stop at full deceleration; returns within some 20 ms, within 0.4 s if the dashboard does not answer.

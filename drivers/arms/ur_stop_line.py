@@ -44,6 +44,12 @@ class StopLatch:
         """Whether there was a brake that has not been released."""
         return self.brakes > self._released
 
+    def refuse(self) -> None:
+        """Count a brake that is only about to be commanded."""
+        with self._changed:
+            self.brakes += 1
+            self._changed.notify_all()
+
     @contextmanager
     def stopping(self, brakes: int = 0) -> Iterator[None]:
         """Count a stop that is under way, and a brake."""

@@ -53,7 +53,7 @@ class Application(Protocol):
     def answer(self, message: Mapping[str, Any]) -> None:
         """Send a message."""
 
-    def check(self, kicks: Kicks, *, moving: bool) -> str:
+    def check(self, kicks: Kicks, *, age_s: float, moving: bool) -> str:
         """Exchange heartbeats; return why the application no longer watches a motion, empty if it does."""
 
     def exit_link_lost(self, text: str) -> NoReturn:
@@ -352,7 +352,8 @@ class Supervisor:
     def _look(self) -> tuple[WorkerSample, bool]:
         """Check what can stop an arm at any time; return its newest state, and whether that is new."""
         moving = self._motion is not None and self._motion.running
-        unwatched = self._application.check(self._kicks, moving=moving)
+        age_s = time.monotonic() - self._last_news_s
+        unwatched = self._application.check(self._kicks, age_s=age_s, moving=moving)
         self._check_links()
         sample = self._sample()
         news = self._is_news(sample, time.monotonic())

@@ -14,8 +14,9 @@ from the worker
 ``{"doubt": kind, "text": ...}``    a fault, sent before anything else is done about it
 ``{"decelerating": true}``          the control program decelerates the motion, or there was none
 ``{"lost": text}``                  the last line of a worker that ends itself
-``{"beat": [longest, late]}``       the worker looks at the arm; its longest silence towards the watchdog [s], and how
-                                    often that exceeded half of the watchdog's period
+``{"beat": [...]}``                 the worker looks at the arm; its longest silence towards the watchdog [s], how often
+                                    that exceeded half of the watchdog's period, age of the arm's newest state [s], and
+                                    whether the arm moves
 ==================================  ====================================================================================
 
 While all is well, the worker keeps the controller's watchdog from expiring. When the worker ends for any reason, the
@@ -125,14 +126,14 @@ class Worker:
             except OSError:  # the application has ended
                 self.exit_orphaned()
 
-    def check(self, kicks: Kicks, *, moving: bool) -> str:
+    def check(self, kicks: Kicks, *, age_s: float, moving: bool) -> str:
         """Exchange heartbeats; return why the application no longer watches a motion, empty if it does."""
         now = time.monotonic()
         if os.name == "posix" and os.getppid() != self._parent:
             self.exit_orphaned()
         if now - self._beat_s >= _BEAT_EVERY_S:
             self._beat_s = now
-            self.answer({"beat": [kicks.longest_s, kicks.late]})
+            self.answer({"beat": [kicks.longest_s, kicks.late, age_s, moving]})
         self._looks_unheard += 1
         if moving and now - self._heard_s > _UNHEARD_S and self._looks_unheard > _UNHEARD_LOOKS:
             return f"this program was silent for {_UNHEARD_S:g} s (suspended, or hung), so its worker stopped the arm"

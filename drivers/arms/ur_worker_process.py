@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import queue
 import subprocess
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import drivers
+from drivers.arms.protocol import LiveArm
 from drivers.arms.ur_motion import DECELERATES_WITHIN_S
 
 _BEAT_EVERY_S = 0.05
@@ -99,6 +101,7 @@ class WorkerProcess:
         self._ending = threading.Event()
         self._decelerating = threading.Event()
         self._gaps = HeartbeatGaps()
+        self._live = (math.inf, True, 0.0)
         self._beat_s = 0.0
         self._looks = 0
         self._reader = threading.Thread(target=self._read, name=f"UR worker of {name}", daemon=True)
@@ -119,6 +122,12 @@ class WorkerProcess:
     def gaps(self) -> HeartbeatGaps:
         """How regularly it kept the controller's watchdog from expiring."""
         return self._gaps
+
+    @property
+    def live(self) -> LiveArm:
+        """What the newest heartbeat said of the arm."""
+        age_s, moving, since_s = self._live
+        return LiveArm(age_s + time.monotonic() - since_s, moving)
 
     def wait_hello(self, timeout_s: float) -> None:
         """Wait until the process serves requests. Raises ``WorkerGone``."""
@@ -253,7 +262,8 @@ class WorkerProcess:
             self._seen()
             message = json.loads(line)
             if "beat" in message:
-                self._gaps = HeartbeatGaps(*message["beat"])
+                longest_s, late, age_s, moving = message["beat"]
+                self._gaps, self._live = HeartbeatGaps(longest_s, late), (age_s, moving, time.monotonic())
             elif "doubt" in message:
                 self._report(str(message["doubt"]), str(message["text"]))
             elif "decelerating" in message:

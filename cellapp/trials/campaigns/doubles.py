@@ -114,7 +114,7 @@ class CampaignArm(SimulatedArm):
         self._process.check()
         self._monitor.braked(self.name)
         if self._link_cut:
-            self._braked = True
+            self.refuse_motion()
             raise LinkLost(f"arm {self.name}: the simulated link is cut")
         super().brake()
 

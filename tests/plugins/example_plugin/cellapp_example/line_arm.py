@@ -7,8 +7,11 @@ radians, MOVING is 0 or 1, V and A are the speed and acceleration of the slowest
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import threading
+import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +25,7 @@ from drivers.arms.protocol import (
     JointLimits,
     LimitExceeded,
     LinkLost,
+    LiveArm,
     MotionStopped,
     Tool,
 )
@@ -38,7 +42,7 @@ NEAR_RAD = 1e-4
 
 
 class LineArm:
-    """A link with one controller; a thread of its own reads the states. Any thread may call ``brake``."""
+    """A link with one controller; a thread of its own reads the states. Any thread may call ``brake`` and its like."""
 
     def __init__(self, arm: ArmContext, host: str, port: int) -> None:
         self._arm, self._address = arm, (host, port)
@@ -46,9 +50,11 @@ class LineArm:
         self._changed = threading.Condition()
         self._socket: socket.socket | None = None
         self._state: ArmState | None = None
+        self._heard_s = -math.inf
+        self._commanded_s = -math.inf
         self._doubt: ArmError | None = None
         self._goal = np.zeros(arm.joints)
-        self._braked = False
+        self._refusals = self._released = 0
 
     @property
     def name(self) -> str:
@@ -56,20 +62,23 @@ class LineArm:
         return self._arm.name
 
     def connect(self) -> None:
-        """Open the link and wait for the first state. Raises ``LinkLost``."""
+        """Open the link and wait for the first state. Raises ``LinkLost``, ``MotionStopped``."""
+        refusals = self._refusals
         self.disconnect()
         try:
             link = socket.create_connection(self._address, SILENCE_S)  # its time limit holds for every read as well
         except OSError as error:
             raise LinkLost(f"arm {self.name}: {error}; check power, cable and address") from error
         with self._changed:
-            self._socket, self._state, self._doubt, self._braked = link, None, None, False
+            self._socket, self._state, self._doubt, self._commanded_s = link, None, None, -math.inf
         threading.Thread(target=self._read, args=(link,), name=f"arm {self.name}", daemon=True).start()
         with self._changed:
             self._changed.wait_for(lambda: self._state is not None or self._doubt is not None)
+        self._released = refusals  # one that came meanwhile stays in force
         try:
             self.state()
-        except LinkLost:
+            self._require_permission()
+        except ArmError:
             self.disconnect()
             raise
 
@@ -91,7 +100,7 @@ class LineArm:
                     raise ValueError(f"{len(q)} joints, expected {self._arm.joints}")
                 state = ArmState(np.array(q, dtype=float), float(time_s), moving == "1", True, "", None, None)
                 with self._changed:
-                    self._state = state
+                    self._state, self._heard_s = state, time.monotonic()
                     self._changed.notify_all()
             reason = "the controller closed the link"
         except (OSError, ValueError) as error:
@@ -114,7 +123,27 @@ class LineArm:
                 raise self._doubt
             if self._state is None or self._socket is None:
                 raise LinkLost(f"arm {self.name}: not connected")
-            return self._state
+            return replace(self._state, moving=self._moves(self._state))
+
+    def _moves(self, state: ArmState) -> bool:
+        """Whether the arm moves; a state from before the last command took effect shows no rest."""
+        return state.moving or state.time_s <= self._commanded_s + REACTION_S
+
+    def live(self) -> LiveArm:
+        """Age of the newest state, and whether the arm moves; asks nothing."""
+        state = self._state
+        if state is None or self._socket is None:
+            return LiveArm(math.inf, moving=True)
+        return LiveArm(time.monotonic() - self._heard_s, self._moves(state))
+
+    def confirm(self) -> None:
+        """Wait for a state that comes after this call. Raises ``LinkLost``."""
+        with self._changed:
+            before = self._state
+            self._changed.wait_for(lambda: self._state is not before or self._doubt is not None, SILENCE_S)
+            self.state()
+            if self._state is before:
+                raise LinkLost(f"arm {self.name}: no state for {SILENCE_S} s; look at the arm, it may still move")
 
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Start a joint motion; the safety gate of cellapp has checked the way, the limits are checked here again."""
@@ -122,12 +151,17 @@ class LineArm:
         inside = (q >= limits.position[:, 0]) & (q <= limits.position[:, 1])  # False for what is not a number
         if not np.all(inside & (speed <= limits.speed) & (acceleration <= limits.acceleration)):
             raise LimitExceeded(f"arm {self.name}: a joint would leave its limits; nothing has moved")
-        self.state()
         with self._changed:  # no brake between the question and the motion
-            if self._braked:
-                raise MotionStopped(f"arm {self.name}: it was braked; connect again before it moves")
-            self._goal = q
+            state = self.state()
+            self._require_permission()
+            if state.moving:
+                raise ArmError(f"arm {self.name} is still moving; wait until it rests, or stop it")
+            self._goal, self._commanded_s = q, state.time_s
             self._send(f"move {speed.min()} {acceleration.min()} {' '.join(map(str, q.tolist()))}")
+
+    def _require_permission(self) -> None:
+        if self._refusals > self._released:
+            raise MotionStopped(f"arm {self.name}: it was braked; connect again before it moves")
 
     def wait_settled(self, timeout_s: float) -> ArmState:
         """Wait until the arm rests at its goal. Raises ``ArmTimeout``, or what ended the motion."""
@@ -137,30 +171,28 @@ class LineArm:
             return not state.moving and bool(np.abs(state.q - self._goal).max() < NEAR_RAD)
 
         with self._changed:
-            if not self._changed.wait_for(lambda: self._braked or arrived(), timeout_s):
+            if not self._changed.wait_for(lambda: self._refusals > self._released or arrived(), timeout_s):
                 raise ArmTimeout(f"arm {self.name}: not at its goal after {timeout_s:g} s")
-        if self._braked:
-            raise MotionStopped(f"arm {self.name}: braked on its way")
+        self._require_permission()
         return self.state()
+
+    def refuse_motion(self) -> None:
+        """Accept no motion until the next ``connect``; takes no lock, so that it never waits."""
+        self._refusals += 1
 
     def brake(self) -> None:
         """Stop, and accept no motion until the next ``connect``. Raises ``LinkLost``."""
+        self.refuse_motion()
         with self._changed:
-            self._braked = True
             self._changed.notify_all()
             self._send("stop")
 
     def stop(self) -> None:
         """Stop and wait for rest. Raises ``LinkLost``."""
-        self.brake()
-        earliest_s = self.state().time_s + REACTION_S  # the newest state may be from before the last command
-
-        def rests() -> bool:
-            state = self.state()
-            return state.time_s > earliest_s and not state.moving
-
         with self._changed:
-            if not self._changed.wait_for(rests, STOP_S):
+            self._commanded_s = self.state().time_s
+            self.brake()
+            if not self._changed.wait_for(lambda: not self.state().moving, STOP_S):
                 raise LinkLost(f"arm {self.name}: it was not seen at rest; look at the arm")
 
     def _send(self, line: str) -> None:
