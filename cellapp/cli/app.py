@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from cellapp import __version__
+from cellapp.cli.at_rest import at_rest
 from cellapp.cli.certificate import certificate, check_certificate, sign_key
 from cellapp.cli.check import check
 from cellapp.cli.correct import correct
@@ -369,6 +370,7 @@ for command in (
     resume,
     stop,
     abort,
+    at_rest,
     runs,
     compare,
     fleet,

@@ -15,7 +15,7 @@ from cellapp.control import Aborted, JobControl, Stopped
 from cellapp.errors import CellappError, HardwareError
 from cellapp.profile import Profile
 from cellapp.profile.collection import Suspend, Suspension
-from cellapp.progress import ArmLive, Cancelled, CellLive, Detail, StateChange
+from cellapp.progress import ArmLive, Cancelled, CellLive, Detail, Halt, StateChange
 from drivers.clock import slept_s
 
 SuspensionKind = Literal["target", "air", "drift", "tracker_warm_up", "host_stall"]
@@ -24,6 +24,8 @@ Record = Callable[[str, str], None]
 
 _POLL_S = 0.1
 """How soon a resumed job notices; a stop does not wait for this, it brakes in the thread of the person."""
+_FRESH_S = 0.3
+"""Data of an arm that are older say nothing about now."""
 _BY_PERSON = {"stop": "a person stopped the arms", "abort": "a person aborted the job"}
 
 
@@ -65,6 +67,7 @@ def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
     reaction = StopReaction(cell.arms, cell.tracker, cell.together, control.note_halt)
     brakes = control.brakes(lambda verb: reaction.trigger(_personal(verb)))
     with control.watching(lambda: _live(cell, reaction)), brakes:
+        _settle_earlier_doubts(cell, control)
         try:
             yield reaction
         except BaseException as error:
@@ -74,6 +77,14 @@ def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
             if end is error:
                 raise
             raise end from error
+
+
+def _settle_earlier_doubts(cell: Cell, control: JobControl) -> None:
+    """Record that arms rest which an earlier job could not see at rest."""
+    for name, arm in cell.arms.items():
+        live = arm.live()
+        if not live.moving and live.age_s < _FRESH_S:
+            control.note_halt(name, Halt("at rest", "its controller reports that it rests"))
 
 
 def _live(cell: Cell, reaction: StopReaction) -> CellLive:

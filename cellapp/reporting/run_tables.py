@@ -15,6 +15,7 @@ from cellapp.results import (
     OverviewResult,
     StageState,
     StopsResult,
+    UnseenArmState,
 )
 from cellapp.run.in_order import order_sentences
 from cellapp.times import second_of
@@ -48,13 +49,25 @@ def overview_tables(state: OverviewResult) -> list[Table]:
 
 def overview_sentences(state: OverviewResult) -> list[str]:
     """What was derived from the order of the readings, what is out of date, the model in force, the next command."""
-    sentences = [*order_sentences(state.in_order), *(f"OUT OF DATE: {one}" for one in state.complaints)]
+    sentences = [
+        *(unseen_sentence(name, arm, state.run) for name, arm in state.not_seen_at_rest.items()),
+        *order_sentences(state.in_order),
+        *(f"OUT OF DATE: {one}" for one in state.complaints),
+    ]
     if state.in_force is not None:
         sentences.append(f"model in force: that of '{state.in_force}' (calibration.json)")
     if state.stale:
         sentences.append(f"do not use it as it is: {state.stale}")
     sentences.append(f"next: {state.next_step}" if state.next_step else "next: nothing is left to do")
     return sentences
+
+
+def unseen_sentence(name: str, arm: UnseenArmState, run: str) -> str:
+    """What a person must know of an arm that was not seen at rest, and how it is settled."""
+    return (
+        f"arm {name}: NOT SEEN AT REST since {second_of(arm.since)} UTC: treat it as moving ({arm.reason.rstrip('.')})."
+        f" A job that sees it at rest settles this, or a person who has seen it: 'cellapp at-rest {run} {name}'"
+    )
 
 
 def history_lines(history: HistoryResult) -> list[str]:

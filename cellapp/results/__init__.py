@@ -201,6 +201,7 @@ from cellapp.results.programs import CorrectedTarget, CorrectResult, LeftLine
 from cellapp.results.recalibration import RecalibratedRun, RecalibratedStage, RecalibrateResult
 from cellapp.results.run import (
     ArmState,
+    AtRestResult,
     DocsResult,
     HistoryResult,
     LogLine,
@@ -212,6 +213,7 @@ from cellapp.results.run import (
     RunResults,
     StageState,
     StopsResult,
+    UnseenArmState,
     WholeRunResult,
 )
 from cellapp.results.runs import (
@@ -286,6 +288,7 @@ __all__ = [
     "ArmState",
     "ArmVerification",
     "ArmView",
+    "AtRestResult",
     "BaseAlignment",
     "BeforeAfter",
     "CalibrateResult",
@@ -466,6 +469,7 @@ __all__ = [
     "UncertaintyContribution",
     "UncertaintyParts",
     "UnknownCondition",
+    "UnseenArmState",
     "ValueComparison",
     "Verdict",
     "VerifyResult",

@@ -109,12 +109,19 @@ NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "push",
 of a cell that has changed, empty for none."""
 
 
+class UnseenArmState(Record):
+    """An arm that was not seen at rest after a stop: since when (UTC) it counts as moving, and why."""
+
+    since: str
+    reason: str
+
+
 class OverviewResult(Result):
     """``show``: the state of a run, and the verb and command that come next (both empty if none).
 
     ``in_order`` maps arms to what an import derived from their order of measurement. ``complaints`` says what is out of
     date: stages, the page, the certificate. ``stale`` says why the model in force should not be used as it is; empty if
-    it may.
+    it may. ``not_seen_at_rest`` has the arms that must be treated as moving.
     """
 
     schema_: Literal["cellapp-overview"] = "cellapp-overview"
@@ -129,6 +136,17 @@ class OverviewResult(Result):
     next_verb: NextVerb
     next_step: str
     complaints: tuple[str, ...] = ()
+    not_seen_at_rest: Mapping[str, UnseenArmState] = {}
+
+
+class AtRestResult(Result):
+    """``at-rest``: the arm that a person has seen at rest, and whether it counted as moving."""
+
+    schema_: Literal["cellapp-at-rest"] = "cellapp-at-rest"
+    version: Literal[1] = 1
+    run: str
+    arm: str
+    counted_as_moving: bool
 
 
 class HistoryResult(Result):

@@ -28,6 +28,7 @@ from cellapp.results.planning import PlanCheckResult, PlanForecastResult
 from cellapp.results.programs import CorrectResult
 from cellapp.results.recalibration import RecalibrateResult
 from cellapp.results.run import (
+    AtRestResult,
     DocsResult,
     HistoryResult,
     LogResult,
@@ -49,6 +50,7 @@ VERB_RESULTS: tuple[type[Result], ...] = (
     CollectionResult,
     ReplayResult,
     RequestResult,
+    AtRestResult,
     ImportResult,
     ExportResult,
     InitResult,

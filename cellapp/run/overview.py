@@ -16,6 +16,7 @@ from cellapp.results import (
     PlannedStop,
     StageState,
     StopsResult,
+    UnseenArmState,
 )
 from cellapp.run.file import RunFile
 from cellapp.run.in_order import read_in_order
@@ -23,6 +24,7 @@ from cellapp.run.next_command import next_command
 from cellapp.run.out_of_date import complaints_of
 from cellapp.run.sqlite_file import REPORT_FILE
 from cellapp.run.stages import RunStages, StoredStage, read_history, read_stages
+from cellapp.run.unseen_arms import unseen_arms
 
 
 def run_overview(run: RunFile) -> OverviewResult:
@@ -40,6 +42,9 @@ def run_overview(run: RunFile) -> OverviewResult:
         next_verb=verb,
         next_step=command,
         complaints=tuple(complaints_of(run, stages)),
+        not_seen_at_rest={
+            name: UnseenArmState(since=arm.since, reason=arm.reason) for name, arm in unseen_arms(run).items()
+        },
     )
 
 

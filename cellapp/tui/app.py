@@ -25,6 +25,7 @@ from textual.css.query import NoMatches
 from textual.screen import Screen
 from textual.widgets import Static
 
+from cellapp.progress import CellLive
 from cellapp.signals import available, watch_signals
 from cellapp.tui import work as jobs_of_verbs
 from cellapp.tui.dialogs.handbook import Handbook
@@ -36,7 +37,7 @@ from cellapp.tui.endings import STOPPED, UNEXPECTED, ending_of, forget_terminal,
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
 from cellapp.tui.messages import LeaveAsked, ResumeOffered, Severity, WorkspaceLoaded
-from cellapp.tui.offers import offer_paths, offer_to_quit, offer_to_resume, offer_whole_day, show_paths
+from cellapp.tui.offers import offer_at_rest, offer_paths, offer_to_quit, offer_to_resume, offer_whole_day, show_paths
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.themes import HIGH_CONTRAST
@@ -275,6 +276,9 @@ class CellApp(App[None]):
         """Every action for the command palette: those of the application and of the screen below it."""
         yield from self._commands
         yield SystemCommand("Paths", "plan, drive or verify paths of lines and arcs", partial(offer_paths, self))
+        for arm in self.workspace.unseen:
+            seen = partial(offer_at_rest, self, arm)
+            yield SystemCommand(f"Arm {arm} is at rest", "a person has seen it: it no longer counts as moving", seen)
         yield SystemCommand("Theme", "light, dark, high contrast and others", self.action_change_theme)
 
     def action_command_palette(self) -> None:
@@ -477,6 +481,7 @@ class CellApp(App[None]):
         state = self.record.state
         for event in self.jobs.events(_MOST_TAKEN):
             self.record.add(event)
+        self.record.look(self.live())
         if self.record.changes == self._drawn:
             return
         self._drawn = self.record.changes
@@ -486,6 +491,10 @@ class CellApp(App[None]):
             screen.show_job(self.record)
         if self.record.state != state:
             self._say_state()
+
+    def live(self) -> CellLive | None:
+        """What is known now of the cell that the present job has open; None without one."""
+        return self.jobs.control.live() if self.jobs.running else None
 
     def _say_state(self) -> None:
         """A new state of the job in the message line; what a replay plays back is no state of these arms."""

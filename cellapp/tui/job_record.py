@@ -10,7 +10,9 @@ from typing import Literal
 
 from cellapp.progress import (
     AirReport,
+    CellLive,
     Detail,
+    HaltState,
     JobState,
     LogReport,
     MeasurementBegun,
@@ -25,13 +27,16 @@ from cellapp.progress import (
     Suspicion,
 )
 from cellapp.reporting.progress_words import detail_words
+from cellapp.tui.live_words import halt_of, without_data
 
 Level = Literal["debug", "info", "warning", "error"]
 LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error")
 MOST_LINES = 5000
 """Lines of the log that the screen keeps; the run file keeps all."""
 
-Activity = Literal["unknown", "moving", "settling", "measuring", "measured", "not measured", "resting", "stopped"]
+Activity = (
+    Literal["unknown", "moving", "settling", "measuring", "measured", "not measured", "resting", "stopped"] | HaltState
+)
 
 
 def level_of(word: str) -> Level:
@@ -130,6 +135,10 @@ class JobRecord:
         Lines, oldest first.
     log_written : int
         Number of lines that were ever written.
+    causes : tuple of str
+        Why the arms were stopped, as the open cell says it, whether the job's thread has noticed or not.
+    lost : tuple of str
+        Devices of the open cell of which no data come.
     changes : int
         Grows with every event, so that a screen knows whether to draw again.
     """
@@ -145,6 +154,8 @@ class JobRecord:
     suspicions: list[Suspicion] = field(default_factory=list)
     log: deque[LogRow] = field(default_factory=lambda: deque(maxlen=MOST_LINES))
     log_written: int = 0
+    causes: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
     changes: int = 0
 
     @property
@@ -167,13 +178,29 @@ class JobRecord:
         self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
         for kept in (self.progress, self.arms, self.stops, self.references, self.suspicions):
             kept.clear()
+        self.causes, self.lost = (), ()
         self.changes += 1
 
     def end(self) -> None:
         """The job has ended; what it reported stays."""
         self.state, self.reason = None, ""
+        self.causes, self.lost = (), ()
         self._rest_arms("resting")
         self.changes += 1
+
+    def look(self, live: CellLive | None) -> None:
+        """Take in what is known of the open cell now; no event of the job is needed for it."""
+        causes, lost = ((), ()) if live is None else (live.causes, tuple(without_data(live)))
+        if (causes, lost) != (self.causes, self.lost):
+            self.causes, self.lost = causes, lost
+            self.changes += 1
+        for name, arm in () if live is None else live.arms.items():
+            halt, before = halt_of(arm), self._arm(name)
+            if halt is not None and halt != before.activity:
+                self.arms[name] = replace(before, activity=halt, expected_s=None)
+                self.changes += 1
+                if halt == "not seen at rest":
+                    self.note(f"arm {name}: NOT SEEN AT REST, treat it as moving", "error")
 
     def note(self, text: str, level: Level = "info") -> None:
         """Add a line to the log."""
@@ -260,7 +287,7 @@ class JobRecord:
     def _rest_arms(self, activity: Activity) -> None:
         """Arms that moved or waited to be measured do so no more."""
         for name, arm in self.arms.items():
-            if arm.activity in ("moving", "settling", "measuring", "stopped"):
+            if arm.activity in ("moving", "settling", "measuring", "stopped", "asked", "braking", "at rest"):
                 self.arms[name] = replace(arm, activity=activity, expected_s=None)
         self.tracker = replace(self.tracker, measuring=False)
 

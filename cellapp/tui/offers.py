@@ -95,6 +95,21 @@ def offer_to_resume(app: CellApp, run: RunSummary) -> None:
     app.push_screen(Choice("Go on with the last run?", text, answers), open_it)
 
 
+def offer_at_rest(app: CellApp, arm: str) -> None:
+    """Record that a person has seen an arm at rest that counts as moving."""
+    folder = app.workspace.folder
+    if folder is None:
+        return
+
+    def record(answer: str | None) -> None:
+        if answer == "seen":
+            app.start_job(work.at_rest(folder, arm))
+
+    answers = (Answer("no", "No", "n"), Answer("seen", "I see it at rest", "s", "warning"))
+    text = f"Its stop was not confirmed: {app.workspace.unseen.get(arm, '')}. Say so only if you look at it now."
+    app.push_screen(Choice(f"Is arm {arm} at rest?", text, answers), record)
+
+
 def offer_replay(app: CellApp, folder: Path) -> None:
     """Play back a run through the screen Collect."""
 

@@ -58,6 +58,18 @@ def plan(profile: Path, folder: Path) -> Job:
     return Job("plan", work, folder)
 
 
+def at_rest(folder: Path, arm: str) -> Job:
+    """Record that a person has seen an arm at rest."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.results import AtRestResult
+        from cellapp.run.unseen_arms import BY_PERSON, note_at_rest
+
+        return AtRestResult(run=str(folder), arm=arm, counted_as_moving=note_at_rest(run, arm, BY_PERSON))
+
+    return on_run("at rest", folder, work)
+
+
 def view(profile: Path) -> Job:
     """Look at what the tracker sees of each arm's workspace; nothing is planned."""
 

@@ -83,6 +83,11 @@ class Workspace:
         return "none" if self.profile is None else cell_kind(self.profile)
 
     @property
+    def unseen(self) -> Mapping[str, str]:
+        """Arms that the run counts as moving, arm -> why they were not seen at rest."""
+        return {} if self.overview is None else {n: a.reason for n, a in self.overview.not_seen_at_rest.items()}
+
+    @property
     def next_step(self) -> Step:
         """The step that comes next."""
         if self.profile is None:

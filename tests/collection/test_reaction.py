@@ -11,6 +11,7 @@ import pytest
 from cellapp.collection.reaction import CellStopped, StopCause, StopReaction
 from cellapp.collection.together import in_threads, one_by_one
 from cellapp.errors import HardwareError
+from cellapp.progress import Halt
 from drivers.arms.protocol import Arm, ArmError, ArmState, DoubtListener, HostStalled, LinkLost, ProtectiveStop
 from drivers.trackers.protocol import TrackerLinkLost
 
@@ -29,9 +30,13 @@ class Braking:
         self.connected = 0
         self.reason = ""
         self.unseen = False
+        self.refused = 0
 
     def watch(self, listener: DoubtListener) -> None:
         self.listener = listener
+
+    def refuse_motion(self) -> None:
+        self.refused += 1
 
     def brake(self) -> None:
         self.braked.set()
@@ -149,3 +154,39 @@ def test_a_driver_that_fails_unexpectedly_does_not_end_the_wait(
 
     monkeypatch.setattr(arms["left"], "stop", refuse)
     assert reaction_of(arms, Halted()).wait_at_rest() == {"left": "arm left: refused"}
+
+
+def test_the_permission_of_every_arm_is_withdrawn_before_the_trigger_returns(arms: dict[str, Braking]) -> None:
+    reaction = reaction_of(arms, Halted(), lambda calls: None)  # no thread has begun to brake yet
+    reaction.trigger(StopCause("stop", "a person stopped the arms"))
+    assert [arm.refused for arm in arms.values()] == [1, 1]
+    assert {halt.state for halt in reaction.halts.values()} == {"asked"}
+
+
+def test_each_arm_is_watched_until_it_rests_without_the_job(arms: dict[str, Braking]) -> None:
+    ended: dict[str, str] = {}
+    both = threading.Event()
+
+    def note(name: str, halt: Halt) -> None:
+        ended[name] = halt.state
+        if len(ended) == len(arms):
+            both.set()
+
+    reaction = StopReaction(cast(dict[str, Arm], arms), Halted(), listener=note)
+    arms["right"].unseen = True
+    reaction.trigger(StopCause("stop", "a person stopped the arms"))
+    assert both.wait(WITHIN_S)
+    assert ended == {"left": "at rest", "right": "not seen at rest"}
+    assert reaction.wait_at_rest() == {"right": "arm right: not seen"}
+
+
+def test_an_arm_in_doubt_stays_so_until_it_is_seen(arms: dict[str, Braking]) -> None:
+    reaction = reaction_of(arms, Halted(), one_by_one)
+    arms["right"].unseen = True
+    reaction.trigger(StopCause("stop", "a person stopped the arms"))
+    reaction.wait_at_rest()
+    reaction.trigger(StopCause("stop", "a person stopped the arms"))
+    assert reaction.halts["right"].state == "not seen at rest", "another stop tells nothing about it"
+    arms["right"].unseen = False
+    reaction.release(reaction.causes)
+    assert reaction.halts == {}, "its controller reported that it rests when it was connected"

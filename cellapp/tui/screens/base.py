@@ -14,6 +14,7 @@ from textual.widgets import Static
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.widgets.header import DayHeader, StepLine
 from cellapp.tui.widgets.key_line import KeyLine
+from cellapp.tui.widgets.live_strip import LiveStrip
 from cellapp.tui.workspace import NO_RUN, NOT_CALIBRATED, Step, Workspace
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class DayScreen(Screen[None]):
     def compose(self) -> ComposeResult:
         yield DayHeader()
         yield StepLine()
+        yield LiveStrip()
         yield Static(_TOO_SMALL, classes="too-small", markup=False)
         with Vertical(classes="body"):
             yield from self.body()

@@ -15,7 +15,7 @@ Look = Literal["idle", "running", "waiting", "halted", "replay", "done"]
 _DOING: dict[JobState, tuple[Look, str]] = {
     "running": ("running", "Escape brakes all arms; p pauses after this stop; x ends it."),
     "pausing": ("waiting", "The arms rest after this stop. p or c resumes; Escape brakes."),
-    "paused": ("waiting", "The arms rest. p or c resumes; Escape stops; x ends it."),
+    "paused": ("waiting", "p or c resumes; Escape stops; x ends it."),
     "suspended": ("waiting", "It resumes by itself once the cause is gone. Escape stops; x ends it."),
     "stopped": ("halted", "c resumes when the cell is clear; x ends it."),
     "aborted": ("halted", "The arms brake and the job ends; what was measured is kept."),
@@ -68,6 +68,11 @@ def headline(workspace: Workspace, record: JobRecord, request: Request) -> Headl
     if record.is_replay:
         return _of_replay(record, record.state, request)
     state = record.state
+    if state in ("running", "pausing") and record.causes:  # the job's thread has not noticed yet, or hangs
+        return Headline("STOPPED", f"{'; '.join(record.causes).rstrip('.')}. {_DOING['stopped'][1]}", "halted")
+    if record.lost:
+        text = f"from {', '.join(record.lost)}: what is shown of it is old. Escape brakes all arms."
+        return Headline("NO DATA", text, "halted")
     if state == "running" and request != "none":
         state = {"pause": "pausing", "stop": "stopped", "abort": "aborted"}[request]  # type: ignore[assignment]
     look, possible = _DOING[state]

@@ -10,6 +10,7 @@ from textual.reactive import reactive
 from textual.widget import Widget
 
 from cellapp.tui.job_record import Activity, ArmRecord, TrackerRecord
+from cellapp.tui.live_words import HALT_WORDS
 
 _STYLES: Mapping[Activity, str] = {
     "unknown": "$text-muted",
@@ -20,6 +21,10 @@ _STYLES: Mapping[Activity, str] = {
     "not measured": "bold $text-error",
     "resting": "$text-muted",
     "stopped": "bold $text-error",
+    "asked": "bold $text-error",
+    "braking": "bold $text-error",
+    "at rest": "bold $text-warning",
+    "not seen at rest": "bold white on $error",
 }
 _UNKNOWN = "not reported yet"
 
@@ -57,6 +62,8 @@ def activity_words(arm: ArmRecord) -> str:
         case "moving":
             seconds = "" if arm.expected_s is None else f", {arm.expected_s:.0f} s"
             return f"MOVING{' to' if stop else ''}{stop}{seconds}"
+        case "asked" | "braking" | "at rest" | "not seen at rest" as halt:
+            return HALT_WORDS[halt]
         case "not measured":
             return f"NOT MEASURED{stop}: {arm.reason}"
         case activity:
