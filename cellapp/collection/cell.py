@@ -101,8 +101,8 @@ def open_cell(
     arms = {name: _driver_of(name, arm, plant) for name, arm in profile.arms.items()}
     tracker = tracker_driver(profile, plant)
     air = _air_sensor(profile, plant)
-    real = plant is None or _has_real_arm(profile)
-    together = in_threads if real else one_by_one
+    simulated = None if _has_real_arm(profile) else plant
+    together = in_threads if simulated is None else one_by_one
     with ExitStack() as stack:
         stack.callback(_disconnect_all, arms, together)
         _connect_all(arms, together, control)
@@ -115,10 +115,10 @@ def open_cell(
             except SensorError as error:
                 raise HardwareError(str(error)) from error
         control.check()
-        if real:
+        if simulated is None:
             yield Cell(arms, tracker, RealClock(), air, tracker_unmet=unmet)
         else:
-            clock, clearance = SimulatedClock(plant), plant.clearance
+            clock, clearance = SimulatedClock(simulated), simulated.clearance
             yield Cell(arms, tracker, clock, air, clearance, together, unwatched, tracker_unmet=unmet)
 
 

@@ -34,10 +34,12 @@ Opened = Callable[..., AbstractContextManager[Cell]]
 
 
 def opening(
-    profile: Profile, control: JobControl, opened: Opened | None = None, **options: bool
+    profile: Profile, control: JobControl, opened: Opened | None = None, *, watch_clearance: bool = False
 ) -> AbstractContextManager[Cell]:
     """Return what opens the cell of a profile: ``opened``, else ``open_cell``, which a person's stop ends."""
-    return open_cell(profile, control=control, **options) if opened is None else opened(profile, **options)
+    if opened is None:
+        return open_cell(profile, control=control, watch_clearance=watch_clearance)
+    return opened(profile, watch_clearance=watch_clearance) if watch_clearance else opened(profile)
 
 
 @contextmanager

@@ -99,10 +99,12 @@ def test_the_test_is_told_what_collecting_would_store(task: CheckTask) -> None:
             assert readings.covariance_M is not None
             moved = np.abs(readings.step[0]) > 1e-6
             np.testing.assert_array_equal(np.sign(readings.step[0])[moved], readings.approach[0][moved])
-    left, right = (test.stops[-1][name].dwell_s for name in ("left", "right"))
-    assert left is not None
-    assert right is not None
-    assert right[0] > left[0], "the arm that is measured second has rested for longer"
+    for stop in test.stops:
+        left, right = stop["left"], stop["right"]
+        assert right.time_s[0] > left.time_s[0], "the arms are measured in turn"
+        for readings in (left, right):
+            assert readings.dwell_s is not None
+            assert readings.time_s[0] - readings.dwell_s[0] < left.time_s[0], "both rest before the first is measured"
 
 
 def test_the_last_motion_is_short_where_the_model_depends_on_it(task: CheckTask) -> None:
