@@ -18,11 +18,12 @@ from cellapp.errors import HardwareError, InputError
 from cellapp.planning.plan import plan_stops
 from cellapp.profile import Profile
 from cellapp.profile.collection import Collection, Reference, Repeat, Suspend, Suspension
-from cellapp.progress import Progress, ReferenceReport, StateChange
+from cellapp.progress import CellLive, Progress, ReferenceReport, StateChange
 from cellapp.run import Reading, RunFile
 from cellapp.run.collected import missing_share, reference_drifts
-from drivers.arms.protocol import ArmError, HostStalled
+from drivers.arms.protocol import ArmError, HostStalled, LinkLost
 from drivers.arms.simulated import SimulatedArm
+from drivers.trackers.protocol import TrackerLinkLost
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import plant_of, small_twin
 
@@ -574,3 +575,55 @@ def test_arms_that_are_not_at_home_are_confirmed_to_go_there_before_a_reference(
         collect_run(bench.run, control=bench.control, confirm=confirm, opened=away)
     for name, home in homes.items():
         np.testing.assert_array_equal(shown[0][name], home)
+
+
+@pytest.mark.parametrize("name", ["left", "right", "tracker"])
+def test_no_motion_begins_while_a_link_is_unconfirmed(bench: Bench, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Neither arm moves, also if only the link of the other one is in doubt."""
+    began: list[str] = []
+
+    def silence(bench: Bench) -> None:
+        def silent(*_: object) -> None:
+            if name == "tracker":
+                raise TrackerLinkLost("tracker: no answer")
+            raise LinkLost(f"arm {name}: the dashboard does not answer")
+
+        device = bench.tracker if name == "tracker" else bench.arm(name)
+        monkeypatch.setattr(device, "confirm", silent)
+        for arm in ("left", "right"):
+            monkeypatch.setattr(bench.arm(arm), "start_move", lambda *_, arm=arm: began.append(arm))
+
+    bench.before_measuring[2] = silence  # the last measurement of a stop: a motion comes next
+    with pytest.raises(HardwareError, match=r"no answer|does not answer"):
+        bench.collect()
+    assert began == []
+
+
+def test_the_open_cell_tells_what_is_known_without_the_job(bench: Bench) -> None:
+    seen: list[CellLive | None] = []
+    bench.before_measuring[1] = lambda bench: seen.append(bench.control.live())
+    bench.collect()
+    live = seen[0]
+    assert live is not None
+    assert list(live.arms) == ["left", "right"]
+    assert live.arms["left"].age_s == live.tracker_age_s == 0.0
+    assert not live.arms["left"].moving
+    assert live.causes == ()
+    assert bench.control.live() is None, "no cell is open any more"
+
+
+def test_a_stop_while_the_cell_is_opened_ends_the_job(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing moved yet, so there is nothing to hold, also where a person attends the job."""
+    control = JobControl(holds=True)
+    connect, connected = SimulatedArm.connect, []
+
+    def stopped_meanwhile(arm: SimulatedArm) -> None:
+        connect(arm)
+        connected.append(arm.name)
+        control.stop()
+
+    monkeypatch.setattr(SimulatedArm, "connect", stopped_meanwhile)
+    with pytest.raises(Stopped):
+        collect_run(bench.run, control=control)
+    assert bench.run.stops_done() == set()
+    assert bench.run.sessions() == [], "no session began"

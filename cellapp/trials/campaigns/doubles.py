@@ -5,6 +5,7 @@ They stay when the program dies: a session of a new process connects to the same
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
 from drivers.sensors.protocol import AirReading, SensorLinkLost
 from drivers.sensors.simulated import SimulatedAirSensor
-from drivers.trackers.protocol import Point, Unstable
+from drivers.trackers.protocol import Point, TrackerLinkLost, Unstable
 from drivers.trackers.simulated import SimulatedTracker
 
 Vector = NDArray[np.float64]
@@ -51,6 +52,10 @@ class CampaignArm(SimulatedArm):
         Share of the asked speed of the next motion, which the controller does not report.
     refuses : bool
         Whether the controller refuses the next motion.
+    mute : bool
+        Whether a link of it is silent, so that it cannot be confirmed.
+    as_it_begins, as_it_connects : callable or None
+        What happens at the last instant before its next motion begins, or before it is connected next.
     """
 
     def __init__(self, plant: Plant, name: str, process: Process, monitor: Monitor) -> None:
@@ -61,6 +66,9 @@ class CampaignArm(SimulatedArm):
         self.slider = 1.0
         self.sluggish = 1.0
         self.refuses = False
+        self.mute = False
+        self.as_it_begins: Callable[[], None] | None = None
+        self.as_it_connects: Callable[[], None] | None = None
 
     # -- the protocol --------------------------------------------------------------------------------------------------
 
@@ -78,7 +86,10 @@ class CampaignArm(SimulatedArm):
     def connect(self) -> None:
         """Open the link. Raises ``LinkLost`` while it is cut, or why the arm would refuse to move."""
         self._process.check()
+        act, self.as_it_connects = self.as_it_connects, None
         super().connect()
+        if act is not None:
+            act()
         self._stalled = False
         try:
             self._no_fault()
@@ -106,8 +117,17 @@ class CampaignArm(SimulatedArm):
             raise ArmError(f"arm {self.name}: the controller refused the motion")
         share = self.slider * self.sluggish
         self.sluggish = 1.0
+        act, self.as_it_begins = self.as_it_begins, None
+        if act is not None:
+            act()
         super().start_move(q, speed * share, acceleration * share)
         self._monitor.started(self.name, q)
+
+    def confirm(self) -> None:
+        """Raise ``LinkLost`` while a link is cut or silent."""
+        super().confirm()
+        if self.mute:
+            raise LinkLost(f"arm {self.name}: the simulated dashboard does not answer")
 
     def brake(self) -> None:
         """Brake; impossible over a link that is cut."""
@@ -157,7 +177,7 @@ class CampaignArm(SimulatedArm):
         super().release()
         self.unready = ""
         self.slider = 1.0
-        self.refuses = False
+        self.refuses = self.mute = False
 
     def _watchdog(self) -> None:
         self._plant.schedule.at(self._plant.clock_s + WATCHDOG_S, self._brake)
@@ -172,6 +192,8 @@ class CampaignTracker(SimulatedTracker):
         Whether the floor shakes: no measurement is stable.
     astray_m : float
         Distance of the SMR that it locks from the right one [m]; zero: it locks the right one.
+    mute : bool
+        Whether it gives no sign of life while nothing else is asked of it.
     """
 
     def __init__(self, plant: Plant, process: Process, monitor: Monitor) -> None:
@@ -179,6 +201,7 @@ class CampaignTracker(SimulatedTracker):
         self._process, self._monitor = process, monitor
         self.shaking = False
         self.astray_m = 0.0
+        self.mute = False
 
     def connect(self) -> None:
         """Open the link."""
@@ -188,6 +211,12 @@ class CampaignTracker(SimulatedTracker):
     def _link(self) -> None:
         self._process.check()
         super()._link()
+
+    def confirm(self, within_s: float) -> None:
+        """Raise ``TrackerLinkLost`` while the link is cut or silent."""
+        super().confirm(within_s)
+        if self.mute:
+            raise TrackerLinkLost(f"tracker: the simulated tracker gave no answer within {within_s:g} s")
 
     def measure(self, expected_M: Vector, averaging_s: float) -> Point:
         """Measure, and record what is returned."""

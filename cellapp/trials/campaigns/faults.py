@@ -91,6 +91,22 @@ def _host_stall(world: World, fault: Fault) -> None:
     world.arms[fault.arm].host_stall()
 
 
+def _doubt_as_it_begins(world: World, fault: Fault) -> None:
+    """Another arm is in doubt at the last instant before a motion of this one begins."""
+
+    def doubt() -> None:
+        other = next(arm for name, arm in world.arms.items() if name != fault.arm)
+        world.monitor.stop("a protective stop")
+        other.protective_stop()
+
+    world.arms[fault.arm].as_it_begins = doubt
+
+
+def _arm_mute(world: World, fault: Fault) -> None:
+    world.monitor.doubt(f"a silent link of arm {fault.arm}")
+    world.arms[fault.arm].mute = True
+
+
 def _wrong_state(world: World, fault: Fault) -> None:
     if not world.plant.moving(fault.arm):  # brakes are locked at rest
         world.arms[fault.arm].unready = f"arm {fault.arm}: brakes are locked; release them at the pendant"
@@ -141,6 +157,11 @@ def _tracker_link_cut(world: World, fault: Fault) -> None:
     world.tracker.cut_link()
     world.tracker_dies()
     world.later(fault.lasts_s, world.tracker.release)
+
+
+def _tracker_mute(world: World, fault: Fault) -> None:
+    world.monitor.doubt("a silent tracker")
+    world.tracker.mute = True
 
 
 def _tracker_reboot(world: World, fault: Fault) -> None:
@@ -208,6 +229,25 @@ def _hasty_resume(world: World, fault: Fault) -> None:
     world.later(0.3 * fault.size, world.person.resume)
 
 
+def _stop_after_resume(world: World, fault: Fault) -> None:
+    world.person.stop()
+    world.later(fault.lasts_s, world.person.resume)
+    world.later(fault.lasts_s + 0.4 * fault.size, world.person.stop)
+
+
+def _stop_while_connecting(world: World, fault: Fault) -> None:
+    world.person.stop()
+    world.arms[fault.arm].as_it_connects = world.person.stop
+
+
+def _stop_as_it_begins(world: World, fault: Fault) -> None:
+    world.arms[fault.arm].as_it_begins = world.person.stop
+
+
+def _stop_from_outside(world: World, fault: Fault) -> None:
+    world.person.ask_from_outside("stop")
+
+
 def _abort(world: World, fault: Fault) -> None:
     world.person.abort()
 
@@ -218,6 +258,8 @@ KINDS: Mapping[str, Callable[[World, Fault], None]] = {
     "arm's link cut": _arm_link_cut,
     "controller restarts": _controller_restart,
     "computer stalls": _host_stall,
+    "doubt as a motion begins": _doubt_as_it_begins,
+    "arm's dashboard silent": _arm_mute,
     "arm not ready": _wrong_state,
     "motion refused": _refused_motion,
     "motion too slow": _slow_motion,
@@ -228,6 +270,7 @@ KINDS: Mapping[str, Callable[[World, Fault], None]] = {
     "SMR shakes": _shaking,
     "wrong SMR": _wrong_smr,
     "tracker's link cut": _tracker_link_cut,
+    "tracker silent": _tracker_mute,
     "tracker restarts": _tracker_reboot,
     "measurement halted": _tracker_halted,
     "tracker bumped": _tracker_bumped,
@@ -241,6 +284,10 @@ KINDS: Mapping[str, Callable[[World, Fault], None]] = {
     "person pauses": _pause,
     "person stops": _stop,
     "person stops and resumes at once": _hasty_resume,
+    "person stops just after resuming": _stop_after_resume,
+    "person stops while arms are connected": _stop_while_connecting,
+    "person stops as a motion begins": _stop_as_it_begins,
+    "stop from another process": _stop_from_outside,
     "person aborts": _abort,
 }
 """Fault -> what it does to the world."""

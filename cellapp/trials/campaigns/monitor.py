@@ -63,6 +63,7 @@ class Monitor:
     _releases: int = 0
     _reached_s: float = 0.0
     """Until then a watchdog has not stopped an arm that cannot be reached [s]."""
+    _doubts: set[str] = field(default_factory=set)
     _reasons: set[str] = field(default_factory=set)
     _pausing: bool = False
     _paused: bool = False
@@ -113,6 +114,11 @@ class Monitor:
         if moving and releases == self._releases:
             self.violation("motion after a stop", f"arm {', '.join(moving)} still moves after {reason}")
 
+    def doubt(self, what: str) -> None:
+        """A link is silent from now on: what moves may end its motion, and nothing begins until ``release``."""
+        self.note(f"doubt {what}")
+        self._doubts.add(what)
+
     def braked(self, name: str) -> None:
         """The program braked an arm."""
         if not self._latched:
@@ -129,6 +135,7 @@ class Monitor:
         self._latched = ""
         self._releases += 1
         self._reasons.clear()
+        self._doubts.clear()
         self._pausing = self._paused = False
 
     def pause(self) -> None:
@@ -142,6 +149,8 @@ class Monitor:
         self.note(f"move {name} {q.tobytes().hex()}")
         if self._latched:
             self.violation("motion after a stop", f"motion of arm {name} after {self._latched}")
+        if self._doubts:
+            self.violation("motion after a stop", f"motion of arm {name} beside {', '.join(sorted(self._doubts))}")
         if self._paused:
             self.violation("motion after a stop", f"motion of arm {name} to another stop while paused")
 

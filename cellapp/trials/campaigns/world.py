@@ -14,7 +14,7 @@ import numpy as np
 from cellapp.collection.cell import Cell, build_plant, start_tracker
 from cellapp.collection.together import one_by_one
 from cellapp.collection.tracker_watch import Died
-from cellapp.control import JobControl, Request
+from cellapp.control import JobControl, Request, Verb
 from cellapp.errors import HardwareError
 from cellapp.profile import Profile
 from cellapp.progress import Progress, StateChange
@@ -82,6 +82,7 @@ class World:
         for arm in self.arms.values():
             arm.release()
         self.tracker.release()
+        self.tracker.mute = False
         self.disk.state = "healthy"
 
     # -- the program ---------------------------------------------------------------------------------------------------
@@ -250,6 +251,13 @@ class Person:
             self._count("stop")
             self._world.monitor.stop("a person's stop")
             self.control.stop()
+
+    def ask_from_outside(self, verb: Verb) -> None:
+        """Ask as another process does, by the words of its request."""
+        if self.control is not None:
+            self._count(verb)
+            self._world.monitor.stop(f"a {verb} from another process")
+            answer_request(self.control, verb)
 
     def _count(self, verb: str) -> None:
         """Count a request that a session in an open cell has to record."""
