@@ -51,11 +51,17 @@ class JobControl(CancelToken):
         self._holding = 0  # brakes after which the job can hold
         self._looks: list[Callable[[], CellLive]] = []
         self._record: Callable[[str, Halt], None] = lambda arm, halt: None
+        self._left = ""
 
     @property
     def request(self) -> Request:
         """The request that stands."""
         return self._request
+
+    @property
+    def left(self) -> str:
+        """How the person who attended the job went away, in words; empty while nobody did."""
+        return self._left
 
     def ask(self, verb: Verb) -> None:
         """Do what a verb says."""
@@ -79,8 +85,12 @@ class JobControl(CancelToken):
         attended = self.holds and self._holding > 0  # a job without open arms has nothing to hold
         self._set_and_brake("stop", replaces=("none", "pause", "stop"), ends=not attended)
 
-    def leave(self) -> None:
-        """Brake all arms now and end the job as stopped: the person who attended it goes away."""
+    def leave(self, how: str) -> None:
+        """Brake all arms now and end the job as stopped: the person who attended it goes away.
+
+        ``how`` is recorded as the cause, in place of a person's stop: "the terminal was closed". The first one counts.
+        """
+        self._left = self._left or how  # before the brakes, which ask for it
         self.holds = False
         self.stop()
 
@@ -101,7 +111,7 @@ class JobControl(CancelToken):
         if self._request == "abort":
             raise Aborted("aborted on request")
         if self._request == "stop" and self.cancelled:
-            raise Stopped("stopped on request")
+            raise Stopped(self._left or "stopped on request")
 
     def wait_while(self, *requests: Request, timeout_s: float | None = None) -> Request:
         """Wait while one of ``requests`` stands; return the request that stands then.

@@ -67,7 +67,7 @@ def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
         If a person did.
     """
     reaction = StopReaction(cell.arms, cell.tracker, cell.together, control.note_halt)
-    brakes = control.brakes(lambda verb: reaction.trigger(_personal(verb)))
+    brakes = control.brakes(lambda verb: reaction.trigger(_personal(verb, control)))
     with control.watching(lambda: _live(cell, reaction)), brakes:
         _settle_earlier_doubts(cell, control)
         try:
@@ -75,7 +75,7 @@ def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
         except BaseException as error:
             if not isinstance(error, CellStopped):
                 reaction.trigger(StopCause("engine", f"the job ended: {error}"))
-            end = _end_of(error, reaction)
+            end = _end_of(error, reaction, control)
             if end is error:
                 raise
             raise end from error
@@ -104,7 +104,7 @@ def _known(age_s: float) -> float | None:
     return age_s if math.isfinite(age_s) else None
 
 
-def _end_of(error: BaseException, reaction: StopReaction) -> BaseException:
+def _end_of(error: BaseException, reaction: StopReaction, control: JobControl) -> BaseException:
     """The exception that ends a job after ``error``, when the arms rest or were watched for long enough."""
     unseen = reaction.wait_at_rest()
     kinds = {cause.kind for cause in reaction.causes}
@@ -113,12 +113,15 @@ def _end_of(error: BaseException, reaction: StopReaction) -> BaseException:
     if isinstance(error, HardwareError) and "abort" in kinds:
         return Aborted(_BY_PERSON["abort"])
     if isinstance(error, HardwareError) and "stop" in kinds:
-        return Stopped(_BY_PERSON["stop"])
+        return Stopped(_personal("stop", control).text)
     return HardwareError(str(error)) if isinstance(error, CellStopped) else error
 
 
-def _personal(verb: str) -> StopCause:
-    return StopCause("abort" if verb == "abort" else "stop", _BY_PERSON[verb])
+def _personal(verb: str, control: JobControl) -> StopCause:
+    """The cause that a person is, who asks for something or goes away."""
+    if verb == "abort":
+        return StopCause("abort", _BY_PERSON[verb])
+    return StopCause("stop", control.left or _BY_PERSON["stop"])
 
 
 def _watch_out(unseen: dict[str, str]) -> list[str]:

@@ -1,7 +1,8 @@
 """The application: what is open, one job at a time, STOP on every screen, the screens of the day.
 
-The key that stops calls the brakes in the thread of the screens. Events of the job wait in a queue of their own and are
-drawn a few at a time: however many there are, a key is handled at once.
+The keys that stop call the brakes in the thread that reads the terminal (``urgent_keys``); where there is none, in that
+of the screens. Events of the job wait in a queue of their own and are drawn a few at a time: however many there are, a
+key is handled at once.
 """
 
 from __future__ import annotations
@@ -9,9 +10,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
-import os
-import threading
-import time
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -22,22 +20,24 @@ from textual import on, work
 from textual.app import App, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.css.query import NoMatches
+from textual.driver import Driver
 from textual.screen import Screen
 from textual.widgets import Static
 
 from cellapp.progress import CellLive
-from cellapp.signals import available, watch_signals
 from cellapp.tui import work as jobs_of_verbs
 from cellapp.tui.dialogs.handbook import Handbook
 from cellapp.tui.dialogs.jump import Jump
 from cellapp.tui.dialogs.motion import MotionQuestion
 from cellapp.tui.dialogs.palette import Palette
 from cellapp.tui.dialogs.question import Reading
-from cellapp.tui.endings import STOPPED, UNEXPECTED, ending_of, forget_terminal, left_behind
+from cellapp.tui.endings import UNEXPECTED, ending_of, left_behind
 from cellapp.tui.job_record import JobRecord
 from cellapp.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
-from cellapp.tui.messages import LeaveAsked, ResumeOffered, Severity, WorkspaceLoaded
+from cellapp.tui.leaving import ENDED, LEFT, Leaving
+from cellapp.tui.messages import LeaveAsked, ResumeOffered, Severity, StopGiven, WorkspaceLoaded
 from cellapp.tui.offers import offer_at_rest, offer_paths, offer_to_quit, offer_to_resume, offer_whole_day, show_paths
+from cellapp.tui.presses import StopPresses, driver_that_stops
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.themes import HIGH_CONTRAST
@@ -48,13 +48,6 @@ _REQUESTS = ("stop", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
 _ALWAYS = ("stop", "abort")
 """Actions that an open dialog does not hide."""
-_ENDING = available("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
-_CLOSED = available("SIGHUP")
-_PAUSING = available("SIGTSTP")
-_LAST_WORDS_S = 5.0
-"""After the end of the job, for leaving the screen; usually some 0.1 s."""
-_LAST_WRITES_S = 0.5
-"""The same where the terminal is gone: nobody reads last words, and the next start waits for what this one holds."""
 _DRAWING_S = 0.1
 """Time between two drawings of a running job: people read no faster, and keys are answered between them."""
 _PRELOAD_AFTER_S = 0.3
@@ -92,6 +85,7 @@ class CellApp(App[None]):
     COMMAND_PALETTE_BINDING = "ctrl+p"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "stop", "STOP", priority=True),
+        Binding("ctrl+c", "stop", show=False, priority=True),
         Binding("f5", "whole_day", "Day", tooltip="plan, collect, calibrate, discover, push and verify; asks first"),
         Binding("p", "pause", "Pause"),
         Binding("c", "resume", "Resume"),
@@ -110,11 +104,12 @@ class CellApp(App[None]):
         self, profiles: Path, logs: Path = Path("logs"), patience_s: float = 60.0, *, ends_process: bool = False
     ) -> None:
         super().__init__()
-        self._ends_process = ends_process
         self.profiles, self.logs = profiles, logs
         self.workspace = Workspace()
         self.record = JobRecord()
         self.jobs = JobRunner(self.post_message)
+        self.presses = StopPresses(self.jobs)
+        self.leaving = Leaving(self, ends_process=ends_process)
         self.asked_by: DayScreen | None = None
         """The screen that asked for the present job; it gets the result, whichever screen is shown then."""
         self.message = ""
@@ -124,10 +119,14 @@ class CellApp(App[None]):
         self._drawn = -1
         self._loads = 0
         self._patience_s = patience_s
-        self._signals = contextlib.ExitStack()
         self._leaving = False
         self._ended: str | None = None
-        self._code = 0
+        self.code = 0
+        """Exit code of the last job."""
+
+    def get_driver_class(self) -> type[Driver]:
+        """The driver that stops before the event loop gets a key, where there is one."""
+        return driver_that_stops(super().get_driver_class())
 
     # -- begin and end -------------------------------------------------------------------------------------------------
 
@@ -138,9 +137,7 @@ class CellApp(App[None]):
         self.call_after_refresh(self._welcome)
         self.set_interval(_DRAWING_S, self._draw_events)
         self.set_timer(_PRELOAD_AFTER_S, self._preload)
-        if threading.current_thread() is threading.main_thread():
-            # after Textual has set its own: that of Ctrl-Z would freeze the program while arms move
-            self._signals.enter_context(watch_signals((*_ENDING, *_PAUSING), self._on_signal, lambda *_: None))
+        self.leaving.watch()
         self.say("Choose a profile on this screen; n goes to the next step, ? explains.")
 
     def _welcome(self) -> None:
@@ -162,41 +159,18 @@ class CellApp(App[None]):
 
     def on_unmount(self) -> None:
         """Brake all arms and end the job however the screen closes: no job continues unseen."""
-        self.jobs.control.leave()
-        self._signals.close()
+        self.jobs.control.leave(ENDED)
+        self.leaving.close()
 
     def wait_for_job(self) -> None:
         """Wait, for a bounded time, until a job that was left has brought its arms to rest."""
         if self.jobs.running:
             self.jobs.wait(self._patience_s)
 
-    def _on_signal(self, number: int) -> None:
-        """In the thread that watches the signals."""
-        control = self.jobs.control
-        if number in _ENDING:
-            control.leave()
-            if number in _CLOSED:
-                forget_terminal()
-            self.post_message(LeaveAsked())
-            if self._ends_process:
-                after_s = _LAST_WRITES_S if number in _CLOSED else _LAST_WORDS_S
-                threading.Thread(target=self._end_process, args=(after_s,), name="end", daemon=True).start()
-        elif control.request == "pause":
-            control.resume()
-        else:
-            control.pause()
-
-    def _end_process(self, after_s: float) -> None:
-        """End the program where Textual cannot: once a write to a closed terminal failed, it waits for ever."""
-        running = self.jobs.running
-        self.wait_for_job()
-        time.sleep(after_s)
-        os._exit(STOPPED if running else self._code)
-
     async def action_quit(self) -> None:
         """Quit; with a job in progress, ask first, stop it and wait for its end."""
         if not self.jobs.running:
-            self.exit(return_code=self._code)
+            self.exit(return_code=self.code)
         elif not self._leaving:
             offer_to_quit(self, self._leave)
 
@@ -210,10 +184,10 @@ class CellApp(App[None]):
         if not leave:
             return
         if not self.jobs.running:
-            self.exit(return_code=self._code)
+            self.exit(return_code=self.code)
             return
         self._leaving = True
-        self.jobs.control.leave()
+        self.jobs.control.leave(LEFT)
         self._refuse_motion()
         self.say(f"Stopping, then quitting (waiting at most {self._patience_s:.0f} s).", "warning")
         self.set_timer(self._patience_s, self._quit_without_job)
@@ -379,11 +353,25 @@ class CellApp(App[None]):
         control = self.jobs.control
         arms = control.has_brakes
         control.stop()  # before anything is drawn
+        self._say_stop(arms)
+
+    @on(StopGiven)
+    def show_stop(self, event: StopGiven) -> None:
+        """Say that a press has stopped."""
+        self.presses.said()
+        if self.jobs.running:
+            self._say_stop(event.arms)
+
+    def _say_stop(self, arms: bool) -> None:
         self._refuse_motion()
-        if control.cancelled:
+        if self.jobs.control.cancelled:
             self.say("Stopping: the arms brake, the job ends." if arms else "Stopping at the next step.", "warning")
         else:
             self.say("STOP: all arms brake. c: resume when the cell is clear; x: abort.", "error")
+
+    def action_help_quit(self) -> None:
+        """Ctrl-C, where nothing runs and no text is selected: it does not quit. Say what does."""
+        self.say("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a text field, quits.")
 
     def action_pause(self) -> None:
         """Let the job rest after the present stop; the second time, resume. It does not resume a stopped job."""
@@ -399,9 +387,13 @@ class CellApp(App[None]):
 
     def action_resume(self) -> None:
         """Let a paused or stopped job continue."""
-        if self.jobs.possible("resume"):
-            self.jobs.control.resume()
-            self.say("Resuming.")
+        if not self.jobs.possible("resume"):
+            return
+        if self.presses.just_given:
+            self.say("Stopped; resume was asked for in the same moment. c: resume when the cell is clear.", "warning")
+            return
+        self.jobs.control.resume()
+        self.say("Resuming.")
 
     def action_abort(self) -> None:
         """Brake all arms now and end the job."""
@@ -433,11 +425,11 @@ class CellApp(App[None]):
         self.jobs.ended()
         self.record.end()
         ending = ending_of(message, self.record.latest)
-        self._code = ending.code
+        self.code = ending.code
         self._ended = ending.text if ending.code == 0 else ""
         self.say(ending.text, ending.severity)
         if self._leaving:  # the shell keeps what the screen can no longer show
-            self.exit(return_code=self._code, message=Text(ending.text))
+            self.exit(return_code=self.code, message=Text(ending.text))
             return
         if not isinstance(message.ending, BaseException | None):
             for screen in dict.fromkeys((self.asked_by or self.day_screen, self.day_screen)):

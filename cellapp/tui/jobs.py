@@ -98,8 +98,8 @@ class JobRunner:
         """Start a job; the one before must have reported its end."""
         if self.job is not None:
             raise RuntimeError(f"{self.job.name} is still running")
+        self.control = JobControl(holds=True)  # first: whoever sees the job, in any thread, stops this one
         self.job = job
-        self.control = JobControl(holds=True)
         self._events.clear()
         # a daemon thread: a device that never answers cannot keep the program from ending
         self._thread = threading.Thread(target=self._run, args=(job, self.control), name=job.name, daemon=True)

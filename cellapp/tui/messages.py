@@ -19,6 +19,14 @@ class LeaveAsked(Message):
     """The terminal was closed, or the system ends this program."""
 
 
+class StopGiven(Message):
+    """A person pressed STOP, and the brakes have it; what is left is to say so. ``arms``: whether arms brake."""
+
+    def __init__(self, arms: bool) -> None:
+        super().__init__()
+        self.arms = arms
+
+
 class WorkspaceLoaded(Message):
     """Profile and run were read."""
 
