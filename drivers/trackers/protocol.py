@@ -194,7 +194,7 @@ class TrackerLinkLost(TrackerError):
 
 
 class Tracker(Protocol):
-    """One tracker. All calls but ``halt`` come from one thread, one at a time."""
+    """One tracker. Calls come one at a time, but ``halt`` and ``data_age_s`` at any time and from any thread."""
 
     def connect(self) -> None:
         """Open the link and apply the settings given to the driver. Raises ``TrackerLinkLost``, ``TrackerRefused``."""
@@ -210,6 +210,25 @@ class Tracker(Protocol):
 
     def unmet(self) -> list[str]:
         """Return every unmet precondition of measuring, as sentences; empty if ready."""
+
+    def confirm(self, within_s: float) -> None:
+        """Make sure that the tracker itself answers now; what it lacks for measuring does not matter.
+
+        A connection that was dropped is made again once, at once. Never lasts longer than ``within_s`` [s].
+
+        Raises
+        ------
+        TrackerLinkLost
+            At once if the connection is closed and cannot be made again; or if nothing comes within ``within_s``.
+        TrackerTimeout
+            If the tracker is still at work on an earlier command that was halted or abandoned.
+        """
+
+    def data_age_s(self) -> float:
+        """Return the age of the newest data or sign of life from the tracker itself [s]; inf before the first.
+
+        Never blocks.
+        """
 
     def measure(self, expected_M: NDArray[np.float64], averaging_s: float) -> Point:
         """Point at ``expected_M`` (3,) [m], lock the SMR there and average it, in face 1.

@@ -156,6 +156,14 @@ class SimulatedTracker:
         if down or not self._connected:
             raise TrackerLinkLost(f"tracker: the simulated link is {down or 'not open; connect first'}")
 
+    def confirm(self, within_s: float) -> None:
+        """Return at once. Raises ``TrackerLinkLost`` while the link is cut or down."""
+        self._link()
+
+    def data_age_s(self) -> float:
+        """Return 0 while the link is open, inf otherwise."""
+        return 0.0 if self._connected and not self._down() else math.inf
+
     def identify(self) -> TrackerIdentity:
         """Return the identity of a simulated tracker."""
         self._link()

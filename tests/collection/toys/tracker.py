@@ -49,6 +49,11 @@ class ToyTracker:
     def unmet(self) -> list[str]:
         return []
 
+    def confirm(self, within_s: float) -> None: ...
+
+    def data_age_s(self) -> float:
+        return 0.0
+
     def inclination(self) -> Inclination | None:
         return None
 
