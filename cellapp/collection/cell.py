@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from cellapp.collection.together import Together, in_threads, one_by_one
-from cellapp.collection.tracker_watch import Watch, unwatched, watched
+from cellapp.collection.tracker_watch import Watch, monitored, unwatched, watched
 from cellapp.errors import HardwareError, InputError
 from cellapp.model.nominal import pose_matrix
 from cellapp.profile import Arm as ArmProfile
@@ -100,7 +100,8 @@ def open_cell(profile: Profile, *, watch_clearance: bool = False, plant: Plant |
             except SensorError as error:
                 raise HardwareError(str(error)) from error
         if plant is None or _has_real_arm(profile):
-            yield Cell(arms, tracker, RealClock(), air, tracker_unmet=unmet)
+            monitor = stack.enter_context(monitored(tracker))
+            yield Cell(arms, monitor, RealClock(), air, tracker_unmet=unmet)
         else:
             clock, clearance = SimulatedClock(plant), plant.clearance
             yield Cell(arms, tracker, clock, air, clearance, one_by_one, unwatched, tracker_unmet=unmet)
