@@ -50,8 +50,8 @@ _T = TypeVar("_T")
 class TrackerMonitor:
     """A tracker in whose place it is used, and which it asks all the time whether it answers.
 
-    Its questions never overlap with the job's calls: a call waits for one answer at most, and no question is asked while
-    a call is at work. While nothing is ``watching``, a tracker that is silent is not reported: ``data_age_s`` grows.
+    Its questions never overlap with the job's calls: a call waits for one answer at most, and nothing is asked while a
+    call is at work. While nothing is ``watching``, a tracker that is silent is not reported: ``data_age_s`` grows.
     Questions are asked while the context is open.
     """
 

@@ -436,7 +436,7 @@ class TrackerService:
                 active.link = None
         elif active.link is not None and now - active.heartbeat_s >= _HEARTBEAT_S:
             active.heartbeat_s = now
-            age_s = min(self._tracker.data_age_s(), _OLDEST_S)  # the bridge does not answer for the tracker
+            age_s = min(max(self._tracker.data_age_s(), 0.0), _OLDEST_S)  # the bridge does not answer for the tracker
             fields = {"elapsed": f"{now - active.began_s:.1f}", "age": f"{age_s:.3f}"}
             self._answer(active.link, active.sequence, ("wait", fields))
 
