@@ -12,7 +12,7 @@ import numpy as np
 
 from cellapp.collection.pulse import JobPulse
 from cellapp.collection.together import Together, answers_of_all, in_threads, one_by_one
-from cellapp.collection.tracker_watch import Watch, unwatched, watched
+from cellapp.collection.tracker_watch import Watch, monitored, unwatched, watched
 from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
 from cellapp.model.nominal import pose_matrix
@@ -116,7 +116,8 @@ def open_cell(
                 raise HardwareError(str(error)) from error
         control.check()
         if simulated is None:
-            yield Cell(arms, tracker, RealClock(), air, tracker_unmet=unmet)
+            monitor = stack.enter_context(monitored(tracker))
+            yield Cell(arms, monitor, RealClock(), air, tracker_unmet=unmet)
         else:
             clock, clearance = SimulatedClock(simulated), simulated.clearance
             yield Cell(arms, tracker, clock, air, clearance, together, unwatched, tracker_unmet=unmet)

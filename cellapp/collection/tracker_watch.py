@@ -1,65 +1,238 @@
-"""Watching the tracker while the arms move: a tracker that died stops the cell, not only the next measurement."""
+"""Watching the tracker of an open cell: while the arms move, a tracker that died stops the cell at once."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
+from typing import ParamSpec, Self, TypeVar
 
-from drivers.trackers.protocol import Tracker, TrackerError
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.trackers.protocol import (
+    Inclination,
+    Point,
+    Preparation,
+    StreamingTracker,
+    Track,
+    Tracker,
+    TrackerError,
+    TrackerIdentity,
+    TrackerLinkLost,
+    TwoFace,
+)
 
 Died = Callable[[str], None]
 """Takes the reason, in a sentence, from any thread."""
 Watch = Callable[[Tracker, Died], AbstractContextManager[None]]
-"""Watches a tracker while its context is open."""
+"""Watches a tracker while its context is open. If the tracker is dead already, that is reported before it opens."""
 
-_EVERY_S = 0.25
-"""Between two questions: a small load for a serial line."""
-_SILENT_S = 2.0
-"""A tracker that has not answered for this long counts as dead; over a network it answers within milliseconds."""
-_LAST_ANSWER_S = 5.0
-"""Longest wait for the last answer."""
+CONFIRM_WITHIN_S = 0.3
+"""A tracker that answers later counts as dead while the arms move; over a network it answers within milliseconds."""
+_EVERY_S = 0.04
+"""Between two questions: with its answer, 5 % of what a serial line of 115200 baud carries."""
+_DEAD_EVERY_S = 0.5
+"""Between two questions to a dead tracker while the arms rest."""
+_LOOK_S = 0.05
+_SILENT_S = 0.4
+"""Longest time without an answer, should a driver not keep to ``CONFIRM_WITHIN_S``."""
+_SILENT_LOOKS = 6
+"""And this many looks meanwhile: a program that was not scheduled has not looked, and has not asked either."""
+_ONE_ANSWER_S = 5.0
+"""Longest wait for the answer that is under way when a job calls the tracker, and at the end."""
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
+class TrackerMonitor:
+    """A tracker in whose place it is used, and which it asks all the time whether it answers.
+
+    Its questions never overlap with the job's calls: a call waits for one answer at most, and nothing is asked while a
+    call is at work. While nothing is ``watching``, a tracker that is silent is not reported: ``data_age_s`` grows.
+    Questions are asked while the context is open.
+    """
+
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+        self._in_use = threading.Lock()
+        self._over = threading.Event()
+        self._asking = threading.Thread(target=self._ask, name="tracker watch", daemon=True)
+        self._reporting = threading.Lock()
+        self._died: Died | None = None
+        self._heard = 0
+        """Answers so far, of questions and calls."""
+        self._calls = 0
+        """Calls of the job that are at work."""
+
+    def __enter__(self) -> Self:
+        self._asking.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._asking.join(_ONE_ANSWER_S)
+
+    # -- the job's calls -----------------------------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Call the tracker's ``connect``."""
+        self._alone(self._tracker.connect)
+
+    def identify(self) -> TrackerIdentity:
+        """Call the tracker's ``identify``."""
+        return self._alone(self._tracker.identify)
+
+    def prepare(self, settings: Preparation) -> None:
+        """Call the tracker's ``prepare``."""
+        self._alone(self._tracker.prepare, settings)
+
+    def unmet(self) -> list[str]:
+        """Call the tracker's ``unmet``."""
+        return self._alone(self._tracker.unmet)
+
+    def confirm(self, within_s: float = CONFIRM_WITHIN_S) -> None:
+        """Make sure that the tracker answers now, as ``Tracker.confirm`` does."""
+        self._alone(self._tracker.confirm, within_s)
+
+    def data_age_s(self) -> float:
+        """Return the age of the newest sign of life [s], as ``Tracker.data_age_s`` does."""
+        return self._tracker.data_age_s()
+
+    def measure(self, expected_M: NDArray[np.float64], averaging_s: float) -> Point:
+        """Call the tracker's ``measure``."""
+        return self._alone(self._tracker.measure, expected_M, averaging_s)
+
+    def measure_two_face(self, expected_M: NDArray[np.float64], averaging_s: float) -> TwoFace:
+        """Call the tracker's ``measure_two_face``."""
+        return self._alone(self._tracker.measure_two_face, expected_M, averaging_s)
+
+    def inclination(self) -> Inclination | None:
+        """Call the tracker's ``inclination``."""
+        return self._alone(self._tracker.inclination)
+
+    def halt(self) -> None:
+        """End the running measurement, at once and from any thread."""
+        self._tracker.halt()
+
+    def disconnect(self) -> None:
+        """Call the tracker's ``disconnect``."""
+        self._alone(self._tracker.disconnect)
+
+    def _alone(self, call: Callable[_P, _T], *args: _P.args, **kwargs: _P.kwargs) -> _T:
+        """Call the tracker when no question is under way. Raises ``TrackerLinkLost`` if that has no end."""
+        self._calls += 1  # calls come one at a time
+        try:
+            if not self._in_use.acquire(timeout=_ONE_ANSWER_S):
+                raise TrackerLinkLost(f"tracker: its driver has not answered a question for {_ONE_ANSWER_S:g} s")
+            try:
+                return call(*args, **kwargs)
+            finally:
+                self._in_use.release()
+        finally:
+            self._calls -= 1
+
+    # -- watching ------------------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def watching(self, died: Died) -> Iterator[None]:
+        """Call ``died``, once, if the tracker does not answer now, or dies or falls silent before the context ends."""
+        over = threading.Event()
+        listening = threading.Thread(target=self._listen, args=(over,), name="tracker watch limit", daemon=True)
+        self._died = died
+        try:
+            self.confirm()
+        except TrackerError as error:
+            self._report(str(error))
+        listening.start()
+        try:
+            yield
+        finally:
+            with self._reporting:
+                self._died = None
+            over.set()
+            listening.join()
+
+    def _report(self, reason: str) -> None:
+        with self._reporting:
+            died, self._died = self._died, None
+        if died is not None:
+            died(reason)
+
+    def _ask(self) -> None:
+        """Ask again and again while the job makes no call."""
+        again_s = 0.0
+        while not self._over.wait(_EVERY_S):
+            at_rest = self._died is None
+            if (at_rest and time.monotonic() < again_s) or not self._in_use.acquire(blocking=False):
+                continue
+            problem = ""
+            try:
+                self._tracker.confirm(CONFIRM_WITHIN_S)
+                self._heard += 1
+            except TrackerError as error:
+                problem = str(error)
+            finally:
+                self._in_use.release()
+            if problem:
+                self._report(problem)
+                again_s = time.monotonic() + _DEAD_EVERY_S
+
+    def _listen(self, over: threading.Event) -> None:
+        """Report silence, even while a question hangs."""
+        heard, since_s, looks = self._heard, time.monotonic(), 0
+        while not over.wait(_LOOK_S):
+            looks += 1
+            if self._heard != heard or self._calls:
+                heard, since_s, looks = self._heard, time.monotonic(), 0
+            elif time.monotonic() - since_s > _SILENT_S and looks >= _SILENT_LOOKS:
+                self._report(f"tracker: no answer for {_SILENT_S:g} s while the arms moved")
+                return
+
+
+class StreamingTrackerMonitor(TrackerMonitor):
+    """A monitor of a tracker that measures an SMR while it moves."""
+
+    def __init__(self, tracker: Tracker, streaming: StreamingTracker) -> None:
+        super().__init__(tracker)
+        self._streaming = streaming
+
+    def start_track(
+        self, expected_M: NDArray[np.float64], interval_s: float, lost: Callable[[TrackerError], None]
+    ) -> None:
+        """Call the tracker's ``start_track``."""
+        self._alone(self._streaming.start_track, expected_M, interval_s, lost)
+
+    def end_track(self) -> Track:
+        """Call the tracker's ``end_track``."""
+        return self._alone(self._streaming.end_track)
+
+
+def monitored(tracker: Tracker) -> TrackerMonitor:
+    """Return a monitor of a tracker that can do what the tracker can; its context is not open yet."""
+    if isinstance(tracker, StreamingTracker):
+        return StreamingTrackerMonitor(tracker, tracker)
+    return TrackerMonitor(tracker)
 
 
 @contextmanager
-def watched(tracker: Tracker, died: Died, silent_s: float = _SILENT_S) -> Iterator[None]:
-    """Ask the tracker for its state again and again, in a thread; the caller must not use it meanwhile.
-
-    At the end, the last answer is awaited, so that the caller's next call is the only one. A call that hangs longer
-    was reported, and the tracker is reconnected before it is used again.
-    """
-    over, answered = threading.Event(), threading.Event()
-
-    def ask() -> None:
-        while not over.is_set():
-            try:
-                tracker.unmet()  # what it lacks for measuring does not matter while the arms move
-            except TrackerError as error:
-                died(str(error))
-                break
-            answered.set()
-            over.wait(_EVERY_S)
-        answered.set()
-
-    def listen() -> None:
-        while not over.is_set():
-            if not answered.wait(silent_s):
-                died(f"tracker: no answer for {silent_s:g} s while the arms moved")
-                return
-            answered.clear()
-            over.wait(_EVERY_S)
-
-    asking = threading.Thread(target=ask, name="tracker watch", daemon=True)
-    threads = [asking, threading.Thread(target=listen, name="tracker watch limit", daemon=True)]
-    for thread in threads:
-        thread.start()
-    try:
+def watched(tracker: Tracker, died: Died) -> Iterator[None]:
+    """Watch a tracker while the arms move. Without a monitor of its own, the caller must not call it meanwhile."""
+    if isinstance(tracker, TrackerMonitor):
+        with tracker.watching(died):
+            yield
+        return
+    with monitored(tracker) as monitor, monitor.watching(died):
         yield
-    finally:
-        over.set()
-        asking.join(_LAST_ANSWER_S)
 
 
-def unwatched(tracker: Tracker, died: Died) -> nullcontext[None]:
-    """Do not watch: in a simulated cell all calls come from one thread."""
-    return nullcontext()
+@contextmanager
+def unwatched(tracker: Tracker, died: Died) -> Iterator[None]:
+    """Ask once, before the arms move: in a simulated cell all calls come from one thread."""
+    try:
+        tracker.confirm(CONFIRM_WITHIN_S)
+    except TrackerError as error:
+        died(str(error))
+    yield

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import secrets
-import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -18,9 +18,9 @@ from typing import NoReturn, TypeVar
 import numpy as np
 import serial
 from numpy.typing import NDArray
-from serial.urlhandler.protocol_socket import Serial as TcpPort
 
 from drivers.trackers import bridge_wire as wire
+from drivers.trackers.bridge_port import LinkFault, PortOpener, Unreachable, shut_down, waiting
 from drivers.trackers.bridge_wire import BadField, Fields, Garbled, Line
 from drivers.trackers.protocol import (
     Halted,
@@ -32,6 +32,7 @@ from drivers.trackers.protocol import (
     TrackerIdentity,
     TrackerLinkLost,
     TrackerRefused,
+    TrackerTimeout,
     TwoFace,
 )
 
@@ -39,24 +40,32 @@ LOG = logging.getLogger(__name__)
 
 _T = TypeVar("_T")
 
-_READ_TIMEOUT_S = 0.05
 _FIRST_RETRY_S = 0.02
 _RETRY_S = 0.2
 """Between two attempts: short at first, as most faults are over at once; then twice as long each time, up to this."""
-_READ_BYTES = 4096
 _MAX_STALE_LINES = 500
 _MAX_DRAINED_BYTES = 1_000_000
 _LONGEST_COMMAND_S = 600.0
+_SILENT_LOOKS = 4
+"""Silence counts after this many looks for a line: a program that was not scheduled has not looked."""
+_CONFIRMING_TRIES = 3
+"""A damaged line, or a connection that ended: a new one, and the question again."""
 _HALTABLE = ("prepare", "measure", "two-face")
 """Commands that ``halt`` ends."""
+_FROM_TRACKER = ("identify", "prepare", "unmet", "inclination", "confirm", "measure", "two-face")
+"""Commands that the tracker itself answers, not the bridge."""
 
 
-class _LinkFault(Exception):
-    """The link failed or delivered damaged data; the bridge may or may not have executed the command."""
+class _Silent(LinkFault):
+    """No line came in time, though this process looked for one."""
 
 
 class _Busy(Exception):
     """The tracker is at work on an earlier command."""
+
+
+class _UnknownCommand(ValueError):
+    """The bridge is older than this client."""
 
 
 class _NotPrepared(Exception):
@@ -64,7 +73,7 @@ class _NotPrepared(Exception):
 
 
 class BridgeTracker:
-    """A tracker behind a bridge. Calls come from one thread, ``halt`` from any."""
+    """A tracker behind a bridge. Calls come one at a time, ``halt`` and ``data_age_s`` at any time."""
 
     def __init__(
         self,
@@ -78,7 +87,7 @@ class BridgeTracker:
     ) -> None:
         """Configure a client of the bridge at ``url`` (``socket://host:port``, ``rfc2217://host:port``, ``COM3``, ...).
 
-        ``timeout_s`` is the longest silence of the bridge; while it works it sends a line every second. ``preparation``
+        ``timeout_s`` is the longest silence of the bridge; while it works it sends a line each 0.2 s. ``preparation``
         is applied at every connect; without one, call ``prepare``. ``patience_s`` limits the total time of a command,
         by default to what the bridge itself allows. Nothing is opened yet.
         """
@@ -94,6 +103,12 @@ class BridgeTracker:
         self._sequence = secrets.randbelow(wire.LAST_SEQUENCE)
         self._out_of_sync = False
         self._boot = ""
+        self._looks = 0
+        """Looks for a line since the last question."""
+        self._confirms = True
+        """Whether the bridge knows the command ``confirm``."""
+        self._sign_s = -math.inf
+        """When the tracker last gave a sign of life [s], on the monotonic clock."""
         self._longest_s = 60.0
         self._writing = threading.Lock()
         self._halting = threading.Event()
@@ -113,7 +128,7 @@ class BridgeTracker:
             self._establish(time.monotonic() + 2.0 * self._timeout_s)
             if self._settings is not None:
                 self.prepare(self._settings)
-        except _LinkFault as error:
+        except LinkFault as error:
             self._raise_link_lost(error)
         except ValueError as error:
             self._close()
@@ -136,6 +151,42 @@ class BridgeTracker:
         """Return every precondition that keeps the tracker from measuring, as sentences."""
         return self._read(wire.read_unmet, self._command("unmet"))
 
+    def confirm(self, within_s: float) -> None:
+        """Make sure that the tracker behind the bridge answers now. Raises as the protocol says.
+
+        The bridge does not answer for it; one that does not know this command is asked what measuring lacks.
+        """
+        self._require_open()
+        until_s = time.monotonic() + within_s
+        problem: Exception = LinkFault("no answer")
+        for _ in range(_CONFIRMING_TRIES):
+            try:
+                if self._port is None or self._out_of_sync:
+                    self._recover(until_s)
+                if self._confirms:
+                    self._exchange("confirm", {"within": wire.number(within_s)}, until_s)
+                else:
+                    self._exchange("unmet", {}, until_s)
+                return
+            except _UnknownCommand:
+                self._confirms = False
+            except _Busy as error:
+                raise TrackerTimeout(f"tracker bridge {self._url}: {error}") from error
+            except LinkFault as error:
+                problem, self._out_of_sync = error, True
+                if isinstance(error, Unreachable | _Silent):
+                    break
+        if isinstance(problem, _Silent):
+            problem = LinkFault(f"no answer from the tracker within {within_s:g} s")
+        raise self._link_lost(problem) from problem
+
+    def data_age_s(self) -> float:
+        """Return how long ago the tracker gave a sign of life [s]: it answered, or the bridge says how old its last is.
+
+        What the bridge answers by itself is none. inf before the first.
+        """
+        return time.monotonic() - self._sign_s
+
     def measure(self, expected_M: NDArray[np.float64], averaging_s: float) -> Point:
         """Measure the SMR at ``expected_M`` (3,) [m]. Raises the errors of ``Tracker.measure``."""
         self._halting.clear()
@@ -153,13 +204,13 @@ class BridgeTracker:
     def halt(self) -> None:
         """End the running command, which then raises ``Halted``; harmless when none runs. From any thread."""
         self._halting.set()
-        with contextlib.suppress(_LinkFault):  # the waiting command notices the fault, and halts after it
+        with contextlib.suppress(LinkFault):  # the waiting command notices the fault, and halts after it
             self._write(wire.encode(self._next_sequence(), "halt"))
 
     def disconnect(self) -> None:
         """Release the tracker and close the link; harmless when closed."""
         if self._port is not None and not self._out_of_sync:
-            with contextlib.suppress(_LinkFault, _Busy, TrackerError):  # the bridge also releases a silent client
+            with contextlib.suppress(LinkFault, _Busy, TrackerError):  # the bridge also releases a silent client
                 self._exchange("bye", {}, time.monotonic() + min(self._timeout_s, 1.0))
         self._close()
 
@@ -167,11 +218,10 @@ class BridgeTracker:
 
     def _command(self, verb: str, fields: Mapping[str, str] | None = None) -> Fields:
         """Return the answer to a command. It may be sent more than once, so it must have an id or change nothing."""
-        if self._port is None and not self._out_of_sync:
-            raise TrackerLinkLost(f"tracker bridge {self._url}: not open; connect first")
+        self._require_open()
         patience_s = self._longest_s + 2.0 * self._timeout_s if self._patience_s is None else self._patience_s
         until_s = time.monotonic() + patience_s
-        problem: Exception = _LinkFault("no answer")
+        problem: Exception = LinkFault("no answer")
         pause_s = _FIRST_RETRY_S
         while time.monotonic() < until_s:
             try:
@@ -185,7 +235,7 @@ class BridgeTracker:
                 self._prepare_again(error, until_s)
             except _Busy as error:
                 problem = error
-            except _LinkFault as error:
+            except LinkFault as error:
                 LOG.info("tracker bridge %s: %s; synchronising", self._url, error)
                 problem = error
                 self._out_of_sync = True
@@ -193,12 +243,19 @@ class BridgeTracker:
             pause_s = min(2.0 * pause_s, _RETRY_S)
         self._raise_link_lost(problem)
 
-    def _raise_link_lost(self, problem: Exception) -> NoReturn:
-        self._close()
-        raise TrackerLinkLost(
+    def _require_open(self) -> None:
+        if self._port is None and not self._out_of_sync:
+            raise TrackerLinkLost(f"tracker bridge {self._url}: not open; connect first")
+
+    def _link_lost(self, problem: Exception) -> TrackerLinkLost:
+        return TrackerLinkLost(
             f"tracker bridge {self._url}: {problem}; see that the tracker's computer runs 'cellapp tracker-bridge' and"
             " that cable, address and port are right"
-        ) from problem
+        )
+
+    def _raise_link_lost(self, problem: Exception) -> NoReturn:
+        self._close()
+        raise self._link_lost(problem) from problem
 
     def _read(self, reader: Callable[[Fields], _T], fields: Fields) -> _T:
         """Convert an answer. Raises ``TrackerError`` if it is undamaged but invalid."""
@@ -208,7 +265,7 @@ class BridgeTracker:
             raise TrackerError(f"tracker bridge {self._url}: the bridge's answer is invalid: {error}") from error
 
     def _recover(self, until_s: float) -> None:
-        """Synchronise the link, or open it again. Raises ``_LinkFault``."""
+        """Synchronise the link, or open it again. Raises ``LinkFault``."""
         if self._port is None:
             self._establish(until_s)
             return
@@ -218,7 +275,7 @@ class BridgeTracker:
                 self._out_of_sync = False
             else:
                 self._open_session(until_s)
-        except _LinkFault:
+        except LinkFault:
             self._close_port()
             raise
 
@@ -228,24 +285,24 @@ class BridgeTracker:
             raise NotReady(f"tracker bridge {self._url}: {problem}") from problem
         try:
             self._exchange("prepare", wire.preparation_fields(self._settings) | {"id": _new_id()}, until_s)
-        except (_LinkFault, _Busy) as error:
-            self._out_of_sync = self._out_of_sync or isinstance(error, _LinkFault)
+        except (LinkFault, _Busy) as error:
+            self._out_of_sync = self._out_of_sync or isinstance(error, LinkFault)
             self._pause.wait(_RETRY_S)
 
     def _establish(self, until_s: float) -> None:
-        """Open the port, synchronise, open a session. Raises ``_LinkFault`` or ``TrackerRefused``."""
-        self._open()
+        """Open the port, synchronise, open a session. Raises ``LinkFault`` or ``TrackerRefused``."""
+        self._open(until_s)
         self._synchronise(until_s)
         self._open_session(until_s)
 
     def _open_session(self, until_s: float) -> None:
-        """Open a session. Raises ``_LinkFault`` or ``TrackerRefused``."""
+        """Open a session. Raises ``LinkFault`` or ``TrackerRefused``."""
         hello = {"protocol": str(wire.VERSION), "client": self._client}
         answer = self._exchange("hello", hello, until_s)
         try:
             longest_s = wire.read_number(answer, "longest", 0.0, 1e6)
         except BadField as error:
-            raise _LinkFault(f"the bridge's answer to 'hello' is invalid: {error}") from error
+            raise LinkFault(f"the bridge's answer to 'hello' is invalid: {error}") from error
         if answer.get("auth") == "hmac-sha256":
             self._prove(answer.get("nonce", ""), until_s)
         elif self._token is not None:
@@ -256,6 +313,7 @@ class BridgeTracker:
             )
         self._boot = answer.get("boot", "")
         self._longest_s = min(longest_s, _LONGEST_COMMAND_S)
+        self._confirms = True
         self._out_of_sync = False
 
     def _prove(self, nonce: str, until_s: float) -> None:
@@ -271,9 +329,10 @@ class BridgeTracker:
             raise TrackerRefused(f"tracker bridge {self._url}: it does not know the token; it is not the real bridge")
 
     def _synchronise(self, until_s: float) -> Fields:
-        """Discard input up to the answer that repeats a random nonce. Raises ``_LinkFault``."""
+        """Discard input up to the answer that repeats a random nonce. Raises ``LinkFault``."""
         nonce = secrets.token_hex(8)
         self._received.clear()
+        self._looks = 0
         sequence = self._next_sequence()
         until_s = min(until_s, time.monotonic() + self._timeout_s)
         self._write(b"\n" + wire.encode(sequence, "sync", {"nonce": nonce}))
@@ -285,34 +344,45 @@ class BridgeTracker:
                 line = wire.decode(raw)
                 if line.sequence == sequence and line.word == "ok" and line.fields.get("nonce") == nonce:
                     return line.fields
-        raise _LinkFault("the input is not from a tracker bridge")
+        raise LinkFault("the input is not from a tracker bridge")
 
     def _exchange(self, verb: str, fields: Fields, until_s: float) -> Fields:
-        """Send one command and return its answer. Raises ``_LinkFault``, ``_Busy``, or the tracker's error."""
+        """Send one command and return its answer. Raises ``LinkFault``, ``_Busy``, or the tracker's error."""
         sequence = self._next_sequence()
         try:
             line = wire.encode(sequence, verb, fields)
         except ValueError as error:
             raise NotReady(f"tracker bridge {self._url}: {error}") from error
+        self._looks = 0
         self._write(line)
         for _ in range(_MAX_STALE_LINES):
             raw = self._raw_line(min(until_s, time.monotonic() + self._timeout_s))
             try:
                 answer = wire.decode(raw)
             except Garbled as error:
-                raise _LinkFault(f"a damaged line came ({error})") from error
+                raise LinkFault(f"a damaged line came ({error})") from error
             if answer.sequence == 0 and answer.word == "error":
-                raise _LinkFault(answer.fields.get("text", "the bridge did not understand"))
+                raise LinkFault(answer.fields.get("text", "the bridge did not understand"))
             if answer.sequence != sequence:
                 continue  # an answer to an abandoned command
             if answer.word == "wait":
+                self._sign_of_life(answer.fields)
                 if self._halting.is_set() and verb in _HALTABLE:
                     self._write(wire.encode(self._next_sequence(), "halt"))
                 continue
             if answer.word == "ok":
+                if verb in _FROM_TRACKER:
+                    self._sign_of_life({})
                 return answer.fields
             self._raise_error(verb, answer)
-        raise _LinkFault("only answers to other commands came")
+        raise LinkFault("only answers to other commands came")
+
+    def _sign_of_life(self, fields: Fields) -> None:
+        """Note a sign of life: ``age`` seconds old where the bridge says so, else of now."""
+        age_s = 0.0
+        with contextlib.suppress(BadField):
+            age_s = wire.read_optional(fields, "age", 0.0) or 0.0
+        self._sign_s = max(self._sign_s, time.monotonic() - age_s)
 
     def _raise_error(self, verb: str, answer: Line) -> NoReturn:
         """Raise the exception that an ``error`` line encodes."""
@@ -322,10 +392,12 @@ class BridgeTracker:
         if kind == "unprepared":
             raise _NotPrepared(text)
         if kind in ("no-session", "garbled"):
-            raise _LinkFault(text)
+            raise LinkFault(text)
         if kind in ("held", "refused", "version"):
             self._close()
-        if kind in ("bad-field", "unknown-command"):
+        if kind == "unknown-command":
+            raise _UnknownCommand(f"tracker bridge {self._url}: the bridge does not know '{verb}'")
+        if kind == "bad-field":
             raise ValueError(f"tracker bridge {self._url}: '{verb}' was refused: {text}")
         raise wire.ERRORS.get(kind, TrackerError)(text)
 
@@ -336,27 +408,30 @@ class BridgeTracker:
             self._sequence = self._sequence % wire.LAST_SEQUENCE + 1
             return self._sequence
 
-    def _open(self) -> None:
-        """Open the port in a separate thread. Raises ``_LinkFault``.
+    def _open(self, until_s: float) -> None:
+        """Open the port in a separate thread. Raises ``Unreachable``.
 
         Name resolution and some kinds of port have no time limit when opened. A port that opens too late is closed.
         """
         self._close_port()
-        opening = _PortOpener(self._url, self._baud, write_timeout_s=self._timeout_s)
-        self._port = opening.wait(self._timeout_s)
+        opening = PortOpener(self._url, self._baud, write_timeout_s=self._timeout_s)
+        self._port = opening.wait(min(self._timeout_s, max(until_s - time.monotonic(), 0.0)))
         self._received.clear()
 
     def _write(self, data: bytes) -> None:
         with self._writing:
             if self._port is None:
-                raise _LinkFault("the link is closed")
+                raise LinkFault("the link is closed")
             try:
                 self._port.write(data)
             except (serial.SerialException, OSError) as error:
-                raise _LinkFault(f"the link broke: {error}") from error
+                raise LinkFault(f"the link broke: {error}") from error
 
     def _raw_line(self, until_s: float) -> bytes:
-        """Return the next line with its line end. Raises ``_LinkFault`` if none comes in time or it is too long."""
+        """Return the next line with its line end. Raises ``LinkFault`` if none comes in time or it is too long.
+
+        What has come is read before silence counts.
+        """
         while True:
             end = self._received.find(b"\n") + 1
             if end:
@@ -364,19 +439,20 @@ class BridgeTracker:
                 del self._received[:end]
                 return raw
             if len(self._received) > wire.LONGEST_LINE:
-                raise _LinkFault(f"a line longer than {wire.LONGEST_LINE} bytes came")
-            if time.monotonic() > until_s:
-                raise _LinkFault(f"no answer within {self._timeout_s:g} s")
+                raise LinkFault(f"a line longer than {wire.LONGEST_LINE} bytes came")
+            if time.monotonic() > until_s and self._looks >= _SILENT_LOOKS:
+                raise _Silent(f"no answer within {self._timeout_s:g} s")
+            self._looks += 1
             port = self._port
             if port is None:
-                raise _LinkFault("the link is closed")
+                raise LinkFault("the link is closed")
             try:
                 self._received += port.read(1)
-                self._received += _waiting(port)
+                self._received += waiting(port)
             except (serial.SerialException, OSError) as error:
                 if b"\n" in self._received:
                     continue  # lines that came before the connection closed
-                raise _LinkFault(f"the link broke: {error}") from error
+                raise LinkFault(f"the link broke: {error}") from error
 
     def _close(self) -> None:
         self._close_port()
@@ -386,65 +462,7 @@ class BridgeTracker:
         with self._writing:
             port, self._port = self._port, None
         if port is not None:
-            _shut_down(port)
-
-
-class _PortOpener:
-    """Opens a port in a separate thread."""
-
-    def __init__(self, url: str, baud: int, write_timeout_s: float) -> None:
-        self._url, self._baud, self._write_timeout_s = url, baud, write_timeout_s
-        self._port: serial.SerialBase | None = None
-        self._error = ""
-        self._done = threading.Event()
-        self._abandoned = False
-        self._lock = threading.Lock()
-        threading.Thread(target=self._run, name="opening the tracker bridge", daemon=True).start()
-
-    def _run(self) -> None:
-        try:
-            port = serial.serial_for_url(
-                self._url, baudrate=self._baud, timeout=_READ_TIMEOUT_S, write_timeout=self._write_timeout_s
-            )
-        except (serial.SerialException, OSError, ValueError) as error:
-            self._error = str(error)
-        else:
-            with self._lock:
-                if not self._abandoned:
-                    self._port = port
-            if self._abandoned:
-                _shut_down(port)
-        self._done.set()
-
-    def wait(self, timeout_s: float) -> serial.SerialBase:
-        """Return the open port. Raises ``_LinkFault`` if it fails or takes longer than ``timeout_s``."""
-        self._done.wait(timeout_s)
-        with self._lock:
-            self._abandoned = self._port is None
-        if self._port is None:
-            raise _LinkFault(self._error or f"could not be opened within {timeout_s:g} s")
-        return self._port
-
-
-def _waiting(port: serial.SerialBase) -> bytes:
-    """Return bytes that have come, at most ``_READ_BYTES``; does not wait. Raises as the port's methods."""
-    number = min(port.in_waiting, _READ_BYTES)
-    if not number:
-        return b""
-    if isinstance(port, TcpPort):  # it knows only that there are some: reading them one by one would take long
-        return bytes(port._socket.recv(_READ_BYTES))
-    return bytes(port.read(number))
-
-
-def _shut_down(port: serial.SerialBase) -> None:
-    if isinstance(port, TcpPort):  # its close() waits, and leaks the socket of a broken link
-        inner, port.is_open = port._socket, False
-        with contextlib.suppress(OSError):
-            inner.shutdown(socket.SHUT_RDWR)
-        inner.close()
-        return
-    with contextlib.suppress(serial.SerialException, OSError):
-        port.close()
+            shut_down(port)
 
 
 def _new_id() -> str:

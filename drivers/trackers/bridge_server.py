@@ -28,8 +28,10 @@ from drivers.trackers.protocol import Preparation, Tracker
 LOG = logging.getLogger(__name__)
 
 _POLL_S = 0.2
-_HEARTBEAT_S = 1.0
+_HEARTBEAT_S = 0.2
 """Period of ``wait`` lines while the tracker is at work; BRIDGE.md promises it."""
+_OLDEST_S = 1e6
+"""Stands for a tracker that has given no sign of life."""
 _MAX_RESULTS = 64
 """Results kept for clients that ask again; BRIDGE.md promises it."""
 _MAX_BAD_LINES = 20
@@ -176,6 +178,9 @@ class TrackerService:
 
     def poll(self, timeout_s: float = 0.0) -> None:
         """Handle all links once; wait at most ``timeout_s`` for input."""
+        active = self._active
+        if active is not None:
+            timeout_s = min(timeout_s, max(active.heartbeat_s + _HEARTBEAT_S - time.monotonic(), 0.0))
         self._links.poll(timeout_s)
         self._check_active()
         self._links.enforce_limits()
@@ -272,7 +277,7 @@ class TrackerService:
             case "bye":
                 self._answer(link, line.sequence, ("ok", {}))
                 self._links.drop(link, "the client ended its session")
-            case "identify" | "unmet" | "prepare" | "inclination" | "measure" | "two-face":
+            case "identify" | "unmet" | "confirm" | "prepare" | "inclination" | "measure" | "two-face":
                 self._command(link, line)
             case _:
                 self._error(link, line.sequence, "unknown-command", f"unknown command '{line.word}'")
@@ -379,6 +384,9 @@ class TrackerService:
                 return lambda: wire.identity_fields(tracker.identify())
             case "unmet":
                 return lambda: wire.unmet_fields(tracker.unmet())
+            case "confirm":
+                within_s = wire.read_number(fields, "within", 1e-3, 60.0)
+                return lambda: self._confirm(within_s)
             case "inclination":
                 return lambda: wire.inclination_fields(tracker.inclination())
             case "prepare":
@@ -393,6 +401,11 @@ class TrackerService:
                 if verb == "two-face":
                     return lambda: wire.two_face_fields(tracker.measure_two_face(expected_M, averaging_s))
                 return lambda: wire.point_fields(tracker.measure(expected_M, averaging_s))
+
+    def _confirm(self, within_s: float) -> dict[str, str]:
+        """Let the tracker itself answer; runs in the worker's thread."""
+        self._tracker.confirm(within_s)
+        return {}
 
     def _prepare(self, settings: Preparation, client: str) -> dict[str, str]:
         """Prepare the tracker for a client; runs in the worker's thread."""
@@ -421,9 +434,11 @@ class TrackerService:
             if active.link is not None:
                 self._deliver(active.link, active.sequence, self._timed_out(active))
                 active.link = None
-        elif active.link is not None and now - active.heartbeat_s > _HEARTBEAT_S:
+        elif active.link is not None and now - active.heartbeat_s >= _HEARTBEAT_S:
             active.heartbeat_s = now
-            self._answer(active.link, active.sequence, ("wait", {"elapsed": f"{now - active.began_s:.1f}"}))
+            age_s = min(max(self._tracker.data_age_s(), 0.0), _OLDEST_S)  # the bridge does not answer for the tracker
+            fields = {"elapsed": f"{now - active.began_s:.1f}", "age": f"{age_s:.3f}"}
+            self._answer(active.link, active.sequence, ("wait", fields))
 
     def _timed_out(self, active: _ActiveCommand) -> Reply:
         text = f"the tracker did not finish '{active.call.verb}' within {self._limit_s:g} s; a halt was requested"

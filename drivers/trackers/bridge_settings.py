@@ -36,7 +36,7 @@ class BridgeSettings(TrackerSettings):
     token_file: str | None = None
     token_env: Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=100)] | None = None
     timeout: Annotated[Time, Field(ge=2.0, le=60.0)] = 5.0
-    """A bridge that is silent for this long counts as dead; while it works it reports every second."""
+    """A bridge that is silent for this long counts as dead; while it works it reports each 0.2 s."""
     reflector: Annotated[str, Field(max_length=60)] = ""
     """The reflector type as the tracker's software names it; empty: what is selected there."""
     accuracy: Literal["fast", "standard", "precise"] = "standard"

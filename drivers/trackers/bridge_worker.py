@@ -103,7 +103,10 @@ class TrackerWorker:
             return "error", {"kind": "failed", "text": "the tracker's driver broke down; see the bridge's log"}
 
     def _execute(self, call: TrackerCall) -> dict[str, str]:
-        """Call the tracker; after a lost link reconnect, prepare it as before and call again."""
+        """Call the tracker; after a lost link reconnect, prepare it as before and call again.
+
+        Whoever wants the tracker confirmed is told of a lost link at once; the next command reconnects.
+        """
         until_s = time.monotonic() + self._recover_s
         while True:
             if call.halted:
@@ -118,7 +121,7 @@ class TrackerWorker:
                     return call.function()
             except TrackerLinkLost as error:
                 self._connected = False
-                if time.monotonic() >= until_s or self._closing.is_set():
+                if call.verb == "confirm" or time.monotonic() >= until_s or self._closing.is_set():
                     raise
                 self._log.warning("reconnecting to the tracker: %s", error)
             self._closing.wait(_RECONNECT_S)

@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.trackers.lmf_calls import CallThread
-from drivers.trackers.lmf_finder import find_trackers
+from drivers.trackers.lmf_finder import visible_trackers
 from drivers.trackers.lmf_objects import Lmf, describe, error_number, load_lmf, to_si, unwrap
 from drivers.trackers.lmf_results import ErrorLaw, read_air, read_position, tracker_time_s
 from drivers.trackers.lmf_settings import LmfSettings
-from drivers.trackers.lmf_setup import apply_settings, set_quantity, start_level_monitoring
+from drivers.trackers.lmf_setup import apply_settings, laser_and_stand, set_quantity, start_level_monitoring
 from drivers.trackers.protocol import (
     Face,
     Inclination,
@@ -42,6 +42,7 @@ from drivers.trackers.protocol import (
     TrackerIdentity,
     TrackerLinkLost,
     TrackerRefused,
+    TrackerTimeout,
     TwoFace,
     Unstable,
     WrongTarget,
@@ -201,12 +202,24 @@ class LmfTracker:
 
     def visible_trackers(self) -> str:
         """Return which trackers LMF finds in this computer's networks, as a sentence for a person."""
+        return visible_trackers(self._use.library, self._load)
+
+    def confirm(self, within_s: float) -> None:
+        """Make sure that LMF answers, and has not reported the connection closed. Raises as the protocol says."""
+        if self._calls is not None:
+            self._calls.require_idle()
         try:
-            found = find_trackers(self._use.library, self._load)
-        except TrackerError as error:
-            return str(error)
-        names = ", ".join(f"{t.model} {t.serial} at {t.address}" for t in found)
-        return f"LMF sees {names}" if names else "LMF sees no tracker in the networks of this computer"
+            self._call("confirming", lambda tracker: unwrap(tracker.QuickRelease), within_s)
+        except TrackerTimeout as error:
+            raise TrackerLinkLost(f"tracker: LMF did not answer within {within_s:g} s") from error
+
+    def data_age_s(self) -> float:
+        """Return how long ago LMF returned from a call [s], 0 while it is at work within the time Leica gives a call.
+
+        It says nothing meanwhile, and watches the connection itself; inf after it has reported that closed.
+        """
+        calls = self._calls
+        return math.inf if calls is None or self._disconnected else calls.age_s()
 
     # -- settings ------------------------------------------------------------------------------------------------------
 
@@ -231,7 +244,7 @@ class LmfTracker:
 
         LMF's number for "not initialised" is not public.
         """
-        if self._laser_and_stand(tracker):
+        if laser_and_stand(tracker):
             return False
         return bool(self._preconditions(tracker))
 
@@ -289,19 +302,7 @@ class LmfTracker:
         return self._call("reading the tracker's state", self._unmet)
 
     def _unmet(self, tracker: Any) -> list[str]:
-        return self._laser_and_stand(tracker) + self._preconditions(tracker)
-
-    @staticmethod
-    def _laser_and_stand(tracker: Any) -> list[str]:
-        unmet = []
-        laser = tracker.Laser
-        if laser is not None and not unwrap(laser.IsOn):
-            unmet.append("its laser is off: switch it on and let it warm up")
-        elif laser is not None and not unwrap(laser.IsLaserWarmedUp):
-            unmet.append("its laser is warming up")
-        if not unwrap(tracker.QuickRelease):
-            unmet.append("its quick release is open: close it")
-        return unmet
+        return laser_and_stand(tracker) + self._preconditions(tracker)
 
     def _preconditions(self, tracker: Any) -> list[str]:
         locked = tracker.Targets.Selected is not None

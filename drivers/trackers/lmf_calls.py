@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar, cast
@@ -19,6 +21,7 @@ class _Call(Generic[_T]):
     what: str
     function: Callable[[], _T]
     limit_s: float
+    began_s: float
     started: bool = False
     done: bool = False
     result: _T | None = None
@@ -39,6 +42,7 @@ class CallThread:
         self._current: _Call[Any] | None = None
         self._halted = False
         self._closed = False
+        self._returned_s = -math.inf
         threading.Thread(target=self._work, name="LMF", daemon=True).start()
 
     def call(self, what: str, function: Callable[[], _T], limit_s: float, *, haltable: bool = False) -> _T:
@@ -53,7 +57,7 @@ class CallThread:
         Halted
             If ``haltable`` and ``halt`` is called meanwhile; the result of the call is then discarded.
         """
-        call = _Call(what, function, limit_s)
+        call = _Call(what, function, limit_s, time.monotonic())
         with self._changed:
             previous = self._current
             if previous is not None and not self._changed.wait_for(lambda: previous.done, timeout=previous.limit_s):
@@ -61,6 +65,7 @@ class CallThread:
                     f"tracker: LMF has not returned from {previous.what}; disconnect, check that the tracker is on, and"
                     " connect again"
                 )
+            call.began_s = time.monotonic()
             self._current = call
             self._changed.notify_all()
             self._changed.wait_for(lambda: call.done or (haltable and self._halted), timeout=limit_s)
@@ -71,6 +76,25 @@ class CallThread:
         if call.error is not None:
             raise call.error
         return cast(_T, call.result)
+
+    def require_idle(self) -> None:
+        """Raise ``TrackerTimeout`` while a call that was given up is at work, ``TrackerLinkLost`` after its time."""
+        call = self._current
+        if call is None or call.done:
+            return
+        if time.monotonic() < call.began_s + call.limit_s:
+            raise TrackerTimeout(f"tracker: LMF is still at work on {call.what}, which was given up; wait for its end")
+        raise TrackerLinkLost(f"tracker: LMF has not returned from {call.what}; check that the tracker is on")
+
+    def age_s(self) -> float:
+        """Return how long ago the last call returned without an error [s]; 0 while one is at work within its time.
+
+        Never blocks.
+        """
+        call, now = self._current, time.monotonic()
+        if call is not None and not call.done and now < call.began_s + call.limit_s:
+            return 0.0
+        return now - self._returned_s
 
     def halt(self) -> None:
         """End the wait for a haltable call, now and until ``clear_halt``."""
@@ -100,6 +124,8 @@ class CallThread:
                     return
                 call.started = True
             call.run()
+            if call.error is None:
+                self._returned_s = time.monotonic()
             with self._changed:
                 call.done = True
                 self._changed.notify_all()

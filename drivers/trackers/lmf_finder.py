@@ -39,3 +39,13 @@ def find_trackers(library: str = DEFAULT_LIBRARY, load: Callable[[str], Lmf] = l
         return calls.call("searching for trackers", find, FINDING_S)
     finally:
         calls.close()
+
+
+def visible_trackers(library: str, load: Callable[[str], Lmf] = load_lmf) -> str:
+    """Return which trackers LMF finds in this computer's networks, as a sentence for a person."""
+    try:
+        found = find_trackers(library, load)
+    except TrackerError as error:
+        return str(error)
+    names = ", ".join(f"{t.model} {t.serial} at {t.address}" for t in found)
+    return f"LMF sees {names}" if names else "LMF sees no tracker in the networks of this computer"

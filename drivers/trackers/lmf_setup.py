@@ -141,3 +141,16 @@ def _set_air(lmf: Lmf, station: Any, preparation: Preparation) -> None:
     if manual:
         for name, value in zip(_MANUAL_AIR, given):
             set_value(station, name, value)
+
+
+def laser_and_stand(tracker: Any) -> list[str]:
+    """Return what laser and stand lack for measuring, as sentences."""
+    unmet = []
+    laser = tracker.Laser
+    if laser is not None and not unwrap(laser.IsOn):
+        unmet.append("its laser is off: switch it on and let it warm up")
+    elif laser is not None and not unwrap(laser.IsLaserWarmedUp):
+        unmet.append("its laser is warming up")
+    if not unwrap(tracker.QuickRelease):
+        unmet.append("its quick release is open: close it")
+    return unmet

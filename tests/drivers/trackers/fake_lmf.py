@@ -100,9 +100,9 @@ _RADIAN_NAMES = ("rad", "mrad", "°", "gon", "cc")
 class Scene:
     """The tracker's surroundings and its next actions. The test writes; LMF's object tree reads.
 
-    ``targets``: SMRs by name -> (3,) [m] in M. ``hanging``: methods that wait for ``release``. ``throws``: method ->
-    exception of its next call. ``ignored_settings``: settings that keep their value when written. ``persistent``: what
-    LMF keeps from one connect to the next.
+    ``targets``: SMRs by name -> (3,) [m] in M. ``hanging``: methods (and QuickRelease) that wait for ``release``.
+    ``throws``: method -> exception of its next call. ``ignored_settings``: settings that keep their value when
+    written. ``persistent``: what LMF keeps from one connect to the next.
     """
 
     targets: dict[str, np.ndarray] = field(default_factory=dict)
@@ -156,11 +156,16 @@ class Scene:
             self.violations.append(f"{name} came from another thread than the connection")
         if threading.current_thread().name == "LMF events":
             self.violations.append(f"{name} was called from an event handler")
+        self.read(name, None)
+        if name in self.throws:
+            raise self.throws.pop(name)
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return a value, if reading it does not hang."""
         if name in self.hanging:
             self.entered.set()
             self.release.wait(30.0)
-        if name in self.throws:
-            raise self.throws.pop(name)
+        return value
 
 
 class Event:
@@ -593,7 +598,7 @@ class Tracker(Net):
         self.Laser = Net()
         self.Laser.IsOn = ReadOnlyValue(lambda: scene.laser_on)
         self.Laser.IsLaserWarmedUp = ReadOnlyValue(lambda: scene.warmed_up)
-        self.QuickRelease = ReadOnlyValue(lambda: scene.quick_release)
+        self.QuickRelease = ReadOnlyValue(lambda: scene.read("QuickRelease", scene.quick_release))
         self.Compensations = Net()
         self.Compensations.Selected = Net()
         self.InclinationSensor = InclinationSensor(self) if scene.level else None

@@ -320,6 +320,12 @@ class SlowTracker:
 
     measure_two_face = measure
 
+    def confirm(self, within_s):
+        pass
+
+    def data_age_s(self):
+        return 0.0
+
     def inclination(self):
         return None
 

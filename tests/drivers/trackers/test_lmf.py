@@ -528,6 +528,65 @@ def test_the_link_breaks(tracker: Callable[..., LmfTracker], scene: Scene) -> No
     assert scene.connected == []
 
 
+# -- whether it answers now --------------------------------------------------------------------------------------------
+
+
+def test_it_answers_now(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
+    driver = tracker()
+    scene.laser_on = scene.quick_release = False  # what measuring lacks does not matter
+    driver.confirm(LONG_S)
+    assert driver.data_age_s() < LONG_S
+    tree(scene).drop()
+    with pytest.raises(TrackerLinkLost, match="connection closed"):
+        driver.confirm(LONG_S)
+    assert driver.data_age_s() == math.inf
+
+
+def test_an_lmf_that_hangs_does_not_answer(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
+    driver = tracker()
+    scene.hanging = {"QuickRelease"}
+    with pytest.raises(TrackerLinkLost, match=r"LMF did not answer within 0.15 s"):
+        driver.confirm(SHORT_S)
+    began_s = time.monotonic()
+    with pytest.raises(TrackerLinkLost, match="has not returned from confirming"):
+        driver.confirm(LONG_S)
+    assert time.monotonic() - began_s < 1.0
+    assert driver.data_age_s() > SHORT_S
+    scene.hanging = set()
+    scene.release.set()
+    wait_for(lambda: driver.data_age_s() < SHORT_S)
+    driver.confirm(LONG_S)
+
+
+def test_a_measurement_that_was_given_up_is_still_at_work(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
+    driver = tracker()
+    scene.hanging = {"MeasureStationary"}
+
+    def measure() -> None:
+        with pytest.raises(Halted):
+            driver.measure(LEFT, 1.0)
+
+    measuring = threading.Thread(target=measure)
+    measuring.start()
+    assert scene.entered.wait(LONG_S)
+    assert driver.data_age_s() == 0.0  # within Leica's time
+    driver.halt()
+    measuring.join(LONG_S)
+    began_s = time.monotonic()
+    with pytest.raises(TrackerTimeout, match="still at work on measuring, which was given up"):
+        driver.confirm(LONG_S)
+    assert time.monotonic() - began_s < 1.0
+    scene.hanging = set()
+    scene.release.set()
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + LONG_S
+    while not condition():
+        assert time.monotonic() < until_s
+        time.sleep(0.001)
+
+
 def test_a_connect_that_comes_too_late_lets_go_again(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.trackers.lmf.CONNECTING_S", SHORT_S)
     scene.hanging = {"Connect"}

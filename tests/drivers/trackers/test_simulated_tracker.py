@@ -443,3 +443,18 @@ def test_nests_return_points_and_errors(make_plant):
     tracker.cut_link()
     with pytest.raises(TrackerLinkLost):
         measure_nests(tracker, nests, 1.0)
+
+
+def test_it_answers_while_its_link_is_open(make_plant):
+    tracker = SimulatedTracker(make_plant())
+    assert tracker.data_age_s() == float("inf")
+    with pytest.raises(TrackerLinkLost, match="connect first"):
+        tracker.confirm(1.0)
+    tracker.connect()
+    tracker.obstacles.append("its laser is off")
+    tracker.confirm(1.0)
+    assert tracker.data_age_s() == 0.0
+    tracker.cut_link()
+    with pytest.raises(TrackerLinkLost, match="cut"):
+        tracker.confirm(1.0)
+    assert tracker.data_age_s() == float("inf")
