@@ -11,15 +11,35 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Literal
 
+from cellapp.asking import Verb
 from cellapp.progress import Cancelled, CancelToken
 
 Request = Literal["none", "pause", "stop", "abort"]
-Verb = Literal["pause", "resume", "stop", "abort"]
-VERBS: tuple[Verb, ...] = ("pause", "resume", "stop", "abort")
+
+
+@dataclass(frozen=True)
+class Live:
+    """What is known of the cell at this moment; it goes to those who watch the job, five times a second.
+
+    Fields are plain values, or frozen dataclasses, mappings and tuples of such: they are written as JSON.
+
+    Attributes
+    ----------
+    age_s : mapping
+        Name of a device -> age of its newest data [s].
+    """
+
+    age_s: Mapping[str, float] = field(default_factory=dict)
+
+
+def _nothing_live() -> Live | None:
+    """A job that has opened no cell."""
+    return None
 
 
 class Stopped(Cancelled):
@@ -45,6 +65,9 @@ class JobControl(CancelToken):
     def __init__(self, *, holds: bool = False) -> None:
         super().__init__()
         self.holds = holds
+        self.live: Callable[[], Live | None] = _nothing_live
+        """What is known of the open cell now. Set by whoever opens it; called from any thread, it neither waits nor
+        raises."""
         self._request: Request = "none"
         self._changed = threading.Condition()
         self._brakes: list[Callable[[str], None]] = []

@@ -88,14 +88,14 @@ def check_run(
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
 
     opened = noting_controllers(run, notes)
-    with taking_requests(run.folder, control):
+    with taking_requests(run.folder, control, "check", listener) as listener:
         confirm = confirmation(run.profile, ask)
         driven = drive_check(
             task, test, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with
         )
-    result = _result(run, checked, len(chosen), driven, test.conclusion())
-    result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
-    _store(run, checked, result)
+        result = _result(run, checked, len(chosen), driven, test.conclusion())
+        result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
+        _store(run, checked, result)  # those who watch read the run when they hear of the end
     return result
 
 

@@ -89,7 +89,7 @@ def iso9283_run(
         drift_s=drift_minutes * 60.0,
     )
     notes = _notes(task, stages, used)
-    with taking_requests(run.folder, control):
+    with taking_requests(run.folder, control, "iso9283", listener) as listener:
         confirm = confirmation(run.profile, ask)
         return _driven(run, used, task, notes, with_eta(listener), control, confirm, open_with)
 
