@@ -15,11 +15,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
+from cellapp.asking import Verb
 from cellapp.progress import Cancelled, CancelToken, CellLive, Halt
 
 Request = Literal["none", "pause", "stop", "abort"]
-Verb = Literal["pause", "resume", "stop", "abort"]
-VERBS: tuple[Verb, ...] = ("pause", "resume", "stop", "abort")
 
 
 class Stopped(Cancelled):
@@ -72,6 +71,11 @@ class JobControl(CancelToken):
         """Whether arms are open that ``stop`` and ``abort`` brake."""
         return bool(self._brakes)
 
+    @property
+    def can_hold(self) -> bool:
+        """Whether the job could wait after a stop: without open arms it has nothing to hold, and ends."""
+        return self._holding > 0
+
     def pause(self) -> None:
         """Ask the job to wait after the present stop."""
         self._set("pause", replaces=("none",))
@@ -82,7 +86,7 @@ class JobControl(CancelToken):
 
     def stop(self) -> None:
         """Brake all arms now."""
-        attended = self.holds and self._holding > 0  # a job without open arms has nothing to hold
+        attended = self.holds and self.can_hold
         self._set_and_brake("stop", replaces=("none", "pause", "stop"), ends=not attended)
 
     def leave(self, how: str) -> None:

@@ -18,7 +18,7 @@ from cellapp.calibration.calibrate import calibrate_readings, missing_splits, pr
 from cellapp.calibration.result import calibrate_result
 from cellapp.collection.collect import collect_run
 from cellapp.commissioning.confirm import Ask, asked_once, confirmation, require_permission
-from cellapp.commissioning.job_requests import taking_requests
+from cellapp.commissioning.running import running_job
 from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.targets import Target, load_targets
@@ -120,7 +120,7 @@ def run_whole(
     notes: list[str] = []
     with (
         new_planned_run(profile, folder or default_folder(profile.name), listener, control) as run,
-        taking_requests(run.folder, control),
+        running_job(run, control, "run", listener) as listener,
     ):
         collected = _collect(run, listener, control, ask)
         notes += collected.notes
@@ -176,7 +176,7 @@ def collect_stops(
     Raises as ``collect_run`` and ``confirmation`` do, and ``InputError`` if another job runs in the folder.
     """
     control = control or JobControl()
-    with taking_requests(run.folder, control):
+    with running_job(run, control, "collect", listener) as listener:
         return _collect(run, listener, control, ask, resume=resume, accept_drift=accept_drift)
 
 
@@ -367,7 +367,7 @@ def push_run(
     """
     control = control or JobControl()
     check_rounds(iterate, verify=verify)
-    with taking_requests(run.folder, control):
+    with running_job(run, control, "verify" if verify else "push", listener) as listener:
         return _push(run, targets, listener, control, ask, verify=verify, iterate=iterate, out_of_date=out_of_date)
 
 

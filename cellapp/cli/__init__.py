@@ -1,5 +1,27 @@
 """The command line: the verbs, the trials, and what every command shares."""
 
-from cellapp.cli.app import main
+from __future__ import annotations
 
-__all__ = ["main"]
+import sys
+
+from cellapp.cli.requests import ask_job, plain_request
+from cellapp.errors import CellappError
+
+
+def main() -> None:
+    """The program. A plain request to a running job is sent before the rest of the program is loaded: it may be a stop.
+
+    Everything else, and whatever goes wrong, is the matter of the whole command line.
+    """
+    request = plain_request(sys.argv[1:])
+    if request is None:
+        from cellapp.cli.app import main as whole_program
+
+        whole_program()
+        return
+    try:
+        ask_job(request)
+    except (CellappError, OSError, ValueError, KeyboardInterrupt) as error:
+        from cellapp.cli.program import end_with
+
+        end_with(error)

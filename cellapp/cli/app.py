@@ -34,7 +34,7 @@ from cellapp.cli.options import (
 )
 from cellapp.cli.program import run_program
 from cellapp.cli.report import report
-from cellapp.cli.requests import abort, pause, resume, stop
+from cellapp.cli.request_commands import abort, pause, resume, stop
 from cellapp.cli.runs import compare, runs
 from cellapp.cli.show import schema, show
 from cellapp.cli.trials import trials_app

@@ -36,6 +36,15 @@ def run_program(app: Callable[[], object]) -> None:
             signal.signal(number, handler)
 
 
+def end_with(error: BaseException) -> None:
+    """End the program with an error as ``run_program`` does."""
+
+    def fail() -> None:
+        raise Cancelled("stopped on request") if isinstance(error, KeyboardInterrupt) else error
+
+    run_program(fail)
+
+
 def _ended(app: Callable[[], object]) -> None:
     """Run the program; every error ends in ``SystemExit``, whose ``__context__`` it is."""
     try:

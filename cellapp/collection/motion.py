@@ -32,7 +32,6 @@ _LEAST_FRACTION = 0.01
 """A lower speed slider counts as 0: the motion would take a hundred times as long."""
 _STANDSTILL_S = 60.0
 """Longest wait for an arm whose speed slider is at 0."""
-_TRACKER_ANSWERS_WITHIN_S = 0.5
 _WRONG_TARGET_M = 0.05
 """Nominal geometry and base poses predict an SMR better than this; SMRs of two arms are farther apart."""
 _AT_TARGET_RAD = 1e-3
@@ -235,7 +234,7 @@ class Mover:
         return arm.followed()
 
     def _confirm_links(self) -> None:
-        """Make sure that every link of every arm and the tracker answer now, also those of arms that stay at rest.
+        """Make sure that every link of every arm answers now, also those of arms that stay at rest.
 
         Raises ``CellStopped`` if one does not: nothing begins beside a doubt.
         """
@@ -243,11 +242,7 @@ class Mover:
         _, errors = answers_of_all(self._cell.together, {name: arm.confirm for name, arm in arms.items()})
         for name, error in errors.items():
             raise self.stop_cell(cause_of(name, error)) from error
-        try:
-            self._cell.tracker.confirm(_TRACKER_ANSWERS_WITHIN_S)
-        except TrackerError as error:
-            raise self.stop_cell(StopCause("tracker", str(error))) from error
-        self._reaction.check()
+        self._reaction.check()  # the watch has asked the tracker
 
     def _tracker_died(self, reason: str) -> None:
         self._reaction.trigger(StopCause("tracker", reason))

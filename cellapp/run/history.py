@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from cellapp.commissioning.job_requests import who_uses
+from cellapp.asking import RUNS_NOW, who_uses
 from cellapp.errors import CellappError, InputError
 from cellapp.profile import Profile
 from cellapp.results import CellKind, LastSession, RunsResult, RunSummary, StageSummary
@@ -47,6 +47,13 @@ def list_runs(folder: Path | None = None) -> RunsResult:
 def resumable(folder: Path | None = None) -> RunSummary | None:
     """The newest run that was interrupted while collecting and is not in use. Raises as ``list_runs``."""
     return next((run for run in list_runs(folder).runs if run.resumable), None)
+
+
+def to_go_on_with(folder: Path | None = None) -> RunSummary | None:
+    """The newest run in which a job of this computer works now, else ``resumable``. Raises as ``list_runs``."""
+    runs = list_runs(folder).runs
+    used = (run for run in runs if run.in_use == RUNS_NOW)
+    return next(used, None) or next((run for run in runs if run.resumable), None)
 
 
 def summarise(folder: Path) -> RunSummary:

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.commissioning.job_requests import ask_running_job
-from cellapp.control import Verb
+from cellapp.asking import Verb, ask_running_job
 from cellapp.errors import CellappError
 from cellapp.trials.storm_cell import StormCell
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
@@ -24,12 +24,14 @@ from textual.driver import Driver
 from textual.screen import Screen
 from textual.widgets import Static
 
+from cellapp.commissioning.attaching import Detached
 from cellapp.progress import CellLive
 from cellapp.tui import work as jobs_of_verbs
+from cellapp.tui.attached import LOOK_EVERY_S, JobsOfOthers
 from cellapp.tui.dialogs.handbook import Handbook
 from cellapp.tui.dialogs.jump import Jump
 from cellapp.tui.dialogs.motion import MotionQuestion
-from cellapp.tui.dialogs.palette import Palette
+from cellapp.tui.dialogs.palette import Palette, possible_commands
 from cellapp.tui.dialogs.question import Reading
 from cellapp.tui.endings import UNEXPECTED, ending_of, left_behind
 from cellapp.tui.job_record import JobRecord
@@ -110,6 +112,7 @@ class CellApp(App[None]):
         self.jobs = JobRunner(self.post_message)
         self.presses = StopPresses(self.jobs)
         self.leaving = Leaving(self, ends_process=ends_process)
+        self.others = JobsOfOthers(self)
         self.asked_by: DayScreen | None = None
         """The screen that asked for the present job; it gets the result, whichever screen is shown then."""
         self.message = ""
@@ -136,6 +139,7 @@ class CellApp(App[None]):
         self.push_screen(self._screen_of("cell"))
         self.call_after_refresh(self._welcome)
         self.set_interval(_DRAWING_S, self._draw_events)
+        self.set_interval(LOOK_EVERY_S, self.others.look)
         self.set_timer(_PRELOAD_AFTER_S, self._preload)
         self.leaving.watch()
         self.say("Choose a profile on this screen; n goes to the next step, ? explains.")
@@ -189,7 +193,8 @@ class CellApp(App[None]):
         self._leaving = True
         self.jobs.control.leave(LEFT)
         self._refuse_motion()
-        self.say(f"Stopping, then quitting (waiting at most {self._patience_s:.0f} s).", "warning")
+        if not self.jobs.attached:
+            self.say(f"Stopping, then quitting (waiting at most {self._patience_s:.0f} s).", "warning")
         self.set_timer(self._patience_s, self._quit_without_job)
 
     def _quit_without_job(self) -> None:
@@ -258,20 +263,8 @@ class CellApp(App[None]):
     def action_command_palette(self) -> None:
         """Open the command palette with all that is possible now."""
         if isinstance(self.screen, DayScreen):
-            self._commands = list(self._possible_commands(self.screen))
+            self._commands = list(possible_commands(self, self.screen))
             self.push_screen(Palette(id="--command-palette"))
-
-    def _possible_commands(self, screen: DayScreen) -> Iterator[SystemCommand]:
-        for entry in SCREENS:
-            show = partial(self.action_show, entry.step)
-            yield SystemCommand(f"Show {entry.title}", f"{entry.purpose} (key {entry.key})", show)
-        for key, active in screen.active_bindings.items():
-            binding = active.binding
-            own = isinstance(active.node, CellApp | DayScreen) and not binding.system
-            hidden = binding.action == "command_palette" or binding.action.startswith("show(")
-            if own and active.enabled and not hidden:
-                run = partial(self.run_action, binding.action, active.node)
-                yield SystemCommand(binding.description, binding.tooltip or f"key {key}", run)
 
     # -- profile and run -----------------------------------------------------------------------------------------------
 
@@ -294,6 +287,7 @@ class CellApp(App[None]):
             text = f"'{self.record.name}' moves arms; stop it or wait for its end before something else is opened."
             self.say(text, "warning")
             return
+        self.others.leave_unless(folder)
         self._loads += 1
         self._read(profile_path, folder, self._loads)
 
@@ -307,6 +301,7 @@ class CellApp(App[None]):
         loaded = load_workspace(profile_path, folder)
         if number == self._loads:  # else something else was opened meanwhile
             self.post_message(WorkspaceLoaded(loaded))
+            self.others.find(folder)
 
     @on(WorkspaceLoaded)
     def show_loaded(self, event: WorkspaceLoaded) -> None:
@@ -322,7 +317,8 @@ class CellApp(App[None]):
         elif now.edited and not (before.edited and before.folder == now.folder):
             self.say("The profile was edited after this run was planned; the run keeps its own copy.", "warning")
         elif ended is None and now.folder not in (None, before.folder):
-            self.say(f"{now.folder} is open; next: {title} (key n).")
+            then = f"in use by {now.in_use}" if now.in_use else f"next: {title} (key n)"
+            self.say(f"{now.folder} is open; {then}.")
         elif ended and ended == self.message and now.folder is not None:
             self.message = f"{ended} Next: {title} (key n)."
         self.draw_all()
@@ -435,6 +431,8 @@ class CellApp(App[None]):
             for screen in dict.fromkeys((self.asked_by or self.day_screen, self.day_screen)):
                 screen.show_result(message.ending)
             show_paths(self, message.ending)
+        if isinstance(message.ending, Detached):
+            return  # something else is opened now
         folder = message.job.folder or self.workspace.folder
         self._load(self.workspace.profile_path, folder if holds_run(folder) else self.workspace.folder)
         self.refresh_bindings()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cellapp.commissioning.attaching import Detached
 from cellapp.control import Aborted
 from cellapp.errors import CellappError, CheckFailed, HardwareError
 from cellapp.progress import Cancelled, Progress
@@ -46,6 +47,9 @@ def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
     folder, ending = ended.job.folder, ended.ending
     if not isinstance(ending, BaseException):
         return _done(ended.job, ending)
+    if isinstance(ending, Detached):
+        goes_on = f"'{ended.job.name}' goes on in process {ended.job.process}"
+        return Ending(f"Detached; {goes_on}. 'cellapp stop {folder}' stops it.", "information", 0)
     resume = how_to_resume(last, folder)
     if isinstance(ending, Cancelled):
         word = "Aborted" if isinstance(ending, Aborted) else "Stopped"

@@ -116,6 +116,8 @@ class JobRecord:
     ----------
     name : str
         What was started, in a word or two; empty before the first job.
+    attached : bool
+        Whether another process runs it.
     state : JobState or None
         None while no job runs.
     reason : str
@@ -146,6 +148,7 @@ class JobRecord:
     name: str = ""
     state: JobState | None = None
     reason: str = ""
+    attached: bool = False
     progress: dict[str, Progress] = field(default_factory=dict)
     arms: dict[str, ArmRecord] = field(default_factory=dict)
     tracker: TrackerRecord = field(default_factory=TrackerRecord)
@@ -173,8 +176,9 @@ class JobRecord:
         count = min(self.log_written - written, len(self.log))
         return list(islice(reversed(self.log), count))[::-1]
 
-    def begin(self, name: str) -> None:
+    def begin(self, name: str, *, attached: bool = False) -> None:
         """Forget the job before, but not its log."""
+        self.attached = attached
         self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
         for kept in (self.progress, self.arms, self.stops, self.references, self.suspicions):
             kept.clear()

@@ -49,12 +49,15 @@ class Job:
         The run that it reads or adds to; its error log is written there.
     moves : bool
         Whether it may move arms; a replay and a calculation do not.
+    process : int or None
+        The other process that runs it; here it is only watched and commanded. None: this one.
     """
 
     name: str
     work: Work
     folder: Path | None = None
     moves: bool = False
+    process: int | None = None
 
 
 class MotionAsked(Message):
@@ -94,11 +97,16 @@ class JobRunner:
         """Whether a job was started and has not reported its end yet."""
         return self.job is not None
 
-    def start(self, job: Job) -> None:
-        """Start a job; the one before must have reported its end."""
+    @property
+    def attached(self) -> bool:
+        """Whether the present job is one of another process: leaving it does not stop it."""
+        return self.job is not None and self.job.process is not None
+
+    def start(self, job: Job, control: JobControl | None = None) -> None:
+        """Start a job; the one before must have reported its end. ``control`` is that of a job of another process."""
         if self.job is not None:
             raise RuntimeError(f"{self.job.name} is still running")
-        self.control = JobControl(holds=True)  # first: whoever sees the job, in any thread, stops this one
+        self.control = control or JobControl(holds=True)  # first: whoever sees the job, in any thread, stops this one
         self.job = job
         self._events.clear()
         # a daemon thread: a device that never answers cannot keep the program from ending

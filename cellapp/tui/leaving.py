@@ -78,7 +78,7 @@ class Leaving:
 
     def _end_process(self, after_s: float) -> None:
         """End the program where Textual cannot: once a write to a closed terminal failed, it waits for ever."""
-        running = self._app.jobs.running
+        running = self._app.jobs.running and not self._app.jobs.attached
         self._app.wait_for_job()
         time.sleep(after_s)
         os._exit(STOPPED if running else self._app.code)

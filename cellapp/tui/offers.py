@@ -75,6 +75,11 @@ def show_paths(app: CellApp, result: object) -> None:
 
 def offer_to_quit(app: CellApp, leave: Callable[[bool], None]) -> None:
     """Ask whether to stop the job that is in progress and quit; ``leave`` takes the answer."""
+    if app.jobs.attached:
+        text = f"'{app.record.name}' runs in another process and goes on; quitting here does not stop its arms. Quit?"
+        stay = (Answer("stay", "Stay", "n"), Answer("leave", "Quit, it goes on", "y", "warning"))
+        app.push_screen(Choice("Quit?", text, stay), lambda answer: leave(answer == "leave"))
+        return
     brake = "Brake all arms, end it" if app.jobs.control.has_brakes else "End it"
     answers = (Answer("stay", "Continue", "n"), Answer("leave", "Stop and quit", "y", "error"))
     question = Choice("Quit?", f"'{app.record.name}' is in progress. {brake} and quit?", answers)
@@ -82,9 +87,12 @@ def offer_to_quit(app: CellApp, leave: Callable[[bool], None]) -> None:
 
 
 def offer_to_resume(app: CellApp, run: RunSummary) -> None:
-    """Open a run that was interrupted while collecting."""
-    folder = Path(run.run)
+    """Open a run that was interrupted while collecting, or one in which another process works now."""
+    folder, title = Path(run.run), "Go on with the last run?"
     text = f"{folder} was interrupted with {run.stops_left} stops left. Open it? Nothing moves yet."
+    if run.in_use:
+        title = "Watch the job that runs now?"
+        text = f"Another process works in {folder}. Open it? Its job goes on; Escape here stops its arms."
 
     def open_it(answer: str | None) -> None:
         if answer == "open":
@@ -92,7 +100,7 @@ def offer_to_resume(app: CellApp, run: RunSummary) -> None:
             app.action_show("collect")
 
     answers = (Answer("open", "Open", "o", "success"), Answer("later", "Later", "l"))
-    app.push_screen(Choice("Go on with the last run?", text, answers), open_it)
+    app.push_screen(Choice(title, text, answers), open_it)
 
 
 def offer_at_rest(app: CellApp, arm: str) -> None:

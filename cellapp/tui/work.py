@@ -406,11 +406,12 @@ def compare(folders: Sequence[Path], *, fleet: bool = False) -> RunComparison | 
 
 
 def interrupted_run(logs: Path) -> RunSummary | None:
-    """The newest run below a folder that was interrupted while collecting. For a thread of its own."""
+    """The newest run below a folder in which another process works now, else the newest that was interrupted while
+    collecting and is not in use. For a thread of its own."""
     from cellapp.errors import CellappError
-    from cellapp.run.history import resumable
+    from cellapp.run.history import to_go_on_with
 
     try:
-        return resumable(logs) if logs.is_dir() else None
+        return to_go_on_with(logs) if logs.is_dir() else None
     except CellappError:
         return None  # a folder that cannot be read offers nothing; the screen Runs says why

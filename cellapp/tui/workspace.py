@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from cellapp.asking import who_uses
 from cellapp.errors import CellappError, InputError
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ class Workspace:
         Why profile or run cannot be used, in a sentence; empty if they can.
     edited : bool
         The file of the profile was changed since the run was planned from it.
+    in_use : str
+        Which job used the run when it was read, as a phrase; empty if none did.
     beside_run : Profile or None
         Where a run is open, what ``profile_path`` holds now: perhaps another cell than that of the run.
     """
@@ -68,6 +71,7 @@ class Workspace:
     design: PlanDesignResult | None = None
     problem: str = ""
     edited: bool = False
+    in_use: str = ""
     beside_run: Profile | None = None
 
     @property
@@ -168,6 +172,7 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
             read_planned_stops(run),
             read_plan_design(run),
             edited=profile is not None and profile.name == run.profile.name and profile != run.profile,
+            in_use=who_uses(folder),
             beside_run=profile,
         )
 

@@ -19,7 +19,7 @@ from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.smr_search import points_of
 from cellapp.collection.supervision import Opened
 from cellapp.commissioning.confirm import Ask, confirmation
-from cellapp.commissioning.job_requests import taking_requests
+from cellapp.commissioning.running import running_job
 from cellapp.control import JobControl
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array, invert, rows_of, xyz_of
@@ -88,14 +88,14 @@ def check_run(
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
 
     opened = noting_controllers(run, notes)
-    with taking_requests(run.folder, control):
+    with running_job(run, control, "check", listener) as listener:
         confirm = confirmation(run.profile, ask)
         driven = drive_check(
             task, test, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with
         )
-    result = _result(run, checked, len(chosen), driven, test.conclusion())
-    result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
-    _store(run, checked, result)
+        result = _result(run, checked, len(chosen), driven, test.conclusion())
+        result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
+        _store(run, checked, result)  # those who watch read the run when they hear of the end
     return result
 
 

@@ -15,7 +15,7 @@ from cellapp.collection.iso9283 import DWELL_S, IsoTask, drive_tests
 from cellapp.collection.motion import Confirm
 from cellapp.collection.supervision import Opened
 from cellapp.commissioning.confirm import Ask, confirmation
-from cellapp.commissioning.job_requests import taking_requests
+from cellapp.commissioning.running import running_job
 from cellapp.control import JobControl
 from cellapp.errors import CellappError, InputError
 from cellapp.iso9283.findings import IsoFindings, arm_results, missing_words, pair_results
@@ -89,7 +89,7 @@ def iso9283_run(
         drift_s=drift_minutes * 60.0,
     )
     notes = _notes(task, stages, used)
-    with taking_requests(run.folder, control):
+    with running_job(run, control, "iso9283", listener) as listener:
         confirm = confirmation(run.profile, ask)
         return _driven(run, used, task, notes, with_eta(listener), control, confirm, open_with)
 

@@ -12,7 +12,7 @@ from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.locate import LocatedStation, LocateTask, locate_station
 from cellapp.collection.supervision import Opened
 from cellapp.commissioning.confirm import Ask, confirmation
-from cellapp.commissioning.job_requests import taking_requests
+from cellapp.commissioning.running import running_job
 from cellapp.control import JobControl
 from cellapp.effects import EFFECTS, EffectTerm
 from cellapp.effects.law import DriverVariable
@@ -91,11 +91,12 @@ def locate_run(
     )
     notes: list[str] = []
     opened = noting_controllers(run, notes)
-    with taking_requests(run.folder, control):
+    with running_job(run, control, "locate", listener) as listener:
         confirm = confirmation(run.profile, ask)
         found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)
-    result = _result(run.profile, task, found, (*notes, *found.notes))
-    _store(run, used, result, relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.explained else None)
+        result = _result(run.profile, task, found, (*notes, *found.notes))
+        model = relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.explained else None
+        _store(run, used, result, model)  # those who watch read the run when they hear of the end
     return result
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal
 
 from cellapp.collection.controllers import noting_controllers
 from cellapp.collection.motion import Confirm
 from cellapp.commissioning.confirm import Ask, confirmation
-from cellapp.commissioning.job_requests import taking_requests
+from cellapp.commissioning.running import running_job
 from cellapp.compensation.following import follow
 from cellapp.compensation.path_file import PathSpec
 from cellapp.compensation.path_result import path_csv, path_result
@@ -73,8 +74,9 @@ def follow_run(
     if csv is not None:
         _write(csv, path_csv(plans))
     followed: list[tuple[PathPlan, DrivenPath | None]] = [(plan, None) for plan in plans]
-    if driving != "plan":
-        with taking_requests(run.folder, control):
+    with ExitStack() as stack:
+        if driving != "plan":
+            listener = stack.enter_context(running_job(run, control, "follow", listener))
             followed = _driven(
                 run,
                 profile_at_station(run, stages),
@@ -87,9 +89,10 @@ def follow_run(
                 verify=driving == "verify",
                 rehearse=rehearse,
             )
-    result = path_result(model, followed, notes)
-    basis = basis_on_model(run, used, paths)
-    append_stage(run, FOLLOW if driving == "verify" else PATH, result, basis)
+        result = path_result(model, followed, notes)
+        basis = basis_on_model(run, used, paths)
+        # those who watch read the run when they hear of the end
+        append_stage(run, FOLLOW if driving == "verify" else PATH, result, basis)
     return result
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.commissioning.job_requests import taking_requests
+from cellapp.commissioning.running import running_job
 from cellapp.control import JobControl
 from cellapp.errors import CheckFailed, InputError
 from cellapp.planning.check import check_each_stop, check_stops, required_plan
@@ -153,7 +153,7 @@ def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: 
         On request; the plan is unchanged then.
     """
     control = control or JobControl()
-    with taking_requests(run.folder, control):
+    with running_job(run, control, "plan", listener) as listener:
         required_plan(run)
         kept, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
         stops, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=count)
@@ -178,7 +178,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
         On request; the plan is unchanged then.
     """
     control = control or JobControl()
-    with taking_requests(run.folder, control):
+    with running_job(run, control, "plan", listener) as listener:
         required_plan(run)
         stops, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
         parts = _parts(run, stops, proposed)
@@ -207,7 +207,7 @@ def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | No
     InputError
         If the run has no plan or not these stops, or another job runs in its folder.
     """
-    with taking_requests(run.folder, control or JobControl()):
+    with running_job(run, control or JobControl(), "plan"):
         required_plan(run)
         stops, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
         if unknown := [stop for stop in chosen if not 0 <= stop < len(stops)]:

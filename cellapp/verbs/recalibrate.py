@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from cellapp.commissioning.job_requests import who_uses
+from cellapp.asking import who_uses
 from cellapp.errors import InputError
 from cellapp.pipeline import calibrate_run, discover_run
 from cellapp.progress import CancelToken, Listener, ignore

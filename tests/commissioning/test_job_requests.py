@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from cellapp.commissioning.job_requests import JOB_FILE, ask_running_job, taking_requests
-from cellapp.control import JobControl, Verb
+from cellapp.asking import JOB_FILE, Verb, ask_running_job
+from cellapp.commissioning.job_requests import taking_requests
+from cellapp.control import JobControl
 from cellapp.errors import HardwareError, InputError
 
 
@@ -157,7 +158,7 @@ def test_hostile_requests_change_nothing_and_delay_no_stop(folder: Path, job: Jo
 
 
 def test_a_job_that_listens_and_is_silent_is_a_fault(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.commissioning.job_requests._PATIENCE_S", 0.05)
+    monkeypatch.setattr("cellapp.asking.PATIENCE_S", 0.05)
     with taking_requests(folder, JobControl()), socket.create_server(("127.0.0.1", 0)) as mute:
         address = json.loads((folder / JOB_FILE).read_text())
         (folder / JOB_FILE).write_text(json.dumps({**address, "port": mute.getsockname()[1]}))

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from cellapp.commissioning.job_requests import JOB_FILE, taking_requests
+from cellapp.asking import JOB_FILE
+from cellapp.commissioning.job_requests import taking_requests
 from cellapp.control import JobControl
 from cellapp.errors import InputError
 from cellapp.reporting.runs import runs_sentences, runs_tables

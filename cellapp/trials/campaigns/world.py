@@ -11,10 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from cellapp.asking import Verb
 from cellapp.collection.cell import Cell, build_plant, start_tracker
 from cellapp.collection.together import one_by_one
-from cellapp.collection.tracker_watch import Died
-from cellapp.control import JobControl, Request, Verb
+from cellapp.collection.tracker_watch import Died, unwatched
+from cellapp.commissioning.job_requests import answer_to
+from cellapp.control import JobControl, Request
 from cellapp.errors import HardwareError
 from cellapp.profile import Profile
 from cellapp.progress import Progress, StateChange
@@ -152,10 +154,11 @@ class World:
 
     @contextmanager
     def _watched(self, tracker: Tracker, died: Died) -> Iterator[None]:
-        """Tell the program of a tracker that dies meanwhile."""
+        """Tell the program of a tracker that is dead, or dies meanwhile."""
         self._tracker_died = died
         try:
-            yield
+            with unwatched(tracker, died):
+                yield
         finally:
             self._tracker_died = None
 
@@ -257,7 +260,7 @@ class Person:
         if self.control is not None:
             self._count(verb)
             self._world.monitor.stop(f"a {verb} from another process")
-            answer_request(self.control, verb)
+            answer_to(self.control, verb)
 
     def _count(self, verb: str) -> None:
         """Count a request that a session in an open cell has to record."""

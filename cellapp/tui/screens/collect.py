@@ -180,10 +180,11 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Offer only what is possible now."""
         idle, workspace, left = not self.cell_app.jobs.running, self.workspace, stops_left(self.workspace)
+        free = idle and left > 0 and not workspace.in_use
         possible = {
-            "begin": idle and left > 0 and stops_measured(workspace) == 0,
-            "resume_run": idle and left > 0 and stops_measured(workspace) > 0,
-            "accept_drift": drift_exceeded(workspace) and left > 0 if idle else holds_for_drift(self.cell_app.record),
+            "begin": free and stops_measured(workspace) == 0,
+            "resume_run": free and stops_measured(workspace) > 0,
+            "accept_drift": free and drift_exceeded(workspace) if idle else holds_for_drift(self.cell_app.record),
         }
         return possible.get(action, True)
 

@@ -96,6 +96,8 @@ def _of_run(workspace: Workspace) -> Headline:
         return Headline("NO CELL", NO_PROFILE, "idle")
     if workspace.folder is None:
         return Headline("NO RUN", NO_RUN, "idle")
+    if workspace.in_use:
+        return Headline("IN USE", f"by {workspace.in_use}. Shown is what was stored when it was opened.", "waiting")
     left, measured = stops_left(workspace), stops_measured(workspace)
     if not left:
         word = f"COMPLETE, {measured} stops" if measured else "NO PLAN"

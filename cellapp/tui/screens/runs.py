@@ -358,8 +358,10 @@ class RunsScreen(DayScreen):
             if run.resumable:
                 offer_to_resume(self.cell_app, run)
             else:
-                why = f"is in use by {run.in_use}" if run.in_use else "was not interrupted while collecting"
-                self.say(f"{run.run} {why}; there is nothing to resume.", "warning")
+                why = "was not interrupted while collecting; there is nothing to resume"
+                if run.in_use:
+                    why = f"is in use by {run.in_use}; Enter opens it, and watches a job of this computer"
+                self.say(f"{run.run} {why}.", "warning")
 
         self._with_run(resume)
 

@@ -44,12 +44,13 @@ class DayHeader(Horizontal):
         where = f"{profile_name(workspace)} · {'no run' if workspace.folder is None else workspace.folder}"
         replays = record.is_replay and record.state is not None
         kind = "replay" if replays else workspace.kind
-        drawn = (kind, where, job_words(record), record.state)
+        attached = record.attached and record.state is not None
+        drawn = (kind, attached, where, job_words(record), record.state)
         if drawn == self._drawn:
             return
         self._drawn = drawn
         badge = self.query_one(".badge", Static)
-        badge.update(_BADGES[kind])
+        badge.update(f" ATTACHED ·{_BADGES[kind]}" if attached else _BADGES[kind])
         badge.set_classes(f"badge {kind}")
         self.query_one(".where", Static).update(where)
         job = self.query_one(".job", Static)
